@@ -1,0 +1,1 @@
+"""Error criteria: which weighted integrals of an equation of motion are made small."""

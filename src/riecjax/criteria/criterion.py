@@ -1,0 +1,168 @@
+"""Error criteria: which residuals of an equation of motion are made small."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from riecjax.criteria.test_functions import Boxcar
+from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import sum_columns
+from riecjax.errors import ModelError
+from riecjax.records.record import Record
+
+
+class Rows(eqx.Module):
+    """Regression rows: target (first) and regressors of every residual of a criterion.
+
+    **Fields:**
+
+    - `columns`: shape `(1 + parameters, rows)`; the first holds the target.
+    - `position`: where in the record each row starts, in samples.
+    - `parameters`: names of the regressors.
+    """
+
+    columns: Float[Array, "columns rows"]
+    position: Int[Array, " rows"] | Float[Array, " rows"]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def target(self) -> Float[Array, " rows"]:
+        """Left-hand side y."""
+        return self.columns[0]
+
+    @property
+    def regressors(self) -> Float[Array, "rows parameters"]:
+        """Regressor matrix A."""
+        return self.columns[1:].T
+
+    def embed(self, parameters: tuple[str, ...]) -> "Rows":
+        """The same rows among more parameters, with zeros for those that do not occur."""
+        zero = jnp.zeros_like(self.target)
+        held = dict(zip(self.parameters, self.columns[1:]))
+        columns = jnp.stack([self.target, *(held.get(name, zero) for name in parameters)])
+        return Rows(columns, self.position, parameters)
+
+    def fix(self, known: Mapping[str, Array]) -> "Rows":
+        """The rows left when these parameters take these values: their columns join the target."""
+        held = dict(zip(self.parameters, self.columns[1:]))
+        given = [known[name] * column for name, column in held.items() if name in known]
+        kept = tuple(name for name in self.parameters if name not in known)
+        target = self.target - sum(given, start=jnp.zeros_like(self.target))
+        return Rows(jnp.stack([target, *(held[name] for name in kept)]), self.position, kept)
+
+    @staticmethod
+    def concatenate(parts: Sequence["Rows"]) -> "Rows":
+        """Rows of the same parameters, one after the other."""
+        columns = jnp.concatenate([part.columns for part in parts], axis=1)
+        position = jnp.concatenate([part.position for part in parts])
+        return Rows(columns, position, parts[0].parameters)
+
+
+class AbstractCriterion(eqx.Module):
+    """Turns an equation and a record into regression rows."""
+
+    @property
+    def needs_key(self) -> bool:
+        """Whether rows are drawn at random."""
+        raise NotImplementedError
+
+    @property
+    def block_length(self) -> Float[np.ndarray, ""] | Array:
+        """Seconds after which two rows share no data: their errors are not locked together."""
+        raise NotImplementedError
+
+    def check(self, record: Record) -> None:
+        """Raise `DataError` if the record is too short for this criterion (not under jit)."""
+        raise NotImplementedError
+
+    def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
+        """The rows of this criterion; see the classes."""
+        raise NotImplementedError
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings, for tables and JSON."""
+        raise NotImplementedError
+
+
+class DOLS(AbstractCriterion):
+    """Direct ordinary least squares, eqs (2)-(4): the equation at every sample.
+
+    Terms with a derivative need that derivative as a recorded signal.
+    """
+
+    @property
+    def needs_key(self) -> bool:
+        """False: every sample is used."""
+        return False
+
+    @property
+    def block_length(self) -> np.ndarray:
+        """Zero: rows share no data."""
+        return np.zeros(())
+
+    def check(self, record: Record) -> None:
+        """Nothing to check: a record has samples."""
+
+    def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None = None) -> Rows:
+        """One row for each sample.
+
+        **Raises:** `DataError` for a missing signal or derivative.
+        """
+        blocks = [term.samples(record, term.derivative) for term in equation.terms]
+        columns = sum_columns(equation.terms, blocks, equation.parameters)
+        return Rows(columns, jnp.arange(record.sample_count), equation.parameters)
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings."""
+        return {"name": "dols"}
+
+
+class RIEC(AbstractCriterion):
+    """The randomized integral error criterion, eq. (17).
+
+    One row for each window: the equation of motion, weighted by a test function and integrated.
+
+    **Arguments:** `windows`, such as `RandomWindows(alpha, beta, count)`; `test_function`.
+    """
+
+    windows: RandomWindows
+    test_function: Boxcar = eqx.field(default_factory=Boxcar)
+
+    @property
+    def needs_key(self) -> bool:
+        """True: windows are drawn at random."""
+        return True
+
+    @property
+    def block_length(self) -> np.ndarray | Array:
+        """beta: windows that start further apart do not overlap."""
+        return self.windows.beta
+
+    def check(self, record: Record) -> None:
+        """The record must be longer than the longest window."""
+        self.windows.check(record.sample_count, record.time_step)
+
+    def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
+        """One row for each window. The same key draws the same windows for every equation.
+
+        **Raises:** `DataError` for a missing signal, `ModelError` without a key.
+        """
+        if key is None:
+            raise ModelError("random windows need a key: key=jax.random.key(seed).")
+        windows = self.windows.draw(key, record.sample_count, record.time_step)
+        primitives = self.test_function.primitives(equation, record)
+        return Rows(primitives.increments(windows), windows.start, equation.parameters)
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings."""
+        return {
+            "name": "riec",
+            "alpha": float(self.windows.alpha),
+            "beta": float(self.windows.beta),
+            "windows": self.windows.count,
+            "test_function": "boxcar",
+        }

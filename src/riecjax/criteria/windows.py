@@ -1,0 +1,129 @@
+"""Windows in time: where an integral criterion looks, and for how long."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from riecjax.errors import DataError, ModelError
+
+
+class WindowSet(NamedTuple):
+    """Start and end of each window, counted in samples: integers on the grid, or real numbers."""
+
+    start: Int[Array, " windows"] | Float[Array, " windows"]
+    stop: Int[Array, " windows"] | Float[Array, " windows"]
+
+
+class RandomWindows(eqx.Module):
+    """The paper's random windows: T ~ U(alpha, beta), t0 ~ U(0, t_max), t0 + T <= t_max.
+
+    Rejecting the pairs that reach beyond the record (eqs 14-15) leaves (t0, T) uniform over the
+    admissible ones. That is drawn directly: T with density proportional to t_max - T, by
+    inverting its distribution, then t0 uniform over what room is left. Shapes are fixed and
+    nothing is rejected.
+
+    **Arguments:**
+
+    - `alpha`, `beta`: shortest and longest window in seconds. To see the most of a motion
+      of frequency f, T = 1 / (2 f) (eq. 26), so choose half a period of the fastest and of the
+      slowest mode that the model should have.
+    - `count`: number of windows.
+    - `between_samples`: draw start and length from the continuum, and interpolate the record
+      between its samples, instead of rounding both to samples. The default, on samples, is
+      faster, and its expectation is a finite sum over pairs of samples.
+
+    **Raises:** `ModelError` unless 0 < alpha < beta and count >= 1.
+    """
+
+    alpha: Float[np.ndarray, ""] | Array
+    beta: Float[np.ndarray, ""] | Array
+    count: int = eqx.field(static=True)
+    between_samples: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        alpha: float | Array,
+        beta: float | Array,
+        count: int,
+        *,
+        between_samples: bool = False,
+    ):
+        self.alpha = alpha if eqx.is_array(alpha) else np.asarray(alpha, float)
+        self.beta = beta if eqx.is_array(beta) else np.asarray(beta, float)
+        self.count = count
+        self.between_samples = between_samples
+        if count < 1:
+            raise ModelError(f"the number of windows must be at least 1; got {count}.")
+        if _concrete(self.alpha, self.beta) and not 0 < float(self.alpha) < float(self.beta):
+            raise ModelError(
+                f"windows need 0 < alpha < beta; got alpha = {float(self.alpha):g} s and "
+                f"beta = {float(self.beta):g} s."
+            )
+
+    def check(self, sample_count: int, time_step: Array) -> None:
+        """Raise `DataError` if the record is too short or too coarse (not under jit)."""
+        if not _concrete(self.alpha, self.beta, time_step):
+            return
+        step, beta = float(time_step), float(self.beta)
+        duration = step * (sample_count - 1)
+        if beta > duration * (1 + 1e-12):
+            raise DataError(
+                f"the longest window, beta = {beta:g} s, is longer than the record, "
+                f"{duration:g} s. Choose a smaller beta or record for longer."
+            )
+        if beta < step:
+            raise DataError(
+                f"the longest window, beta = {beta:g} s, is shorter than one sample, {step:g} s. "
+                f"Choose longer windows."
+            )
+
+    def draw(
+        self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""]
+    ) -> WindowSet:
+        """`count` windows of a record with `sample_count` samples."""
+        draw = self._draw_between_samples if self.between_samples else self._draw_on_samples
+        return draw(key, sample_count, time_step)
+
+    def lags(
+        self, sample_count: int, time_step: Float[Array, ""]
+    ) -> tuple[Int[Array, ""], Int[Array, ""]]:
+        """Shortest and longest window in whole samples, at least 1 and within the record."""
+        shortest = jnp.clip(jnp.round(self.alpha / time_step), 1, sample_count - 1)
+        longest = jnp.clip(jnp.round(self.beta / time_step), shortest, sample_count - 1)
+        return shortest.astype(jnp.int32), longest.astype(jnp.int32)
+
+    def _draw_on_samples(
+        self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""]
+    ) -> WindowSet:
+        shortest, longest = self.lags(sample_count, time_step)
+        u, v = jax.random.uniform(key, (2, self.count))
+        # A lag of k samples leaves n - k starts. Pairs are numbered lag by lag; the number of pairs
+        # before the j-th lag is j (n - k_a) - j (j - 1) / 2, which is inverted for j. The form with
+        # the root in the denominator does not cancel.
+        most = sample_count - shortest
+        lag_count = longest - shortest + 1
+        pairs = lag_count * most - lag_count * (lag_count - 1) / 2
+        b = 2.0 * most + 1.0
+        j = 4 * u * pairs / (b + jnp.sqrt(b**2 - 8 * u * pairs))
+        lag = shortest + jnp.clip(j.astype(jnp.int32), 0, lag_count - 1)
+        start = jnp.minimum((v * (sample_count - lag)).astype(jnp.int32), sample_count - lag - 1)
+        return WindowSet(start, start + lag)
+
+    def _draw_between_samples(
+        self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""]
+    ) -> WindowSet:
+        u, v = jax.random.uniform(key, (2, self.count))
+        last = sample_count - 1.0
+        room_a, room_b = last - self.alpha / time_step, last - self.beta / time_step
+        room = jnp.sqrt(room_a**2 - u * (room_a**2 - room_b**2))
+        length = last - room
+        start = v * room
+        return WindowSet(start, jnp.minimum(start + length, last))
+
+
+def _concrete(*values: object) -> bool:
+    return not any(isinstance(value, jax.core.Tracer) for value in values)

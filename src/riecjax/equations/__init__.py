@@ -1,0 +1,1 @@
+"""Equations of motion, linear in their parameters, as sums of terms."""

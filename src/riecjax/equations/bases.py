@@ -1,0 +1,95 @@
+"""Families of functions of one signal, each function with a coefficient of its own."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from riecjax.errors import ModelError
+
+
+class AbstractBasis(eqx.Module):
+    """A family of functions of one variable."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What is appended to a coefficient's name, one for each function."""
+        raise NotImplementedError
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
+        """Every function at every sample."""
+        raise NotImplementedError
+
+
+class RoofFunctions(AbstractBasis):
+    """Piecewise linear roof functions R_i on break points, eq. (22) and Fig. 6.
+
+    R_i is 1 at its break point, 0 at the others and linear between them, so that
+    `sum F_i R_i(x)` interpolates the forces F_i linearly. Outside the break points the end
+    segments are continued. Everywhere the functions sum to 1 and `sum v_i R_i(x) = x`.
+
+    **Raises:** `ModelError` unless there are at least two break points in increasing order.
+    """
+
+    break_points: Float[Array, " points"]
+
+    def __init__(self, break_points: Sequence[float] | ArrayLike | Array):
+        self.break_points = jnp.asarray(break_points, jnp.result_type(float))
+
+    def __check_init__(self):
+        points = self.break_points
+        if points.ndim != 1 or points.shape[0] < 2:
+            raise ModelError("roof functions need at least two break points.")
+        if not isinstance(points, jax.core.Tracer) and bool(jnp.any(jnp.diff(points) <= 0)):
+            raise ModelError(f"break points must increase; got {points.tolist()}.")
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """`1`, `2`, ... in the order of the break points."""
+        return tuple(str(i + 1) for i in range(self.break_points.shape[0]))
+
+    def _segment(self, x: Array) -> tuple[Array, Array]:
+        """The segment that x lies on (the nearest one outside) and its share along it."""
+        points = self.break_points
+        last = points.shape[0] - 2
+        # Comparing with the inner points vectorises where a binary search does not.
+        below = jnp.sum(x[..., None] >= points[1:-1], axis=-1)
+        below = jnp.clip(below, 0, last)
+        share = (x - points[below]) / (points[below + 1] - points[below])
+        return below, share
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "points n"]:
+        """R_i(x) for every i."""
+        below, share = self._segment(x)
+        index = jnp.arange(self.break_points.shape[0])[:, None]
+        return jnp.where(index == below, 1 - share, 0.0) + jnp.where(
+            index == below + 1, share, 0.0
+        )
+
+    def interpolate(self, values: Float[Array, " points"], x: Array) -> Array:
+        """`sum values_i R_i(x)`, without forming the functions; x of any shape."""
+        below, share = self._segment(x)
+        return values[below] * (1 - share) + values[below + 1] * share
+
+
+class Polynomial(AbstractBasis):
+    """Powers x^p of a signal for the given exponents."""
+
+    exponents: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The exponents."""
+        return tuple(str(p) for p in self.exponents)
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "exponents n"]:
+        """x^p for every exponent p."""
+        return jnp.stack([x**p for p in self.exponents])
+
+
+def roof(break_points: Sequence[float]) -> RoofFunctions:
+    """Roof functions on these break points; see [`RoofFunctions`][]."""
+    return RoofFunctions(break_points)

@@ -1,0 +1,209 @@
+"""One term of an equation of motion: a coefficient times a derivative of a signal expression."""
+
+from collections.abc import Callable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.equations.bases import AbstractBasis
+from riecjax.errors import DataError, ModelError
+from riecjax.records.record import Record, Signals
+
+Expression = str | Callable[[Signals], Array]
+"""A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
+
+Write functions once, at module level: a new function object each time compiles anew.
+"""
+
+
+def evaluate(expression: Expression, record: Record) -> Float[Array, " n"]:
+    """Samples of an expression on a record."""
+    signals = record.signals
+    return signals[expression] if isinstance(expression, str) else expression(signals)
+
+
+class AbstractTerm(eqx.Module):
+    """Something with samples on a record: one or several columns of an equation."""
+
+    of: eqx.AbstractVar[Expression]
+    derivative: eqx.AbstractVar[int]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the unknown coefficients, one for each column; empty for a known term."""
+        raise NotImplementedError
+
+    def samples(self, record: Record, order: int) -> Float[Array, "columns n"]:
+        """Samples of the expression differentiated `order` times, for every column.
+
+        **Raises:** `DataError` where that needs a derivative that the record does not hold.
+        """
+        raise NotImplementedError
+
+    def __neg__(self) -> "AbstractTerm":
+        raise NotImplementedError
+
+
+class Term(AbstractTerm):
+    """`coefficient x d^k/dt^k (signal expression)`.
+
+    A derivative is never formed numerically here. An integral criterion moves it onto its test
+    function; a pointwise one needs it recorded, and `measured` says under which name.
+
+    **Arguments:**
+
+    - `coefficient`: a name for an unknown coefficient, or a number for a known one.
+    - `of`: signal name or function of the signals.
+    - `derivative`: k, one of 0, 1, 2.
+    - `measured`: names of the signals that hold the first, second, ... derivative of `of`.
+    - `unit`: unit of the coefficient.
+    - `known`: a value for a named coefficient, which is then not estimated.
+    - `sign`: factor in front, 1 or -1.
+
+    **Raises:** `ModelError` for a derivative other than 0, 1, 2 or a known value without a name.
+    """
+
+    name: str | None = eqx.field(static=True)
+    number: Float[np.ndarray, ""] | Array
+    of: Expression = eqx.field(static=True)
+    derivative: int = eqx.field(static=True)
+    measured: tuple[str, ...] = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    known: Float[np.ndarray, ""] | Array | None
+
+    def __init__(
+        self,
+        coefficient: str | float | Array,
+        of: Expression,
+        *,
+        derivative: int = 0,
+        measured: tuple[str, ...] = (),
+        unit: str = "",
+        known: float | Array | None = None,
+        sign: float | Array = 1.0,
+    ):
+        named = isinstance(coefficient, str)
+        self.name = coefficient if isinstance(coefficient, str) else None
+        self.number = _as_leaf(sign if isinstance(coefficient, str) else coefficient * sign)
+        self.of = of
+        self.derivative = derivative
+        self.measured = measured
+        self.unit = unit
+        self.known = None if known is None else _as_leaf(known)
+        if derivative not in (0, 1, 2):
+            raise ModelError(f"a term's derivative must be 0, 1 or 2; got {derivative}.")
+        if known is not None and not named:
+            raise ModelError("a known value belongs to a named coefficient.")
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The coefficient's name, if it has one."""
+        return () if self.name is None else (self.name,)
+
+    def samples(self, record: Record, order: int) -> Float[Array, "1 n"]:
+        """Samples of `number x d^order/dt^order (of)`; see the base class."""
+        expression = self.of if order == 0 else _derivative_name(self, record, order)
+        return (self.number * evaluate(expression, record))[None]
+
+    def __neg__(self) -> "Term":
+        return eqx.tree_at(lambda term: term.number, self, -self.number)
+
+
+class Terms(AbstractTerm):
+    """One term for each function of a basis: `sum_i prefix_i basis_i(of)`.
+
+    **Arguments:**
+
+    - `prefix`: coefficients are named `prefix_label`, with the labels of the basis.
+    - `basis`: such as [`roof`][] functions.
+    - `of`: signal name or function of the signals, in which the basis is evaluated.
+    - `unit`: unit of the coefficients.
+    """
+
+    prefix: str = eqx.field(static=True)
+    basis: AbstractBasis
+    of: Expression = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    sign: Float[np.ndarray, ""] | Array
+    derivative: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        prefix: str,
+        basis: AbstractBasis,
+        of: Expression,
+        *,
+        unit: str = "",
+        sign: float | Array = 1.0,
+    ):
+        self.prefix = prefix
+        self.basis = basis
+        self.of = of
+        self.unit = unit
+        self.sign = _as_leaf(sign)
+        self.derivative = 0
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return tuple(f"{self.prefix}_{label}" for label in self.basis.labels)
+
+    def samples(self, record: Record, order: int) -> Float[Array, "functions n"]:
+        """Samples of every function; see the base class."""
+        if order != 0:
+            raise DataError(f"the derivative of the basis '{self.prefix}' is not recorded.")
+        return self.sign * self.basis(evaluate(self.of, record))
+
+    def __neg__(self) -> "Terms":
+        return eqx.tree_at(lambda terms: terms.sign, self, -self.sign)
+
+
+def _as_leaf(value: float | Array) -> np.ndarray | Array:
+    """An array, so that a new value does not compile anew; NumPy, so that none is made on import."""
+    return value if eqx.is_array(value) else np.asarray(value, float)
+
+
+def _derivative_name(term: Term, record: Record, order: int) -> str:
+    label = term.of if isinstance(term.of, str) else "an expression"
+    which = {1: "first", 2: "second"}[order]
+    if order > len(term.measured):
+        raise DataError(
+            f"this criterion needs the {which} time derivative of {label}, and the equation names "
+            f"no signal that holds it. Differentiate the record first, or use an integral "
+            f"criterion, which needs one derivative less."
+        )
+    name = term.measured[order - 1]
+    if name not in record.signals:
+        raise DataError(
+            f"this criterion needs the {which} time derivative of {label}, as signal '{name}'; the "
+            f"record has: {', '.join(record.signals)}. Rename a column to it (on the command line: "
+            f"--map {name}=COLUMN), or use an integral criterion, which needs one derivative less."
+        )
+    return name
+
+
+def merge_known(terms: tuple[AbstractTerm, ...]) -> Mapping[str, np.ndarray | Array]:
+    """Values of the coefficients that the terms themselves call known."""
+    return {
+        term.name: term.known
+        for term in terms
+        if isinstance(term, Term) and term.name is not None and term.known is not None
+    }
+
+
+def sum_columns(
+    terms: tuple[AbstractTerm, ...],
+    columns: list[Float[Array, "columns n"]],
+    parameters: tuple[str, ...],
+) -> Float[Array, "1+parameters n"]:
+    """Add up the columns that belong to one coefficient; the first row takes the known terms."""
+    rows: dict[str | None, Array] = {}
+    for term, block in zip(terms, columns):
+        for name, column in zip(term.parameters or (None,), block):
+            rows[name] = rows[name] + column if name in rows else column
+    template = columns[0][0]
+    known = rows.get(None, jnp.zeros_like(template))
+    # The terms sum to zero, so the known ones change sides: known = -(...) is regressed on the rest.
+    return jnp.stack([-known, *(rows[name] for name in parameters)])

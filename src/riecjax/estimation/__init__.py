@@ -1,0 +1,1 @@
+"""From normal equations to parameters with their uncertainty."""

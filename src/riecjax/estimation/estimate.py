@@ -1,0 +1,194 @@
+"""What an identification found, and how far it can be trusted."""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Array, Float
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.errors import ModelError
+from riecjax.estimation.least_squares import gram_condition_limit
+from riecjax.estimation.procedure import StageSolution
+
+FEWEST_BLOCKS = 10
+
+
+class Finding(NamedTuple):
+    """Something a user should know, with a code for scripts."""
+
+    code: str
+    message: str
+
+
+class Estimate(eqx.Module):
+    """Parameters with units and uncertainty, and how they were obtained.
+
+    A pytree: `theta` and `covariance` differentiate and vmap. Reading values one by one works as
+    with a mapping: `estimate["M_s"]`.
+
+    **Fields:**
+
+    - `theta`: estimated values, in the order of `parameters`.
+    - `covariance`: block sandwich covariance of theta (see `block_sandwich`): valid under
+      overlapping windows and autocorrelated equation errors. It speaks of scatter about the
+      value that the criterion converges to, not of that value's distance from the truth.
+    - `stages`: solution, conditioning and residual of each stage.
+    - `known`: parameters that were not estimated, with their values.
+    - `criterion`: what was made small.
+    - `block_count`: independent blocks of time behind the covariance.
+    """
+
+    theta: Float[Array, " p"]
+    covariance: Float[Array, "p p"]
+    stages: tuple[StageSolution, ...]
+    known: dict[str, Array]
+    criterion: AbstractCriterion
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    stage_names: tuple[str, ...] = eqx.field(static=True)
+    block_count: int = eqx.field(static=True)
+
+    def __getitem__(self, name: str) -> Float[Array, ""]:
+        if name in self.known:
+            return self.known[name]
+        return self.theta[self._index(name)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self.parameters, *self.known))
+
+    @property
+    def values(self) -> Mapping[str, Array]:
+        """Every parameter, estimated or known, by name."""
+        return {name: self[name] for name in self}
+
+    @property
+    def standard_errors(self) -> Float[Array, " p"]:
+        """Square roots of the covariance's diagonal."""
+        return jnp.sqrt(jnp.diagonal(self.covariance))
+
+    def standard_error(self, name: str) -> Float[Array, ""]:
+        """Standard error of one estimated parameter."""
+        return self.standard_errors[self._index(name)]
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval: Student's t with one degree of freedom less than blocks."""
+        reach = self._quantile(level) * float(self.standard_error(name))
+        value = float(self[name])
+        return value - reach, value + reach
+
+    @property
+    def correlation(self) -> Float[Array, "p p"]:
+        """Correlation matrix of theta."""
+        errors = self.standard_errors
+        return self.covariance / (errors[:, None] * errors[None, :])
+
+    @property
+    def condition_number(self) -> Float[Array, ""]:
+        """The largest among the stages, of the regressors with columns scaled to unit length."""
+        return jnp.max(jnp.stack([stage.solution.condition_number for stage in self.stages]))
+
+    @property
+    def rank(self) -> Array:
+        """Sum of the stages' ranks; the number of parameters when all can be told apart."""
+        return sum((stage.solution.rank for stage in self.stages), start=jnp.array(0))
+
+    def findings(self) -> list[Finding]:
+        """What a user should know before trusting this estimate (not under jit)."""
+        found = []
+        limit = gram_condition_limit(self.theta.dtype)
+        if float(self.condition_number) > limit:
+            found.append(
+                Finding(
+                    "ill_conditioned",
+                    f"the regressors are nearly collinear (condition number "
+                    f"{float(self.condition_number):.2g}); the least certain combination is "
+                    f"{self.weakest_combination()}.",
+                )
+            )
+        for name in self.parameters:
+            low, high = self.interval(name)
+            if high - low > 2 * abs(float(self[name])):
+                found.append(
+                    Finding(
+                        "interval_wider_than_estimate",
+                        f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
+                        f"hardly determine it.",
+                    )
+                )
+        for label, stage in zip(self.stage_names, self.stages):
+            if float(stage.relative_rms) > 0.5:
+                found.append(
+                    Finding(
+                        "large_residual",
+                        f"{label}: the model leaves {100 * float(stage.relative_rms):.0f} % of the "
+                        f"signal unexplained, so it is wrong in some important way.",
+                    )
+                )
+        if self.block_count < FEWEST_BLOCKS:
+            found.append(
+                Finding(
+                    "short_record",
+                    f"the record holds only {self.block_count} independent stretches of twice the "
+                    f"longest window; intervals are rough. Record for longer or choose a smaller "
+                    f"beta.",
+                )
+            )
+        if self.theta.dtype == jnp.float32:
+            found.append(
+                Finding(
+                    "single_precision",
+                    "computed in 32-bit: parameters are accurate to about 1e-3 times the condition "
+                    "number over 100. Enable 64-bit by jax.config.update('jax_enable_x64', True).",
+                )
+            )
+        return found
+
+    def weakest_combination(self) -> str:
+        """The combination of parameters that the data tells least about, in words."""
+        worst = max(self.stages, key=lambda stage: float(stage.solution.condition_number))
+        return combination(worst.parameters, np.asarray(worst.solution.weakest_direction))
+
+    def _index(self, name: str) -> int:
+        try:
+            return self.parameters.index(name)
+        except ValueError:
+            raise ModelError(
+                f"no estimated parameter '{name}'; there are: {', '.join(self.parameters)}."
+            ) from None
+
+    def _quantile(self, level: float) -> float:
+        return float(scipy.stats.t.ppf(0.5 + level / 2, max(self.block_count - 1, 1)))
+
+    def __str__(self) -> str:
+        width = max(len(name) for name in self)
+        units = dict(self.units)
+        lines = [f"{'parameter':<{max(width, 9)}}  {'value':>12}  95 % interval"]
+        for name in self.parameters:
+            low, high = self.interval(name)
+            unit = units.get(name, "")
+            value = f"{float(self[name]):>12.6g}"
+            lines.append(f"{name:<{max(width, 9)}}  {value}  [{low:.6g}, {high:.6g}] {unit}")
+        for name, value in self.known.items():
+            unit = units.get(name, "")
+            lines.append(f"{name:<{max(width, 9)}}  {float(value):>12.6g}  known {unit}")
+        lines.append(f"condition number {float(self.condition_number):.3g}")
+        lines.extend(
+            f"{label}: relative residual {100 * float(stage.relative_rms):.3g} %"
+            for label, stage in zip(self.stage_names, self.stages)
+        )
+        lines.extend(f"warning [{code}] {message}" for code, message in self.findings())
+        return "\n".join(lines)
+
+
+def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> str:
+    """A direction over parameters as `0.71 F_1 - 0.71 F_2`, small parts left out."""
+    largest = np.max(np.abs(direction))
+    parts = [(c, n) for c, n in zip(direction, names) if abs(c) > 0.1 * largest]
+    if parts and parts[0][0] < 0:
+        parts = [(-c, n) for c, n in parts]
+    words = [f"{'-' if c < 0 else '+'} {abs(c):.2f} {n}" for c, n in parts]
+    return " ".join(words).removeprefix("+ ")

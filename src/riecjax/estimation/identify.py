@@ -1,0 +1,225 @@
+"""The verb of this library: identify a model's parameters from records."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from riecjax.criteria.criterion import AbstractCriterion, Rows
+from riecjax.equations.equation import Equation
+from riecjax.errors import DataError, IdentifiabilityError, ModelError
+from riecjax.estimation.estimate import Estimate, combination
+from riecjax.estimation.least_squares import gram_condition_limit
+from riecjax.estimation.normal_equations import NormalEquations, normal_equations
+from riecjax.estimation.procedure import (
+    Procedure,
+    StageSolution,
+    block_sandwich,
+    solve_stages,
+    staged,
+)
+from riecjax.records.record import Record
+
+# Fifty blocks give Student's t little more reach than the normal law, and long blocks forgive
+# errors that stay correlated for longer than the windows.
+MOST_BLOCKS = 50
+
+
+def identify(
+    model: Equation | Procedure,
+    records: Record | Sequence[Record],
+    criterion: AbstractCriterion,
+    *,
+    key: Key[Array, ""] | None = None,
+    known: Mapping[str, float | Array] | None = None,
+) -> Estimate:
+    """Identify the parameters of a model that is linear in them.
+
+    Works eagerly, with every check, and under `jax.jit`, `jax.vmap` and `jax.grad`, where checks
+    of values are left to the result (`rank`, `condition_number`).
+
+    **Arguments:**
+
+    - `model`: an `Equation`, or several as `staged(...)` or `simultaneous(...)`.
+    - `records`: one record or several, of any lengths; their normal equations add up.
+    - `criterion`: `RIEC(RandomWindows(alpha, beta, count))` or `DOLS()`.
+    - `key`: for random windows, `jax.random.key(seed)`. All equations share its windows.
+    - `known`: parameters held at these values instead of being estimated.
+
+    **Returns:** an [`Estimate`][].
+
+    **Raises:** `ModelError` for an unknown parameter name, a missing key, or an equation with
+    nothing to set its scale; `DataError` for a missing signal or a record shorter than a window;
+    `IdentifiabilityError` if regressors are collinear, naming the combination that cannot be
+    told apart.
+    """
+    procedure = staged(model) if isinstance(model, Equation) else model
+    recordings = [records] if isinstance(records, Record) else list(records)
+    given = _known_values(procedure, known or {})
+    plan = procedure.plan(set(given))
+    if not recordings:
+        raise DataError("identification needs at least one record.")
+    if not any(unknown for _, unknown in plan):
+        raise ModelError("every parameter is known; nothing is left to identify.")
+    if criterion.needs_key and key is None:
+        raise ModelError("random windows need a key: key=jax.random.key(seed).")
+    for record in recordings:
+        criterion.check(record)
+
+    keys = _record_keys(key, len(recordings))
+    counts = [_block_count(criterion, record) for record in recordings]
+    stages = _sum_records(
+        [
+            stage_normal_equations(procedure, record, criterion, record_key, block_count=count)
+            for record, record_key, count in zip(recordings, keys, counts)
+        ]
+    )
+    solutions, covariance = _solve(stages, given, None)
+    if _concrete(solutions):
+        rows = None
+        if _worst_condition(solutions) > gram_condition_limit(covariance.dtype):
+            rows = _rows(procedure, recordings, criterion, keys)
+            solutions, covariance = _solve(stages, given, rows)
+        _raise_if_unidentifiable(solutions, plan)
+
+    return Estimate(
+        theta=jnp.concatenate([stage.solution.theta for stage in solutions]),
+        covariance=covariance,
+        stages=tuple(solutions),
+        known={name: jnp.asarray(value) for name, value in given.items()},
+        criterion=criterion,
+        parameters=tuple(name for stage in solutions for name in stage.parameters),
+        units=tuple(procedure.units.items()),
+        stage_names=tuple(plan[stage.stage][0] for stage in solutions),
+        block_count=sum(counts),
+    )
+
+
+@eqx.filter_jit
+def stage_normal_equations(
+    procedure: Procedure,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    *,
+    block_count: int = 1,
+) -> list[NormalEquations]:
+    """Normal equations of each stage on one record, with `block_count` blocks of time each."""
+    collected = []
+    for stage, names in zip(procedure.stages, _stage_parameters(procedure)):
+        parts = [criterion.rows(equation, record, key).embed(names) for equation in stage]
+        # Rows of a stage's equations are summed, never interleaved: one Gram matrix per equation.
+        summed = [
+            normal_equations(
+                part,
+                block_of_row=_block_of_row(part, record, block_count),
+                block_count=block_count,
+            )
+            for part in parts
+        ]
+        total = summed[0]
+        for further in summed[1:]:
+            total = total + further
+        collected.append(total)
+    return collected
+
+
+def _stage_parameters(procedure: Procedure) -> list[tuple[str, ...]]:
+    return [
+        tuple(dict.fromkeys(name for equation in stage for name in equation.parameters))
+        for stage in procedure.stages
+    ]
+
+
+def _block_of_row(rows: Rows, record: Record, block_count: int) -> Array | None:
+    if block_count == 1:
+        return None
+    share = rows.position / record.sample_count
+    return jnp.clip((share * block_count).astype(jnp.int32), 0, block_count - 1)
+
+
+def _sum_records(per_record: list[list[NormalEquations]]) -> list[NormalEquations]:
+    """Blocks of all records, one after the other along the leading axis: never a mixed one."""
+    return [
+        NormalEquations(
+            jnp.concatenate([part.moments for part in parts]),
+            jnp.concatenate([part.count for part in parts]),
+            parts[0].parameters,
+        )
+        for parts in zip(*per_record)
+    ]
+
+
+@eqx.filter_jit
+def _solve(
+    stages: list[NormalEquations], known: Mapping[str, Array], rows: list[Rows] | None
+) -> tuple[list[StageSolution], Array]:
+    solutions = solve_stages(stages, known, rows)
+    return solutions, block_sandwich(stages, solutions, known)
+
+
+def _rows(
+    procedure: Procedure,
+    records: list[Record],
+    criterion: AbstractCriterion,
+    keys: list[Key[Array, ""] | None],
+) -> list[Rows]:
+    return [
+        Rows.concatenate(
+            [
+                criterion.rows(equation, record, key).embed(names)
+                for record, key in zip(records, keys)
+                for equation in stage
+            ]
+        )
+        for stage, names in zip(procedure.stages, _stage_parameters(procedure))
+    ]
+
+
+def _known_values(procedure: Procedure, known: Mapping[str, float | Array]) -> dict[str, Array]:
+    names = procedure.parameters
+    if unknown := [name for name in known if name not in names]:
+        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {', '.join(names)}.")
+    merged = {**procedure.known, **known}
+    return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
+
+
+def _record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:
+    if key is None or count == 1:
+        return [key] * count
+    return list(jax.random.split(key, count))
+
+
+def _block_count(criterion: AbstractCriterion, record: Record) -> int:
+    """As many blocks as twice the longest window fits in, but no more than needed."""
+    if not _concrete((criterion.block_length, record.time_step)):
+        return MOST_BLOCKS
+    step = float(np.asarray(record.time_step).reshape(-1)[0])
+    duration = step * (record.sample_count - 1)
+    length = max(2 * float(criterion.block_length), 2 * step)
+    return int(np.clip(duration / length, 2, MOST_BLOCKS))
+
+
+def _concrete(tree: object) -> bool:
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def _worst_condition(solutions: list[StageSolution]) -> float:
+    return max(float(stage.solution.condition_number) for stage in solutions)
+
+
+def _raise_if_unidentifiable(
+    solutions: list[StageSolution], plan: list[tuple[str, tuple[str, ...]]]
+) -> None:
+    for stage in solutions:
+        if int(stage.solution.rank) < len(stage.parameters):
+            which = combination(stage.parameters, np.asarray(stage.solution.weakest_direction))
+            raise IdentifiabilityError(
+                f"{plan[stage.stage][0]}: the record cannot tell these apart (collinear or silent "
+                f"regressors): {which}, in units of each regressor's size. Excite the system more "
+                f"richly, or hold one of them at a known value (on the command line: --set "
+                f"NAME=VALUE)."
+            )

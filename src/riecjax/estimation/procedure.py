@@ -1,0 +1,179 @@
+"""In which order equations are solved: one by one, or together.
+
+Both are lists of stages. A stage is a group of equations whose normal equations are added; what
+earlier stages found is known to later ones. The paper's three stages are `staged(...)` of three
+equations; its remark that all parameters may be estimated at once is `simultaneous(...)`.
+"""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.criteria.criterion import Rows
+from riecjax.equations.equation import Equation
+from riecjax.errors import ModelError
+from riecjax.estimation.least_squares import Solution, solve, solve_rows
+from riecjax.estimation.normal_equations import NormalEquations
+
+
+class Procedure(eqx.Module):
+    """Stages of equations; see [`staged`][] and [`simultaneous`][]."""
+
+    stages: tuple[tuple[Equation, ...], ...]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all coefficients, in order of first appearance."""
+        equations = [equation for stage in self.stages for equation in stage]
+        return tuple(dict.fromkeys(name for eq in equations for name in eq.parameters))
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each coefficient."""
+        units: dict[str, str] = {}
+        for stage in self.stages:
+            for equation in stage:
+                units |= {k: v for k, v in equation.units.items() if v or k not in units}
+        return units
+
+    @property
+    def known(self) -> Mapping[str, np.ndarray | Array]:
+        """Values that the equations themselves call known."""
+        known: dict[str, np.ndarray | Array] = {}
+        for stage in self.stages:
+            for equation in stage:
+                known |= equation.known
+        return known
+
+    def plan(self, known: set[str]) -> list[tuple[str, tuple[str, ...]]]:
+        """(stage name, parameters it finds) for each stage, given what is known beforehand.
+
+        **Raises:** `ModelError` if a stage has nothing to set its scale: every coefficient in it
+        is unknown and no term is known, so that zero would solve it.
+        """
+        found: set[str] = set(known)
+        plan = []
+        for stage in self.stages:
+            names = dict.fromkeys(name for equation in stage for name in equation.parameters)
+            unknown = tuple(name for name in names if name not in found)
+            label = " + ".join(equation.name for equation in stage)
+            if unknown and not any(eq.has_target or set(eq.parameters) & found for eq in stage):
+                raise ModelError(
+                    f"{label}: every coefficient is unknown, so all of them zero would fit. "
+                    f"Fix one of {', '.join(unknown)} (on the command line: --set NAME=VALUE)."
+                )
+            plan.append((label, unknown))
+            found |= set(unknown)
+        return plan
+
+
+def staged(*equations: Equation) -> Procedure:
+    """Solve equations one after the other; each takes what came before as known."""
+    return Procedure(tuple((equation,) for equation in equations))
+
+
+def simultaneous(*equations: Equation) -> Procedure:
+    """Solve equations together for all their parameters: one Gram matrix, summed over them.
+
+    The equations' residuals are weighted alike, so they should be in the same unit.
+    """
+    return Procedure((equations,))
+
+
+class StageSolution(eqx.Module):
+    """What one stage found.
+
+    **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
+    the unit of the rows; `count` of rows; `parameters` found here; `stage` its place in the
+    procedure.
+    """
+
+    solution: Solution
+    relative_rms: Float[Array, ""]
+    residual_rms: Float[Array, ""]
+    count: Float[Array, ""]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    stage: int = eqx.field(static=True)
+
+
+def solve_stages(
+    stages: list[NormalEquations],
+    known: Mapping[str, Array],
+    rows: list[Rows] | None = None,
+) -> list[StageSolution]:
+    """Solve each stage's normal equations (blocks along the leading axis) in turn.
+
+    Given `rows`, they are solved instead of the Gram matrices, which is slower and more accurate.
+    """
+    found = dict(known)
+    solutions = []
+    for i, blocks in enumerate(stages):
+        equations = blocks.total().fix(found)
+        if not equations.parameters:
+            continue
+        solution = solve(equations) if rows is None else solve_rows(rows[i].fix(found))
+        residual = equations.residual_energy(solution.theta)
+        positive = equations.energy > 0
+        share = jnp.where(positive, residual / jnp.where(positive, equations.energy, 1.0), 0.0)
+        solutions.append(
+            StageSolution(
+                solution,
+                jnp.sqrt(share),
+                jnp.sqrt(residual / equations.count),
+                equations.count,
+                equations.parameters,
+                i,
+            )
+        )
+        found |= dict(zip(equations.parameters, solution.theta))
+    return solutions
+
+
+def block_sandwich(
+    stages: list[NormalEquations],
+    solutions: list[StageSolution],
+    known: Mapping[str, Array],
+) -> Float[Array, "p p"]:
+    """Covariance of all parameters of all stages, from scores summed over blocks of time.
+
+    Windows overlap and equation errors are autocorrelated, so rows are far from independent and
+    the textbook covariance sigma^2 (A^T A)^-1 is far too small. Scores summed over blocks longer
+    than the correlation are nearly independent; their scatter gives the sandwich
+    J^-1 S J^-T. J holds the cross terms between stages, so what is uncertain in the masses
+    reaches the stiffness found with them.
+    """
+    names = tuple(name for stage in solutions for name in stage.parameters)
+    theta = dict(zip(names, jnp.concatenate([stage.solution.theta for stage in solutions])))
+    values = {**known, **theta}
+    scores, jacobian = [], []
+    for stage in solutions:
+        blocks = stages[stage.stage]
+        own = jnp.array([blocks.parameters.index(name) for name in stage.parameters])
+        at = jnp.stack([jnp.asarray(values[name]) for name in blocks.parameters])
+        scores.append(blocks.moment[:, own] - blocks.gram[:, own, :] @ at)
+        held = [name for name in blocks.parameters if name in names]
+        place = jnp.array([names.index(name) for name in held])
+        source = jnp.array([blocks.parameters.index(name) for name in held])
+        rows = jnp.zeros((len(stage.parameters), len(names)))
+        jacobian.append(rows.at[:, place].set(blocks.total().gram[own][:, source]))
+    score, slope = jnp.concatenate(scores, axis=1), jnp.concatenate(jacobian)
+    return _sandwich(score, slope)
+
+
+def _sandwich(score: Float[Array, "blocks p"], slope: Float[Array, "p p"]) -> Float[Array, "p p"]:
+    block_count = score.shape[0]
+    # Columns and rows scaled alike: parameters may differ by ten powers of ten.
+    diagonal = jnp.abs(jnp.diagonal(slope))
+    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
+    operator = lx.MatrixLinearOperator(slope * scale[:, None] * scale[None, :])
+    solver = lx.SVD()
+    influence = eqx.filter_vmap(
+        lambda right: lx.linear_solve(operator, right, solver=solver, throw=False).value
+    )(score * scale)
+    influence = influence * scale
+    correction = block_count / max(block_count - 1, 1)
+    return correction * influence.T @ influence

@@ -1,0 +1,1 @@
+"""Built-in models: equations to identify and systems to simulate."""

@@ -1,0 +1,1 @@
+"""The quarter car of the paper: source model, identification model, and its equations."""

@@ -1,0 +1,1 @@
+from riecjax.models.quarter_car.curves import *

@@ -1,0 +1,1 @@
+"""Recordings: uniformly sampled named signals, read, checked and prepared once."""

@@ -1,0 +1,1 @@
+"""Simulation of models driven by sampled inputs, and the inputs to drive them with."""

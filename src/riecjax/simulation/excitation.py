@@ -1,0 +1,107 @@
+"""Inputs to excite a system with: band-limited noise, random roads, a pot-hole.
+
+Velocities are positive downwards, as in eqs (19)-(20) of the paper: a hole starts with a positive
+road velocity.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from riecjax.errors import ModelError
+
+
+def band_limited_noise(
+    key: Key[Array, ""],
+    sample_count: int,
+    time_step: float | Array,
+    *,
+    bandwidth: float | Array,
+    rms: float | Array,
+) -> Float[Array, " n"]:
+    """Gaussian white noise between 0 Hz (excluded) and `bandwidth` Hz, of exactly this r.m.s.
+
+    White noise whose Fourier components above the bandwidth are removed, as in Section 6 of the
+    paper, with its mean removed too, since the criterion asks for regressors of zero mean. The
+    r.m.s. over the record is exact, not expected.
+
+    **Raises:** `ModelError` for fewer than 4 samples.
+    """
+    _check_count(sample_count)
+    white = jax.random.normal(key, (sample_count,))
+    frequency = jnp.arange(sample_count // 2 + 1) / (sample_count * time_step)
+    spectrum = jnp.fft.rfft(white)
+    kept = (frequency > 0) & (frequency <= bandwidth)
+    noise = jnp.fft.irfft(jnp.where(kept, spectrum, 0.0), sample_count)
+    power = jnp.mean(noise**2)
+    # A band that holds no Fourier component is silence, not a division by zero.
+    return noise * jnp.where(power > 0, rms / jnp.sqrt(jnp.where(power > 0, power, 1.0)), 0.0)
+
+
+def robson_road(
+    key: Key[Array, ""],
+    sample_count: int,
+    time_step: float | Array,
+    *,
+    speed: float | Array = 20.0,
+    roughness: float | Array = 3e-5,
+    bandwidth: float | Array = 30.0,
+) -> Float[Array, " n"]:
+    """Road velocity in m/s of a random road, eq. (27): S(f) = k U^1.5 f^-2.5.
+
+    S is the displacement's spectral density, read here per rad/s, that is, divided by 2 pi as a
+    density per Hz. Taken per Hz the road would lift the tyre 22 % of the time, far from what the
+    paper shows. Components between 0 Hz (excluded) and `bandwidth` are Gaussian.
+
+    **Arguments:** `speed` U in m/s; `roughness` k; `bandwidth` in Hz.
+
+    **Raises:** `ModelError` for fewer than 4 samples.
+    """
+    _check_count(sample_count)
+    frequency = jnp.arange(sample_count // 2 + 1) / (sample_count * time_step)
+    inside = (frequency > 0) & (frequency <= bandwidth)
+    f = jnp.where(inside, frequency, 1.0)
+    # (2 pi f)^2 S(f) / (2 pi), the velocity's density per Hz.
+    density = jnp.where(inside, 2 * jnp.pi * roughness * speed**1.5 * f**-0.5, 0.0)
+    # A white record of unit variance has one-sided density 2 dt, so this filter gives it `density`.
+    white = jax.random.normal(key, (sample_count,))
+    gain = jnp.sqrt(density / (2 * time_step))
+    return jnp.fft.irfft(jnp.fft.rfft(white) * gain, sample_count)
+
+
+def pothole(
+    sample_count: int,
+    time_step: float | Array,
+    *,
+    depth: float | Array,
+    length: float | Array,
+    ramp: float | Array,
+    speed: float | Array = 20.0,
+    start: float | Array = 0.1,
+) -> Float[Array, " n"]:
+    """Road velocity in m/s of a pot-hole crossed at constant speed.
+
+    The road falls by `depth` along a ramp, stays level, and rises again along another; each ramp is
+    a raised-cosine step. Samples are the mean velocity between the midpoints around them, so that
+    integrating them by trapezoids returns to the road's level exactly.
+
+    **Arguments:** `depth` in m; `length` from the middle of one ramp to that of the other in m;
+    `ramp` in m along the road; `speed` in m/s; `start` of the first ramp in s.
+
+    **Raises:** `ModelError` for fewer than 4 samples.
+    """
+    _check_count(sample_count)
+    midpoints = (jnp.arange(sample_count + 1) - 0.5) * time_step
+    travelled = speed * (midpoints - start)
+
+    def step_down(distance):
+        share = jnp.clip(distance / ramp, 0.0, 1.0)
+        return 0.5 * (1 - jnp.cos(jnp.pi * share))
+
+    drop = depth * (step_down(travelled) - step_down(travelled - length))
+    return jnp.diff(drop) / time_step
+
+
+def _check_count(sample_count: int) -> None:
+    if sample_count < 4:
+        raise ModelError(f"an excitation needs at least 4 samples; got {sample_count}.")

@@ -1,0 +1,99 @@
+"""Simulation of a system along a record of its inputs."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from riecjax.errors import ModelError, SimulationError
+from riecjax.records.record import Record
+from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
+from riecjax.simulation.system import AbstractSystem
+
+
+class Simulation(eqx.Module):
+    """What a simulation produced.
+
+    **Fields:**
+
+    - `record`: inputs, states, outputs, and the derivative `d<state>` of every state, at the
+      samples of the inputs. After a loss of the solution the states stay at their last finite
+      values; `status` says so.
+    - `status`: whether the solution was kept to the end, and if not, why.
+    - `samples_reached`: how many samples, counted from the first, hold the solution.
+    """
+
+    record: Record
+    status: SimulationStatus
+    samples_reached: Int[Array, ""]
+
+    @property
+    def successful(self) -> Array:
+        """True where the solution was kept to the end."""
+        return self.status == SimulationStatus.successful
+
+    def checked(self) -> "Simulation":
+        """This simulation, or `SimulationError` if it lost its solution (not under jit)."""
+        if not bool(jnp.all(self.successful)):
+            reached = int(jnp.min(self.samples_reached))
+            when = float(self.record.time_step.min()) * (reached - 1)
+            message = SimulationStatus[self.status]
+            raise SimulationError(f"simulation lost its solution after {when:.4g} s: {message}")
+        return self
+
+
+def simulate(
+    system: AbstractSystem,
+    inputs: Record,
+    *,
+    method: AbstractMethod | None = None,
+    initial_state: Mapping[str, Array | float] | None = None,
+) -> Simulation:
+    """Simulate `system` along `inputs`, taken as piecewise linear between their samples.
+
+    With the default method, four-stage Runge-Kutta at 8 steps per sample, the source model's
+    states on a 40 s road at 200 Hz are within 2e-4 of their largest value (tested against
+    SciPy's DOP853 at 1e-10).
+
+    **Arguments:**
+
+    - `inputs`: a record that holds every input of the system.
+    - `method`: `FixedStep(...)` or `Adaptive(...)`.
+    - `initial_state`: state name to value at the first sample; those not named start at zero.
+
+    **Raises:** `DataError` if an input is missing from the record, `ModelError` for an unknown
+    state. Losing the solution raises nothing: it is in the result's `status`.
+    """
+    start = dict(initial_state or {})
+    if unknown := [name for name in start if name not in system.state_names]:
+        raise ModelError(
+            f"unknown state '{unknown[0]}'; the states are: {', '.join(system.state_names)}."
+        )
+    levels = jnp.stack([inputs[name] for name in system.input_names], axis=-1)
+    first = jnp.stack(
+        [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]
+    )
+    return _simulate(system, levels, inputs, first, FixedStep() if method is None else method)
+
+
+@eqx.filter_jit
+def _simulate(
+    system: AbstractSystem,
+    levels: Float[Array, "n inputs"],
+    inputs: Record,
+    initial_state: Float[Array, " states"],
+    method: AbstractMethod,
+) -> Simulation:
+    states, status, reached = method.trajectory(system, levels, inputs.time_step, initial_state)
+    derivatives = jax.vmap(system.derivative)(states, levels)
+    outputs = jax.vmap(system.output)(states, levels)
+    signals = {
+        **{f"d{name}": derivatives[:, i] for i, name in enumerate(system.state_names)},
+        **{name: states[:, i] for i, name in enumerate(system.state_names)},
+        **outputs,
+    }
+    units = dict(system.states) | dict(system.outputs)
+    record = inputs.select(*system.input_names).with_signals(signals, units)
+    return Simulation(record, status, reached)

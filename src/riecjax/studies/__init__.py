@@ -1,0 +1,1 @@
+"""Repeated experiments over many seeds and roads."""

@@ -1,0 +1,1 @@
+"""How well a simulated model predicts a record."""
