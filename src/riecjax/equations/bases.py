@@ -65,9 +65,7 @@ class RoofFunctions(AbstractBasis):
         """R_i(x) for every i."""
         below, share = self._segment(x)
         index = jnp.arange(self.break_points.shape[0])[:, None]
-        return jnp.where(index == below, 1 - share, 0.0) + jnp.where(
-            index == below + 1, share, 0.0
-        )
+        return jnp.where(index == below, 1 - share, 0.0) + jnp.where(index == below + 1, share, 0.0)
 
     def interpolate(self, values: Float[Array, " points"], x: Array) -> Array:
         """`sum values_i R_i(x)`, without forming the functions; x of any shape."""

@@ -43,21 +43,25 @@ def solve(equations: NormalEquations) -> Solution:
 
     Columns are scaled to unit length first, which makes the condition number independent of units
     and, among diagonal scalings, close to the least possible. The derivative with respect to the
-    equations is the implicit one, through lineax, also where the rank is deficient.
+    equations is the implicit one, of any order, also where the rank is deficient. (`lax`'s
+    linear solve rather than lineax's: the latter's derivative raises on numbers that are not
+    finite, which optimisers and diverged lanes of a batch may pass through.)
     """
     scale = _column_scale(jnp.diagonal(equations.gram))
     gram = equations.gram * scale[:, None] * scale[None, :]
-    size = gram.shape[0]
     # Rounding of the Gram matrix hides singular values of A below sqrt(eps) of the largest.
-    tolerance = float(jnp.finfo(gram.dtype).eps) * size
-    theta = lx.linear_solve(
-        lx.MatrixLinearOperator(gram),
-        equations.moment * scale,
-        solver=lx.SVD(rcond=tolerance),
-        throw=False,
-    ).value
+    tolerance = float(jnp.finfo(gram.dtype).eps) * gram.shape[0]
     eigenvalues, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(gram))
-    return _solution(theta * scale, jnp.sqrt(jnp.maximum(eigenvalues, 0)), vectors[:, 0], tolerance**0.5)
+    kept = eigenvalues > tolerance * eigenvalues[-1]
+    inverse = jnp.where(kept, 1 / jnp.where(kept, eigenvalues, 1.0), 0.0)
+    theta = jax.lax.custom_linear_solve(
+        lambda x: gram @ x,
+        equations.moment * scale,
+        lambda _, right: vectors @ (inverse * (vectors.T @ right)),
+        symmetric=True,
+    )
+    singular_values = jnp.sqrt(jnp.maximum(eigenvalues, 0))
+    return _solution(theta * scale, singular_values, vectors[:, 0], tolerance**0.5)
 
 
 def solve_rows(rows: Rows) -> Solution:

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -169,11 +168,7 @@ def _sandwich(score: Float[Array, "blocks p"], slope: Float[Array, "p p"]) -> Fl
     # Columns and rows scaled alike: parameters may differ by ten powers of ten.
     diagonal = jnp.abs(jnp.diagonal(slope))
     scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
-    operator = lx.MatrixLinearOperator(slope * scale[:, None] * scale[None, :])
-    solver = lx.SVD()
-    influence = eqx.filter_vmap(
-        lambda right: lx.linear_solve(operator, right, solver=solver, throw=False).value
-    )(score * scale)
-    influence = influence * scale
+    scaled = slope * scale[:, None] * scale[None, :]
+    influence = jnp.linalg.solve(scaled, (score * scale).T).T * scale
     correction = block_count / max(block_count - 1, 1)
     return correction * influence.T @ influence

@@ -105,15 +105,11 @@ class FixedStep(AbstractMethod):
             slope = (last - first) / count
 
             def one_step(k, x):
-                return _runge_kutta_step(
-                    self.tableau, system, x, first + slope * k, slope, step
-                )
+                return _runge_kutta_step(self.tableau, system, x, first + slope * k, slope, step)
 
             # A lost lane restarts from its initial state, unseen, so that no infinity enters later
             # steps or their derivatives; the state it shows stays at its last finite value.
-            moved = jax.lax.fori_loop(
-                0, count, one_step, jnp.where(running, state, initial_state)
-            )
+            moved = jax.lax.fori_loop(0, count, one_step, jnp.where(running, state, initial_state))
             running = running & jnp.all(jnp.isfinite(moved))
             state = jnp.where(running, moved, state)
             return (state, running), (state, running)

@@ -58,3 +58,8 @@ class QuarterCar(AbstractSystem):
     def output(self, state: Float[Array, " 4"], inputs: Float[Array, " 1"]) -> Mapping[str, Array]:
         """Tyre force F_t in N."""
         return {"F_t": self.K_t * state[0]}
+
+
+def quarter_car_system(parameters: Mapping[str, Array]) -> QuarterCar:
+    """The identification model with these parameters."""
+    return QuarterCar.from_parameters(parameters)

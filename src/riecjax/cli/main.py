@@ -1,0 +1,66 @@
+"""Entry point of the command line."""
+
+import importlib
+import os
+import sys
+
+import click
+
+from riecjax.errors import RiecjaxError
+
+# Imported when called: `riecjax models` and `--help` need not wait for JAX.
+COMMANDS = {
+    "reproduce": "riecjax.cli.reproduce",
+    "identify": "riecjax.cli.identify",
+    "simulate": "riecjax.cli.simulate",
+    "models": "riecjax.cli.models",
+}
+
+
+class LazyGroup(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        return importlib.import_module(COMMANDS[cmd_name]).command
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="riecjax")
+def cli() -> None:
+    """Identify physical parameters of reduced mechanical models from recorded motion."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit: 0 done, 1 no answer from these data, 2 wrong usage."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run the command line; the exit status is returned, every message is one line."""
+    try:
+        cli.main(arguments, prog_name="riecjax", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return 2
+    except click.UsageError as error:
+        where = error.ctx.command_path if error.ctx else "riecjax"
+        return _fail(f"{error.format_message()} See '{where} --help'.", 2)
+    except click.Abort:
+        return _fail("interrupted.", 1)
+    except RiecjaxError as error:
+        return _fail(str(error), 1)
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); leave quietly.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except MemoryError:
+        return _fail("not enough memory for this record.", 1)
+    return 0
+
+
+def _fail(message: str, status: int) -> int:
+    click.echo(f"riecjax: {' '.join(message.split())}", err=True)
+    return status

@@ -1,0 +1,99 @@
+"""Options that several commands share, and their parsing."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+class Assignment(click.ParamType):
+    """`NAME=VALUE` with a value of the given kind."""
+
+    def __init__(self, kind: type[float] | type[str], metavar: str):
+        self.kind = kind
+        self.name = metavar
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, Any]:
+        name, equals, text = str(value).partition("=")
+        if not (name.strip() and equals and text.strip()):
+            self.fail(f"'{value}' is not of the form {self.name}.", param, ctx)
+        if self.kind is str:
+            return name.strip(), text.strip()
+        try:
+            number = float(text)
+        except ValueError:
+            self.fail(f"'{text}' in '{value}' is not a number.", param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"'{text}' in '{value}' is not a finite number.", param, ctx)
+        return name.strip(), number
+
+
+def pairs_to_dict(
+    ctx: click.Context, param: click.Parameter, value: tuple[tuple[str, Any], ...]
+) -> dict[str, Any]:
+    """Collect assignments; naming one thing twice is an error."""
+    names = [name for name, _ in value]
+    for name in names:
+        if names.count(name) > 1:
+            raise click.BadParameter(f"'{name}' is given twice.", ctx, param)
+    return dict(value)
+
+
+def assignments(
+    option: str, kind: type[float] | type[str], metavar: str, help_text: str, target: str
+) -> Callable[..., Any]:
+    """A repeatable option `--option NAME=VALUE` that arrives as a dict."""
+    return click.option(
+        option,
+        target,
+        type=Assignment(kind, metavar),
+        metavar=metavar,
+        multiple=True,
+        callback=pairs_to_dict,
+        help=help_text + " Repeatable.",
+    )
+
+
+set_option = assignments(
+    "--set", float, "NAME=VALUE", "Hold a parameter at a known value (SI units).", "known"
+)
+seed_option = click.option(
+    "--seed",
+    type=click.IntRange(min=0, max=2**63 - 1),
+    default=0,
+    show_default=True,
+    help="Seed of all random draws.",
+)
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON document instead of tables."
+)
+out_option = click.option(
+    "--out",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for results.json, figures and report.html.",
+)
+
+
+class PositiveNumber(click.ParamType):
+    """A finite number greater than zero."""
+
+    name = "number"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        try:
+            number = float(value)
+        except ValueError:
+            self.fail(f"'{value}' is not a number.", param, ctx)
+        if not (math.isfinite(number) and number > 0):
+            self.fail(f"'{value}' must be a finite number greater than zero.", param, ctx)
+        return number
+
+
+POSITIVE = PositiveNumber()

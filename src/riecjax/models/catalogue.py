@@ -1,0 +1,194 @@
+"""The built-in models by name."""
+
+from riecjax.errors import ModelError
+from riecjax.models.model import Model, Quantity
+
+_QUARTER_CAR_SIGNALS = (
+    Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
+    Quantity("x2", "m", "suspension deflection: wheel minus body"),
+    Quantity("x3", "m/s", "wheel velocity"),
+    Quantity("x4", "m/s", "body velocity"),
+    Quantity("F_t", "N", "tyre force"),
+    Quantity("dx3", "m/s^2", "wheel acceleration (DOLS only)"),
+    Quantity("dx4", "m/s^2", "body acceleration (DOLS only)"),
+)
+_ROAD = (Quantity("v_r", "m/s", "road velocity, downwards positive"),)
+_QUARTER_CAR_PARAMETERS = (
+    Quantity("K_t", "N/m", "tyre stiffness", 177.8e3),
+    Quantity("M_us", "kg", "unsprung mass", 23.3),
+    Quantity("M_s", "kg", "sprung mass", 302.7),
+    Quantity("K_s", "N/m", "suspension stiffness", 20.9e3),
+    Quantity("F_1", "N", "damper force at -0.8 m/s", -1200.0),
+    Quantity("F_2", "N", "damper force at -0.3 m/s", -750.0),
+    Quantity("F_3", "N", "damper force at 0.3 m/s", 750.0),
+    Quantity("F_4", "N", "damper force at 0.8 m/s", 1100.0),
+)
+_QUARTER_CAR_COLUMNS = ("v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t")
+_AXIS_SIGNALS = (
+    Quantity("q", "m", "position"),
+    Quantity("force", "N", "driving force"),
+    Quantity("dq", "m/s", "velocity (central differences of q if absent)"),
+    Quantity("ddq", "m/s^2", "acceleration (DOLS only; central differences of dq if absent)"),
+)
+_AXIS_INPUT = (Quantity("force", "N", "driving force"),)
+
+
+def _quarter_car(name: str, equation: str, builder: str) -> Model:
+    return Model(
+        name=name,
+        summary=f"two masses, damper map on 4 break points; K_s and F_i from the {equation}'s motion",
+        signals=_QUARTER_CAR_SIGNALS,
+        procedure=f"riecjax.models.quarter_car.equations:{builder}",
+        parameters=_QUARTER_CAR_PARAMETERS,
+        system="riecjax.models.quarter_car.identification:quarter_car_system",
+        inputs=_ROAD,
+        written=_QUARTER_CAR_COLUMNS,
+    )
+
+
+MODELS = {
+    model.name: model
+    for model in (
+        _quarter_car("quarter-car", "body", "quarter_car_by_body"),
+        _quarter_car("quarter-car-wheel", "wheel", "quarter_car_by_wheel"),
+        Model(
+            name="quarter-car-source",
+            summary="seven-state source model of the paper, eqs (19)-(20); simulation only",
+            system="riecjax.models.quarter_car.reconstruction:source_system",
+            own_simulation_parameters=(
+                Quantity("M_w", "kg", "wheel mass", 30.0),
+                Quantity("M_b", "kg", "body mass", 200.0),
+                Quantity("M_e", "kg", "engine mass", 100.0),
+                Quantity("K_t", "N/m", "tyre stiffness", 180e3),
+                Quantity("K_c", "N/m", "damper compliance", 500e3),
+                Quantity("K_m", "N/m", "engine mount stiffness", 400e3),
+                Quantity("B_m", "N s/m", "engine mount damping", 4000.0),
+            ),
+            inputs=_ROAD,
+            written=_QUARTER_CAR_COLUMNS,
+        ),
+        Model(
+            name="two-mass",
+            summary="M z'' = F, while a second mass on a spring and damper moves unmodelled",
+            signals=(
+                Quantity("z", "m", "displacement of the first mass"),
+                Quantity("F", "N", "force on the first mass"),
+                Quantity("dz", "m/s", "velocity (central differences of z if absent)"),
+                Quantity("ddz", "m/s^2", "acceleration (DOLS; differences of dz if absent)"),
+            ),
+            derived={"dz": "z", "ddz": "dz"},
+            procedure="riecjax.models.two_mass:two_mass_equation",
+            parameters=(Quantity("M", "kg", "total mass"),),
+            system="riecjax.models.two_mass:two_mass_system",
+            own_simulation_parameters=(
+                Quantity("m1", "kg", "first mass", 10.0),
+                Quantity("m2", "kg", "second mass", 1.0),
+                Quantity("omega_n", "rad/s", "natural frequency of the coupling", 100.0),
+                Quantity("zeta", "", "damping ratio of the coupling", 0.5),
+            ),
+            inputs=(Quantity("F", "N", "force on the first mass"),),
+        ),
+        Model(
+            name="emps",
+            summary="M q'' + Fv q' + Fc sign(q') + offset = force",
+            signals=_AXIS_SIGNALS,
+            derived={"dq": "q", "ddq": "dq"},
+            procedure="riecjax.models.emps:emps_equation",
+            parameters=(
+                Quantity("M", "kg", "mass", 95.1),
+                Quantity("Fv", "N s/m", "viscous friction", 203.5),
+                Quantity("Fc", "N", "Coulomb friction", 20.4),
+                Quantity("offset", "N", "force offset", -3.16),
+            ),
+            system="riecjax.models.emps:emps_system",
+            inputs=_AXIS_INPUT,
+        ),
+        Model(
+            name="emps-asymmetric",
+            summary="M q'' + friction = force, with friction of its own in each direction",
+            signals=_AXIS_SIGNALS,
+            derived={"dq": "q", "ddq": "dq"},
+            procedure="riecjax.models.emps:emps_asymmetric_equation",
+            parameters=(
+                Quantity("M", "kg", "mass", 95.15),
+                Quantity("Fv_pos", "N s/m", "viscous friction, q' > 0", 166.7),
+                Quantity("Fc_pos", "N", "Coulomb friction, q' > 0", 20.14),
+                Quantity("Fv_neg", "N s/m", "viscous friction, q' < 0", 240.4),
+                Quantity("Fc_neg", "N", "Coulomb friction, q' < 0", 20.63),
+            ),
+            system="riecjax.models.emps:emps_asymmetric_system",
+            inputs=_AXIS_INPUT,
+        ),
+        Model(
+            name="duffing",
+            summary="m y'' + d y' + k1 y + k2 y^2 + k3 y^3 = u",
+            signals=(
+                Quantity("y", "m", "displacement"),
+                Quantity("u", "N", "force"),
+                Quantity("dy", "m/s", "velocity (central differences of y if absent)"),
+                Quantity("ddy", "m/s^2", "acceleration (DOLS; differences of dy if absent)"),
+            ),
+            derived={"dy": "y", "ddy": "dy"},
+            procedure="riecjax.models.oscillators:duffing_equation",
+            parameters=(
+                Quantity("m", "kg", "mass", 1.0),
+                Quantity("d", "N s/m", "damping", 0.5),
+                Quantity("k1", "N/m", "linear stiffness", 100.0),
+                Quantity("k2", "N/m^2", "quadratic stiffness", 0.0),
+                Quantity("k3", "N/m^3", "cubic stiffness", 1000.0),
+            ),
+            system="riecjax.models.oscillators:duffing_system",
+            inputs=(Quantity("u", "N", "force"),),
+        ),
+        Model(
+            name="drag-oscillator",
+            summary="m x'' + r x' + r2 x'|x'| + k x = u",
+            signals=(
+                Quantity("x", "m", "displacement"),
+                Quantity("u", "N", "force"),
+                Quantity("dx", "m/s", "velocity (central differences of x if absent)"),
+                Quantity("ddx", "m/s^2", "acceleration (DOLS; differences of dx if absent)"),
+            ),
+            derived={"dx": "x", "ddx": "dx"},
+            procedure="riecjax.models.oscillators:drag_oscillator_equation",
+            parameters=(
+                Quantity("m", "kg", "mass", 1.5),
+                Quantity("r", "N s/m", "viscous drag", 0.8),
+                Quantity("r2", "N s^2/m^2", "quadratic drag", 0.5),
+                Quantity("k", "N/m", "stiffness", 20.0),
+            ),
+            system="riecjax.models.oscillators:drag_oscillator_system",
+            inputs=(Quantity("u", "N", "force"),),
+        ),
+        Model(
+            name="pendulum",
+            summary="theta'' = p1 sin(theta) - p2 theta', theta zero upright, no input",
+            signals=(
+                Quantity("theta", "rad", "angle, zero upright, pi hanging"),
+                Quantity("dtheta", "rad/s", "angular velocity (central differences if absent)"),
+                Quantity("ddtheta", "rad/s^2", "angular acceleration (DOLS; likewise)"),
+            ),
+            derived={"dtheta": "theta", "ddtheta": "dtheta"},
+            procedure="riecjax.models.oscillators:pendulum_equation",
+            parameters=(
+                Quantity("p1", "1/s^2", "m g a / J", 64.22),
+                Quantity("p2", "1/s", "k / J", 0.0672),
+            ),
+            system="riecjax.models.oscillators:pendulum_system",
+            inputs=(Quantity("torque", "1/s^2", "torque over inertia"),),
+        ),
+    )
+}
+
+
+def built_in_model(name: str) -> Model:
+    """The built-in model of this name.
+
+    **Raises:** `ModelError` for a name that is not built in.
+    """
+    if name not in MODELS:
+        raise ModelError(
+            f"unknown model '{name}'; built in are: {', '.join(MODELS)}. A model of your own is "
+            f"named path/to/file.py:object."
+        )
+    return MODELS[name]

@@ -1,0 +1,104 @@
+"""What the command line needs to know of a model, in plain data: listing imports no JAX."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from riecjax.errors import ModelError
+
+if TYPE_CHECKING:
+    from jaxtyping import Array
+
+    from riecjax.estimation.procedure import Procedure
+    from riecjax.simulation.system import AbstractSystem
+
+
+class Quantity(NamedTuple):
+    """A parameter or signal: name, unit, meaning, and for simulation a default value."""
+
+    name: str
+    unit: str
+    meaning: str
+    default: float | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """A named model that can be identified, simulated, or both.
+
+    **Fields:**
+
+    - `name`, `summary`: for listings.
+    - `signals`: what identification reads from a record.
+    - `derived`: signal to the signal whose time derivative it is, formed by central differences
+      if the record lacks it.
+    - `procedure`: builds what is identified, given as `module:function` or the function.
+    - `parameters`: what it identifies.
+    - `system`: builds what is simulated from parameter values, likewise.
+    - `own_simulation_parameters`: what that takes, with defaults; the identified ones unless given.
+    - `written`: signals that a simulated recording holds; all by default.
+    - `note`: something a user should know before using it.
+    """
+
+    name: str
+    summary: str
+    signals: tuple[Quantity, ...] = ()
+    derived: Mapping[str, str] = field(default_factory=dict)
+    procedure: str | Callable[[], Any] | None = None
+    parameters: tuple[Quantity, ...] = ()
+    system: str | Callable[[Mapping[str, Array]], AbstractSystem] | None = None
+    own_simulation_parameters: tuple[Quantity, ...] = ()
+    inputs: tuple[Quantity, ...] = ()
+    written: tuple[str, ...] = ()
+    note: str = ""
+
+    @property
+    def simulation_parameters(self) -> tuple[Quantity, ...]:
+        """Parameters of the simulated system, with defaults."""
+        return self.own_simulation_parameters or self.parameters
+
+    def build_procedure(self) -> Procedure:
+        """The equations to identify.
+
+        **Raises:** `ModelError` if this model is only for simulation.
+        """
+        from riecjax.equations.equation import Equation
+        from riecjax.estimation.procedure import staged
+
+        if self.procedure is None:
+            raise ModelError(f"model '{self.name}' can be simulated but not identified.")
+        built = _resolve(self.procedure)()
+        return staged(built) if isinstance(built, Equation) else built
+
+    def build_system(self, settings: Mapping[str, float]) -> AbstractSystem:
+        """The system to simulate, with its defaults replaced by `settings`.
+
+        **Raises:** `ModelError` if this model is only for identification, or for a setting that
+        is unknown or has neither value nor default.
+        """
+        import jax.numpy as jnp
+
+        if self.system is None:
+            raise ModelError(f"model '{self.name}' can be identified but not simulated.")
+        names = [parameter.name for parameter in self.simulation_parameters]
+        for name in settings:
+            if name not in names:
+                raise ModelError(
+                    f"unknown parameter '{name}'; {self.name} has: {', '.join(names)}."
+                )
+        values = {p.name: settings.get(p.name, p.default) for p in self.simulation_parameters}
+        if missing := [name for name, value in values.items() if value is None]:
+            raise ModelError(
+                f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
+            )
+        return _resolve(self.system)({name: jnp.asarray(v, float) for name, v in values.items()})
+
+
+def _resolve(reference: str | Callable[..., Any]) -> Callable[..., Any]:
+    if callable(reference):
+        return reference
+    module, _, attribute = reference.partition(":")
+    return getattr(importlib.import_module(module), attribute)

@@ -1,0 +1,154 @@
+"""Sections 4 and 5 of the paper on simulated roads: Tables 3, 4 and 5."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
+from riecjax.criteria.windows import RandomWindows
+from riecjax.estimation.identify import stage_normal_equations
+from riecjax.estimation.procedure import Procedure, solve_stages
+from riecjax.models.quarter_car.equations import (
+    body_equation,
+    mass_equation,
+    tyre_equation,
+    wheel_equation,
+)
+from riecjax.models.quarter_car.identification import QuarterCar
+from riecjax.models.quarter_car.reconstruction import Pothole
+from riecjax.models.quarter_car.source import QuarterCarSource, contact_share
+from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import band_limited_noise, pothole, robson_road
+from riecjax.simulation.method import FixedStep
+from riecjax.simulation.simulate import Simulation, simulate
+from riecjax.validation.percentage_error import percentage_error
+
+TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
+VALIDATED_STATES = ("x1", "x2", "x3", "x4")
+POTHOLE_DURATION = 3.0
+"""Seconds of the pot-hole's validation, enough for the body to come to rest."""
+
+PARAMETERS = ("K_t", "M_us", "M_s", "K_s", "F_1", "F_2", "F_3", "F_4")
+
+Parameters = dict[str, Float[Array, ""]]
+
+
+class RoadResult(eqx.Module):
+    """One road: everything that Tables 3 to 5 print, and the damper maps.
+
+    **Fields:**
+
+    - `parameters`: by criterion, then variant, then parameter name.
+    - `errors`: p_i of x1 to x4 in percent, by input, then criterion, then variant; shape `(4,)`.
+    - `contact`: share of the identification record in which the tyre touches the road.
+    - `successful`: whether every simulation kept its solution.
+    """
+
+    parameters: dict[str, dict[str, Parameters]]
+    errors: dict[str, dict[str, dict[str, Float[Array, " 4"]]]]
+    contact: Float[Array, ""]
+    successful: Array
+
+
+def identification_record(
+    source: QuarterCarSource,
+    key: Key[Array, ""],
+    *,
+    bandwidth: float | Array = TABLE_2.bandwidth,
+    method: FixedStep | None = None,
+) -> Simulation:
+    """The source model on the white-noise road of Table 2."""
+    step = 1 / TABLE_2.rate
+    noise = band_limited_noise(
+        key, TABLE_2.sample_count, step, bandwidth=bandwidth, rms=TABLE_2.rms
+    )
+    return simulate(source, Record({"v_r": noise}, step), method=method)
+
+
+def paper_criteria() -> dict[str, AbstractCriterion]:
+    """RIEC with the windows of Table 2, and DOLS."""
+    windows = RandomWindows(TABLE_2.alpha, TABLE_2.beta, TABLE_2.windows, between_samples=True)
+    return {"RIEC": RIEC(windows), "DOLS": DOLS()}
+
+
+def identify_variants(
+    record: Record, criterion: AbstractCriterion, key: Key[Array, ""]
+) -> dict[str, Parameters]:
+    """All four variants from one set of normal equations: only what is known differs."""
+    equations = (tyre_equation(), mass_equation(), wheel_equation(), body_equation())
+    tyre, masses, wheel, body = stage_normal_equations(
+        Procedure(tuple((equation,) for equation in equations)), record, criterion, key
+    )
+    variants = {}
+    for variant in VARIANTS:
+        known = TRUE_MASSES if variant.endswith("true") else {}
+        known = {name: jnp.asarray(value) for name, value in known.items()}
+        last = wheel if variant.startswith("W") else body
+        solutions = solve_stages([tyre, masses, last], known)
+        found = {
+            name: value
+            for stage in solutions
+            for name, value in zip(stage.parameters, stage.solution.theta)
+        }
+        variants[variant] = {name: {**known, **found}[name] for name in PARAMETERS}
+    return variants
+
+
+def run_road(
+    key: Key[Array, ""],
+    source: QuarterCarSource,
+    hole: Pothole,
+    *,
+    method: FixedStep | None = None,
+) -> RoadResult:
+    """Simulate, identify and validate on one random road; vmap over keys for many."""
+    record_key, window_key, robson_key = jax.random.split(key, 3)
+    training = identification_record(source, record_key, method=method)
+    parameters = {
+        name: identify_variants(training.record, criterion, window_key)
+        for name, criterion in paper_criteria().items()
+    }
+    step = 1 / TABLE_2.rate
+    inputs = {
+        "road": robson_road(robson_key, TABLE_2.sample_count, step),
+        "pothole": pothole(
+            round(POTHOLE_DURATION * TABLE_2.rate),
+            step,
+            depth=hole.depth,
+            length=hole.length,
+            ramp=hole.ramp,
+        ),
+    }
+    models = _stack_models(parameters)
+    errors, successful = {}, training.successful
+    for name, velocity in inputs.items():
+        truth = simulate(source, Record({"v_r": velocity}, step), method=method)
+        table, kept = _validate_models(models, truth.record, method)
+        errors[name] = {
+            criterion: {variant: table[i, j] for j, variant in enumerate(VARIANTS)}
+            for i, criterion in enumerate(CRITERIA)
+        }
+        successful = successful & truth.successful & kept
+    contact = contact_share(training.record["x1"], source)
+    return RoadResult(parameters, errors, contact, successful)
+
+
+def _stack_models(parameters: dict[str, dict[str, Parameters]]) -> Parameters:
+    """Every parameter as an array over criteria and variants."""
+    rows = [parameters[criterion][variant] for criterion in CRITERIA for variant in VARIANTS]
+    shape = (len(CRITERIA), len(VARIANTS))
+    return {name: jnp.stack([row[name] for row in rows]).reshape(shape) for name in PARAMETERS}
+
+
+def _validate_models(
+    models: Parameters, truth: Record, method: FixedStep | None
+) -> tuple[Float[Array, "criteria variants 4"], Array]:
+    def one(model: Parameters) -> tuple[Array, Array]:
+        simulation = simulate(QuarterCar.from_parameters(model), truth.select("v_r"), method=method)
+        errors = [percentage_error(simulation.record[s], truth[s]) for s in VALIDATED_STATES]
+        return jnp.stack(errors), simulation.successful
+
+    errors, successful = jax.vmap(jax.vmap(one))(models)
+    return errors, jnp.all(successful)

@@ -1,0 +1,81 @@
+"""Steps between a raw recording and the record that an equation reads."""
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.signal
+from jaxtyping import Array, Float
+
+from riecjax.errors import DataError
+from riecjax.records.record import Record
+
+FILTER_ORDER = 4
+SETTLING_PERIODS = 5
+"""Periods of the cut-off frequency after which a zero-phase filter has forgotten the ends."""
+
+
+def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
+    """Filter signals by a zero-phase Butterworth low-pass of 4th order (run both ways).
+
+    Five periods of the lowest cut-off are cut from both ends, where the filter still feels the
+    record's ends.
+
+    **Arguments:** `cutoffs`: signal name to cut-off in Hz.
+
+    **Raises:** `DataError` for a cut-off beyond half the sampling rate, a missing signal, or a
+    record too short for the filter.
+    """
+    nyquist = 0.5 / float(record.time_step)
+    filtered = {}
+    for name, cutoff in cutoffs.items():
+        if not 0 < cutoff < nyquist:
+            raise DataError(
+                f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
+                f"the sampling rate, {nyquist:g} Hz."
+            )
+        sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
+        filtered[name] = jnp.asarray(scipy.signal.sosfiltfilt(sections, np.asarray(record[name])))
+    cut = int(np.ceil(SETTLING_PERIODS / min(cutoffs.values()) / float(record.time_step)))
+    if 2 * cut >= record.sample_count - 2:
+        raise DataError(
+            f"the record is too short to be filtered at {min(cutoffs.values()):g} Hz: {cut} "
+            f"samples are lost at each end."
+        )
+    return record.with_signals(filtered).part(cut, record.sample_count - cut)
+
+
+def differentiate(record: Record, signal: str, name: str) -> Record:
+    """Add the time derivative of a signal, by central differences of second order.
+
+    Differentiation raises noise in proportion to frequency; prefer an integral criterion, which
+    needs one derivative less, and filter first where it cannot be avoided.
+
+    **Raises:** `DataError` for a missing signal.
+    """
+    unit = dict(record.units).get(signal)
+    units = {} if unit is None else {name: f"{unit}/s"}
+    return record.with_signals({name: central_difference(record[signal], record.time_step)}, units)
+
+
+def central_difference(
+    samples: Float[Array, " n"], time_step: Float[Array, ""]
+) -> Float[Array, " n"]:
+    """Second-order differences, one-sided at both ends."""
+    inner = samples[2:] - samples[:-2]
+    if samples.shape[0] < 3:
+        return jnp.gradient(samples) / time_step
+    first = -3 * samples[0] + 4 * samples[1] - samples[2]
+    last = 3 * samples[-1] - 4 * samples[-2] + samples[-3]
+    return jnp.concatenate([first[None], inner, last[None]]) / (2 * time_step)
+
+
+def every(record: Record, count: int) -> Record:
+    """Every `count`-th sample, without filtering first.
+
+    **Raises:** `DataError` unless 1 <= count and two samples remain.
+    """
+    if count < 1 or (record.sample_count - 1) // count < 1:
+        raise DataError(
+            f"cannot take every {count}th of {record.sample_count} samples: too few would remain."
+        )
+    arrays = {name: values[..., ::count] for name, values in record.arrays.items()}
+    return Record(arrays, record.time_step * count, record.start_time, record.units)

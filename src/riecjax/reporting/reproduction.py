@@ -1,0 +1,257 @@
+"""Results of the reproduction: JSON document, tables on a terminal, figures."""
+
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from riecjax.models.quarter_car.identification import BREAK_POINTS
+from riecjax.models.quarter_car.reconstruction import reconstruction_document
+from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.paper.claims import evaluate_claims
+from riecjax.paper.eigenstructure import ModeComparison, table_1
+from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS, PublishedMode
+from riecjax.paper.reproduction import RoadResult
+from riecjax.paper.tables import Cell, Table, contact, table_3, table_4, table_5
+from riecjax.reporting.output import Document, require_plots, versions
+
+SHOWN = {
+    "3": ("Identified tyre stiffness (kN/m) and masses (kg)", {"K_t": 1e3}),
+    "4": ("Identified suspension stiffness K_s (kN/m)", dict.fromkeys(VARIANTS, 1e3)),
+    "5": ("Validation error, sum of p_i over x1 to x4 (%)", {}),
+}
+"""Heading of each table, and what its rows are divided by for reading."""
+
+
+def reproduction_document(roads: RoadResult, *, seed: int) -> Document:
+    """The document that `--json` prints and results.json holds."""
+    tables = {"3": table_3(roads), "4": table_4(roads), "5": table_5(roads)}
+    lost = int(np.sum(~np.asarray(roads.successful)))
+    warnings = []
+    if lost:
+        message = f"{lost} roads lost a simulation; their numbers are not to be trusted."
+        warnings.append({"code": "simulation_lost", "message": message})
+    count = int(np.asarray(roads.contact).size)
+    if count < 8:
+        message = f"only {count} roads: means and ranges are rough. Use --roads 8 or more."
+        warnings.append({"code": "few_roads", "message": message})
+    return {
+        "schema": 1,
+        "tables": {"1": [_mode_entry(row) for row in table_1()]}
+        | {number: _table_document(table) for number, table in tables.items()},
+        "contact": _cell_document(contact(roads)),
+        "summary": _summary(tables),
+        "claims": [claim._asdict() for claim in evaluate_claims(roads)],
+        "reconstruction": reconstruction_document(),
+        "warnings": warnings,
+        "provenance": {
+            "seed": seed,
+            "roads": count,
+            "settings": TABLE_2._asdict(),
+            "versions": versions(),
+        },
+    }
+
+
+def print_reproduction(document: Document, console: Console) -> None:
+    """Published numbers beside reproduced ones."""
+    roads = document["provenance"]["roads"]
+    console.print(_mode_table(document["tables"]["1"]))
+    for number, (heading, scales) in SHOWN.items():
+        console.print(_number_table(number, heading, scales, document["tables"][number], roads))
+    cell = document["contact"]
+    low, high = cell["interval95"]
+    console.print(
+        f"tyre in contact: published {100 * cell['published']:.0f} %, reproduced "
+        f"{100 * cell['reproduced']:.2f} % ({100 * low:.2f} .. {100 * high:.2f})",
+        highlight=False,
+    )
+    for number, entry in document["summary"].items():
+        console.print(
+            f"Table {number}: largest distance {100 * entry['largest_distance']:.1f} %, mean "
+            f"{100 * entry['mean_distance']:.1f} %, {entry['inside']} of {entry['numbers']} "
+            f"published numbers inside the range over the roads",
+            highlight=False,
+        )
+    for claim in document["claims"]:
+        verdict = "holds" if claim["holds"] else "DOES NOT HOLD"
+        console.print(f"claim {claim['id']}: {verdict}. {claim['statement']}", highlight=False)
+    console.print(f"{document['reconstruction']['note']}", highlight=False)
+
+
+def _summary(tables: dict[str, Table]) -> dict[str, dict[str, float]]:
+    summary = {}
+    for number, table in tables.items():
+        cells = [cell for row in table.values() for cell in row.values()]
+        distances = [abs(cell.deviation) for cell in cells]
+        summary[number] = {
+            "numbers": len(cells),
+            "inside": sum(cell.inside for cell in cells),
+            "largest_distance": max(distances),
+            "mean_distance": float(np.mean(distances)),
+        }
+    return summary
+
+
+def _table_document(table: Table) -> Document:
+    return {
+        row: {criterion: _cell_document(cell) for criterion, cell in cells.items()}
+        for row, cells in table.items()
+    }
+
+
+def _cell_document(cell: Cell) -> Document:
+    return {
+        "published": cell.published,
+        "reproduced": cell.reproduced,
+        "interval95": [cell.low, cell.high],
+        "inside": cell.inside,
+    }
+
+
+def _mode_entry(row: ModeComparison) -> Document:
+    return {
+        "published": _mode_document(row.published),
+        "reproduced": _mode_document(row.reproduced),
+        "agrees": bool(row.agrees),
+    }
+
+
+def _mode_document(mode: PublishedMode) -> Document:
+    return {
+        "eigenvalue": _complex(mode.eigenvalue),
+        "frequency": mode.frequency,
+        "damping_ratio": mode.damping_ratio,
+        "wheel": _complex(mode.wheel),
+        "body": _complex(mode.body),
+        "engine_minus_body": _complex(mode.engine_minus_body),
+    }
+
+
+def _complex(value: complex) -> list[float]:
+    return [complex(value).real, complex(value).imag]
+
+
+def _mode_table(rows: list[Document]) -> RichTable:
+    table = RichTable(title="Table 1  Eigenstructure of the source model", title_justify="left")
+    headings = ("", "eigenvalue", "Hz", "zeta", "wheel", "body", "engine - body", "agrees")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading == "" else "right")
+    for row in rows:
+        for label in ("published", "reproduced"):
+            mode = row[label]
+            digits = 0 if mode["eigenvalue"][1] == 0 else 2
+            table.add_row(
+                label,
+                _pair(mode["eigenvalue"], digits),
+                "-" if mode["frequency"] is None else f"{mode['frequency']:.2f}",
+                "-" if mode["damping_ratio"] is None else f"{mode['damping_ratio']:.2f}",
+                *(_pair(mode[part], 2) for part in ("wheel", "body", "engine_minus_body")),
+                "" if label == "published" else ("yes" if row["agrees"] else "NO"),
+            )
+    return table
+
+
+def _pair(parts: list[float], digits: int) -> str:
+    real, imaginary = parts
+    if imaginary == 0:
+        return f"{real:.{digits}f}"
+    sign = "±" if imaginary > 0 else "∓"
+    return f"{real:.{digits}f} {sign} {abs(imaginary):.{digits}f}i"
+
+
+def _number_table(
+    number: str, heading: str, scales: dict[str, float], rows: Document, roads: int
+) -> RichTable:
+    table = RichTable(title=f"Table {number}  {heading}, {roads} roads", title_justify="left")
+    table.add_column("")
+    for criterion in CRITERIA:
+        table.add_column(f"{criterion} published", justify="right")
+        table.add_column("reproduced", justify="right")
+        table.add_column("95 % of roads", justify="right")
+    for name, row in rows.items():
+        scale = scales.get(name, 1.0)
+        cells: list[str] = []
+        for criterion in CRITERIA:
+            cell = row[criterion]
+            low, high = (value / scale for value in cell["interval95"])
+            mark = "" if cell["inside"] else " *"
+            cells += [
+                f"{cell['published'] / scale:.1f}",
+                f"{cell['reproduced'] / scale:.2f}",
+                f"{low:.2f} .. {high:.2f}{mark}",
+            ]
+        table.add_row(name, *cells)
+    table.caption = "* the published number lies outside"
+    return table
+
+
+def reproduction_figures(roads: RoadResult, source: QuarterCarSource) -> dict[str, Any]:
+    """`tables`, `damper_maps` (Fig. 7) and `curves` (Fig. 5, reconstructed)."""
+    plt = require_plots()
+    return {
+        "tables": _ratio_figure(plt, roads),
+        "damper_maps": _damper_figure(plt, roads, source),
+        "curves": _curve_figure(plt, source),
+    }
+
+
+def _ratio_figure(plt: Any, roads: RoadResult) -> Any:
+    cells = {
+        f"{row}  {criterion}": cell
+        for table in (table_3(roads), table_4(roads), table_5(roads))
+        for row, line in table.items()
+        for criterion, cell in line.items()
+    }
+    figure, axes = plt.subplots(figsize=(7.5, 8.5), layout="constrained")
+    for i, cell in enumerate(cells.values()):
+        low, high = cell.low / cell.published, cell.high / cell.published
+        color = "#1f4e79" if cell.inside else "#9c3d1c"
+        axes.plot([100 * (low - 1), 100 * (high - 1)], [i, i], color=color, linewidth=2)
+        axes.plot(100 * cell.deviation, i, "o", color=color, markersize=4)
+    axes.axvline(0, color="0.4", linewidth=0.8)
+    axes.set_yticks(range(len(cells)), list(cells), fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlabel("reproduced against published / %: mean (dot) and 95 % of roads (line)")
+    axes.grid(axis="x", color="0.9")
+    return figure
+
+
+def _damper_figure(plt: Any, roads: RoadResult, source: QuarterCarSource) -> Any:
+    figure, axes = plt.subplots(1, 2, figsize=(9, 4), sharey=True, layout="constrained")
+    velocity = np.linspace(-1.2, 1.2, 241)
+    styles = dict(zip(VARIANTS, ("-", "--", ":", "-.")))
+    for axis, criterion in zip(axes, CRITERIA):
+        force = np.asarray(source.damper(velocity)) / 1e3  # pyright: ignore[reportCallIssue]
+        axis.plot(velocity, force, color="0.75", linewidth=4, label="source")
+        for variant in VARIANTS:
+            points = [
+                float(np.mean(roads.parameters[criterion][variant][f"F_{i}"])) / 1e3
+                for i in range(1, 5)
+            ]
+            axis.plot(
+                BREAK_POINTS, points, styles[variant], color="#1f4e79", marker=".", label=variant
+            )
+        axis.set_title(criterion)
+        axis.set_xlabel("suspension velocity / (m/s)")
+        axis.grid(color="0.9")
+    axes[0].set_ylabel("damper force / kN")
+    axes[1].legend(frameon=False)
+    return figure
+
+
+def _curve_figure(plt: Any, source: QuarterCarSource) -> Any:
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
+    curves = (
+        (source.damper, np.linspace(-1.5, 1.5, 301), 1.0, "damper velocity / (m/s)"),
+        (source.spring, np.linspace(-0.08, 0.08, 301), 1e3, "suspension deflection / mm"),
+        (source.mount, np.linspace(-0.008, 0.008, 301), 1e3, "engine mount deflection / mm"),
+    )
+    for axis, (curve, x, factor, label) in zip(axes, curves):
+        axis.plot(factor * x, np.asarray(curve(x)) / 1e3, color="#1f4e79")  # pyright: ignore
+        axis.set_xlabel(label)
+        axis.grid(color="0.9")
+    axes[0].set_ylabel("force / kN")
+    axes[1].set_title("reconstructed characteristics of the source model")
+    return figure

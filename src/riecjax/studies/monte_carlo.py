@@ -1,0 +1,48 @@
+"""One experiment repeated over many random keys, vmapped in chunks."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Key
+
+
+def over_keys(
+    experiment: Callable[..., Any],
+    key: Key[Array, ""],
+    count: int,
+    *args: Any,
+    chunk: int = 8,
+    progress: Callable[[int], None] | None = None,
+) -> Any:
+    """`experiment(key_i, *args)` for `count` keys split from `key`, stacked along a leading axis.
+
+    Chunks of one size compile once and bound the memory; the surplus of the last is cut off.
+    The i-th key does not depend on `count` or `chunk`, so more repetitions extend a study.
+
+    **Arguments:**
+
+    - `experiment`: a function at module level (a new function object compiles anew).
+    - `args`: passed on, not batched.
+    - `progress`: called with the number of finished repetitions after each chunk.
+    """
+    chunk = min(chunk, count)
+    keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(
+        jnp.arange(-(-count // chunk) * chunk, dtype=jnp.uint32)
+    )
+    parts = []
+    for start in range(0, count, chunk):
+        part = _batch(experiment, keys[start : start + chunk], args)
+        parts.append(jax.block_until_ready(part))
+        if progress is not None:
+            progress(min(start + chunk, count))
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+
+
+@eqx.filter_jit
+def _batch(
+    experiment: Callable[..., Any], keys: Key[Array, " chunk"], args: tuple[Any, ...]
+) -> Any:
+    return jax.vmap(lambda key: experiment(key, *args))(keys)
