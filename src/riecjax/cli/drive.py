@@ -63,8 +63,8 @@ def _generated(
         raise ModelError(f"{count} samples are too many; choose a shorter --duration or --rate.")
     if kind != "pothole" and bandwidth > rate / 2:
         raise ModelError(
-            f"a bandwidth of {bandwidth:g} Hz needs more than {2 * bandwidth:g} samples per second; "
-            f"the rate is {rate:g} Hz."
+            f"a bandwidth of {bandwidth:g} Hz needs a rate above {2 * bandwidth:g} Hz; "
+            f"it is {rate:g} Hz."
         )
     signals = {}
     for name, key in zip(input_names, jax.random.split(jax.random.key(seed), len(input_names))):
@@ -75,7 +75,11 @@ def _generated(
         else:
             hole = RECONSTRUCTED.pothole
             signals[name] = pothole(
-                count, 1 / rate, depth=hole.depth, length=hole.length, ramp=hole.ramp
+                count,
+                1 / rate,
+                depth=jnp.asarray(hole.depth),
+                length=jnp.asarray(hole.length),
+                ramp=jnp.asarray(hole.ramp),
             )
     if not all(bool(jnp.any(values != 0)) for values in signals.values()):
         raise ModelError("the input is zero throughout: lengthen --duration or widen --bandwidth.")

@@ -65,9 +65,9 @@ def command(
     The file holds time `t` in seconds, the input, and the model's signals in SI units.
     """
     start_jax()
+    from riecjax.cli.drive import drive
     from riecjax.models.resolve import find_model
     from riecjax.records.files import check_writable, write_record
-    from riecjax.cli.drive import drive
     from riecjax.simulation.simulate import simulate
 
     check_writable(out)

@@ -12,6 +12,7 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import sum_columns
 from riecjax.errors import ModelError
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 
 
@@ -71,7 +72,7 @@ class AbstractCriterion(eqx.Module):
         raise NotImplementedError
 
     @property
-    def block_length(self) -> Float[np.ndarray, ""] | Array:
+    def block_length(self) -> Leaf:
         """Seconds after which two rows share no data: their errors are not locked together."""
         raise NotImplementedError
 
@@ -138,7 +139,7 @@ class RIEC(AbstractCriterion):
         return True
 
     @property
-    def block_length(self) -> np.ndarray | Array:
+    def block_length(self) -> Leaf:
         """beta: windows that start further apart do not overlap."""
         return self.windows.beta
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.errors import DataError, ModelError
+from riecjax.leaves import Leaf, as_leaf, is_concrete
 
 
 class WindowSet(NamedTuple):
@@ -39,8 +39,8 @@ class RandomWindows(eqx.Module):
     **Raises:** `ModelError` unless 0 < alpha < beta and count >= 1.
     """
 
-    alpha: Float[np.ndarray, ""] | Array
-    beta: Float[np.ndarray, ""] | Array
+    alpha: Leaf
+    beta: Leaf
     count: int = eqx.field(static=True)
     between_samples: bool = eqx.field(static=True)
 
@@ -52,13 +52,13 @@ class RandomWindows(eqx.Module):
         *,
         between_samples: bool = False,
     ):
-        self.alpha = alpha if eqx.is_array(alpha) else np.asarray(alpha, float)
-        self.beta = beta if eqx.is_array(beta) else np.asarray(beta, float)
+        self.alpha = as_leaf(alpha)
+        self.beta = as_leaf(beta)
         self.count = count
         self.between_samples = between_samples
         if count < 1:
             raise ModelError(f"the number of windows must be at least 1; got {count}.")
-        if _concrete(self.alpha, self.beta) and not 0 < float(self.alpha) < float(self.beta):
+        if is_concrete(self.alpha, self.beta) and not 0 < float(self.alpha) < float(self.beta):
             raise ModelError(
                 f"windows need 0 < alpha < beta; got alpha = {float(self.alpha):g} s and "
                 f"beta = {float(self.beta):g} s."
@@ -66,7 +66,7 @@ class RandomWindows(eqx.Module):
 
     def check(self, sample_count: int, time_step: Array) -> None:
         """Raise `DataError` if the record is too short or too coarse (not under jit)."""
-        if not _concrete(self.alpha, self.beta, time_step):
+        if not is_concrete(self.alpha, self.beta, time_step):
             return
         step, beta = float(time_step), float(self.beta)
         duration = step * (sample_count - 1)
@@ -123,7 +123,3 @@ class RandomWindows(eqx.Module):
         length = last - room
         start = v * room
         return WindowSet(start, jnp.minimum(start + length, last))
-
-
-def _concrete(*values: object) -> bool:
-    return not any(isinstance(value, jax.core.Tracer) for value in values)

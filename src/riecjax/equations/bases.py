@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError
+from riecjax.leaves import is_concrete
 
 
 class AbstractBasis(eqx.Module):
@@ -43,7 +43,7 @@ class RoofFunctions(AbstractBasis):
         points = self.break_points
         if points.ndim != 1 or points.shape[0] < 2:
             raise ModelError("roof functions need at least two break points.")
-        if not isinstance(points, jax.core.Tracer) and bool(jnp.any(jnp.diff(points) <= 0)):
+        if is_concrete(points) and bool(jnp.any(jnp.diff(points) <= 0)):
             raise ModelError(f"break points must increase; got {points.tolist()}.")
 
     @property

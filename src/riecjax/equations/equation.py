@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 
 import equinox as eqx
-import numpy as np
-from jaxtyping import Array
 
 from riecjax.equations.term import AbstractTerm, Term, Terms, merge_known
 from riecjax.errors import ModelError
+from riecjax.leaves import Leaf
 
 
 class Equation(eqx.Module):
@@ -53,7 +52,7 @@ class Equation(eqx.Module):
         return units
 
     @property
-    def known(self) -> Mapping[str, np.ndarray | Array]:
+    def known(self) -> Mapping[str, Leaf]:
         """Values of the named coefficients that are known in advance."""
         return merge_known(self.terms)
 

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
 from riecjax.errors import DataError, ModelError
+from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record, Signals
 
 Expression = str | Callable[[Signals], Array]
@@ -66,12 +66,12 @@ class Term(AbstractTerm):
     """
 
     name: str | None = eqx.field(static=True)
-    number: Float[np.ndarray, ""] | Array
+    number: Leaf
     of: Expression = eqx.field(static=True)
     derivative: int = eqx.field(static=True)
     measured: tuple[str, ...] = eqx.field(static=True)
     unit: str = eqx.field(static=True)
-    known: Float[np.ndarray, ""] | Array | None
+    known: Leaf | None
 
     def __init__(
         self,
@@ -86,12 +86,12 @@ class Term(AbstractTerm):
     ):
         named = isinstance(coefficient, str)
         self.name = coefficient if isinstance(coefficient, str) else None
-        self.number = _as_leaf(sign if isinstance(coefficient, str) else coefficient * sign)
+        self.number = as_leaf(sign if isinstance(coefficient, str) else coefficient * sign)
         self.of = of
         self.derivative = derivative
         self.measured = measured
         self.unit = unit
-        self.known = None if known is None else _as_leaf(known)
+        self.known = None if known is None else as_leaf(known)
         if derivative not in (0, 1, 2):
             raise ModelError(f"a term's derivative must be 0, 1 or 2; got {derivative}.")
         if known is not None and not named:
@@ -105,7 +105,7 @@ class Term(AbstractTerm):
     def samples(self, record: Record, order: int) -> Float[Array, "1 n"]:
         """Samples of `number x d^order/dt^order (of)`; see the base class."""
         expression = self.of if order == 0 else _derivative_name(self, record, order)
-        return (self.number * evaluate(expression, record))[None]
+        return (jnp.asarray(self.number) * evaluate(expression, record))[None]
 
     def __neg__(self) -> "Term":
         return eqx.tree_at(lambda term: term.number, self, -self.number)
@@ -126,7 +126,7 @@ class Terms(AbstractTerm):
     basis: AbstractBasis
     of: Expression = eqx.field(static=True)
     unit: str = eqx.field(static=True)
-    sign: Float[np.ndarray, ""] | Array
+    sign: Leaf
     derivative: int = eqx.field(static=True)
 
     def __init__(
@@ -142,7 +142,7 @@ class Terms(AbstractTerm):
         self.basis = basis
         self.of = of
         self.unit = unit
-        self.sign = _as_leaf(sign)
+        self.sign = as_leaf(sign)
         self.derivative = 0
 
     @property
@@ -154,15 +154,10 @@ class Terms(AbstractTerm):
         """Samples of every function; see the base class."""
         if order != 0:
             raise DataError(f"the derivative of the basis '{self.prefix}' is not recorded.")
-        return self.sign * self.basis(evaluate(self.of, record))
+        return jnp.asarray(self.sign) * self.basis(evaluate(self.of, record))
 
     def __neg__(self) -> "Terms":
         return eqx.tree_at(lambda terms: terms.sign, self, -self.sign)
-
-
-def _as_leaf(value: float | Array) -> np.ndarray | Array:
-    """An array, so that a new value does not compile anew; NumPy, so that none is made on import."""
-    return value if eqx.is_array(value) else np.asarray(value, float)
 
 
 def _derivative_name(term: Term, record: Record, order: int) -> str:
@@ -184,7 +179,7 @@ def _derivative_name(term: Term, record: Record, order: int) -> str:
     return name
 
 
-def merge_known(terms: tuple[AbstractTerm, ...]) -> Mapping[str, np.ndarray | Array]:
+def merge_known(terms: tuple[AbstractTerm, ...]) -> Mapping[str, Leaf]:
     """Values of the coefficients that the terms themselves call known."""
     return {
         term.name: term.known
@@ -205,5 +200,5 @@ def sum_columns(
             rows[name] = rows[name] + column if name in rows else column
     template = columns[0][0]
     known = rows.get(None, jnp.zeros_like(template))
-    # The terms sum to zero, so the known ones change sides: known = -(...) is regressed on the rest.
+    # The terms sum to zero, so the known ones change sides and are regressed on the rest.
     return jnp.stack([-known, *(rows[name] for name in parameters)])

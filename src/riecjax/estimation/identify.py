@@ -21,6 +21,7 @@ from riecjax.estimation.procedure import (
     solve_stages,
     staged,
 )
+from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 
 # Fifty blocks give Student's t little more reach than the normal law, and long blocks forgive
@@ -78,7 +79,7 @@ def identify(
         ]
     )
     solutions, covariance = _solve(stages, given, None)
-    if _concrete(solutions):
+    if is_concrete(solutions):
         rows = None
         if _worst_condition(solutions) > gram_condition_limit(covariance.dtype):
             rows = _rows(procedure, recordings, criterion, keys)
@@ -195,16 +196,12 @@ def _record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] 
 
 def _block_count(criterion: AbstractCriterion, record: Record) -> int:
     """As many blocks as twice the longest window fits in, but no more than needed."""
-    if not _concrete((criterion.block_length, record.time_step)):
+    if not is_concrete(criterion.block_length, record.time_step):
         return MOST_BLOCKS
     step = float(np.asarray(record.time_step).reshape(-1)[0])
     duration = step * (record.sample_count - 1)
     length = max(2 * float(criterion.block_length), 2 * step)
     return int(np.clip(duration / length, 2, MOST_BLOCKS))
-
-
-def _concrete(tree: object) -> bool:
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def _worst_condition(solutions: list[StageSolution]) -> float:

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import Rows
@@ -17,6 +16,7 @@ from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError
 from riecjax.estimation.least_squares import Solution, solve, solve_rows
 from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.leaves import Leaf
 
 
 class Procedure(eqx.Module):
@@ -40,9 +40,9 @@ class Procedure(eqx.Module):
         return units
 
     @property
-    def known(self) -> Mapping[str, np.ndarray | Array]:
+    def known(self) -> Mapping[str, Leaf]:
         """Values that the equations themselves call known."""
-        known: dict[str, np.ndarray | Array] = {}
+        known: dict[str, Leaf] = {}
         for stage in self.stages:
             for equation in stage:
                 known |= equation.known

@@ -36,7 +36,7 @@ _AXIS_INPUT = (Quantity("force", "N", "driving force"),)
 def _quarter_car(name: str, equation: str, builder: str) -> Model:
     return Model(
         name=name,
-        summary=f"two masses, damper map on 4 break points; K_s and F_i from the {equation}'s motion",
+        summary=f"two masses with a damper map; K_s and F_i from the motion of the {equation}",
         signals=_QUARTER_CAR_SIGNALS,
         procedure=f"riecjax.models.quarter_car.equations:{builder}",
         parameters=_QUARTER_CAR_PARAMETERS,

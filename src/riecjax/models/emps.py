@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.records.record import Signals
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.system import AbstractSystem, Quantities
 
 
 def _direction(signals: Signals) -> Array:
@@ -82,8 +82,8 @@ class Axis(AbstractSystem):
     Fc_neg: Float[Array, ""]
     offset: Float[Array, ""]
 
-    states: ClassVar = (("q", "m"), ("dq", "m/s"))
-    inputs: ClassVar = (("force", "N"),)
+    states: ClassVar[Quantities] = (("q", "m"), ("dq", "m/s"))
+    inputs: ClassVar[Quantities] = (("force", "N"),)
 
     def friction(self, velocity: Array) -> Array:
         """Friction force in N, positive for positive velocity."""

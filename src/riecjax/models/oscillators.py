@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.records.record import Signals
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.system import AbstractSystem, Quantities
 
 
 def _square(signals: Signals) -> Array:
@@ -72,8 +72,8 @@ class Duffing(AbstractSystem):
     k2: Float[Array, ""]
     k3: Float[Array, ""]
 
-    states: ClassVar = (("y", "m"), ("dy", "m/s"))
-    inputs: ClassVar = (("u", "N"),)
+    states: ClassVar[Quantities] = (("y", "m"), ("dy", "m/s"))
+    inputs: ClassVar[Quantities] = (("u", "N"),)
 
     def derivative(
         self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]
@@ -92,8 +92,8 @@ class DragOscillator(AbstractSystem):
     r2: Float[Array, ""]
     k: Float[Array, ""]
 
-    states: ClassVar = (("x", "m"), ("dx", "m/s"))
-    inputs: ClassVar = (("u", "N"),)
+    states: ClassVar[Quantities] = (("x", "m"), ("dx", "m/s"))
+    inputs: ClassVar[Quantities] = (("u", "N"),)
 
     def derivative(
         self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]
@@ -113,8 +113,8 @@ class Pendulum(AbstractSystem):
     p1: Float[Array, ""]
     p2: Float[Array, ""]
 
-    states: ClassVar = (("theta", "rad"), ("dtheta", "rad/s"))
-    inputs: ClassVar = (("torque", "1/s^2"),)
+    states: ClassVar[Quantities] = (("theta", "rad"), ("dtheta", "rad/s"))
+    inputs: ClassVar[Quantities] = (("torque", "1/s^2"),)
 
     def derivative(
         self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]

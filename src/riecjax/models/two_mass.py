@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.system import AbstractSystem, Quantities
 
 
 def two_mass_equation() -> Equation:
@@ -35,9 +35,9 @@ class TwoMass(AbstractSystem):
     omega_n: Float[Array, ""]
     zeta: Float[Array, ""]
 
-    states: ClassVar = (("z", "m"), ("dz", "m/s"), ("d", "m"), ("dd", "m/s"))
-    inputs: ClassVar = (("F", "N"),)
-    outputs: ClassVar = (("error", "N"),)
+    states: ClassVar[Quantities] = (("z", "m"), ("dz", "m/s"), ("d", "m"), ("dd", "m/s"))
+    inputs: ClassVar[Quantities] = (("F", "N"),)
+    outputs: ClassVar[Quantities] = (("error", "N"),)
 
     def derivative(
         self, state: Float[Array, " 4"], inputs: Float[Array, " 1"]

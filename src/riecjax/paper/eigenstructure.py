@@ -69,7 +69,9 @@ def _printed(mode: Mode, like: PublishedMode) -> PublishedMode:
         _round(mode.eigenvalue, like.digits),
         None if mode.frequency is None else round(float(mode.frequency), 2),
         None if mode.damping_ratio is None else round(float(mode.damping_ratio), 2),
-        *(_round(complex(part), 2) for part in parts),
+        _round(complex(parts[0]), 2),
+        _round(complex(parts[1]), 2),
+        _round(complex(parts[2]), 2),
         like.digits,
     )
 

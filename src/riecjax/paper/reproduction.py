@@ -116,9 +116,9 @@ def run_road(
         "pothole": pothole(
             round(POTHOLE_DURATION * TABLE_2.rate),
             step,
-            depth=hole.depth,
-            length=hole.length,
-            ramp=hole.ramp,
+            depth=jnp.asarray(hole.depth),
+            length=jnp.asarray(hole.length),
+            ramp=jnp.asarray(hole.ramp),
         ),
     }
     models = _stack_models(parameters)

@@ -19,13 +19,15 @@ class Cell(NamedTuple):
     """One published number and its reproduction.
 
     **Fields:** `published`; `reproduced`, the mean over the roads; `low` and `high`, the 2.5 and
-    97.5 % quantiles over the roads: where a single road, such as the paper's, may come to lie.
+    97.5 % quantiles over the roads: where a single road, such as the paper's, may come to lie;
+    `rounding`, half a unit of the last digit in print.
     """
 
     published: float
     reproduced: float
     low: float
     high: float
+    rounding: float
 
     @property
     def deviation(self) -> float:
@@ -34,8 +36,8 @@ class Cell(NamedTuple):
 
     @property
     def inside(self) -> bool:
-        """Whether the published number lies in the range over the roads."""
-        return self.low <= self.published <= self.high
+        """Whether what was rounded to the published number may lie in the range over the roads."""
+        return self.low - self.rounding <= self.published <= self.high + self.rounding
 
 
 Table = dict[str, dict[str, Cell]]
@@ -46,7 +48,11 @@ def table_3(roads: RoadResult) -> Table:
     """Tyre stiffness in N/m and masses in kg."""
     return {
         name: {
-            criterion: _cell(TABLE_3[name][criterion], roads.parameters[criterion]["B_id"][name])
+            criterion: _cell(
+                TABLE_3[name][criterion],
+                roads.parameters[criterion]["B_id"][name],
+                rounding=50.0 if name == "K_t" else 0.05,
+            )
             for criterion in CRITERIA
         }
         for name in TABLE_3
@@ -58,7 +64,9 @@ def table_4(roads: RoadResult) -> Table:
     return {
         variant: {
             criterion: _cell(
-                TABLE_4[variant][criterion], roads.parameters[criterion][variant]["K_s"]
+                TABLE_4[variant][criterion],
+                roads.parameters[criterion][variant]["K_s"],
+                rounding=50.0,
             )
             for criterion in CRITERIA
         }
@@ -73,6 +81,7 @@ def table_5(roads: RoadResult) -> Table:
             criterion: _cell(
                 TABLE_5[variant][where][criterion],
                 np.sum(roads.errors[where][criterion][variant], axis=-1),
+                rounding=0.05,
             )
             for criterion in CRITERIA
         }
@@ -83,10 +92,10 @@ def table_5(roads: RoadResult) -> Table:
 
 def contact(roads: RoadResult) -> Cell:
     """Share of the record during which the tyre touches the road."""
-    return _cell(CONTACT_SHARE, roads.contact)
+    return _cell(CONTACT_SHARE, roads.contact, rounding=0.005)
 
 
-def _cell(published: float, over_roads: object) -> Cell:
+def _cell(published: float, over_roads: object, *, rounding: float) -> Cell:
     values = np.asarray(over_roads)
     low, high = np.quantile(values, [0.025, 0.975])
-    return Cell(published, float(values.mean()), float(low), float(high))
+    return Cell(published, float(values.mean()), float(low), float(high), rounding)

@@ -60,9 +60,9 @@ def central_difference(
     samples: Float[Array, " n"], time_step: Float[Array, ""]
 ) -> Float[Array, " n"]:
     """Second-order differences, one-sided at both ends."""
-    inner = samples[2:] - samples[:-2]
     if samples.shape[0] < 3:
-        return jnp.gradient(samples) / time_step
+        return jnp.broadcast_to((samples[-1] - samples[0]) / time_step, samples.shape)
+    inner = samples[2:] - samples[:-2]
     first = -3 * samples[0] + 4 * samples[1] - samples[2]
     last = 3 * samples[-1] - 4 * samples[-2] + samples[-3]
     return jnp.concatenate([first[None], inner, last[None]]) / (2 * time_step)

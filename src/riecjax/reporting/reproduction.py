@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 from rich.table import Table as RichTable
@@ -134,16 +135,15 @@ def _complex(value: complex) -> list[float]:
 
 
 def _mode_table(rows: list[Document]) -> RichTable:
-    table = RichTable(title="Table 1  Eigenstructure of the source model", title_justify="left")
-    headings = ("", "eigenvalue", "Hz", "zeta", "wheel", "body", "engine - body", "agrees")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading == "" else "right")
+    table = _plain_table("Table 1  Eigenstructure of the linearised source model")
+    for heading in ("", "eigenvalue", "Hz", "zeta", "wheel", "body", "engine-body", "agrees"):
+        table.add_column(heading, justify="left" if heading == "" else "right", no_wrap=True)
     for row in rows:
         for label in ("published", "reproduced"):
             mode = row[label]
             digits = 0 if mode["eigenvalue"][1] == 0 else 2
             table.add_row(
-                label,
+                "paper" if label == "published" else "here",
                 _pair(mode["eigenvalue"], digits),
                 "-" if mode["frequency"] is None else f"{mode['frequency']:.2f}",
                 "-" if mode["damping_ratio"] is None else f"{mode['damping_ratio']:.2f}",
@@ -153,37 +153,49 @@ def _mode_table(rows: list[Document]) -> RichTable:
     return table
 
 
+def _plain_table(title: str) -> RichTable:
+    return RichTable(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        caption_justify="left",
+        box=None,
+        padding=(0, 1, 0, 0),
+    )
+
+
 def _pair(parts: list[float], digits: int) -> str:
     real, imaginary = parts
     if imaginary == 0:
         return f"{real:.{digits}f}"
     sign = "±" if imaginary > 0 else "∓"
-    return f"{real:.{digits}f} {sign} {abs(imaginary):.{digits}f}i"
+    return f"{real:.{digits}f}{sign}{abs(imaginary):.{digits}f}i"
 
 
 def _number_table(
     number: str, heading: str, scales: dict[str, float], rows: Document, roads: int
 ) -> RichTable:
-    table = RichTable(title=f"Table {number}  {heading}, {roads} roads", title_justify="left")
-    table.add_column("")
+    table = _plain_table(f"\nTable {number}  {heading}, {roads} roads")
+    table.add_column("", no_wrap=True)
     for criterion in CRITERIA:
-        table.add_column(f"{criterion} published", justify="right")
-        table.add_column("reproduced", justify="right")
-        table.add_column("95 % of roads", justify="right")
+        for column in (criterion, "here", "95 % of roads"):
+            table.add_column(column, justify="right", no_wrap=True)
+    digits = 1 if number == "5" else 2
     for name, row in rows.items():
         scale = scales.get(name, 1.0)
         cells: list[str] = []
         for criterion in CRITERIA:
             cell = row[criterion]
             low, high = (value / scale for value in cell["interval95"])
-            mark = "" if cell["inside"] else " *"
             cells += [
                 f"{cell['published'] / scale:.1f}",
-                f"{cell['reproduced'] / scale:.2f}",
-                f"{low:.2f} .. {high:.2f}{mark}",
+                f"{cell['reproduced'] / scale:.{digits}f}",
+                f"{low:.{digits}f}..{high:.{digits}f}{' ' if cell['inside'] else '*'}",
             ]
         table.add_row(name, *cells)
-    table.caption = "* the published number lies outside"
+    outside = any(not cell["inside"] for row in rows.values() for cell in row.values())
+    if outside:
+        table.caption = "* the published number, as rounded in print, lies outside"
     return table
 
 
@@ -223,7 +235,7 @@ def _damper_figure(plt: Any, roads: RoadResult, source: QuarterCarSource) -> Any
     velocity = np.linspace(-1.2, 1.2, 241)
     styles = dict(zip(VARIANTS, ("-", "--", ":", "-.")))
     for axis, criterion in zip(axes, CRITERIA):
-        force = np.asarray(source.damper(velocity)) / 1e3  # pyright: ignore[reportCallIssue]
+        force = np.asarray(source.damper(jnp.asarray(velocity))) / 1e3  # pyright: ignore[reportCallIssue]
         axis.plot(velocity, force, color="0.75", linewidth=4, label="source")
         for variant in VARIANTS:
             points = [
@@ -249,7 +261,7 @@ def _curve_figure(plt: Any, source: QuarterCarSource) -> Any:
         (source.mount, np.linspace(-0.008, 0.008, 301), 1e3, "engine mount deflection / mm"),
     )
     for axis, (curve, x, factor, label) in zip(axes, curves):
-        axis.plot(factor * x, np.asarray(curve(x)) / 1e3, color="#1f4e79")  # pyright: ignore
+        axis.plot(factor * x, np.asarray(curve(jnp.asarray(x))) / 1e3, color="#1f4e79")  # pyright: ignore
         axis.set_xlabel(label)
         axis.grid(color="0.9")
     axes[0].set_ylabel("force / kN")

@@ -36,10 +36,12 @@ class Mode(NamedTuple):
 
 def modes(matrix: Float[Array, "states states"]) -> list[Mode]:
     """Modes of x' = matrix x, fastest decay first, without the rigid ones at zero."""
-    values, vectors = np.linalg.eig(np.asarray(matrix))
+    found = np.linalg.eig(np.asarray(matrix))
+    values, vectors = found.eigenvalues.astype(complex), found.eigenvectors
     floor = 1e-9 * np.max(np.abs(values))
-    kept = [i for i in np.argsort(values.real) if values[i].imag >= 0 and abs(values[i]) > floor]
-    return [_mode(values[i], vectors[:, i]) for i in kept]
+    order = np.argsort(np.real(values))
+    pairs = [(complex(values[i]), vectors[:, i]) for i in order]
+    return [_mode(v, shape) for v, shape in pairs if v.imag >= 0 and abs(v) > floor]
 
 
 def _mode(value: complex, shape: np.ndarray) -> Mode:

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import RESULTS as DIFFRAX_RESULTS
 from diffrax import (
     AbstractSolver,
     ButcherTableau,
@@ -22,7 +23,6 @@ from diffrax import (
     Tsit5,
     diffeqsolve,
 )
-from diffrax import RESULTS as DIFFRAX_RESULTS
 from jaxtyping import Array, Float, Int
 
 from riecjax.errors import ModelError

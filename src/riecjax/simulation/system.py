@@ -6,6 +6,9 @@ from typing import ClassVar
 import equinox as eqx
 from jaxtyping import Array, Float
 
+Quantities = tuple[tuple[str, str], ...]
+"""(name, unit) of several quantities, in order."""
+
 
 class AbstractSystem(eqx.Module):
     """`x' = derivative(x, u)`, autonomous but for its sampled inputs u.
@@ -14,11 +17,11 @@ class AbstractSystem(eqx.Module):
     hold them.
     """
 
-    states: eqx.AbstractClassVar[tuple[tuple[str, str], ...]]
+    states: ClassVar[Quantities] = ()
     """(name, unit) of each state."""
-    inputs: eqx.AbstractClassVar[tuple[tuple[str, str], ...]]
+    inputs: ClassVar[Quantities] = ()
     """(name, unit) of each input."""
-    outputs: ClassVar[tuple[tuple[str, str], ...]] = ()
+    outputs: ClassVar[Quantities] = ()
     """(name, unit) of each further quantity that `output` returns."""
 
     def derivative(

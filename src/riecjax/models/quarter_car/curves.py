@@ -8,7 +8,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-
 DAMPER_KNOTS = (0.0, 0.05, 0.15, 0.4, 1.0)
 """Velocities in m/s between which the damper's slope is interpolated, in either direction."""
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from riecjax.equations.bases import RoofFunctions
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.system import AbstractSystem, Quantities
 
 BREAK_POINTS = (-0.8, -0.3, 0.3, 0.8)
 """Suspension velocities v_i of the damper map in m/s (Table 2)."""
@@ -29,9 +29,9 @@ class QuarterCar(AbstractSystem):
     F: Float[Array, " points"]
     roof: RoofFunctions
 
-    states: ClassVar = (("x1", "m"), ("x2", "m"), ("x3", "m/s"), ("x4", "m/s"))
-    inputs: ClassVar = (("v_r", "m/s"),)
-    outputs: ClassVar = (("F_t", "N"),)
+    states: ClassVar[Quantities] = (("x1", "m"), ("x2", "m"), ("x3", "m/s"), ("x4", "m/s"))
+    inputs: ClassVar[Quantities] = (("v_r", "m/s"),)
+    outputs: ClassVar[Quantities] = (("F_t", "N"),)
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Array]) -> "QuarterCar":

@@ -10,10 +10,12 @@
 from collections.abc import Mapping
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
+from riecjax.leaves import Leaf
 from riecjax.models.quarter_car.curves import BumpStopSpring, DigressiveDamper, HardeningMount
 from riecjax.models.quarter_car.source import QuarterCarSource
 
@@ -30,20 +32,20 @@ MOUNT_DAMPING = 4000.0
 class Pothole(eqx.Module):
     """Shape of the pot-hole: depth, length between the ramps' middles, and ramp length, in m."""
 
-    depth: Float[Array, ""]
-    length: Float[Array, ""]
-    ramp: Float[Array, ""]
+    depth: Leaf
+    length: Leaf
+    ramp: Leaf
 
 
 class Shapes(eqx.Module):
     """All reconstructed shapes, in SI units."""
 
-    low_speed_rate: Float[Array, ""]
-    high_speed_rates: Float[Array, " 2"]
-    knees: Float[Array, " 2"]
-    stop_gaps: Float[Array, " 2"]
-    stop_rates: Float[Array, " 2"]
-    mount_cubic: Float[Array, ""]
+    low_speed_rate: Leaf
+    high_speed_rates: Leaf
+    knees: Leaf
+    stop_gaps: Leaf
+    stop_rates: Leaf
+    mount_cubic: Leaf
     pothole: Pothole
 
 
@@ -82,7 +84,8 @@ def quarter_car_source(
     mount_damping: float | Array = MOUNT_DAMPING,
 ) -> QuarterCarSource:
     """The source model with these shapes and one of Table 6's mounts."""
-    mount = HardeningMount(jnp.asarray(MOUNT_RATE), shapes.mount_cubic)
+    s = jax.tree.map(jnp.asarray, shapes)
+    mount = HardeningMount(jnp.asarray(MOUNT_RATE), s.mount_cubic)
     return QuarterCarSource(
         wheel_mass=jnp.asarray(WHEEL_MASS),
         body_mass=jnp.asarray(BODY_MASS),
@@ -90,7 +93,7 @@ def quarter_car_source(
         tyre_stiffness=jnp.asarray(TYRE_STIFFNESS),
         damper_compliance=jnp.asarray(DAMPER_COMPLIANCE),
         mount_damping=jnp.asarray(mount_damping),
-        damper=DigressiveDamper(shapes.low_speed_rate, shapes.high_speed_rates, shapes.knees),
-        spring=BumpStopSpring(jnp.asarray(SPRING_RATE), shapes.stop_gaps, shapes.stop_rates),
+        damper=DigressiveDamper(s.low_speed_rate, s.high_speed_rates, s.knees),
+        spring=BumpStopSpring(jnp.asarray(SPRING_RATE), s.stop_gaps, s.stop_rates),
         mount=mount.scaled(mount_rate / MOUNT_RATE),
     )

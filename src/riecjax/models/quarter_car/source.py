@@ -1,15 +1,30 @@
 """The seven-state source model, eqs (19)-(20), that stands in for the real vehicle."""
 
-from collections.abc import Callable, Mapping
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import ClassVar, Protocol
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.system import AbstractSystem, Quantities
 
 GRAVITY = 9.81
+
+
+class Curve(Protocol):
+    """A force in N over a deflection in m or a velocity in m/s."""
+
+    def __call__(self, x: Array, /) -> Array:
+        """The force at x."""
+        ...
+
+
+class DamperCurve(Curve, Protocol):
+    """A damper's force over velocity, with its slope, by which x7 is governed."""
+
+    def slope(self, velocity: Array, /) -> Array:
+        """dF/dv in N s/m."""
+        ...
 
 
 class QuarterCarSource(AbstractSystem):
@@ -31,11 +46,11 @@ class QuarterCarSource(AbstractSystem):
     tyre_stiffness: Float[Array, ""]
     damper_compliance: Float[Array, ""]
     mount_damping: Float[Array, ""]
-    damper: eqx.Module
-    spring: Callable[[Array], Array]
-    mount: Callable[[Array], Array]
+    damper: DamperCurve
+    spring: Curve
+    mount: Curve
 
-    states: ClassVar = (
+    states: ClassVar[Quantities] = (
         ("x1", "m"),
         ("x2", "m"),
         ("x3", "m/s"),
@@ -44,8 +59,8 @@ class QuarterCarSource(AbstractSystem):
         ("x6", "m/s"),
         ("x7", "m/s"),
     )
-    inputs: ClassVar = (("v_r", "m/s"),)
-    outputs: ClassVar = (("F_t", "N"),)
+    inputs: ClassVar[Quantities] = (("v_r", "m/s"),)
+    outputs: ClassVar[Quantities] = (("F_t", "N"),)
 
     @property
     def lift_off_force(self) -> Float[Array, ""]:
@@ -61,9 +76,9 @@ class QuarterCarSource(AbstractSystem):
     ) -> Float[Array, " 7"]:
         """Eq. (19)."""
         x1, x2, x3, x4, x5, x6, x7 = (state[i] for i in range(7))
-        suspension = self.spring(x2) + self.damper(x7)  # pyright: ignore[reportCallIssue]
+        suspension = self.spring(x2) + self.damper(x7)
         mount = self.mount(x5) + self.mount_damping * (x4 - x6)
-        relaxation = self.damper_compliance / self.damper.slope(x7)  # pyright: ignore
+        relaxation = self.damper_compliance / self.damper.slope(x7)
         return jnp.stack(
             [
                 inputs[0] - x3,

@@ -1,0 +1,44 @@
+# make run    reproduces the paper's tables, then simulates a recording and identifies it
+# make test   runs the tests
+# Both build .venv first. PYTHON=python3.12 picks another interpreter.
+
+PYTHON ?= python3
+BIN := .venv/bin
+OUT := out
+
+.DELETE_ON_ERROR:
+.PHONY: run test setup lint format bench calibrate clean
+
+run: .venv/installed
+	$(BIN)/riecjax reproduce --out $(OUT)/reproduce
+	$(BIN)/riecjax simulate quarter-car-source --input white-noise --seed 1 --out $(OUT)/drive.csv
+	$(BIN)/riecjax identify $(OUT)/drive.csv --model quarter-car --out $(OUT)/identify
+
+test: .venv/installed
+	$(BIN)/python -m pytest -n 2
+
+setup: .venv/installed
+
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'riecjax needs Python 3.11 or newer; try make PYTHON=python3.12')"
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+lint: .venv/installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+format: .venv/installed
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: .venv/installed
+	$(BIN)/python -m benchmarks
+
+calibrate: .venv/installed
+	$(BIN)/python -m benchmarks.reconstruct_curves
+
+clean:
+	rm -rf .venv $(OUT)
