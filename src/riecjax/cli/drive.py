@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from riecjax.errors import DataError, ModelError
-from riecjax.models.quarter_car.reconstruction import RECONSTRUCTED
+from riecjax.models.quarter_car.reconstruction import ROUGHNESS, reconstructed
 from riecjax.records.files import read_record
 from riecjax.records.record import Record
 from riecjax.simulation.excitation import band_limited_noise, pothole, robson_road
@@ -71,9 +71,11 @@ def _generated(
         if kind == "white-noise":
             signals[name] = band_limited_noise(key, count, 1 / rate, bandwidth=bandwidth, rms=rms)
         elif kind == "robson":
-            signals[name] = robson_road(key, count, 1 / rate, bandwidth=bandwidth)
+            signals[name] = robson_road(
+                key, count, 1 / rate, roughness=ROUGHNESS, bandwidth=bandwidth
+            )
         else:
-            hole = RECONSTRUCTED.pothole
+            hole = reconstructed().pothole
             signals[name] = pothole(
                 count,
                 1 / rate,

@@ -33,7 +33,7 @@ def command(
     from rich.console import Console
     from rich.progress import Progress
 
-    from riecjax.models.quarter_car.reconstruction import RECONSTRUCTED, quarter_car_source
+    from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
     from riecjax.paper.reproduction import run_road
     from riecjax.reporting.output import emit
     from riecjax.reporting.reproduction import (
@@ -43,7 +43,8 @@ def command(
     )
     from riecjax.studies.monte_carlo import over_keys
 
-    source = quarter_car_source(RECONSTRUCTED)
+    shapes = reconstructed()
+    source = quarter_car_source(shapes)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("roads", total=count)
         result = over_keys(
@@ -51,7 +52,8 @@ def command(
             jax.random.key(seed),
             count,
             source,
-            RECONSTRUCTED.pothole,
+            shapes.pothole,
+            shapes.roughness,
             progress=lambda done: progress.update(task, completed=done),
         )
     document = reproduction_document(result, seed=seed)

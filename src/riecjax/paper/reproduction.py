@@ -9,6 +9,7 @@ from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import stage_normal_equations
 from riecjax.estimation.procedure import Procedure, solve_stages
+from riecjax.leaves import Leaf
 from riecjax.models.quarter_car.equations import (
     body_equation,
     mass_equation,
@@ -100,6 +101,7 @@ def run_road(
     key: Key[Array, ""],
     source: QuarterCarSource,
     hole: Pothole,
+    roughness: Leaf,
     *,
     method: FixedStep | None = None,
 ) -> RoadResult:
@@ -112,7 +114,9 @@ def run_road(
     }
     step = 1 / TABLE_2.rate
     inputs = {
-        "road": robson_road(robson_key, TABLE_2.sample_count, step),
+        "road": robson_road(
+            robson_key, TABLE_2.sample_count, step, roughness=jnp.asarray(roughness)
+        ),
         "pothole": pothole(
             round(POTHOLE_DURATION * TABLE_2.rate),
             step,

@@ -1,10 +1,12 @@
 """What the paper's text does not give of its source model, and where it comes from here.
 
 - *Published*: K_t 180 kN/m; first-stage stiffness 20 kN/m; mount 400 kN/m for small motion and
-  the B_m of Table 6; damping "approximately 1.5 kN s/m".
+  the B_m of Table 6; damping "approximately 1.5 kN s/m" for the linearised model.
 - *Derived*: masses and damper compliance, from Table 1, which they reproduce to every digit.
-- *Reconstructed*: the shapes of damper, spring and mount (Fig. 5) and of the pot-hole (Fig. 8),
-  fitted to Tables 3 to 5.
+- *Reconstructed*: the curves of damper, spring and mount (Fig. 5), the pot-hole (Fig. 8) and the
+  amplitude of the Robson road, whose density the text does not normalise. They are fitted to
+  Tables 3 to 5 by `benchmarks/reconstruct_curves.py`; other shapes fit about as well, see the
+  page "What is reconstructed" of the documentation.
 """
 
 from collections.abc import Mapping
@@ -17,16 +19,24 @@ from jaxtyping import Array
 
 from riecjax.leaves import Leaf
 from riecjax.models.quarter_car.curves import BumpStopSpring, DigressiveDamper, HardeningMount
-from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.models.quarter_car.source import DamperCurve, QuarterCarSource
 
 WHEEL_MASS = 30.0
+"""M_w in kg, derived."""
 BODY_MASS = 200.0
+"""M_b in kg, derived."""
 ENGINE_MASS = 100.0
+"""M_e in kg, derived."""
 DAMPER_COMPLIANCE = 500e3
+"""K_c in N/m, derived."""
 TYRE_STIFFNESS = 180e3
+"""K_t in N/m, published."""
 SPRING_RATE = 20e3
+"""First-stage suspension stiffness in N/m, published."""
 MOUNT_RATE = 400e3
+"""Engine mount stiffness K_m in N/m, published (Table 6, pathological case)."""
 MOUNT_DAMPING = 4000.0
+"""Engine mount damping B_m in N s/m, published (Table 6, pathological case)."""
 
 
 class Pothole(eqx.Module):
@@ -37,38 +47,91 @@ class Pothole(eqx.Module):
     ramp: Leaf
 
 
-class Shapes(eqx.Module):
-    """All reconstructed shapes, in SI units."""
+class Reconstruction(eqx.Module):
+    """Everything that is reconstructed, in SI units; all leaves are positive.
 
-    low_speed_rate: Leaf
-    high_speed_rates: Leaf
-    knees: Leaf
+    **Fields:**
+
+    - `damper`: F_d, a curve with a slope.
+    - `stop_gaps`, `stop_rates`: bump stops of the spring, for compression and rebound.
+    - `mount_cubic`: k_3 of the mount.
+    - `pothole`: Fig. 8.
+    - `roughness`: k of eq. (27) for a density per rad/s.
+    """
+
+    damper: DamperCurve
     stop_gaps: Leaf
     stop_rates: Leaf
     mount_cubic: Leaf
     pothole: Pothole
+    roughness: Leaf
 
 
-RECONSTRUCTED = Shapes(
-    low_speed_rate=np.array(6333.0),
-    high_speed_rates=np.array([835.0, 697.0]),
-    knees=np.array([0.0778, 0.1105]),
-    stop_gaps=np.array([0.0170, 0.0409]),
-    stop_rates=np.array([1249.0, 1331.0]),
-    mount_cubic=np.array(1.02e9),
-    pothole=Pothole(depth=np.array(0.0395), length=np.array(1.575), ramp=np.array(0.391)),
-)
+def reconstructed() -> Reconstruction:
+    """The reconstruction that this package uses, from the joint calibration to Tables 3 to 5."""
+    return Reconstruction(
+        damper=DigressiveDamper(
+            low_speed_rate=jnp.asarray(DAMPER_LOW_SPEED_RATE),
+            high_speed_rates=jnp.asarray(DAMPER_HIGH_SPEED_RATES),
+            knees=jnp.asarray(DAMPER_KNEES),
+        ),
+        stop_gaps=np.array(STOP_GAPS),
+        stop_rates=np.array(STOP_RATES),
+        mount_cubic=np.array(MOUNT_CUBIC),
+        pothole=Pothole(*(np.array(value) for value in POTHOLE)),
+        roughness=np.array(ROUGHNESS),
+    )
 
 
-def reconstruction_document() -> dict[str, object]:
-    """What is published, derived and reconstructed, as plain data."""
-    return {"note": "curves of the source model are reconstructed"}
+DAMPER_LOW_SPEED_RATE = 4335.1
+"""Slope of the damper curve at rest in N s/m."""
+DAMPER_HIGH_SPEED_RATES = (922.68, 555.24)
+"""Slope far beyond the knee in N s/m, compression and rebound."""
+DAMPER_KNEES = (0.12784, 0.16990)
+"""Velocity of the knee in m/s, compression and rebound."""
+STOP_GAPS = (0.023286, 0.072478)
+"""Deflection at which the second stage of the spring begins in m, compression and rebound."""
+STOP_RATES = (3351.7, 1113.0)
+"""Stiffness that the second stage adds in N/m, compression and rebound."""
+MOUNT_CUBIC = 8.2356e8
+"""Cubic stiffness of the engine mount in N/m^3."""
+POTHOLE = (0.07236, 2.7121, 0.91467)
+"""Depth, length and ramp of the pot-hole in m."""
+ROUGHNESS = 1.5e-5
+"""k of eq. (27), read as a density per rad/s. Published: 3e-5, without saying per what."""
+
+
+def quarter_car_source(
+    shapes: Reconstruction,
+    *,
+    mount_rate: float | Array = MOUNT_RATE,
+    mount_damping: float | Array = MOUNT_DAMPING,
+) -> QuarterCarSource:
+    """The source model with these shapes and one of Table 6's mounts.
+
+    The mount's whole curve is scaled by the gain of its stiffness, as the paper does.
+    """
+    shapes = jax.tree.map(jnp.asarray, shapes)
+    mount = HardeningMount(jnp.asarray(MOUNT_RATE), jnp.asarray(shapes.mount_cubic))
+    return QuarterCarSource(
+        wheel_mass=jnp.asarray(WHEEL_MASS),
+        body_mass=jnp.asarray(BODY_MASS),
+        engine_mass=jnp.asarray(ENGINE_MASS),
+        tyre_stiffness=jnp.asarray(TYRE_STIFFNESS),
+        damper_compliance=jnp.asarray(DAMPER_COMPLIANCE),
+        mount_damping=jnp.asarray(mount_damping),
+        damper=shapes.damper,
+        spring=BumpStopSpring(
+            jnp.asarray(SPRING_RATE), jnp.asarray(shapes.stop_gaps), jnp.asarray(shapes.stop_rates)
+        ),
+        mount=mount.scaled(mount_rate / MOUNT_RATE),
+    )
 
 
 def source_system(parameters: Mapping[str, Array]) -> QuarterCarSource:
     """The source model with the reconstructed curves and these masses and rates."""
     source = quarter_car_source(
-        RECONSTRUCTED, mount_rate=parameters["K_m"], mount_damping=parameters["B_m"]
+        reconstructed(), mount_rate=parameters["K_m"], mount_damping=parameters["B_m"]
     )
     return eqx.tree_at(
         lambda s: (s.wheel_mass, s.body_mass, s.engine_mass, s.tyre_stiffness, s.damper_compliance),
@@ -77,23 +140,30 @@ def source_system(parameters: Mapping[str, Array]) -> QuarterCarSource:
     )
 
 
-def quarter_car_source(
-    shapes: Shapes,
-    *,
-    mount_rate: float | Array = MOUNT_RATE,
-    mount_damping: float | Array = MOUNT_DAMPING,
-) -> QuarterCarSource:
-    """The source model with these shapes and one of Table 6's mounts."""
-    s = jax.tree.map(jnp.asarray, shapes)
-    mount = HardeningMount(jnp.asarray(MOUNT_RATE), s.mount_cubic)
-    return QuarterCarSource(
-        wheel_mass=jnp.asarray(WHEEL_MASS),
-        body_mass=jnp.asarray(BODY_MASS),
-        engine_mass=jnp.asarray(ENGINE_MASS),
-        tyre_stiffness=jnp.asarray(TYRE_STIFFNESS),
-        damper_compliance=jnp.asarray(DAMPER_COMPLIANCE),
-        mount_damping=jnp.asarray(mount_damping),
-        damper=DigressiveDamper(s.low_speed_rate, s.high_speed_rates, s.knees),
-        spring=BumpStopSpring(jnp.asarray(SPRING_RATE), s.stop_gaps, s.stop_rates),
-        mount=mount.scaled(mount_rate / MOUNT_RATE),
-    )
+def reconstruction_document() -> dict[str, object]:
+    """What is published, derived and reconstructed, as plain data in SI units."""
+    return {
+        "note": "curves, pot-hole and road amplitude are reconstructed, not published",
+        "published": {
+            "K_t": TYRE_STIFFNESS,
+            "spring_rate": SPRING_RATE,
+            "mount_rate": MOUNT_RATE,
+            "mount_damping": MOUNT_DAMPING,
+        },
+        "derived_from_table_1": {
+            "M_w": WHEEL_MASS,
+            "M_b": BODY_MASS,
+            "M_e": ENGINE_MASS,
+            "K_c": DAMPER_COMPLIANCE,
+        },
+        "reconstructed": {
+            "damper_low_speed_rate": DAMPER_LOW_SPEED_RATE,
+            "damper_high_speed_rates": list(DAMPER_HIGH_SPEED_RATES),
+            "damper_knees": list(DAMPER_KNEES),
+            "stop_gaps": list(STOP_GAPS),
+            "stop_rates": list(STOP_RATES),
+            "mount_cubic": MOUNT_CUBIC,
+            "pothole_depth_length_ramp": list(POTHOLE),
+            "roughness": ROUGHNESS,
+        },
+    }

@@ -1,0 +1,171 @@
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.io
+from command_line import call, write_csv
+
+from riecjax.records.files import read_record
+
+COLUMNS = ["t", "v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t"]
+
+
+def simulated(capsys, path, model, *options, source: object = "white-noise"):
+    result = call(capsys, "simulate", model, "--input", source, *options, "--out", path)
+    assert result.status == 0, result.err
+    return result
+
+
+def table(path) -> dict[str, np.ndarray]:
+    read = np.genfromtxt(path, delimiter=",", names=True)
+    return {name: read[name] for name in read.dtype.names}
+
+
+@pytest.mark.parametrize("model", ["quarter-car-source", "quarter-car", "quarter-car-wheel"])
+def test_columns(capsys, tmp_path, model):
+    result = simulated(capsys, tmp_path / "a.csv", model, "--duration", 2)
+    assert (tmp_path / "a.csv").read_text().splitlines()[0].split(",") == COLUMNS
+    assert "400 samples at 200 Hz" in result.out
+    for column in COLUMNS:
+        assert column in result.out
+
+
+def test_default_length_and_rate(capsys, tmp_path):
+    simulated(capsys, tmp_path / "a.csv", "quarter-car-source")
+    time = table(tmp_path / "a.csv")["t"]
+    assert time.size == 8000
+    np.testing.assert_allclose(time, np.arange(8000) / 200, rtol=0, atol=1e-12)
+
+
+def test_json(capsys, tmp_path):
+    path = tmp_path / "a.csv"
+    document = simulated(
+        capsys, path, "quarter-car-source", "--duration", 2, "--seed", 3, "--json"
+    ).document
+    assert document == {
+        "schema": 1,
+        "model": "quarter-car-source",
+        "file": str(path),
+        "columns": COLUMNS,
+        "samples": 400,
+        "time_step": pytest.approx(0.005),
+        "seed": 3,
+    }
+
+
+def test_seed(capsys, tmp_path):
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        options = ("--duration", 2, "--seed", seed)
+        simulated(capsys, tmp_path / f"{name}.csv", "quarter-car-source", *options)
+    first, again, other = ((tmp_path / f"{name}.csv").read_bytes() for name in "abc")
+    assert first == again
+    assert first != other
+
+
+@pytest.mark.parametrize("ending", [".npz", ".mat"])
+def test_formats_hold_the_same_numbers(capsys, tmp_path, ending):
+    for path in (tmp_path / "a.csv", tmp_path / f"a{ending}"):
+        simulated(capsys, path, "quarter-car-source", "--duration", 2)
+    text, binary = read_record(tmp_path / "a.csv"), read_record(tmp_path / f"a{ending}")
+    assert set(text.arrays) == set(binary.arrays) == set(COLUMNS) - {"t"}
+    for name in text.arrays:
+        np.testing.assert_array_equal(text[name], binary[name])
+
+
+def test_source_model_moves_as_its_equations_say(capsys, tmp_path):
+    path = tmp_path / "a.csv"
+    simulated(capsys, path, "quarter-car-source", "--duration", 10, "--rate", 1000)
+    car = table(path)
+    # x1' = v_r - x3 and x2' = x3 - x4, by trapezoids; their error is of order step^2 x3''.
+    for state, rate in (("x1", car["v_r"] - car["x3"]), ("x2", car["x3"] - car["x4"])):
+        integral = scipy.integrate.cumulative_trapezoid(rate, car["t"], initial=0)
+        np.testing.assert_allclose(car[state], integral, atol=2e-3 * np.ptp(car[state]))
+    for state in ("x3", "x4"):
+        integral = scipy.integrate.cumulative_trapezoid(car[f"d{state}"], car["t"], initial=0)
+        np.testing.assert_allclose(car[state], integral, atol=2e-3 * np.ptp(car[state]))
+    # F_t is 180 kN/m x1, but no more than the static load of 330 kg.
+    np.testing.assert_allclose(car["F_t"], np.minimum(180e3 * car["x1"], 330 * 9.81), rtol=1e-12)
+
+
+def test_white_noise_has_the_rms_and_the_bandwidth_asked_for(capsys, tmp_path):
+    path = tmp_path / "a.csv"
+    simulated(capsys, path, "duffing", "--duration", 10, "--rms", 2.5, "--bandwidth", 12)
+    force = table(path)["u"]
+    assert np.sqrt(np.mean(force**2)) == pytest.approx(2.5, rel=1e-9)
+    spectrum = np.abs(np.fft.rfft(force))
+    above = np.fft.rfftfreq(force.size, 0.005) > 12.01
+    assert spectrum[above].max() < 1e-9 * spectrum.max()
+
+
+def test_pothole_ends_level(capsys, tmp_path):
+    simulated(capsys, tmp_path / "a.csv", "quarter-car", source="pothole")
+    car = table(tmp_path / "a.csv")
+    assert car["t"].size == 600
+    depth = np.cumsum(car["v_r"]) * 0.005
+    assert depth.max() > 0.01
+    assert depth[-1] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("option", "column"),
+    [("K_t=150e3", "F_t"), ("M_w=40", "x3"), ("M_b=250", "x4"), ("M_e=50", "x4"),
+     ("K_c=300e3", "x4"), ("K_m=200e3", "x4"), ("B_m=1000", "x4")],
+)
+def test_every_parameter_of_the_source_matters(capsys, tmp_path, option, column):
+    for name, options in (("a", ()), ("b", ("--set", option))):
+        simulated(capsys, tmp_path / f"{name}.csv", "quarter-car-source", "--duration", 2, *options)
+    before, after = table(tmp_path / "a.csv"), table(tmp_path / "b.csv")
+    np.testing.assert_array_equal(before["v_r"], after["v_r"])
+    change = np.max(np.abs(before[column] - after[column]))
+    assert change > 1e-4 * np.ptp(before[column])
+
+
+def test_identification_model_gives_its_own_parameters_back(capsys, tmp_path):
+    path = tmp_path / "a.csv"
+    settings = {"K_t": 150e3, "M_us": 35.0, "M_s": 280.0, "K_s": 18e3}
+    options = [word for n, v in settings.items() for word in ("--set", f"{n}={v}")]
+    simulated(capsys, path, "quarter-car", "--duration", 20, *options)
+    arguments = ("identify", path, "--model", "quarter-car", "--criterion", "dols", "--json")
+    found = call(capsys, *arguments).document["parameters"]
+    # States and derivatives come from the same right-hand side: exact at every sample.
+    for name, value in settings.items():
+        assert found[name]["value"] == pytest.approx(value, rel=1e-8)
+    assert found["F_2"]["value"] == pytest.approx(-750, rel=1e-8)
+
+
+def test_input_from_a_file(capsys, tmp_path):
+    time = np.arange(1000) / 250
+    force = 3 * np.sin(4 * time)
+    source = write_csv(tmp_path / "force.csv", {"t": time, "other": time, "u": force})
+    out = tmp_path / "out.mat"
+    settings = {"m": 2.0, "d": 0.7, "k1": 50.0, "k2": 5.0, "k3": 300.0}
+    options = [word for n, v in settings.items() for word in ("--set", f"{n}={v}")]
+    simulated(capsys, out, "duffing", *options, source=source)
+    found = scipy.io.loadmat(out)
+    np.testing.assert_array_equal(found["u"].ravel(), force)
+
+    def right_hand_side(t: float, state: np.ndarray) -> list[float]:
+        y, dy = state
+        spring = 50.0 * y + 5.0 * y**2 + 300.0 * y**3
+        return [dy, (np.interp(t, time, force) - 0.7 * dy - spring) / 2.0]
+
+    exact = scipy.integrate.solve_ivp(
+        right_hand_side, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-9, atol=1e-11, max_step=0.004
+    )
+    np.testing.assert_allclose(found["y"].ravel(), exact.y[0], atol=1e-6 * np.ptp(exact.y[0]))
+    np.testing.assert_allclose(found["dy"].ravel(), exact.y[1], atol=1e-6 * np.ptp(exact.y[1]))
+
+
+def test_a_shorter_part_of_a_file(capsys, tmp_path):
+    time = np.arange(1000) / 250
+    source = write_csv(tmp_path / "force.csv", {"t": time, "u": np.sin(time)})
+    simulated(capsys, tmp_path / "out.csv", "duffing", "--duration", 1, source=source)
+    assert table(tmp_path / "out.csv")["t"].size == 250
+
+
+@pytest.mark.parametrize("model", ["two-mass", "emps", "emps-asymmetric", "drag-oscillator"])
+def test_other_models_simulate(capsys, tmp_path, model):
+    simulated(capsys, tmp_path / "a.npz", model, "--duration", 2, "--bandwidth", 5)
+    record = read_record(tmp_path / "a.npz")
+    for name, values in record.arrays.items():
+        assert np.all(np.isfinite(values)), name
+        assert np.any(values != 0), name

@@ -1,0 +1,148 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+from riecjax.criteria.windows import RandomWindows
+from riecjax.errors import DataError, ModelError
+
+# Draws are fixed by their keys, so these levels are not a chance of failing: a correct sampler
+# would have had to be unlucky to one in a thousand with this very key.
+LEVEL = 1e-3
+
+
+def rejection_sampler(count, alpha, beta, t_max, seed):
+    """Eqs (14)-(15) as the paper has them: draw both, keep what ends within the record."""
+    rng = np.random.default_rng(seed)
+    length = rng.uniform(alpha, beta, 4 * count)
+    start = rng.uniform(0, t_max, 4 * count)
+    kept = start + length <= t_max
+    return start[kept][:count], length[kept][:count]
+
+
+def draw(windows, sample_count, time_step, seed=0):
+    found = windows.draw(jax.random.key(seed), sample_count, jnp.asarray(time_step))
+    return np.asarray(found.start), np.asarray(found.stop)
+
+
+@pytest.mark.parametrize("between_samples", [False, True])
+@pytest.mark.parametrize(
+    ("alpha", "beta", "sample_count"), [(0.05, 0.5, 8000), (0.001, 0.02, 6), (0.01, 0.025, 6)]
+)
+def test_every_window_lies_within_the_record(alpha, beta, sample_count, between_samples):
+    windows = RandomWindows(alpha, beta, 20_000, between_samples=between_samples)
+    start, stop = draw(windows, sample_count, 0.005)
+    assert start.shape == stop.shape == (20_000,)
+    assert start.min() >= 0
+    assert stop.max() <= sample_count - 1
+    length = stop - start
+    if between_samples:
+        assert length.min() >= alpha / 0.005 * (1 - 1e-12)
+        assert length.max() <= beta / 0.005 * (1 + 1e-12)
+    else:
+        assert np.issubdtype(start.dtype, np.integer)
+        assert length.min() == max(round(alpha / 0.005), 1)
+        assert length.max() == round(beta / 0.005)
+
+
+def test_on_samples_all_admissible_pairs_are_equally_likely():
+    sample_count, shortest, longest, count = 12, 2, 6, 200_000
+    start, stop = draw(RandomWindows(shortest, longest, count), sample_count, 1.0)
+    pairs = [
+        (t, t + k) for k in range(shortest, longest + 1) for t in range(sample_count) if t + k < 12
+    ]
+    drawn = {pair: 0 for pair in pairs}
+    for pair, times in zip(*np.unique(np.stack([start, stop], 1), axis=0, return_counts=True)):
+        drawn[tuple(pair)] += times  # a pair that is not admissible is a KeyError
+    assert scipy.stats.chisquare(list(drawn.values())).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("t_max", [0.6, 40.0])
+@pytest.mark.parametrize("of", ["start", "length", "end"])
+def test_between_samples_windows_follow_the_papers_rejection_sampler(of, t_max):
+    alpha, beta, count, step = 0.05, 0.5, 50_000, 0.005
+    windows = RandomWindows(alpha, beta, count, between_samples=True)
+    start, stop = draw(windows, round(t_max / step) + 1, step)
+    drawn = {"start": start * step, "length": (stop - start) * step, "end": stop * step}[of]
+    t0, T = rejection_sampler(count, alpha, beta, t_max, seed=1)
+    assert t0.size == count
+    rejected = {"start": t0, "length": T, "end": t0 + T}[of]
+    assert scipy.stats.ks_2samp(drawn, rejected).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("of", ["start", "length", "end"])
+def test_on_samples_windows_follow_the_rejection_sampler_to_within_rounding(of):
+    alpha, beta, t_max, step, count = 0.05, 0.5, 0.6, 0.0005, 20_000
+    start, stop = draw(RandomWindows(alpha, beta, count), round(t_max / step) + 1, step)
+    drawn = {"start": start * step, "length": (stop - start) * step, "end": stop * step}[of]
+    t0, T = rejection_sampler(count, alpha, beta, t_max, seed=1)
+    rejected = {"start": t0, "length": T, "end": t0 + T}[of]
+    assert scipy.stats.ks_2samp(drawn, rejected).pvalue > LEVEL
+
+
+def test_pairs_stay_equally_likely_on_ten_minutes_at_ten_kilohertz():
+    # 2.7e10 admissible pairs, more than 32-bit integers count.
+    sample_count, step = 6_000_000, 1e-4
+    start, stop = draw(RandomWindows(0.05, 0.5, 20_000), sample_count, step)
+    # beta is so short beside the record that length and start are uniform to 1e-3.
+    lengths = scipy.stats.uniform(500 - 0.5, 4501)
+    assert scipy.stats.kstest(stop - start, lengths.cdf).pvalue > LEVEL
+    assert scipy.stats.kstest(start, scipy.stats.uniform(0, sample_count).cdf).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("between_samples", [False, True])
+def test_the_same_key_draws_the_same_windows_and_another_key_others(between_samples):
+    windows = RandomWindows(0.05, 0.5, 100, between_samples=between_samples)
+    first, again, other = (draw(windows, 1000, 0.005, seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert (first[0] != other[0]).any()
+
+
+def test_lags_round_to_samples_and_stay_within_the_record():
+    def lags(alpha, beta, sample_count):
+        found = RandomWindows(alpha, beta, 1).lags(sample_count, jnp.asarray(0.01))
+        return tuple(int(lag) for lag in found)
+
+    assert lags(0.05, 0.5, 8000) == (5, 50)
+    assert lags(0.001, 0.5, 8000) == (1, 50)
+    assert lags(0.05, 0.5, 21) == (5, 20)
+
+
+def test_draws_vmap_over_keys_and_trace_alpha_and_beta():
+    keys = jax.random.split(jax.random.key(0), 3)
+
+    @jax.jit
+    def starts(alpha, beta):
+        windows = RandomWindows(alpha, beta, 10)
+        return jax.vmap(lambda key: windows.draw(key, 500, jnp.asarray(0.01)).start)(keys)
+
+    eager = RandomWindows(0.05, 0.5, 10)
+    expected = [eager.draw(key, 500, jnp.asarray(0.01)).start for key in keys]
+    np.testing.assert_array_equal(starts(0.05, 0.5), expected)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "beta"), [(0.5, 0.5), (0.6, 0.5), (0.0, 0.5), (-0.1, 0.5), (np.nan, 0.5)]
+)
+def test_lengths_out_of_order_are_refused(alpha, beta):
+    with pytest.raises(ModelError, match="0 < alpha < beta; got alpha = ") as caught:
+        RandomWindows(alpha, beta, 10)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_windows_are_refused():
+    with pytest.raises(ModelError, match="at least 1; got 0"):
+        RandomWindows(0.1, 0.5, 0)
+
+
+def test_a_record_shorter_than_the_longest_window_is_refused():
+    windows = RandomWindows(0.1, 0.5, 10)
+    windows.check(51, jnp.asarray(0.01))
+    with pytest.raises(DataError, match=r"beta = 0.5 s, is longer than the record, 0.49 s\. Choos"):
+        windows.check(50, jnp.asarray(0.01))
+
+
+def test_windows_shorter_than_one_sample_are_refused():
+    with pytest.raises(DataError, match=r"beta = 0.02 s, is shorter than one sample, 0.1 s\. Cho"):
+        RandomWindows(0.01, 0.02, 10).check(50, jnp.asarray(0.1))

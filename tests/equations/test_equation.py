@@ -1,0 +1,122 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import DOLS
+from riecjax.equations.bases import Polynomial, roof
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term, Terms
+from riecjax.errors import DataError, ModelError
+from riecjax.records.record import Record
+
+RNG = np.random.default_rng(1)
+SAMPLES = {name: RNG.normal(size=20) for name in ("x", "dx", "ddx", "y", "u")}
+RECORD = Record.from_samples(SAMPLES, time_step=0.1)
+
+
+def difference(signals):
+    return signals["x"] - signals["y"]
+
+
+def test_parameters_come_in_order_of_first_appearance_and_once():
+    equation = Equation(
+        Term("m", "ddx"), Terms("F", roof([-1.0, 1.0]), of="x"), Term("m", "dx"), Term(2.0, "u")
+    )
+    assert equation.parameters == ("m", "F_1", "F_2")
+
+
+def test_units_belong_to_coefficients():
+    equation = Equation(
+        Term("m", "x", unit="kg"), Terms("c", Polynomial((1, 3)), of="x", unit="N"), Term(1.0, "u")
+    )
+    assert equation.units == {"m": "kg", "c_1": "N", "c_3": "N"}
+
+
+def test_columns_are_signed_sums_and_known_terms_change_sides():
+    equation = Equation(
+        Term(3.0, "u"),
+        -Term("k", difference),
+        -Terms("c", Polynomial((1, 2)), of="y", sign=2.0),
+        Term("k", "dx"),
+        -Term(2.0, "x"),
+    )
+    rows = DOLS().rows(equation, RECORD)
+    s = SAMPLES
+    np.testing.assert_allclose(rows.target, -(3 * s["u"] - 2 * s["x"]), rtol=1e-14)
+    expected = np.stack([-(s["x"] - s["y"]) + s["dx"], -2 * s["y"], -2 * s["y"] ** 2], axis=1)
+    np.testing.assert_allclose(rows.regressors, expected, rtol=1e-12, atol=1e-14)
+    assert rows.parameters == ("k", "c_1", "c_2")
+
+
+def test_without_known_terms_the_target_is_zero():
+    rows = DOLS().rows(Equation(Term("a", "x"), Term("b", "y")), RECORD)
+    np.testing.assert_array_equal(rows.target, np.zeros(20))
+
+
+def test_twice_negated_is_the_same_term():
+    for term in (Term("a", "x"), Term(2.0, "x"), Terms("c", Polynomial((1,)), of="x")):
+        np.testing.assert_array_equal((-(-term)).samples(RECORD, 0), term.samples(RECORD, 0))
+        np.testing.assert_array_equal((-term).samples(RECORD, 0), -term.samples(RECORD, 0))
+
+
+@pytest.mark.parametrize(("derivative", "signal"), [(0, "x"), (1, "dx"), (2, "ddx")])
+def test_a_derivative_is_read_from_the_signal_that_measures_it(derivative, signal):
+    term = Term("m", "x", derivative=derivative, measured=("dx", "ddx"))
+    rows = DOLS().rows(Equation(term), RECORD)
+    np.testing.assert_array_equal(rows.regressors[:, 0], SAMPLES[signal])
+
+
+def test_has_target_only_with_a_term_without_a_name():
+    assert Equation(Term(1.0, "u"), Term("k", "x")).has_target
+    assert not Equation(Term("m", "ddx", known=3.0), Term("k", "x")).has_target
+
+
+def test_known_values_of_terms_are_collected():
+    equation = Equation(Term("m", "ddx", known=3.0), -Term("k", "x"))
+    assert {name: float(value) for name, value in equation.known.items()} == {"m": 3.0}
+    assert equation.parameters == ("m", "k")
+
+
+def test_an_equation_without_a_named_coefficient_is_refused():
+    with pytest.raises(ModelError, match="wheel: .*at least one named coefficient"):
+        Equation(Term(1.0, "u"), name="wheel")
+
+
+@pytest.mark.parametrize("derivative", [-1, 3])
+def test_other_derivatives_are_refused(derivative):
+    with pytest.raises(ModelError, match=f"0, 1 or 2; got {derivative}"):
+        Term("m", "x", derivative=derivative)
+
+
+def test_a_known_value_without_a_name_is_refused():
+    with pytest.raises(ModelError, match="named coefficient"):
+        Term(1.0, "x", known=2.0)
+
+
+@pytest.mark.parametrize(
+    ("term", "words"),
+    [
+        (Term("m", "x", derivative=1), ["first time derivative of x", "names no signal"]),
+        (
+            Term("m", difference, derivative=2, measured=("dx",)),
+            ["second time derivative of an expression", "integral criterion"],
+        ),
+        (
+            Term("m", "x", derivative=1, measured=("velocity",)),
+            ["'velocity'", "ddx", "--map velocity=COLUMN"],
+        ),
+        (Term("m", "absent"), ["no signal 'absent'", "--map absent=COLUMN"]),
+        (Term("m", lambda s: s["absent"]), ["no signal 'absent'"]),
+    ],
+)
+def test_a_missing_signal_is_explained_with_a_remedy(term, words):
+    with pytest.raises(DataError) as caught:
+        DOLS().rows(Equation(term), RECORD)
+    assert "\n" not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_numeric_coefficient_may_be_an_array():
+    term = Term(jnp.array(2.5), "x", sign=-2.0)
+    np.testing.assert_allclose(term.samples(RECORD, 0)[0], -5 * SAMPLES["x"])

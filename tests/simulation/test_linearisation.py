@@ -1,0 +1,136 @@
+"""Jacobians against matrices written by hand, and modes against closed forms."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.models.catalogue import built_in_model
+from riecjax.models.oscillators import DragOscillator
+from riecjax.models.quarter_car.curves import BumpStopSpring, HardeningMount, LinearDamper
+from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.models.two_mass import TwoMass
+from riecjax.simulation.linearisation import linearise, modes
+
+
+def oscillator(m=2.0, r=0.6, r2=0.5, k=50.0) -> DragOscillator:
+    return DragOscillator(*(jnp.asarray(value) for value in (m, r, r2, k)))
+
+
+def test_jacobians_at_rest_and_at_a_point_equal_those_by_hand():
+    at_rest, gain = linearise(oscillator())
+    np.testing.assert_allclose(at_rest, [[0.0, 1.0], [-25.0, -0.3]], rtol=1e-13)
+    np.testing.assert_allclose(gain, [[0.0], [0.5]], rtol=1e-13)
+    # d/dv (r2 v |v|) = 2 r2 |v|, here 3 at v = -3.
+    moving, _ = linearise(oscillator(), jnp.array([0.1, -3.0]), jnp.array([7.0]))
+    np.testing.assert_allclose(moving, [[0.0, 1.0], [-25.0, -(0.6 + 3.0) / 2]], rtol=1e-13)
+
+
+def source_matrix(
+    wheel, body, engine, tyre, compliance, mount_damping, damping, spring, mount
+) -> np.ndarray:
+    """Eq. (19), linear, by hand; states x1 ... x7."""
+    return np.array(
+        [
+            [0, 0, -1, 0, 0, 0, 0],
+            [0, 0, 1, -1, 0, 0, 0],
+            [tyre / wheel, -spring / wheel, 0, 0, 0, 0, -damping / wheel],
+            [
+                0,
+                spring / body,
+                0,
+                -mount_damping / body,
+                -mount / body,
+                mount_damping / body,
+                damping / body,
+            ],
+            [0, 0, 0, 1, 0, -1, 0],
+            [0, 0, 0, mount_damping / engine, mount / engine, -mount_damping / engine, 0],
+            [0, 0, compliance / damping, -compliance / damping, 0, 0, -compliance / damping],
+        ]
+    )
+
+
+def test_source_model_with_linear_curves_equals_the_matrix_by_hand():
+    values = (31.0, 210.0, 90.0, 170e3, 4e5, 3500.0)
+    source = QuarterCarSource(
+        *(jnp.asarray(value) for value in values),
+        damper=LinearDamper(jnp.asarray(1400.0)),
+        spring=BumpStopSpring(jnp.asarray(21e3), jnp.full(2, 0.1), jnp.full(2, 9e3)),
+        mount=HardeningMount(jnp.asarray(3e5), jnp.asarray(1e9)),
+    )
+    found, gain = linearise(source)
+    np.testing.assert_allclose(found, source_matrix(*values, 1400.0, 21e3, 3e5), rtol=1e-12)
+    np.testing.assert_allclose(gain[:, 0], np.eye(7)[0], atol=0)
+
+
+def test_reconstructed_source_model_at_rest_equals_the_matrix_of_its_curves_slopes():
+    source = built_in_model("quarter-car-source").build_system({})
+    zero, h = jnp.zeros(()), 1e-7
+
+    def slope(curve) -> float:
+        return float((curve(zero + h) - curve(zero - h)) / (2 * h))
+
+    # By differences: a derivative that is lost at rest in the code is not lost here.
+    expected = source_matrix(
+        *(
+            float(value)
+            for value in (
+                source.wheel_mass,
+                source.body_mass,
+                source.engine_mass,
+                source.tyre_stiffness,
+                source.damper_compliance,
+                source.mount_damping,
+            )
+        ),
+        slope(source.damper),
+        slope(source.spring),
+        slope(source.mount),
+    )
+    np.testing.assert_allclose(linearise(source)[0], expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("omega", "zeta"), [(5.0, 0.0), (8.0, 0.05), (3.0, 0.7)])
+def test_an_oscillators_mode_has_its_closed_form(omega, zeta):
+    m = 2.0
+    system = oscillator(m, 2 * zeta * omega * m, 0.0, omega**2 * m)
+    (mode,) = modes(linearise(system)[0])
+    assert mode.frequency is not None
+    assert mode.damping_ratio is not None
+    np.testing.assert_allclose(mode.frequency, omega / (2 * np.pi), rtol=1e-12)
+    np.testing.assert_allclose(mode.damping_ratio, zeta, atol=1e-12)
+    exact = complex(-zeta * omega, omega * np.sqrt(1 - zeta**2))
+    np.testing.assert_allclose(mode.eigenvalue, exact, rtol=1e-12, atol=1e-12)
+    # Velocity is the eigenvalue times displacement.
+    np.testing.assert_allclose(mode.shape[1], exact * mode.shape[0], rtol=1e-10)
+    np.testing.assert_allclose(np.linalg.norm(mode.shape), 1.0, rtol=1e-12)
+
+
+def test_an_overdamped_oscillator_has_two_real_modes_fastest_first():
+    omega, zeta = 5.0, 2.0
+    found = modes(linearise(oscillator(1.0, 2 * zeta * omega, 0.0, omega**2))[0])
+    roots = -omega * (zeta + np.array([1, -1]) * np.sqrt(zeta**2 - 1))
+    np.testing.assert_allclose([mode.eigenvalue for mode in found], roots, rtol=1e-12)
+    assert all(mode.frequency is None and mode.damping_ratio is None for mode in found)
+
+
+def test_rigid_modes_are_left_out_and_one_of_a_conjugate_pair_is_kept():
+    values = (10.0, 1.0, 100.0, 0.5)
+    matrix = linearise(TwoMass(*(jnp.asarray(value) for value in values)))[0]
+    (mode,) = modes(matrix)
+    # The free relative motion is d'' + 2 zeta omega d' + omega^2 d = 0.
+    np.testing.assert_allclose(mode.frequency, 100 / (2 * np.pi), rtol=1e-9)
+    np.testing.assert_allclose(mode.damping_ratio, 0.5, rtol=1e-9)
+
+
+def test_every_mode_is_an_eigenpair_and_they_are_sorted_by_decay():
+    matrix = np.asarray(linearise(built_in_model("quarter-car-source").build_system({}))[0])
+    found = modes(jnp.asarray(matrix))
+    assert sum(1 if mode.frequency is None else 2 for mode in found) == 7
+    decay = [mode.eigenvalue.real for mode in found]
+    assert decay == sorted(decay)
+    for mode in found:
+        np.testing.assert_allclose(
+            matrix @ mode.shape, mode.eigenvalue * mode.shape, atol=1e-9 * np.abs(matrix).max()
+        )
+        assert mode.eigenvalue.imag >= 0

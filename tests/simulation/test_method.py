@@ -1,0 +1,302 @@
+"""Steppers against exact solutions, SciPy and each other; lost solutions."""
+
+from typing import ClassVar
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+from jaxtyping import Array, Float
+from scipy.integrate import solve_ivp
+
+from riecjax.errors import ModelError
+from riecjax.simulation.method import (
+    CLASSICAL_RUNGE_KUTTA,
+    AbstractMethod,
+    Adaptive,
+    FixedStep,
+    SimulationStatus,
+)
+from riecjax.simulation.system import AbstractSystem
+
+
+class Linear(AbstractSystem):
+    """x' = A x + B u, two states and two inputs."""
+
+    A: Float[Array, "2 2"]
+    B: Float[Array, "2 2"]
+
+    states: ClassVar = (("a", ""), ("b", ""))
+    inputs: ClassVar = (("u", ""), ("w", ""))
+
+    def derivative(self, state, inputs):
+        return self.A @ state + self.B @ inputs
+
+
+class Swing(AbstractSystem):
+    """Smooth and non-linear in the state and in the input."""
+
+    damping: Float[Array, ""]
+
+    states: ClassVar = (("angle", "rad"), ("rate", "rad/s"))
+    inputs: ClassVar = (("torque", ""),)
+
+    def derivative(self, state, inputs):
+        angle, rate = state[0], state[1]
+        torque = inputs[0] * jnp.cos(angle) + 0.3 * inputs[0] ** 2
+        return jnp.stack([rate, -4 * jnp.sin(angle) - self.damping * rate + torque])
+
+
+class Power(AbstractSystem):
+    """x' = gain x^exponent + u."""
+
+    gain: Float[Array, ""]
+    exponent: int
+
+    states: ClassVar = (("x", ""),)
+    inputs: ClassVar = (("u", ""),)
+
+    def derivative(self, state, inputs):
+        return self.gain * state**self.exponent + inputs
+
+
+OSCILLATOR = Linear(
+    jnp.array([[0.0, 1.0], [-9.0, -0.8]]), jnp.array([[0.0, 0.2], [1.0, -0.5]])
+)
+SWING = Swing(jnp.array(0.3))
+
+
+def sampled(count: int, width: int) -> np.ndarray:
+    return np.random.default_rng(5).normal(size=(count, width))
+
+
+def exact_first_order_hold(system: Linear, inputs, time_step, first) -> np.ndarray:
+    """Matrix exponential of (state, input, slope of the input), which is linear and autonomous."""
+    matrix = np.zeros((6, 6))
+    matrix[:2, :2], matrix[:2, 2:4], matrix[2:4, 4:] = system.A, system.B, np.eye(2)
+    transition = scipy.linalg.expm(matrix * time_step)
+    states = [np.asarray(first)]
+    for low, high in zip(inputs, inputs[1:]):
+        extended = np.concatenate([states[-1], low, (high - low) / time_step])
+        states.append((transition @ extended)[:2])
+    return np.array(states)
+
+
+def scipy_swing(inputs, time_step, first, damping=0.3) -> np.ndarray:
+    """DOP853 started anew at each sample, where the input has a kink."""
+    states = [np.asarray(first, float)]
+    for low, high in zip(inputs[:, 0], inputs[1:, 0]):
+
+        def rate(t, x, low=low, high=high):
+            u = low + (high - low) * t / time_step
+            return [x[1], -4 * np.sin(x[0]) - damping * x[1] + u * np.cos(x[0]) + 0.3 * u**2]
+
+        solution = solve_ivp(
+            rate, (0, time_step), states[-1], method="DOP853", rtol=1e-12, atol=1e-14
+        )
+        states.append(solution.y[:, -1])
+    return np.array(states)
+
+
+def run(method: AbstractMethod, system, inputs, time_step, first):
+    return method.trajectory(system, jnp.asarray(inputs), jnp.asarray(time_step), first)
+
+
+TABLEAUS = [
+    pytest.param(CLASSICAL_RUNGE_KUTTA, 4, id="classical"),
+    pytest.param(diffrax.Tsit5.tableau, 5, id="tsit5"),
+    pytest.param(diffrax.Bosh3.tableau, 3, id="bosh3"),
+    pytest.param(diffrax.Heun.tableau, 2, id="heun"),
+]
+
+
+def observed_orders(errors: list[float]) -> np.ndarray:
+    return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+
+
+@pytest.mark.parametrize(("tableau", "order"), TABLEAUS)
+def test_fixed_steps_converge_at_the_tableaus_order_to_the_matrix_exponential(tableau, order):
+    inputs, first = sampled(30, 2), jnp.array([0.5, -1.0])
+    exact = exact_first_order_hold(OSCILLATOR, inputs, 0.2, first)
+    errors = [
+        np.abs(run(FixedStep(k, tableau), OSCILLATOR, inputs, 0.2, first)[0] - exact).max()
+        for k in (4, 8, 16)
+    ]
+    np.testing.assert_allclose(observed_orders(errors), order, atol=0.3)
+
+
+@pytest.mark.parametrize(("tableau", "order"), TABLEAUS)
+def test_fixed_steps_reach_the_tableaus_order_on_a_non_linear_system_against_scipy(tableau, order):
+    inputs, first = 2 * sampled(20, 1), jnp.array([1.0, 0.0])
+    exact = scipy_swing(inputs, 0.2, first)
+    errors = [
+        np.abs(run(FixedStep(k, tableau), SWING, inputs, 0.2, first)[0] - exact).max()
+        for k in (2, 4, 8)
+    ]
+    # From below only: Tsit5's leading error term is so small that sixth order shows first.
+    assert np.all(observed_orders(errors) > order - 0.5)
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_an_integrator_of_the_input_is_the_trapezoidal_rule_exactly(steps):
+    inputs = sampled(50, 1)
+    states, status, _ = run(
+        FixedStep(steps), Power(jnp.array(0.0), 1), inputs, 0.1, jnp.array([2.0])
+    )
+    areas = 0.05 * (inputs[1:, 0] + inputs[:-1, 0])
+    expected = 2.0 + np.concatenate([[0.0], np.cumsum(areas)])
+    np.testing.assert_allclose(states[:, 0], expected, rtol=1e-13, atol=1e-13)
+    assert bool(status == SimulationStatus.successful)
+
+
+@pytest.mark.parametrize("steps", [0, -2])
+def test_fewer_than_one_step_per_sample_is_refused(steps):
+    with pytest.raises(ModelError, match="at least 1"):
+        FixedStep(steps)
+
+
+def test_adaptive_fixed_and_scipy_solutions_agree():
+    inputs, first = 2 * sampled(40, 1), jnp.array([1.0, 0.0])
+    exact = scipy_swing(inputs, 0.1, first)
+    adaptive, status, reached = run(Adaptive(1e-10, 1e-12), SWING, inputs, 0.1, first)
+    fixed = run(FixedStep(64), SWING, inputs, 0.1, first)[0]
+    # Local errors of 1e-10 add up over some hundreds of steps.
+    np.testing.assert_allclose(adaptive, exact, atol=1e-7)
+    np.testing.assert_allclose(fixed, exact, atol=1e-9)
+    assert bool(status == SimulationStatus.successful)
+    assert int(reached) == 40
+
+
+def test_a_tighter_tolerance_makes_the_adaptive_solution_better():
+    inputs, first = 2 * sampled(40, 1), jnp.array([1.0, 0.0])
+    exact = scipy_swing(inputs, 0.1, first)
+    errors = [
+        np.abs(run(Adaptive(rtol, rtol), SWING, inputs, 0.1, first)[0] - exact).max()
+        for rtol in (1e-4, 1e-8)
+    ]
+    assert errors[1] < 0.01 * errors[0]
+
+
+def test_an_implicit_solver_takes_a_stiff_system_with_few_steps():
+    stiff = Linear(jnp.array([[-1e6, 1.0], [0.0, -1.0]]), jnp.array([[1e6, 0.0], [0.0, 1.0]]))
+    inputs, first = sampled(20, 2), jnp.array([0.0, 0.0])
+    exact = exact_first_order_hold(stiff, inputs, 0.1, first)
+    method = Adaptive(1e-6, 1e-8, solver=diffrax.Kvaerno5(), max_steps=5000)
+    states, status, _ = run(method, stiff, inputs, 0.1, first)
+    assert bool(status == SimulationStatus.successful)
+    # The fast state follows the input's kinks: only steps that end on them keep the tolerance.
+    np.testing.assert_allclose(states, exact, atol=1e-4)
+    # An explicit method of a thousand times as many steps cannot: that the case is stiff is checked.
+    assert bool(run(FixedStep(50), stiff, inputs, 0.1, first)[1] == SimulationStatus.diverged)
+
+
+def test_used_up_steps_are_a_status_and_leave_finite_states():
+    inputs, first = 2 * sampled(40, 1), jnp.array([1.0, 0.0])
+    full = run(Adaptive(1e-8, 1e-10), SWING, inputs, 0.1, first)[0]
+    states, status, reached = run(
+        Adaptive(1e-8, 1e-10, max_steps=30), SWING, inputs, 0.1, first
+    )
+    assert bool(status == SimulationStatus.max_steps_reached)
+    count = int(reached)
+    assert 1 < count < 40
+    np.testing.assert_allclose(states[:count], full[:count], atol=1e-12)
+    np.testing.assert_array_equal(states[count:], np.tile(states[count - 1], (40 - count, 1)))
+
+
+# x' = x^3 from this start is x0 / sqrt(1 - 2 x0^2 t), infinite at 0.55 s.
+START = jnp.array([1 / np.sqrt(1.1)])
+
+
+def test_a_blow_up_in_finite_time_is_noticed_at_the_first_sample_after_it():
+    states, status, reached = run(
+        FixedStep(8), Power(jnp.array(1.0), 3), np.zeros((20, 1)), 0.1, START
+    )
+    assert bool(status == SimulationStatus.diverged)
+    assert int(reached) == 6  # samples at 0.0, 0.1, ... 0.5 s
+    time = 0.1 * np.arange(6)
+    exact = START / np.sqrt(1 - time / 0.55)
+    np.testing.assert_allclose(states[:6, 0], exact, rtol=1e-3)
+    np.testing.assert_array_equal(states[6:, 0], np.full(14, states[5, 0]))
+
+
+def test_growth_until_overflow_ends_where_the_methods_own_amplification_says():
+    z = 5.0
+    amplification = 1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24
+    whole_samples = int(np.log(np.finfo(float).max) / (8 * np.log(amplification)))
+    states, status, reached = run(
+        FixedStep(8), Power(jnp.array(1.0), 1), np.zeros((50, 1)), 8 * z, jnp.array([1.0])
+    )
+    assert bool(status == SimulationStatus.diverged)
+    assert int(reached) == whole_samples + 1
+    assert bool(jnp.all(jnp.isfinite(states)))
+    np.testing.assert_allclose(
+        np.log(states[: whole_samples + 1, 0]),
+        8 * np.log(amplification) * np.arange(whole_samples + 1),
+        rtol=1e-12,
+        atol=1e-12,
+    )
+
+
+def test_an_adaptive_blow_up_is_not_successful_and_stays_finite():
+    method = Adaptive(1e-6, 1e-9, max_steps=2000)
+    states, status, reached = run(method, Power(jnp.array(1.0), 3), np.zeros((20, 1)), 0.1, START)
+    assert not bool(status == SimulationStatus.successful)
+    assert int(reached) == 6
+    assert bool(jnp.all(jnp.isfinite(states)))
+
+
+GAINS = jnp.array([-1.0, 1.0, 0.05])
+
+
+def final_state(gain, method=None):
+    zero = jnp.zeros((20, 1))
+    method = FixedStep(8) if method is None else method
+    return method.trajectory(Power(gain, 3), zero, jnp.array(0.1), START)
+
+
+@pytest.mark.parametrize(
+    "method", [FixedStep(8), Adaptive(1e-8, 1e-10, max_steps=2000)], ids=["fixed", "adaptive"]
+)
+def test_a_lost_lane_of_a_batch_leaves_the_others_alone(method):
+    states, status, reached = jax.vmap(lambda gain: final_state(gain, method))(GAINS)
+    np.testing.assert_array_equal(status == SimulationStatus.successful, [True, False, True])
+    np.testing.assert_array_equal(reached, [20, 6, 20])
+    time = 0.1 * np.arange(20)
+    for lane in (0, 2):
+        gain = float(GAINS[lane])
+        exact = START / np.sqrt(1 - 2 * gain * float(START[0]) ** 2 * time)
+        np.testing.assert_allclose(states[lane, :, 0], exact, rtol=1e-5)
+
+
+def test_tangents_through_a_lost_lane_are_finite_and_those_of_the_others_exact():
+    _, tangents = jax.jvp(
+        lambda gains: jax.vmap(final_state)(gains)[0][:, -1, 0], (GAINS,), (jnp.ones(3),)
+    )
+    assert bool(jnp.all(jnp.isfinite(tangents)))
+    square, time = float(START[0]) ** 2, 1.9
+    for lane in (0, 2):
+        shrink = 1 - 2 * float(GAINS[lane]) * square * time
+        exact = float(START[0]) * square * time * shrink**-1.5
+        np.testing.assert_allclose(tangents[lane], exact, rtol=1e-4)
+
+
+def test_gradients_of_the_kept_lanes_of_a_batch_survive_a_lost_one():
+    gradient = jax.grad(lambda gains: jnp.sum(jax.vmap(final_state)(gains)[0][:, -1, 0]))(GAINS)
+    _, tangents = jax.jvp(
+        lambda gains: jax.vmap(final_state)(gains)[0][:, -1, 0], (GAINS,), (jnp.ones(3),)
+    )
+    np.testing.assert_allclose(gradient[jnp.array([0, 2])], tangents[jnp.array([0, 2])], rtol=1e-9)
+
+
+def test_adaptive_tangents_match_finite_differences():
+    inputs, first = jnp.asarray(2 * sampled(20, 1)), jnp.array([1.0, 0.0])
+
+    def last_angle(damping):
+        method = Adaptive(1e-10, 1e-12)
+        return method.trajectory(Swing(damping), inputs, jnp.array(0.1), first)[0][-1, 0]
+
+    _, tangent = jax.jvp(last_angle, (jnp.array(0.3),), (jnp.array(1.0),))
+    ahead, behind = (scipy_swing(np.asarray(inputs), 0.1, first, c)[-1, 0] for c in (0.301, 0.299))
+    np.testing.assert_allclose(tangent, (ahead - behind) / 0.002, rtol=1e-4)

@@ -1,0 +1,298 @@
+"""What simulate() promises: its stated accuracy, its signals, its status and its derivatives."""
+
+from typing import ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array, Float
+from scipy.integrate import solve_ivp
+
+from riecjax.errors import DataError, ModelError, SimulationError
+from riecjax.models.oscillators import Duffing
+from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.method import Adaptive, FixedStep
+from riecjax.simulation.simulate import simulate
+from riecjax.simulation.system import AbstractSystem
+
+STEP = 0.005
+STATES = ("x1", "x2", "x3", "x4", "x5", "x6", "x7")
+STATED_ACCURACY = 2e-4
+"""Of the default method on the source model, from the docstring of simulate()."""
+
+
+def source():
+    return quarter_car_source(reconstructed())
+
+
+def road(seed: int, count: int = 8000, step: float = STEP) -> Record:
+    key = jax.random.key(seed)
+    return Record({"v_r": band_limited_noise(key, count, step, bandwidth=30.0, rms=0.55)}, step)
+
+
+def duffing(k3: float | Array = 2000.0) -> Duffing:
+    values = (1.0, 0.5, 100.0, 30.0, k3)
+    return Duffing(*(jnp.asarray(value) for value in values))
+
+
+def force(seed: int, count: int = 200) -> Record:
+    noise = band_limited_noise(jax.random.key(seed), count, 0.02, bandwidth=5.0, rms=10.0)
+    return Record({"u": noise}, 0.02, start_time=3.0, units={"u": "N"})
+
+
+@pytest.fixture(scope="module")
+def scipy_states() -> np.ndarray:
+    """DOP853 at 1e-10 over the first 4 s of a road, started anew at each kink of the input."""
+    system = source()
+    rate = jax.jit(lambda state, level: system.derivative(state, level))
+    velocity = np.asarray(road(0)["v_r"])[:800]
+    states = [np.zeros(7)]
+    for low, high in zip(velocity, velocity[1:]):
+
+        def right_hand_side(t, x, low=low, high=high):
+            return np.asarray(rate(x, np.array([low + (high - low) * t / STEP])))
+
+        solution = solve_ivp(
+            right_hand_side, (0, STEP), states[-1], method="DOP853", rtol=1e-10, atol=1e-13
+        )
+        states.append(solution.y[:, -1])
+    return np.array(states)
+
+
+@pytest.fixture(scope="module")
+def default_and_adaptive() -> tuple[Record, Record]:
+    """The same 40 s by the default method and by the adaptive one at 1e-10."""
+    return (
+        simulate(source(), road(0)).checked().record,
+        simulate(source(), road(0), method=Adaptive(1e-10, 1e-13)).checked().record,
+    )
+
+
+def relative_error(found, truth) -> float:
+    return float(np.max(np.abs(np.asarray(found) - truth)) / np.max(np.abs(truth)))
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_default_accuracy_is_as_stated_against_scipy(state, scipy_states, default_and_adaptive):
+    # Largest value of the whole road, as stated: 4 s have not seen it yet.
+    largest = np.max(np.abs(default_and_adaptive[1][state]))
+    truth = scipy_states[:, STATES.index(state)]
+    error = np.max(np.abs(np.asarray(default_and_adaptive[0][state])[:800] - truth)) / largest
+    assert error < STATED_ACCURACY
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_default_accuracy_is_as_stated_over_forty_seconds(state, default_and_adaptive):
+    default, adaptive = default_and_adaptive
+    assert relative_error(default[state], np.asarray(adaptive[state])) < STATED_ACCURACY
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_adaptive_source_model_agrees_with_scipy(state, scipy_states, default_and_adaptive):
+    # Local errors of 1e-10 over some 20 steps a sample and 800 samples add up to about 1e-7.
+    truth = scipy_states[:, STATES.index(state)]
+    assert relative_error(default_and_adaptive[1][state][:800], truth) < 1e-6
+
+
+def test_more_steps_per_sample_make_every_state_better(scipy_states):
+    errors = np.array(
+        [
+            [relative_error(kept[s], scipy_states[:, i]) for i, s in enumerate(STATES)]
+            for steps in (4, 16)
+            for kept in [simulate(source(), road(0).part(0, 800), method=FixedStep(steps)).record]
+        ]
+    )
+    assert np.all(errors[1] < 0.25 * errors[0])
+
+
+def test_record_holds_inputs_states_derivatives_and_outputs_at_the_samples():
+    system, inputs = source(), road(1, 400)
+    record = simulate(system, inputs).record
+    names = [f"x{i}" for i in range(1, 8)]
+    assert set(record.arrays) == {"v_r", "F_t", *names, *(f"d{n}" for n in names)}
+    np.testing.assert_array_equal(record["v_r"], inputs["v_r"])
+    for sample in range(0, 400, 37):
+        state = jnp.stack([record[name][sample] for name in names])
+        level = inputs["v_r"][sample][None]
+        rates = np.array([record[f"d{name}"][sample] for name in names])
+        np.testing.assert_allclose(rates, system.derivative(state, level), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            record["F_t"][sample], system.output(state, level)["F_t"], rtol=1e-12
+        )
+
+
+def test_recorded_derivatives_are_the_slopes_of_the_recorded_states():
+    # Of a smooth system, by fourth-order central differences inside each state's own smoothness.
+    fine = 0.001
+    u = np.sin(np.arange(3000) * fine * 7)
+    record = simulate(duffing(), Record({"u": u}, fine), initial_state={"y": 0.05}).record
+    for name in ("y", "dy"):
+        x = np.asarray(record[name])
+        slope = (x[:-4] - 8 * x[1:-3] + 8 * x[3:-1] - x[4:]) / (12 * fine)
+        np.testing.assert_allclose(slope, record[f"d{name}"][2:-2], atol=2e-5)
+
+
+def test_units_times_and_initial_state_are_kept():
+    start = {"y": 0.2, "dy": jnp.array(-1.0)}
+    record = simulate(duffing(), force(0), initial_state=start).record
+    assert dict(record.units) == {"u": "N", "y": "m", "dy": "m/s"}
+    assert float(record.start_time) == 3.0
+    assert float(record.time_step) == 0.02
+    assert (float(record["y"][0]), float(record["dy"][0])) == (0.2, -1.0)
+
+
+def test_states_not_named_start_at_zero():
+    record = simulate(duffing(), force(0), initial_state={"dy": 0.5}).record
+    assert (float(record["y"][0]), float(record["dy"][0])) == (0.0, 0.5)
+
+
+def test_an_unknown_initial_state_is_named_with_those_that_exist():
+    with pytest.raises(ModelError, match="unknown state 'x'; the states are: y, dy"):
+        simulate(duffing(), force(0), initial_state={"x": 1.0})
+
+
+def test_a_missing_input_is_a_data_error_that_names_it():
+    with pytest.raises(DataError, match="no signal 'u'"):
+        simulate(duffing(), Record({"f": np.zeros(10)}, 0.01))
+
+
+class Cubic(AbstractSystem):
+    """x' = gain x^3; from 1 it is infinite after 1 / (2 gain) s."""
+
+    gain: Float[Array, ""]
+
+    states: ClassVar = (("x", ""),)
+    inputs: ClassVar = (("u", ""),)
+
+    def derivative(self, state, inputs):
+        return self.gain * state**3 + inputs
+
+
+def cubic(gain, method=None):
+    inputs = Record({"u": np.zeros(30)}, 0.1)
+    return simulate(Cubic(gain), inputs, initial_state={"x": 1.0}, method=method)
+
+
+def assert_says_when_and_what_to_do(message: str):
+    assert "\n" not in message
+    assert "after 0.5 s" in message
+    assert "steps" in message
+    assert message.endswith(".")
+
+
+@pytest.mark.parametrize(
+    "method", [None, Adaptive(1e-6, 1e-9, max_steps=2000)], ids=["fixed", "adaptive"]
+)
+def test_checked_raises_one_line_that_says_when_and_what_to_do(method):
+    lost = cubic(jnp.array(1 / 1.1), method)
+    assert not bool(lost.successful)
+    with pytest.raises(SimulationError) as raised:
+        lost.checked()
+    assert_says_when_and_what_to_do(str(raised.value))
+
+
+def test_checked_on_a_batch_with_one_lost_lane_raises_the_same_one_line():
+    lost = jax.vmap(cubic)(jnp.array([-1.0, 1 / 1.1, 0.1]))
+    np.testing.assert_array_equal(lost.successful, [True, False, True])
+    with pytest.raises(SimulationError) as raised:
+        lost.checked()
+    assert_says_when_and_what_to_do(str(raised.value))
+
+
+def test_checked_hands_back_a_simulation_that_kept_its_solution():
+    kept = cubic(jnp.array(-1.0))
+    assert kept.checked() is kept
+
+
+def test_vmap_over_seeds_equals_one_by_one():
+    def one(key):
+        noise = band_limited_noise(key, 300, STEP, bandwidth=30.0, rms=0.55)
+        return simulate(source(), Record({"v_r": noise}, STEP)).record.arrays
+
+    keys = jax.random.split(jax.random.key(3), 3)
+    together = jax.vmap(one)(keys)
+    for i in range(3):
+        alone = one(keys[i])
+        for name, samples in alone.items():
+            # The same operations, fused differently: rounding, grown along the trajectory.
+            scale = float(jnp.max(jnp.abs(samples)))
+            np.testing.assert_allclose(together[name][i], samples, atol=1e-10 * scale)
+
+
+@pytest.mark.parametrize("differentiate", [jax.grad, jax.jacfwd], ids=["reverse", "forward"])
+def test_derivative_by_a_parameter_equals_finite_differences(differentiate):
+    def energy(k3):
+        return jnp.sum(simulate(duffing(k3), force(1)).record["y"] ** 2)
+
+    h = 1e-2
+    slope = (energy(2000.0 + h) - energy(2000.0 - h)) / (2 * h)
+    np.testing.assert_allclose(differentiate(energy)(2000.0), slope, rtol=1e-6)
+
+
+def test_derivative_by_the_initial_state_and_the_input_equals_finite_differences():
+    def final(y0, gain):
+        inputs = force(1)
+        scaled = inputs.with_signals({"u": gain * inputs["u"]})
+        return simulate(duffing(), scaled, initial_state={"y": y0}).record["y"][-1]
+
+    found = jax.grad(final, argnums=(0, 1))(0.1, 1.0)
+    h = 1e-6
+    expected = [
+        (final(0.1 + h, 1.0) - final(0.1 - h, 1.0)) / (2 * h),
+        (final(0.1, 1.0 + h) - final(0.1, 1.0 - h)) / (2 * h),
+    ]
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-8)
+
+
+class Counting(AbstractSystem):
+    """A decay that counts how often Python runs its right-hand side, that is, how often it traces."""
+
+    rate: Float[Array, ""]
+
+    states: ClassVar = (("x", ""),)
+    inputs: ClassVar = (("u", ""),)
+    calls: ClassVar[list[int]] = []
+
+    def derivative(self, state, inputs):
+        self.calls.append(1)
+        return inputs - self.rate * state
+
+
+@pytest.mark.parametrize(
+    "make_method",
+    [
+        lambda: None,
+        lambda: FixedStep(3),
+        lambda: FixedStep(2, diffrax.Tsit5.tableau),
+        lambda: Adaptive(1e-5, 1e-7),
+    ],
+    ids=["default", "fixed", "tsit5", "adaptive"],
+)
+def test_new_values_of_the_same_shape_do_not_compile_anew(make_method):
+    def once(rate, seed, step, start):
+        u = np.random.default_rng(seed).normal(size=40)
+        return simulate(
+            Counting(jnp.asarray(rate)),
+            Record({"u": u}, step),
+            method=make_method(),
+            initial_state={"x": start},
+        )
+
+    once(1.0, 0, 0.1, 0.0)
+    traced = len(Counting.calls)
+    assert traced > 0
+    once(2.0, 1, 0.1, 0.0)
+    once(3.0, 2, 0.05, 0.5)
+    assert len(Counting.calls) == traced
+
+
+def test_simulation_is_a_pytree_that_crosses_jit():
+    compiled = eqx.filter_jit(lambda k3: simulate(duffing(k3), force(2)))(jnp.array(2000.0))
+    eager = simulate(duffing(), force(2))
+    np.testing.assert_allclose(compiled.record["y"], eager.record["y"], rtol=1e-9, atol=1e-12)
+    assert bool(compiled.successful)
