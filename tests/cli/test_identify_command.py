@@ -252,7 +252,9 @@ def test_other_files_of_the_same_recording_give_the_same(from_file, capsys, tmp_
 def test_map_and_scale(from_file, capsys, drive_file, tmp_path):
     text = drive_file.read_text()
     header, rest = text.split("\n", 1)
-    (tmp_path / "logged.csv").write_text(header.replace("F_t", "load").replace("t,", "s,", 1) + "\n" + rest)
+    (tmp_path / "logged.csv").write_text(
+        header.replace("F_t", "load").replace("t,", "s,", 1) + "\n" + rest
+    )
     options = ("--map", "F_t=load", "--map", "t=s", "--scale", "load=0.5")
     arguments = ("identify", tmp_path / "logged.csv", "--model", "quarter-car", *options, "--json")
     halved = values(call(capsys, *arguments).document)

@@ -107,8 +107,15 @@ def test_pothole_ends_level(capsys, tmp_path):
 
 @pytest.mark.parametrize(
     ("option", "column"),
-    [("K_t=150e3", "F_t"), ("M_w=40", "x3"), ("M_b=250", "x4"), ("M_e=50", "x4"),
-     ("K_c=300e3", "x4"), ("K_m=200e3", "x4"), ("B_m=1000", "x4")],
+    [
+        ("K_t=150e3", "F_t"),
+        ("M_w=40", "x3"),
+        ("M_b=250", "x4"),
+        ("M_e=50", "x4"),
+        ("K_c=300e3", "x4"),
+        ("K_m=200e3", "x4"),
+        ("B_m=1000", "x4"),
+    ],
 )
 def test_every_parameter_of_the_source_matters(capsys, tmp_path, option, column):
     for name, options in (("a", ()), ("b", ("--set", option))):

@@ -62,9 +62,7 @@ class Power(AbstractSystem):
         return self.gain * state**self.exponent + inputs
 
 
-OSCILLATOR = Linear(
-    jnp.array([[0.0, 1.0], [-9.0, -0.8]]), jnp.array([[0.0, 0.2], [1.0, -0.5]])
-)
+OSCILLATOR = Linear(jnp.array([[0.0, 1.0], [-9.0, -0.8]]), jnp.array([[0.0, 0.2], [1.0, -0.5]]))
 SWING = Swing(jnp.array(0.3))
 
 
@@ -195,9 +193,7 @@ def test_an_implicit_solver_takes_a_stiff_system_with_few_steps():
 def test_used_up_steps_are_a_status_and_leave_finite_states():
     inputs, first = 2 * sampled(40, 1), jnp.array([1.0, 0.0])
     full = run(Adaptive(1e-8, 1e-10), SWING, inputs, 0.1, first)[0]
-    states, status, reached = run(
-        Adaptive(1e-8, 1e-10, max_steps=30), SWING, inputs, 0.1, first
-    )
+    states, status, reached = run(Adaptive(1e-8, 1e-10, max_steps=30), SWING, inputs, 0.1, first)
     assert bool(status == SimulationStatus.max_steps_reached)
     count = int(reached)
     assert 1 < count < 40

@@ -22,17 +22,19 @@ class Equation(eqx.Module):
     )
     ```
 
-    **Arguments:** the terms; `name` for messages and tables.
+    **Arguments:** the terms; `name` for messages and tables; `unit` of the terms, for figures.
 
     **Raises:** `ModelError` if there is no unknown coefficient.
     """
 
     terms: tuple[AbstractTerm, ...]
     name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
 
-    def __init__(self, *terms: AbstractTerm, name: str = "equation"):
+    def __init__(self, *terms: AbstractTerm, name: str = "equation", unit: str = ""):
         self.terms = terms
         self.name = name
+        self.unit = unit
         if not self.parameters:
             raise ModelError(f"{name}: an equation needs at least one named coefficient.")
 

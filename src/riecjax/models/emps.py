@@ -53,6 +53,7 @@ def emps_equation() -> Equation:
         Term("offset", _one, unit="N"),
         -Term(1.0, "force"),
         name="emps",
+        unit="N",
     )
 
 
@@ -66,6 +67,7 @@ def emps_asymmetric_equation() -> Equation:
         Term("Fc_neg", _backward, unit="N"),
         -Term(1.0, "force"),
         name="emps-asymmetric",
+        unit="N",
     )
 
 

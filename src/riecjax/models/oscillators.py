@@ -38,6 +38,7 @@ def duffing_equation() -> Equation:
         Term("k3", _cube, unit="N/m^3"),
         -Term(1.0, "u"),
         name="duffing",
+        unit="N",
     )
 
 
@@ -50,6 +51,7 @@ def drag_oscillator_equation() -> Equation:
         Term("k", "x", unit="N/m"),
         -Term(1.0, "u"),
         name="drag-oscillator",
+        unit="N",
     )
 
 
@@ -60,6 +62,7 @@ def pendulum_equation() -> Equation:
         -Term("p1", _sine, unit="1/s^2"),
         Term("p2", "theta", derivative=1, measured=("dtheta",), unit="1/s"),
         name="pendulum",
+        unit="rad/s^2",
     )
 
 

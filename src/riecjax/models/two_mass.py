@@ -17,6 +17,7 @@ def two_mass_equation() -> Equation:
         Term("M", "z", derivative=2, measured=("dz", "ddz"), unit="kg"),
         -Term(1.0, "F", unit="N"),
         name="two-mass",
+        unit="N",
     )
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Key
 from rich.console import Console
 from rich.table import Table
 
-from riecjax.criteria.criterion import Rows
+from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.procedure import Procedure
 from riecjax.records.record import Record
@@ -121,8 +121,8 @@ def identification_figures(
     figure, axes = plt.subplots(
         2, len(stages), figsize=(3.6 * len(stages) + 0.8, 6.4), squeeze=False, layout="constrained"
     )
-    unit = "N s" if estimate.criterion.needs_key else "N"
     for column, (equations, name) in enumerate(zip(stages, estimate.stage_names)):
+        unit = _row_unit(equations[0].unit, estimate.criterion)
         rows = Rows.concatenate(
             [
                 _explained(estimate, estimate.criterion.rows(equation, record, key))
@@ -159,15 +159,22 @@ def _draw_fit(axes: Any, explained: np.ndarray, measured: np.ndarray, name: str,
     axes.plot([-reach, reach], [-reach, reach], color="0.6", linewidth=0.8)
     axes.plot(explained, measured, ".", color="#1f4e79", markersize=2, alpha=0.5)
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), title=name)
-    axes.set_xlabel(f"explained by the model / {unit}")
-    axes.set_ylabel(f"measured / {unit}")
+    axes.set_xlabel(f"explained by the model{unit}")
+    axes.set_ylabel(f"measured{unit}")
 
 
 def _draw_residual(axes: Any, time: np.ndarray, residual: np.ndarray, unit: str) -> None:
     axes.axhline(0, color="0.6", linewidth=0.8)
     axes.plot(time, residual, ".", color="#9c3d1c", markersize=2, alpha=0.5)
     axes.set_xlabel("time / s")
-    axes.set_ylabel(f"residual / {unit}")
+    axes.set_ylabel(f"residual{unit}")
+
+
+def _row_unit(unit: str, criterion: AbstractCriterion) -> str:
+    """Axis label's unit: an integral criterion's rows are the equation's unit times seconds."""
+    if not unit:
+        return ""
+    return f" / ({unit} s)" if isinstance(criterion, RIEC) else f" / ({unit})"
 
 
 def _number(value: float | None, digits: int = 6) -> str:

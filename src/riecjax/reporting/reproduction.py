@@ -58,9 +58,12 @@ def reproduction_document(roads: RoadResult, *, seed: int) -> Document:
 def print_reproduction(document: Document, console: Console) -> None:
     """Published numbers beside reproduced ones."""
     roads = document["provenance"]["roads"]
+    console.print("[bold]Table 1[/bold]  Eigenstructure of the linearised source model")
     console.print(_mode_table(document["tables"]["1"]))
     for number, (heading, scales) in SHOWN.items():
-        console.print(_number_table(number, heading, scales, document["tables"][number], roads))
+        console.print(f"\n[bold]Table {number}[/bold]  {heading}, {roads} roads", highlight=False)
+        console.print(_number_table(number, scales, document["tables"][number]))
+    console.print()
     cell = document["contact"]
     low, high = cell["interval95"]
     console.print(
@@ -135,7 +138,7 @@ def _complex(value: complex) -> list[float]:
 
 
 def _mode_table(rows: list[Document]) -> RichTable:
-    table = _plain_table("Table 1  Eigenstructure of the linearised source model")
+    table = _plain_table()
     for heading in ("", "eigenvalue", "Hz", "zeta", "wheel", "body", "engine-body", "agrees"):
         table.add_column(heading, justify="left" if heading == "" else "right", no_wrap=True)
     for row in rows:
@@ -153,15 +156,8 @@ def _mode_table(rows: list[Document]) -> RichTable:
     return table
 
 
-def _plain_table(title: str) -> RichTable:
-    return RichTable(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        caption_justify="left",
-        box=None,
-        padding=(0, 1, 0, 0),
-    )
+def _plain_table() -> RichTable:
+    return RichTable(caption_justify="left", box=None, padding=(0, 1, 0, 0))
 
 
 def _pair(parts: list[float], digits: int) -> str:
@@ -172,10 +168,8 @@ def _pair(parts: list[float], digits: int) -> str:
     return f"{real:.{digits}f}{sign}{abs(imaginary):.{digits}f}i"
 
 
-def _number_table(
-    number: str, heading: str, scales: dict[str, float], rows: Document, roads: int
-) -> RichTable:
-    table = _plain_table(f"\nTable {number}  {heading}, {roads} roads")
+def _number_table(number: str, scales: dict[str, float], rows: Document) -> RichTable:
+    table = _plain_table()
     table.add_column("", no_wrap=True)
     for criterion in CRITERIA:
         for column in (criterion, "here", "95 % of roads"):
@@ -210,9 +204,10 @@ def reproduction_figures(roads: RoadResult, source: QuarterCarSource) -> dict[st
 
 
 def _ratio_figure(plt: Any, roads: RoadResult) -> Any:
+    tables = (("", table_3(roads)), ("K_s ", table_4(roads)), ("p ", table_5(roads)))
     cells = {
-        f"{row}  {criterion}": cell
-        for table in (table_3(roads), table_4(roads), table_5(roads))
+        f"{prefix}{row}  {criterion}": cell
+        for prefix, table in tables
         for row, line in table.items()
         for criterion, cell in line.items()
     }

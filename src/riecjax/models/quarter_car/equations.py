@@ -20,22 +20,22 @@ def suspension_velocity(signals: Signals) -> Array:
 
 def tyre_equation() -> Equation:
     """(23a), (24a): F_t = K_t x1."""
-    return Equation(Term(1.0, "F_t"), -Term("K_t", "x1", unit="N/m"), name="tyre")
+    return Equation(Term(1.0, "F_t"), -Term("K_t", "x1", unit="N/m"), name="tyre", unit="N")
 
 
 def mass_equation() -> Equation:
     """(23b), (24b): F_t = M_us x3' + M_s x4'."""
-    return Equation(Term(1.0, "F_t"), -_unsprung(), -_sprung(), name="masses")
+    return Equation(Term(1.0, "F_t"), -_unsprung(), -_sprung(), name="masses", unit="N")
 
 
 def wheel_equation() -> Equation:
     """(23c), (24c): F_t - M_us x3' = K_s x2 + sum F_i R_i(x3 - x4)."""
-    return Equation(Term(1.0, "F_t"), -_unsprung(), -_spring(), -_damper(), name="wheel")
+    return Equation(Term(1.0, "F_t"), -_unsprung(), -_spring(), -_damper(), name="wheel", unit="N")
 
 
 def body_equation() -> Equation:
     """(23d), (24d): M_s x4' = K_s x2 + sum F_i R_i(x3 - x4)."""
-    return Equation(_sprung(), -_spring(), -_damper(), name="body")
+    return Equation(_sprung(), -_spring(), -_damper(), name="body", unit="N")
 
 
 def quarter_car_by_body() -> Procedure:

@@ -1,0 +1,233 @@
+"""One registry, every contract: what each built-in model promises."""
+
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.windows import RandomWindows
+from riecjax.errors import DataError, ModelError
+from riecjax.estimation.identify import identify
+from riecjax.models.catalogue import MODELS, built_in_model
+from riecjax.models.model import Model
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.method import FixedStep
+from riecjax.simulation.simulate import simulate
+
+CONTRACT = (
+    "quarter-car",
+    "quarter-car-source",
+    "two-mass",
+    "emps",
+    "emps-asymmetric",
+    "duffing",
+    "drag-oscillator",
+    "pendulum",
+)
+IDENTIFIED = [name for name, model in MODELS.items() if model.procedure is not None]
+SIMULATED = [name for name, model in MODELS.items() if model.system is not None]
+ROUND_TRIPS = [
+    name for name in IDENTIFIED if name in SIMULATED and not MODELS[name].own_simulation_parameters
+]
+EXCITATION = {
+    "quarter-car": 0.55,
+    "quarter-car-wheel": 0.55,
+    "emps": 300.0,
+    "emps-asymmetric": 300.0,
+    "duffing": 25.0,
+    "drag-oscillator": 30.0,
+}
+"""R.m.s. of each input; a pendulum swings freely, as its equation has no input."""
+SETTINGS = {"duffing": {"k2": 150.0}}
+"""Instead of defaults that are zero, of which no relative error can be told."""
+
+
+def truth(model: Model) -> dict[str, float]:
+    settings = SETTINGS.get(model.name, {})
+    return {p.name: settings.get(p.name, p.default or 0.0) for p in model.parameters}
+
+
+def recording(model: Model, rate: float = 1000.0, seconds: float = 20.0) -> Record:
+    system = model.build_system(SETTINGS.get(model.name, {}))
+    count = round(seconds * rate)
+    (name,) = system.input_names
+    if model.name in EXCITATION:
+        u = band_limited_noise(
+            jax.random.key(11), count, 1 / rate, bandwidth=6.0, rms=EXCITATION[model.name]
+        )
+        start = {}
+    else:
+        u, start = jnp.zeros(count), {"theta": 0.3}
+    inputs = Record({name: u}, 1 / rate)
+    return simulate(system, inputs, initial_state=start, method=FixedStep(2)).checked().record
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_every_name_of_the_command_lines_contract_is_built_in(name):
+    model = built_in_model(name)
+    assert model.name == name
+    assert model.summary
+
+
+def test_keys_are_the_models_own_names():
+    assert all(key == model.name for key, model in MODELS.items())
+
+
+def test_an_unknown_name_is_refused_with_those_that_exist():
+    with pytest.raises(ModelError) as raised:
+        built_in_model("half-car")
+    for name in CONTRACT:
+        assert name in str(raised.value)
+
+
+@pytest.mark.parametrize("name", IDENTIFIED)
+def test_listed_parameters_and_units_are_those_of_the_equations(name):
+    model = MODELS[name]
+    procedure = model.build_procedure()
+    listed = {p.name: p.unit for p in model.parameters}
+    assert set(listed) == set(procedure.parameters)
+    assert listed == {parameter: procedure.units[parameter] for parameter in listed}
+    assert [p.name for p in model.parameters] == list(procedure.parameters)
+
+
+def criteria() -> dict[str, tuple]:
+    return {
+        "dols": (DOLS(), None),
+        "riec": (RIEC(RandomWindows(0.05, 0.5, 200)), jax.random.key(0)),
+    }
+
+
+def rows_of(model: Model, record: Record, criterion: str) -> None:
+    made, key = criteria()[criterion]
+    for stage in model.build_procedure().stages:
+        for equation in stage:
+            made.rows(equation, record, key)
+
+
+@pytest.mark.parametrize("criterion", ["dols", "riec"])
+@pytest.mark.parametrize("name", IDENTIFIED)
+def test_the_listed_signals_are_all_that_the_equations_read(name, criterion):
+    model = MODELS[name]
+    samples = np.linspace(0.1, 1.0, 200)
+    record = Record({signal.name: samples for signal in model.signals}, 0.01)
+    rows_of(model, record, criterion)
+
+
+@pytest.mark.parametrize("name", IDENTIFIED)
+def test_dols_needs_every_listed_signal_unless_a_derivative_of_it_stands_for_it(name):
+    model = MODELS[name]
+    samples = np.linspace(0.1, 1.0, 200)
+    needed = set()
+    for left_out in model.signals:
+        kept = {s.name: samples for s in model.signals if s.name != left_out.name}
+        for criterion in ("dols", "riec"):
+            try:
+                rows_of(model, Record(kept, 0.01), criterion)
+            except DataError as error:
+                assert f"'{left_out.name}'" in str(error)
+                needed.add(left_out.name)
+    # What only makes derived signals (position of an axis) need not be read by the equation.
+    assert needed >= {s.name for s in model.signals} - set(model.derived.values())
+
+
+@pytest.mark.parametrize("name", list(MODELS))
+def test_derived_signals_derive_listed_ones_in_order(name):
+    model = MODELS[name]
+    listed = [signal.name for signal in model.signals]
+    available = [s for s in listed if s not in model.derived]
+    for made, of in model.derived.items():
+        assert made in listed
+        assert of in available
+        available.append(made)
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_listed_inputs_and_states_have_the_systems_units(name):
+    model = MODELS[name]
+    system = model.build_system({})
+    assert tuple((q.name, q.unit) for q in model.inputs) == system.inputs
+    units = dict((*system.states, *system.inputs, *system.outputs))
+    for signal in model.signals:
+        if signal.name in units:
+            assert units[signal.name] == signal.unit
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_a_simulation_writes_what_it_promises_and_what_identification_reads(name):
+    model = MODELS[name]
+    system = model.build_system({})
+    zero = Record({q.name: np.zeros(20) for q in model.inputs}, 0.005)
+    found = set(simulate(system, zero).record.arrays)
+    assert set(model.written) <= found
+    written = set(model.written) or found
+    assert {signal.name for signal in model.signals} <= written
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_a_setting_changes_the_system_and_an_unknown_one_is_refused(name):
+    model = MODELS[name]
+    first = model.simulation_parameters[0]
+    assert first.default is not None
+    changed = jax.tree.leaves(model.build_system({first.name: 2 * first.default + 1}))
+    original = jax.tree.leaves(model.build_system({}))
+    assert any(not np.array_equal(a, b) for a, b in zip(changed, original, strict=True))
+    with pytest.raises(ModelError, match="unknown parameter 'nonsense'"):
+        model.build_system({"nonsense": 1.0})
+
+
+def test_what_a_model_cannot_do_is_refused():
+    with pytest.raises(ModelError, match="simulated but not identified"):
+        MODELS["quarter-car-source"].build_procedure()
+    with pytest.raises(ModelError, match="identified but not simulated"):
+        Model("only-equation", "").build_system({})
+
+
+def test_a_missing_value_without_default_is_refused_with_how_to_set_it():
+    from riecjax.models.model import Quantity
+
+    model = Model(
+        "no-default",
+        "",
+        system=lambda values: None,  # pyright: ignore[reportArgumentType]
+        own_simulation_parameters=(Quantity("k", "N/m", "stiffness"),),
+    )
+    with pytest.raises(ModelError, match=r"needs a value for k \(--set k=VALUE\)"):
+        model.build_system({})
+
+
+@pytest.fixture(scope="module")
+def recordings() -> dict[str, Record]:
+    return {name: recording(MODELS[name]) for name in ROUND_TRIPS}
+
+
+@pytest.mark.parametrize("name", ROUND_TRIPS)
+def test_dols_with_exact_derivatives_returns_what_was_simulated(name, recordings):
+    model = MODELS[name]
+    estimate = identify(model.build_procedure(), recordings[name], DOLS())
+    for parameter, value in truth(model).items():
+        np.testing.assert_allclose(estimate[parameter], value, rtol=1e-8, err_msg=parameter)
+
+
+@pytest.mark.parametrize("name", ROUND_TRIPS)
+def test_riec_returns_what_was_simulated_within_its_quadrature(name, recordings):
+    model = MODELS[name]
+    windows = RIEC(RandomWindows(0.05, 0.5, 4000))
+    found = identify(model.build_procedure(), recordings[name], windows, key=jax.random.key(5))
+    # Trapezoids of 1 ms miss (omega dt)^2 / 12, some 1e-4 at 6 Hz; a sign that changes between
+    # samples (Coulomb friction) is missed by up to one sample each time.
+    tolerance = 2e-2 if name.startswith("emps") else 2e-3
+    for parameter, value in truth(model).items():
+        np.testing.assert_allclose(found[parameter], value, rtol=tolerance, err_msg=parameter)
+
+
+def test_listing_models_imports_no_jax():
+    script = (
+        "import sys; from riecjax.models.catalogue import MODELS; "
+        "assert MODELS; sys.exit('jax' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

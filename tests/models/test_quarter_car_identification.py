@@ -1,0 +1,118 @@
+"""The identification model against eq. (21) written out, and round trips through it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.windows import RandomWindows
+from riecjax.estimation.identify import identify
+from riecjax.models.quarter_car.equations import (
+    quarter_car_at_once,
+    quarter_car_by_body,
+    quarter_car_by_wheel,
+)
+from riecjax.models.quarter_car.identification import BREAK_POINTS, QuarterCar
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.method import FixedStep
+from riecjax.simulation.simulate import simulate
+
+PARAMETERS = {
+    "K_t": 175e3,
+    "M_us": 28.0,
+    "M_s": 290.0,
+    "K_s": 22e3,
+    "F_1": -1300.0,
+    "F_2": -700.0,
+    "F_3": 500.0,
+    "F_4": 900.0,
+}
+PROCEDURES = {
+    "body": quarter_car_by_body,
+    "wheel": quarter_car_by_wheel,
+    "at once": quarter_car_at_once,
+}
+
+
+def model() -> QuarterCar:
+    return QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in PARAMETERS.items()})
+
+
+def damper_force(velocity: float) -> float:
+    """Piecewise linear through the break points, end segments continued."""
+    v, f = np.array(BREAK_POINTS), np.array([PARAMETERS[f"F_{i}"] for i in range(1, 5)])
+    i = int(np.clip(np.searchsorted(v, velocity) - 1, 0, 2))
+    return float(f[i] + (f[i + 1] - f[i]) / (v[i + 1] - v[i]) * (velocity - v[i]))
+
+
+def test_break_points_are_those_of_table_2():
+    assert BREAK_POINTS == (-0.8, -0.3, 0.3, 0.8)
+
+
+@pytest.mark.parametrize("velocity", [-2.0, -0.8, -0.5, -0.3, 0.0, 0.1, 0.3, 0.6, 0.8, 3.0])
+def test_derivative_is_equation_21(velocity):
+    x1, x2, x4, v_r = 0.004, -0.02, 0.35, 0.6
+    x3 = x4 + velocity
+    suspension = 22e3 * x2 + damper_force(velocity)
+    expected = [v_r - x3, velocity, (175e3 * x1 - suspension) / 28.0, suspension / 290.0]
+    found = model().derivative(jnp.array([x1, x2, x3, x4]), jnp.array([v_r]))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_tyre_force_is_linear_without_lift_off():
+    for x1 in (-0.05, 0.0, 0.5):
+        found = model().output(jnp.array([x1, 1.0, 2.0, 3.0]), jnp.zeros(1))["F_t"]
+        np.testing.assert_allclose(found, 175e3 * x1)
+
+
+def test_momentum_of_both_masses_changes_by_the_tyre_force():
+    record = recording(1)
+    rate = 28.0 * record["dx3"] + 290.0 * record["dx4"]
+    np.testing.assert_allclose(rate, record["F_t"], rtol=1e-10, atol=1e-9)
+
+
+def recording(refinement: int) -> Record:
+    """One continuous motion at 200 Hz times `refinement`: its input is piecewise linear at 200 Hz."""
+    coarse = np.asarray(
+        band_limited_noise(jax.random.key(7), 2001, 0.005, bandwidth=20.0, rms=0.55)
+    )
+    fine = np.interp(np.arange(2000 * refinement + 1) / refinement, np.arange(2001), coarse)
+    record = Record({"v_r": fine}, 0.005 / refinement)
+    return simulate(model(), record, method=FixedStep(16 // refinement)).checked().record
+
+
+@pytest.mark.parametrize("procedure", PROCEDURES)
+def test_dols_with_recorded_derivatives_returns_the_parameters(procedure):
+    record = recording(1)
+    estimate = identify(PROCEDURES[procedure](), record, DOLS())
+    assert set(estimate.parameters) == set(PARAMETERS)
+    for name, value in PARAMETERS.items():
+        np.testing.assert_allclose(estimate[name], value, rtol=1e-9, err_msg=name)
+        # At once: residuals are zero in every equation, so weights do not matter.
+
+
+def riec_errors(refinement: int, procedure: str) -> np.ndarray:
+    criterion = RIEC(RandomWindows(0.05, 0.5, 4000, between_samples=True))
+    key = jax.random.key(1)
+    estimate = identify(PROCEDURES[procedure](), recording(refinement), criterion, key=key)
+    return np.array([float(estimate[name]) / value - 1 for name, value in PARAMETERS.items()])
+
+
+@pytest.mark.parametrize("procedure", PROCEDURES)
+def test_riec_returns_the_parameters_to_second_order_in_the_time_step(procedure):
+    errors = [np.max(np.abs(riec_errors(refinement, procedure))) for refinement in (2, 4, 8)]
+    # The motion and its windows stay the same; what is left is the trapezoidal rule, of second
+    # order but for the kinks of the damper map, which fall anywhere between samples.
+    assert errors[0] < 0.05
+    assert errors[1] < errors[0] / 2.5
+    assert errors[2] < errors[1] / 2.5
+
+
+def test_known_masses_are_kept_and_the_rest_is_found():
+    known = {"M_us": PARAMETERS["M_us"], "M_s": PARAMETERS["M_s"]}
+    estimate = identify(quarter_car_by_wheel(), recording(1), DOLS(), known=known)
+    assert set(estimate.parameters) == set(PARAMETERS) - set(known)
+    for name, value in PARAMETERS.items():
+        np.testing.assert_allclose(estimate[name], value, rtol=1e-9)

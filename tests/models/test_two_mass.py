@@ -1,0 +1,104 @@
+"""Section 2: the impulse of a mechanical error is bounded, that of white noise is not."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.windows import RandomWindows
+from riecjax.estimation.identify import identify
+from riecjax.models.catalogue import built_in_model
+from riecjax.models.two_mass import TwoMass, two_mass_equation
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.simulate import simulate
+
+M1, M2, OMEGA, ZETA = 10.0, 1.0, 100.0, 0.5
+STEP = 0.001
+SEEDS = [0, 1, 2, 3]
+
+
+def system() -> TwoMass:
+    return TwoMass(*(jnp.asarray(value) for value in (M1, M2, OMEGA, ZETA)))
+
+
+def recording(seed: int) -> Record:
+    force = band_limited_noise(jax.random.key(seed), 20_000, STEP, bandwidth=100.0, rms=100.0)
+    return simulate(system(), Record({"F": force}, STEP)).checked().record
+
+
+@pytest.fixture(scope="module")
+def recordings() -> list[Record]:
+    return [recording(seed) for seed in SEEDS]
+
+
+def test_defaults_are_those_of_section_2():
+    found = built_in_model("two-mass").build_system({})
+    assert isinstance(found, TwoMass)
+    assert [float(x) for x in (found.m1, found.m2, found.omega_n, found.zeta)] == [
+        *(M1, M2, OMEGA, ZETA)
+    ]
+
+
+@pytest.mark.parametrize("state", np.random.default_rng(0).normal(size=(4, 4)), ids=range(4))
+def test_derivative_obeys_newtons_laws_for_both_masses(state):
+    force = 37.0
+    _, _, d, dd = state
+    rates = np.asarray(system().derivative(jnp.asarray(state), jnp.array([force])))
+    np.testing.assert_allclose(rates[[0, 2]], state[[1, 3]])
+    first, relative = rates[1], rates[3]
+    # d counts the second mass from the first, so its own acceleration is the sum.
+    coupling = force - M1 * first
+    np.testing.assert_allclose(M2 * (first + relative), coupling, rtol=1e-12)
+    # Free relative motion: d'' + 2 zeta omega d' + omega^2 d = -F / m1.
+    expected = -force / M1 - 2 * ZETA * OMEGA * dd - OMEGA**2 * d
+    np.testing.assert_allclose(relative, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_error_is_what_the_one_mass_model_leaves_over(seed, recordings):
+    record = recordings[seed]
+    left = (M1 + M2) * record["ddz"] - record["F"]
+    np.testing.assert_allclose(record["error"], left, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_running_integral_of_the_error_obeys_equation_8_where_white_noise_does_not(
+    seed, recordings
+):
+    error, velocity = (np.asarray(recordings[seed][name]) for name in ("error", "dd"))
+    bound = 2 * M2 * np.max(np.abs(velocity))
+    impulse = cumulative_trapezoid(error, dx=STEP, initial=0)
+    reach = np.max(impulse) - np.min(impulse)  # over every window at once
+    # Trapezoids of a motion of 100 rad/s and its 100 Hz excitation at 1 ms.
+    assert reach <= bound * 1.05
+    assert reach > 0.5 * bound  # and the bound is not idle
+
+    white = np.random.default_rng(seed).normal(size=error.size)
+    white *= np.sqrt(np.mean(error**2) / np.mean(white**2))
+    walk = cumulative_trapezoid(white, dx=STEP, initial=0)
+    assert np.max(walk) - np.min(walk) > bound
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_riec_finds_the_total_mass_better_than_dols(seed, recordings):
+    record, equation = recordings[seed], two_mass_equation()
+    windows = RIEC(RandomWindows(0.1, 1.0, 4000))
+    riec = float(identify(equation, record, windows, key=jax.random.key(seed))["M"])
+    dols = float(identify(equation, record, DOLS())["M"])
+    assert abs(riec - 11.0) < 0.2
+    assert abs(dols - 11.0) > 3 * abs(riec - 11.0)
+
+
+def test_without_a_second_mass_both_criteria_find_the_first():
+    lone = TwoMass(jnp.asarray(M1), jnp.asarray(1e-9), jnp.asarray(OMEGA), jnp.asarray(ZETA))
+    force = band_limited_noise(jax.random.key(0), 5000, STEP, bandwidth=30.0, rms=100.0)
+    record = simulate(lone, Record({"F": force}, STEP)).record
+    windows = RIEC(RandomWindows(0.1, 1.0, 1000))
+    equation = two_mass_equation()
+    np.testing.assert_allclose(identify(equation, record, DOLS())["M"], M1, rtol=1e-8)
+    riec = identify(equation, record, windows, key=jax.random.key(0))["M"]
+    # The force is piecewise linear: trapezoids integrate it exactly.
+    np.testing.assert_allclose(riec, M1, rtol=1e-8)
