@@ -201,7 +201,7 @@ def _block_count(criterion: AbstractCriterion, record: Record) -> int:
     step = float(np.asarray(record.time_step).reshape(-1)[0])
     duration = step * (record.sample_count - 1)
     length = max(2 * float(criterion.block_length), 2 * step)
-    return int(np.clip(duration / length, 2, MOST_BLOCKS))
+    return int(np.clip(round(duration / length), 2, MOST_BLOCKS))
 
 
 def _worst_condition(solutions: list[StageSolution]) -> float:

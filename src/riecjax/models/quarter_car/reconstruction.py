@@ -83,19 +83,19 @@ def reconstructed() -> Reconstruction:
     )
 
 
-DAMPER_LOW_SPEED_RATE = 4335.1
+DAMPER_LOW_SPEED_RATE = 4290.9
 """Slope of the damper curve at rest in N s/m."""
-DAMPER_HIGH_SPEED_RATES = (922.68, 555.24)
+DAMPER_HIGH_SPEED_RATES = (582.55, 654.03)
 """Slope far beyond the knee in N s/m, compression and rebound."""
-DAMPER_KNEES = (0.12784, 0.16990)
+DAMPER_KNEES = (0.17266, 0.17849)
 """Velocity of the knee in m/s, compression and rebound."""
-STOP_GAPS = (0.023286, 0.072478)
+STOP_GAPS = (0.038454, 0.069103)
 """Deflection at which the second stage of the spring begins in m, compression and rebound."""
-STOP_RATES = (3351.7, 1113.0)
+STOP_RATES = (7417.3, 1118.3)
 """Stiffness that the second stage adds in N/m, compression and rebound."""
-MOUNT_CUBIC = 8.2356e8
+MOUNT_CUBIC = 6.3855e8
 """Cubic stiffness of the engine mount in N/m^3."""
-POTHOLE = (0.07236, 2.7121, 0.91467)
+POTHOLE = (0.10189, 2.1819, 1.4017)
 """Depth, length and ramp of the pot-hole in m."""
 ROUGHNESS = 1.5e-5
 """k of eq. (27), read as a density per rad/s. Published: 3e-5, without saying per what."""

@@ -1,0 +1,180 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from riecjax.criteria.criterion import DOLS, Rows
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.errors import IdentifiabilityError
+from riecjax.estimation.identify import identify
+from riecjax.estimation.least_squares import gram_condition_limit, solve, solve_rows
+from riecjax.estimation.normal_equations import normal_equations
+from riecjax.records.record import Record
+
+NAMES = ("a", "b", "c")
+
+
+def as_rows(A, y):
+    columns = jnp.concatenate([jnp.asarray(y)[None], jnp.asarray(A).T])
+    return Rows(columns, jnp.arange(columns.shape[1]), NAMES[: A.shape[1]])
+
+
+def by_gram(rows):
+    return solve(normal_equations(rows).total())
+
+
+def random_problem(count=40, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(count, 3)), rng.normal(size=count)
+
+
+def scaled_condition(A):
+    return np.linalg.cond(A / np.linalg.norm(A, axis=0))
+
+
+@pytest.mark.parametrize("solver", [by_gram, solve_rows])
+def test_the_solution_and_its_conditioning_agree_with_numpy(solver):
+    A, y = random_problem()
+    A = A @ np.array([[1.0, 0.9, 0.0], [0.0, 0.5, 0.3], [0.0, 0.0, 1.0]])
+    found = solver(as_rows(A, y))
+    np.testing.assert_allclose(found.theta, np.linalg.lstsq(A, y)[0], rtol=1e-11)
+    assert float(found.condition_number) == pytest.approx(scaled_condition(A), rel=1e-10)
+    assert int(found.rank) == 3
+    _, _, right = np.linalg.svd(A / np.linalg.norm(A, axis=0))
+    assert abs(right[-1] @ np.asarray(found.weakest_direction)) == pytest.approx(1, abs=1e-10)
+
+
+@pytest.mark.parametrize("solver", [by_gram, solve_rows])
+def test_units_change_neither_conditioning_nor_the_solution(solver):
+    A, y = random_problem()
+    units = np.array([1e6, 1.0, 1e-6])
+    plain, scaled = solver(as_rows(A, y)), solver(as_rows(A * units, 1e6 * y))
+    np.testing.assert_allclose(np.asarray(scaled.theta) * units, 1e6 * plain.theta, rtol=1e-12)
+    assert float(scaled.condition_number) == pytest.approx(float(plain.condition_number), rel=1e-9)
+    assert int(scaled.rank) == 3
+
+
+@pytest.mark.parametrize("solver", [by_gram, solve_rows])
+def test_collinear_columns_lower_the_rank_and_name_their_direction(solver):
+    A, y = random_problem()
+    A[:, 2] = 1e4 * (A[:, 0] - A[:, 1])
+    found = solver(as_rows(A, y))
+    assert int(found.rank) == 2
+    lengths = np.linalg.norm(A, axis=0)
+    null = np.array([1.0, -1.0, -1e-4]) * lengths
+    null /= np.linalg.norm(null)
+    assert abs(null @ np.asarray(found.weakest_direction)) == pytest.approx(1, abs=1e-6)
+    # Of all solutions, the one of least norm in scaled columns.
+    least = np.linalg.lstsq(A / lengths, y, rcond=1e-9)[0] / lengths
+    np.testing.assert_allclose(found.theta, least, rtol=1e-6)
+
+
+@pytest.mark.parametrize("solver", [by_gram, solve_rows])
+def test_a_silent_column_lowers_the_rank_and_gets_the_value_zero(solver):
+    A, y = random_problem()
+    A[:, 1] = 0.0
+    found = solver(as_rows(A, y))
+    assert int(found.rank) == 2
+    np.testing.assert_allclose(np.abs(found.weakest_direction), [0, 1, 0], atol=1e-12)
+    assert abs(float(found.theta[1])) < 1e-15
+    assert float(found.condition_number) > 1e15
+
+
+@pytest.mark.parametrize("solver", [by_gram, solve_rows])
+def test_fewer_rows_than_parameters_are_short_of_rank_along_a_direction_without_effect(solver):
+    A, y = random_problem(count=2)
+    found = solver(as_rows(A, y))
+    assert int(found.rank) == 2
+    scaled = A / np.linalg.norm(A, axis=0)
+    np.testing.assert_allclose(scaled @ np.asarray(found.weakest_direction), 0, atol=1e-7)
+
+
+def nearly_collinear(gap, count=200):
+    """Two regressors that differ by `gap`, and the exact answer 1, 2."""
+    rng = np.random.default_rng(1)
+    x, y = rng.normal(size=(2, count))
+    y = x + gap * y
+    return {"x": x, "y": y, "u": x + 2 * y}
+
+
+def test_rows_are_far_more_accurate_than_the_gram_matrix_where_columns_nearly_agree():
+    signals = nearly_collinear(1e-6)
+    rows = as_rows(np.stack([signals["x"], signals["y"]], axis=1), signals["u"])
+    gram, direct = (
+        np.abs(np.asarray(solver(rows).theta) - [1, 2]).max() for solver in (by_gram, solve_rows)
+    )
+    # eps cond is 3e-10, eps cond^2 is 4e-4.
+    assert direct < 1e-8
+    assert gram > 1e3 * direct
+
+
+TWO = Equation(Term(1.0, "u"), -Term("a", "x"), -Term("b", "y"), name="shaft")
+
+
+def test_identify_turns_to_rows_where_the_gram_matrix_no_longer_serves():
+    gap = 1e-7
+    assert 1 / gap > gram_condition_limit(jnp.dtype(jnp.float64))
+    record = Record.from_samples(nearly_collinear(gap), time_step=0.1)
+    found = identify(TWO, record, DOLS())
+    np.testing.assert_allclose(found.theta, [1, 2], rtol=1e-6)
+    assert int(found.rank) == 2
+    finding = next(f for f in found.findings() if f.code == "ill_conditioned")
+    assert finding.message.endswith("is 0.71 a - 0.71 b.")
+
+
+def test_collinear_regressors_raise_an_error_that_names_them_and_the_remedy():
+    record = Record.from_samples(nearly_collinear(0.0), time_step=0.1)
+    with pytest.raises(IdentifiabilityError) as caught:
+        identify(TWO, record, DOLS())
+    message = str(caught.value)
+    assert message.startswith("shaft: ")
+    assert "0.71 a - 0.71 b" in message
+    assert "--set NAME=VALUE" in message
+    assert "\n" not in message
+
+
+def test_a_silent_signal_raises_an_error_that_names_its_parameter():
+    signals = nearly_collinear(1.0) | {"y": np.zeros(200)}
+    with pytest.raises(IdentifiabilityError, match=r"silent regressors\): 1.00 b, in units"):
+        identify(TWO, Record.from_samples(signals, time_step=0.1), DOLS())
+
+
+def test_the_gram_limit_is_where_squared_conditioning_costs_the_stated_accuracy():
+    for dtype, accuracy in ((jnp.float64, 1e-5), (jnp.float32, 1e-2)):
+        limit = gram_condition_limit(jnp.dtype(dtype))
+        assert limit**2 * float(jnp.finfo(dtype).eps) == pytest.approx(accuracy, rel=1e-6)
+
+
+def test_derivatives_of_the_solution_agree_with_finite_differences_to_second_order():
+    A, y = random_problem(count=8)
+
+    def theta(columns):
+        return by_gram(Rows(columns, jnp.arange(8), NAMES)).theta
+
+    check_grads(theta, (as_rows(A, y).columns,), order=2, rtol=1e-5, atol=1e-6)
+
+
+def test_derivatives_stay_finite_and_right_where_the_rank_is_deficient():
+    A, y = random_problem()
+    A[:, 2] = A[:, 1]
+
+    def theta(y):
+        return by_gram(as_rows(A, y)).theta
+
+    # theta is linear in y, so its derivative along y is theta itself.
+    value, slope = jax.jvp(theta, (jnp.array(y),), (jnp.array(y),))
+    np.testing.assert_allclose(slope, value, rtol=1e-9)
+    gradient = jax.jacrev(theta)(jnp.array(y))
+    # The Gram matrix holds this inverse to about eps cond^2 of its nonzero part.
+    np.testing.assert_allclose(gradient, np.linalg.pinv(A), rtol=1e-9, atol=1e-10)
+
+
+def test_numbers_that_are_not_finite_pass_through_one_lane_of_a_batch_only():
+    A, y = random_problem()
+    good = as_rows(A, y).columns
+    batch = jnp.stack([good, good.at[0, 3].set(jnp.nan)])
+    theta = jax.vmap(lambda c: by_gram(Rows(c, jnp.arange(40), NAMES)).theta)(batch)
+    np.testing.assert_allclose(theta[0], np.linalg.lstsq(A, y)[0], rtol=1e-11)
+    assert np.isnan(theta[1]).all()
