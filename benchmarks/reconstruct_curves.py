@@ -72,6 +72,24 @@ def neutral_start() -> Reconstruction:
     )
 
 
+def refined_start() -> Reconstruction:
+    """Where earlier joint calibrations from neutral starts ended, rounded.
+
+    The neutral start leads the joint calibration to a neighbouring solution, whose bump stops are
+    softer and whose Table 3 is a little worse.
+    """
+    return Reconstruction(
+        damper=DigressiveDamper(
+            jnp.asarray(4300.0), jnp.array([600.0, 650.0]), jnp.array([0.17, 0.18])
+        ),
+        stop_gaps=jnp.array([0.04, 0.07]),
+        stop_rates=jnp.array([7000.0, 1000.0]),
+        mount_cubic=jnp.asarray(6e8),
+        pothole=Pothole(jnp.asarray(0.1), jnp.asarray(2.2), jnp.asarray(1.4)),
+        roughness=jnp.asarray(1.5e-5),
+    )
+
+
 def spline_start() -> Reconstruction:
     """The same with a damper whose slope is free at five velocities in either direction."""
     base = neutral_start()
@@ -112,16 +130,21 @@ def residuals(step: Float[Array, " shapes"], args: tuple[Any, ...]) -> Float[Arr
         lambda key: run_road(key, source, shapes.pothole, shapes.roughness, method=FixedStep(6))
     )(keys)
     identified, validated, touching = distances(result)
-    far = validated / VALIDATED_SCALE
+    # Grows faster than linearly, so that no number is given up for the sake of the others.
+    identified = _sharpen(identified / IDENTIFIED_SCALE)
+    validated = _sharpen(validated / VALIDATED_SCALE)
     return jnp.concatenate(
         [
-            identified / IDENTIFIED_SCALE,
-            # Grows faster than linearly, so that no number is given up for the sake of the others.
-            weights * far * jnp.sqrt(1 + (far / 2) ** 2),
+            identified,
+            weights * validated,
             (touching / CONTACT_SCALE)[None],
             PRIOR * step,
         ]
     )
+
+
+def _sharpen(far: Array) -> Array:
+    return far * jnp.sqrt(1 + (far / 2) ** 2)
 
 
 def positive_shapes(problem: Problem) -> tuple[int, Callable[[Array], Reconstruction]]:
@@ -187,8 +210,9 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     keys = jax.random.split(jax.random.key(FITTED_SEED), arguments.roads)
     problems = (
-        Problem("joint", neutral_start(), with_table_5=True),
+        Problem("joint", refined_start(), with_table_5=True),
         Problem("tables 3 and 4 only", neutral_start(), with_table_5=False),
+        Problem("joint, from a neutral start", neutral_start(), with_table_5=True),
         Problem("joint, spline damper", spline_start(), with_table_5=True),
         Problem("joint, free road", neutral_start(), with_table_5=True, free_road=True),
         Problem(

@@ -23,6 +23,8 @@ STAGES = (
 )
 OUTSIDE = ("models", "paper", "reporting", "cli")
 """What the engine never imports."""
+SHARED = ("errors", "leaves")
+"""Modules beside the stages that all may import, and that import nothing of the package."""
 ROOT = Path(riecjax.__file__).parent
 MODULES = sorted(path.relative_to(ROOT) for path in ROOT.glob("*/**/*.py"))
 
@@ -46,7 +48,7 @@ def imported_stages(tree: ast.AST, package: tuple[str, ...]) -> Iterator[str]:
 
 def violations(source: str, module: Path) -> list[str]:
     stage = module.parts[0]
-    allowed = {*STAGES[: STAGES.index(stage) + 1], "errors"}
+    allowed = {*STAGES[: STAGES.index(stage) + 1], *SHARED}
     package = ("riecjax", *module.parent.parts)
     return [name for name in imported_stages(ast.parse(source), package) if name not in allowed]
 
@@ -60,8 +62,11 @@ def test_a_module_imports_only_from_its_own_or_an_earlier_stage(module):
     assert violations((ROOT / module).read_text(), module) == []
 
 
-def test_errors_import_nothing_of_the_package():
-    assert list(imported_stages(ast.parse((ROOT / "errors.py").read_text()), ("riecjax",))) == []
+def test_modules_beside_the_stages_are_shared_and_import_nothing_of_the_package():
+    assert {path.stem for path in ROOT.glob("*.py")} - {"__init__", "__main__"} == set(SHARED)
+    for name in SHARED:
+        source = (ROOT / f"{name}.py").read_text()
+        assert list(imported_stages(ast.parse(source), ("riecjax",))) == []
 
 
 def test_what_lies_outside_comes_after_the_whole_engine():

@@ -9,6 +9,18 @@ class DataError(RiecjaxError):
     """The recorded data does not allow what was asked of it (missing signal, NaN, too short)."""
 
 
+class MissingSignalError(DataError):
+    """A record lacks a signal; `signal` is its name, `available` what the record has."""
+
+    def __init__(self, signal: str, available: tuple[str, ...]):
+        self.signal = signal
+        self.available = available
+        super().__init__(
+            f"the record has no signal '{signal}'; it has: {', '.join(available) or 'none'}. "
+            f"Rename a column to it (on the command line: --map {signal}=COLUMN)."
+        )
+
+
 class ModelError(RiecjaxError):
     """A model, equation or criterion is put together wrongly, or a name in it is unknown."""
 

@@ -17,7 +17,7 @@ def simulated(capsys, path, model, *options, source: object = "white-noise"):
 
 def table(path) -> dict[str, np.ndarray]:
     read = np.genfromtxt(path, delimiter=",", names=True)
-    return {name: read[name] for name in read.dtype.names}
+    return {name: read[name] for name in read.dtype.names or ()}
 
 
 @pytest.mark.parametrize("model", ["quarter-car-source", "quarter-car", "quarter-car-wheel"])
@@ -73,7 +73,7 @@ def test_formats_hold_the_same_numbers(capsys, tmp_path, ending):
 
 def test_source_model_moves_as_its_equations_say(capsys, tmp_path):
     path = tmp_path / "a.csv"
-    simulated(capsys, path, "quarter-car-source", "--duration", 10, "--rate", 1000)
+    simulated(capsys, path, "quarter-car-source", "--duration", 4, "--rate", 1000)
     car = table(path)
     # x1' = v_r - x3 and x2' = x3 - x4, by trapezoids; their error is of order step^2 x3''.
     for state, rate in (("x1", car["v_r"] - car["x3"]), ("x2", car["x3"] - car["x4"])):

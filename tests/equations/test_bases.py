@@ -38,10 +38,10 @@ def test_roof_functions_equal_numpy_interpolation_of_unit_vectors_inside(points)
 
 
 def test_the_end_segments_continue_outside():
-    points, forces = np.array([-1.0, 0.0, 2.0]), np.array([-3.0, 1.0, 2.0])
+    points, forces = [-1.0, 0.0, 2.0], np.array([-3.0, 1.0, 2.0])
     x = np.array([-5.0, -1.5, 2.5, 10.0])
     expected = np.where(x < 0, 1 + 4 * x, 1 + 0.5 * x)
-    np.testing.assert_allclose(forces @ roof(points)(x), expected, rtol=1e-14)
+    np.testing.assert_allclose(forces @ roof(points)(jnp.array(x)), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize("points", POINTS)

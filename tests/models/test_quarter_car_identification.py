@@ -36,8 +36,8 @@ PROCEDURES = {
 }
 
 
-def model() -> QuarterCar:
-    return QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in PARAMETERS.items()})
+def model(parameters=PARAMETERS) -> QuarterCar:
+    return QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in parameters.items()})
 
 
 def damper_force(velocity: float) -> float:
@@ -73,14 +73,14 @@ def test_momentum_of_both_masses_changes_by_the_tyre_force():
     np.testing.assert_allclose(rate, record["F_t"], rtol=1e-10, atol=1e-9)
 
 
-def recording(refinement: int) -> Record:
-    """One continuous motion at 200 Hz times `refinement`: its input is piecewise linear at 200 Hz."""
+def recording(refinement: int, parameters=PARAMETERS) -> Record:
+    """One motion, its input piecewise linear at 200 Hz, sampled at 200 Hz times `refinement`."""
     coarse = np.asarray(
         band_limited_noise(jax.random.key(7), 2001, 0.005, bandwidth=20.0, rms=0.55)
     )
     fine = np.interp(np.arange(2000 * refinement + 1) / refinement, np.arange(2001), coarse)
     record = Record({"v_r": fine}, 0.005 / refinement)
-    return simulate(model(), record, method=FixedStep(16 // refinement)).checked().record
+    return simulate(model(parameters), record, method=FixedStep(16 // refinement)).checked().record
 
 
 @pytest.mark.parametrize("procedure", PROCEDURES)
@@ -90,24 +90,29 @@ def test_dols_with_recorded_derivatives_returns_the_parameters(procedure):
     assert set(estimate.parameters) == set(PARAMETERS)
     for name, value in PARAMETERS.items():
         np.testing.assert_allclose(estimate[name], value, rtol=1e-9, err_msg=name)
-        # At once: residuals are zero in every equation, so weights do not matter.
 
 
-def riec_errors(refinement: int, procedure: str) -> np.ndarray:
-    criterion = RIEC(RandomWindows(0.05, 0.5, 4000, between_samples=True))
-    key = jax.random.key(1)
-    estimate = identify(PROCEDURES[procedure](), recording(refinement), criterion, key=key)
-    return np.array([float(estimate[name]) / value - 1 for name, value in PARAMETERS.items()])
+def riec_errors(procedure: str, refinement: int, parameters=PARAMETERS) -> np.ndarray:
+    criterion = RIEC(RandomWindows(0.05, 0.5, 1000, between_samples=True))
+    record = recording(refinement, parameters)
+    estimate = identify(PROCEDURES[procedure](), record, criterion, key=jax.random.key(1))
+    return np.array([float(estimate[name]) / value - 1 for name, value in parameters.items()])
 
 
-@pytest.mark.parametrize("procedure", PROCEDURES)
-def test_riec_returns_the_parameters_to_second_order_in_the_time_step(procedure):
-    errors = [np.max(np.abs(riec_errors(refinement, procedure))) for refinement in (2, 4, 8)]
-    # The motion and its windows stay the same; what is left is the trapezoidal rule, of second
-    # order but for the kinks of the damper map, which fall anywhere between samples.
-    assert errors[0] < 0.05
-    assert errors[1] < errors[0] / 2.5
-    assert errors[2] < errors[1] / 2.5
+@pytest.mark.parametrize("procedure", ["body", "at once"])
+def test_riec_returns_the_parameters_within_its_quadrature(procedure):
+    # At 800 Hz a trapezoid misses (omega dt)^2 / 12, 2e-3 of what moves at the highest 20 Hz. That
+    # error sits at the two ends of a window and averages out over a thousand of them.
+    assert np.max(np.abs(riec_errors(procedure, 4))) < 2e-4
+
+
+def test_riec_converges_to_the_parameters_in_second_order_of_the_time_step():
+    # Forces on one line: without kinks between samples only the quadrature is left. The motion and
+    # its windows stay the same. What the average over windows leaves of its error changes sign from
+    # grid to grid, so the order shows over a wide range of steps only.
+    straight = {**PARAMETERS, **{f"F_{i}": 1800.0 * v for i, v in enumerate(BREAK_POINTS, 1)}}
+    coarse, fine = (np.linalg.norm(riec_errors("wheel", r, straight)) for r in (1, 16))
+    np.testing.assert_allclose(np.log2(coarse / fine) / 4, 2.0, atol=0.3)
 
 
 def test_known_masses_are_kept_and_the_rest_is_found():

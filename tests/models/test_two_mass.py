@@ -94,9 +94,9 @@ def test_riec_finds_the_total_mass_better_than_dols(seed, recordings):
 
 def test_without_a_second_mass_both_criteria_find_the_first():
     lone = TwoMass(jnp.asarray(M1), jnp.asarray(1e-9), jnp.asarray(OMEGA), jnp.asarray(ZETA))
-    force = band_limited_noise(jax.random.key(0), 5000, STEP, bandwidth=30.0, rms=100.0)
+    force = band_limited_noise(jax.random.key(0), 20_000, STEP, bandwidth=30.0, rms=100.0)
     record = simulate(lone, Record({"F": force}, STEP)).record
-    windows = RIEC(RandomWindows(0.1, 1.0, 1000))
+    windows = RIEC(RandomWindows(0.1, 1.0, 4000))
     equation = two_mass_equation()
     np.testing.assert_allclose(identify(equation, record, DOLS())["M"], M1, rtol=1e-8)
     riec = identify(equation, record, windows, key=jax.random.key(0))["M"]

@@ -166,18 +166,25 @@ def test_vectors_of_any_layout_and_number_type(tmp_path, shape, dtype):
     assert read_record(tmp_path / "a.npz")["x"].tolist() == [0, 1, 1, 0, 1]
 
 
+def refusal(path: Path, record: Record) -> str | None:
+    try:
+        write_record(path, record)
+    except DataError as error:
+        return str(error)
+    return None
+
+
 @pytest.mark.parametrize("ending", ENDINGS)
-@pytest.mark.parametrize("name", ["speed, left", "file", "allow_pickle", "_hidden"])
+@pytest.mark.parametrize("name", ["speed, left", "file", "allow_pickle", "_hidden", "größe"])
 def test_signal_names_survive_or_are_refused(tmp_path, ending, name):
     # Whatever a name may hold, a signal is never lost or mixed up without a word.
     path = tmp_path / f"a{ending}"
-    try:
-        write_record(path, Record({name: TIME, "y": 2 * TIME}, 0.1))
-    except DataError as refusal:
-        assert name in str(refusal)
+    message = refusal(path, Record({name: TIME, "y": 2 * TIME}, 0.1))
+    if message is None:
+        assert set(read_record(path).arrays) == {name, "y"}
+    else:
+        assert name in message
         no_temporaries(tmp_path)
-        return
-    assert set(read_record(path).arrays) == {name, "y"}
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -294,7 +301,7 @@ def test_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "LARGEST_FILE", 5000)
     np.savez_compressed(path, t=np.arange(2000.0), x=np.zeros(2000))
     assert path.stat().st_size > 0
-    with pytest.raises(DataError, match="unpacks to|larger than"):
+    with pytest.raises(DataError, match=r"unpacks to|larger than"):
         read_record(path)
 
 
@@ -311,7 +318,7 @@ def test_truncated_archives(tmp_path, ending, share):
 def test_matlab_7_3_says_how_to_save_it_again(tmp_path):
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
     (tmp_path / "a.mat").write_bytes(header + bytes(400))
-    with pytest.raises(DataError, match="v7.3"):
+    with pytest.raises(DataError, match=r"v7\.3"):
         read_record(tmp_path / "a.mat")
 
 

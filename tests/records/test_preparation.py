@@ -17,6 +17,12 @@ def record(**signals: np.ndarray) -> Record:
     return Record(signals, 1 / RATE)
 
 
+def butterworth(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
+    coefficients = scipy.signal.butter(4, cutoff, fs=RATE)
+    assert coefficients is not None
+    return np.asarray(coefficients[0]), np.asarray(coefficients[1])
+
+
 @pytest.mark.parametrize("frequency", [5.0, 50.0, 80.0, 200.0])
 def test_low_pass_has_the_gain_of_a_butterworth_run_both_ways_and_no_phase(frequency):
     cutoff = 50.0
@@ -33,8 +39,7 @@ def test_low_pass_agrees_with_filtfilt_and_leaves_other_signals():
     rng = np.random.default_rng(0)
     signals = {"q": rng.normal(size=4000).cumsum(), "force": rng.normal(size=4000)}
     filtered = low_pass(record(**signals), {"q": 100.0})
-    coefficients = scipy.signal.butter(4, 100.0, fs=RATE)
-    reference = scipy.signal.filtfilt(*coefficients, signals["q"])[50:-50]
+    reference = scipy.signal.filtfilt(*butterworth(100.0), signals["q"])[50:-50]
     # Transfer function against second-order sections: rounding of the coefficients, 1e-10.
     np.testing.assert_allclose(filtered["q"], reference, rtol=0, atol=1e-9 * np.ptp(reference))
     np.testing.assert_array_equal(filtered["force"], signals["force"][50:-50])
@@ -106,7 +111,7 @@ def test_prepare_filters_then_differentiates_then_thins_out():
     rng = np.random.default_rng(2)
     q = np.sin(9 * TIME) + 1e-3 * rng.normal(size=4000)
     prepared = prepare(record(q=q), AXIS, Preparation({"q": 100.0}, 10))
-    smooth = scipy.signal.filtfilt(*scipy.signal.butter(4, 100.0, fs=RATE), q)[50:-50]
+    smooth = scipy.signal.filtfilt(*butterworth(100.0), q)[50:-50]
     velocity = np.gradient(smooth, 1 / RATE, edge_order=2)
     acceleration = np.gradient(velocity, 1 / RATE, edge_order=2)
     assert float(prepared.time_step) == pytest.approx(0.01, rel=1e-12)

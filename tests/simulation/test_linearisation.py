@@ -12,6 +12,12 @@ from riecjax.models.two_mass import TwoMass
 from riecjax.simulation.linearisation import linearise, modes
 
 
+def built_in_source() -> QuarterCarSource:
+    source = built_in_model("quarter-car-source").build_system({})
+    assert isinstance(source, QuarterCarSource)
+    return source
+
+
 def oscillator(m=2.0, r=0.6, r2=0.5, k=50.0) -> DragOscillator:
     return DragOscillator(*(jnp.asarray(value) for value in (m, r, r2, k)))
 
@@ -64,7 +70,7 @@ def test_source_model_with_linear_curves_equals_the_matrix_by_hand():
 
 
 def test_reconstructed_source_model_at_rest_equals_the_matrix_of_its_curves_slopes():
-    source = built_in_model("quarter-car-source").build_system({})
+    source = built_in_source()
     zero, h = jnp.zeros(()), 1e-7
 
     def slope(curve) -> float:
@@ -72,17 +78,12 @@ def test_reconstructed_source_model_at_rest_equals_the_matrix_of_its_curves_slop
 
     # By differences: a derivative that is lost at rest in the code is not lost here.
     expected = source_matrix(
-        *(
-            float(value)
-            for value in (
-                source.wheel_mass,
-                source.body_mass,
-                source.engine_mass,
-                source.tyre_stiffness,
-                source.damper_compliance,
-                source.mount_damping,
-            )
-        ),
+        float(source.wheel_mass),
+        float(source.body_mass),
+        float(source.engine_mass),
+        float(source.tyre_stiffness),
+        float(source.damper_compliance),
+        float(source.mount_damping),
         slope(source.damper),
         slope(source.spring),
         slope(source.mount),
@@ -118,13 +119,15 @@ def test_rigid_modes_are_left_out_and_one_of_a_conjugate_pair_is_kept():
     values = (10.0, 1.0, 100.0, 0.5)
     matrix = linearise(TwoMass(*(jnp.asarray(value) for value in values)))[0]
     (mode,) = modes(matrix)
+    assert mode.frequency is not None
+    assert mode.damping_ratio is not None
     # The free relative motion is d'' + 2 zeta omega d' + omega^2 d = 0.
     np.testing.assert_allclose(mode.frequency, 100 / (2 * np.pi), rtol=1e-9)
     np.testing.assert_allclose(mode.damping_ratio, 0.5, rtol=1e-9)
 
 
 def test_every_mode_is_an_eigenpair_and_they_are_sorted_by_decay():
-    matrix = np.asarray(linearise(built_in_model("quarter-car-source").build_system({}))[0])
+    matrix = np.asarray(linearise(built_in_source())[0])
     found = modes(jnp.asarray(matrix))
     assert sum(1 if mode.frequency is None else 2 for mode in found) == 7
     decay = [mode.eigenvalue.real for mode in found]

@@ -1,5 +1,6 @@
 """Steppers against exact solutions, SciPy and each other; lost solutions."""
 
+import itertools
 from typing import ClassVar
 
 import diffrax
@@ -76,7 +77,7 @@ def exact_first_order_hold(system: Linear, inputs, time_step, first) -> np.ndarr
     matrix[:2, :2], matrix[:2, 2:4], matrix[2:4, 4:] = system.A, system.B, np.eye(2)
     transition = scipy.linalg.expm(matrix * time_step)
     states = [np.asarray(first)]
-    for low, high in zip(inputs, inputs[1:]):
+    for low, high in itertools.pairwise(inputs):
         extended = np.concatenate([states[-1], low, (high - low) / time_step])
         states.append((transition @ extended)[:2])
     return np.array(states)
@@ -155,26 +156,32 @@ def test_fewer_than_one_step_per_sample_is_refused(steps):
         FixedStep(steps)
 
 
-def test_adaptive_fixed_and_scipy_solutions_agree():
-    inputs, first = 2 * sampled(40, 1), jnp.array([1.0, 0.0])
-    exact = scipy_swing(inputs, 0.1, first)
-    adaptive, status, reached = run(Adaptive(1e-10, 1e-12), SWING, inputs, 0.1, first)
-    fixed = run(FixedStep(64), SWING, inputs, 0.1, first)[0]
+@pytest.fixture(scope="module")
+def swing_by_scipy() -> np.ndarray:
+    return scipy_swing(2 * sampled(40, 1), 0.1, [1.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def swing_by_adaptive():
+    method = Adaptive(1e-10, 1e-12)
+    return run(method, SWING, 2 * sampled(40, 1), 0.1, jnp.array([1.0, 0.0]))
+
+
+def test_adaptive_fixed_and_scipy_solutions_agree(swing_by_scipy, swing_by_adaptive):
+    adaptive, status, reached = swing_by_adaptive
+    fixed = run(FixedStep(64), SWING, 2 * sampled(40, 1), 0.1, jnp.array([1.0, 0.0]))[0]
     # Local errors of 1e-10 add up over some hundreds of steps.
-    np.testing.assert_allclose(adaptive, exact, atol=1e-7)
-    np.testing.assert_allclose(fixed, exact, atol=1e-9)
+    np.testing.assert_allclose(adaptive, swing_by_scipy, atol=1e-7)
+    np.testing.assert_allclose(fixed, swing_by_scipy, atol=1e-9)
     assert bool(status == SimulationStatus.successful)
     assert int(reached) == 40
 
 
-def test_a_tighter_tolerance_makes_the_adaptive_solution_better():
-    inputs, first = 2 * sampled(40, 1), jnp.array([1.0, 0.0])
-    exact = scipy_swing(inputs, 0.1, first)
-    errors = [
-        np.abs(run(Adaptive(rtol, rtol), SWING, inputs, 0.1, first)[0] - exact).max()
-        for rtol in (1e-4, 1e-8)
-    ]
-    assert errors[1] < 0.01 * errors[0]
+def test_a_tighter_tolerance_makes_the_adaptive_solution_better(swing_by_scipy, swing_by_adaptive):
+    loose = run(Adaptive(1e-4, 1e-4), SWING, 2 * sampled(40, 1), 0.1, jnp.array([1.0, 0.0]))[0]
+    error = np.abs(loose - swing_by_scipy).max()
+    assert np.abs(swing_by_adaptive[0] - swing_by_scipy).max() < 1e-3 * error
+    assert error < 0.1
 
 
 def test_an_implicit_solver_takes_a_stiff_system_with_few_steps():
@@ -186,18 +193,17 @@ def test_an_implicit_solver_takes_a_stiff_system_with_few_steps():
     assert bool(status == SimulationStatus.successful)
     # The fast state follows the input's kinks: only steps that end on them keep the tolerance.
     np.testing.assert_allclose(states, exact, atol=1e-4)
-    # An explicit method of a thousand times as many steps cannot: that the case is stiff is checked.
+    # That the case is stiff is checked: fifty explicit steps a sample cannot follow it.
     assert bool(run(FixedStep(50), stiff, inputs, 0.1, first)[1] == SimulationStatus.diverged)
 
 
-def test_used_up_steps_are_a_status_and_leave_finite_states():
-    inputs, first = 2 * sampled(40, 1), jnp.array([1.0, 0.0])
-    full = run(Adaptive(1e-8, 1e-10), SWING, inputs, 0.1, first)[0]
-    states, status, reached = run(Adaptive(1e-8, 1e-10, max_steps=30), SWING, inputs, 0.1, first)
+def test_used_up_steps_are_a_status_and_leave_finite_states(swing_by_adaptive):
+    method = Adaptive(1e-10, 1e-12, max_steps=60)
+    states, status, reached = run(method, SWING, 2 * sampled(40, 1), 0.1, jnp.array([1.0, 0.0]))
     assert bool(status == SimulationStatus.max_steps_reached)
     count = int(reached)
     assert 1 < count < 40
-    np.testing.assert_allclose(states[:count], full[:count], atol=1e-12)
+    np.testing.assert_allclose(states[:count], swing_by_adaptive[0][:count], atol=1e-12)
     np.testing.assert_array_equal(states[count:], np.tile(states[count - 1], (40 - count, 1)))
 
 
@@ -235,14 +241,6 @@ def test_growth_until_overflow_ends_where_the_methods_own_amplification_says():
     )
 
 
-def test_an_adaptive_blow_up_is_not_successful_and_stays_finite():
-    method = Adaptive(1e-6, 1e-9, max_steps=2000)
-    states, status, reached = run(method, Power(jnp.array(1.0), 3), np.zeros((20, 1)), 0.1, START)
-    assert not bool(status == SimulationStatus.successful)
-    assert int(reached) == 6
-    assert bool(jnp.all(jnp.isfinite(states)))
-
-
 GAINS = jnp.array([-1.0, 1.0, 0.05])
 
 
@@ -259,6 +257,7 @@ def test_a_lost_lane_of_a_batch_leaves_the_others_alone(method):
     states, status, reached = jax.vmap(lambda gain: final_state(gain, method))(GAINS)
     np.testing.assert_array_equal(status == SimulationStatus.successful, [True, False, True])
     np.testing.assert_array_equal(reached, [20, 6, 20])
+    assert bool(jnp.all(jnp.isfinite(states)))
     time = 0.1 * np.arange(20)
     for lane in (0, 2):
         gain = float(GAINS[lane])

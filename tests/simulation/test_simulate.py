@@ -1,5 +1,6 @@
 """What simulate() promises: its stated accuracy, its signals, its status and its derivatives."""
 
+import itertools
 from typing import ClassVar
 
 import diffrax
@@ -52,7 +53,7 @@ def scipy_states() -> np.ndarray:
     rate = jax.jit(lambda state, level: system.derivative(state, level))
     velocity = np.asarray(road(0)["v_r"])[:800]
     states = [np.zeros(7)]
-    for low, high in zip(velocity, velocity[1:]):
+    for low, high in itertools.pairwise(velocity):
 
         def right_hand_side(t, x, low=low, high=high):
             return np.asarray(rate(x, np.array([low + (high - low) * t / STEP])))
@@ -211,14 +212,13 @@ def test_checked_hands_back_a_simulation_that_kept_its_solution():
 
 def test_vmap_over_seeds_equals_one_by_one():
     def one(key):
-        noise = band_limited_noise(key, 300, STEP, bandwidth=30.0, rms=0.55)
-        return simulate(source(), Record({"v_r": noise}, STEP)).record.arrays
+        noise = band_limited_noise(key, 200, 0.02, bandwidth=5.0, rms=10.0)
+        return simulate(duffing(), Record({"u": noise}, 0.02)).record.arrays
 
     keys = jax.random.split(jax.random.key(3), 3)
     together = jax.vmap(one)(keys)
     for i in range(3):
-        alone = one(keys[i])
-        for name, samples in alone.items():
+        for name, samples in one(keys[i]).items():
             # The same operations, fused differently: rounding, grown along the trajectory.
             scale = float(jnp.max(jnp.abs(samples)))
             np.testing.assert_allclose(together[name][i], samples, atol=1e-10 * scale)
@@ -250,7 +250,7 @@ def test_derivative_by_the_initial_state_and_the_input_equals_finite_differences
 
 
 class Counting(AbstractSystem):
-    """A decay that counts how often Python runs its right-hand side, that is, how often it traces."""
+    """A decay that counts how often Python runs its right-hand side: how often it is traced."""
 
     rate: Float[Array, ""]
 

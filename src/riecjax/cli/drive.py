@@ -5,7 +5,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import DataError, MissingSignalError, ModelError
 from riecjax.models.quarter_car.reconstruction import ROUGHNESS, reconstructed
 from riecjax.records.files import read_record
 from riecjax.records.record import Record
@@ -13,6 +13,7 @@ from riecjax.simulation.excitation import band_limited_noise, pothole, robson_ro
 
 KINDS = ("white-noise", "robson", "pothole")
 DEFAULT_RATE = 200.0
+MOST_SAMPLES = 50_000_000
 DEFAULT_DURATION = {"white-noise": 40.0, "robson": 40.0, "pothole": 3.0}
 
 
@@ -35,17 +36,23 @@ def drive(
         return _generated(source, input_names, duration, rate, bandwidth, rms, seed)
     if not Path(source).suffix and not Path(source).exists():
         raise ModelError(f"unknown input '{source}'; give {', '.join(KINDS)} or a file.")
-    record = read_record(source).select(*input_names)
+    try:
+        record = read_record(source).select(*input_names)
+    except MissingSignalError as error:
+        raise DataError(
+            f"{source}: there is no signal '{error.signal}', which drives the model; there are: "
+            f"{', '.join(error.available)}."
+        ) from None
     if rate is not None and abs(rate * float(record.time_step) - 1) > 1e-6:
         raise DataError(
             f"{source} is sampled at {1 / float(record.time_step):g} Hz; leave out --rate."
         )
     if duration is None:
         return record
-    count = round(duration / float(record.time_step))
-    if not 2 <= count <= record.sample_count:
+    count = duration / float(record.time_step)
+    if not 1.5 <= count <= record.sample_count + 0.5:
         raise DataError(f"{source} lasts {float(record.duration):g} s, not {duration:g} s.")
-    return record.part(0, count)
+    return record.part(0, round(count))
 
 
 def _generated(
@@ -58,9 +65,10 @@ def _generated(
     seed: int,
 ) -> Record:
     rate = DEFAULT_RATE if rate is None else rate
-    count = round((DEFAULT_DURATION[kind] if duration is None else duration) * rate)
-    if count > 50_000_000:
-        raise ModelError(f"{count} samples are too many; choose a shorter --duration or --rate.")
+    samples = (DEFAULT_DURATION[kind] if duration is None else duration) * rate
+    if samples > MOST_SAMPLES:
+        raise ModelError(f"{samples:g} samples are too many: shorten --duration or lower --rate.")
+    count = round(samples)
     if kind != "pothole" and bandwidth > rate / 2:
         raise ModelError(
             f"a bandwidth of {bandwidth:g} Hz needs a rate above {2 * bandwidth:g} Hz; "

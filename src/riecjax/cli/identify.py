@@ -1,5 +1,7 @@
 """`riecjax identify`: parameters from recordings."""
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -13,6 +15,7 @@ from riecjax.cli.options import (
     set_option,
 )
 from riecjax.cli.runtime import start_jax
+from riecjax.errors import DataError, MissingSignalError
 
 DEFAULT_ALPHA, DEFAULT_BETA, DEFAULT_WINDOWS = 0.05, 0.5, 8000
 
@@ -50,6 +53,25 @@ class Available(click.Choice[str]):
         if chosen in self.to_come:
             self.fail(f"'{chosen}' is not available yet.", param, ctx)
         return chosen
+
+
+@contextlib.contextmanager
+def about(file: Path, rename: dict[str, str]) -> Iterator[None]:
+    """Name the file in what is said about its record."""
+    try:
+        yield
+    except MissingSignalError as error:
+        taken = [new for new, column in rename.items() if column == error.signal]
+        if taken:
+            raise DataError(
+                f"{file.name}: there is no signal '{error.signal}', for --map {taken[0]}="
+                f"{error.signal} renamed that column; there are: {', '.join(error.available)}."
+            ) from None
+        raise DataError(f"{file.name}: {error}") from None
+    except DataError as error:
+        message = str(error)
+        prefix = "" if message.startswith(f"{file.name}: ") else f"{file.name}: "
+        raise DataError(prefix + message) from None
 
 
 @click.command("identify")
@@ -151,7 +173,7 @@ def command(
 
     from riecjax.criteria.criterion import DOLS, RIEC
     from riecjax.criteria.windows import RandomWindows
-    from riecjax.estimation.identify import identify
+    from riecjax.estimation.identify import check_record, identify
     from riecjax.models.preparation import Preparation, prepare
     from riecjax.models.resolve import find_model
     from riecjax.records.files import read_record
@@ -175,9 +197,13 @@ def command(
     else:
         criterion = DOLS()
     settings = Preparation(cutoffs, every)
-    records = [
-        prepare(read_record(file, rename=rename, scale=scale), model, settings) for file in files
-    ]
+    records = []
+    for file in files:
+        with about(file, rename):
+            record = read_record(file, rename=rename, scale=scale)
+            record = prepare(record, model, settings)
+            check_record(procedure, record, criterion)
+            records.append(record)
     key = jax.random.key(seed)
     estimate = identify(procedure, records, criterion, key=key, known=known)
     document = identification_document(

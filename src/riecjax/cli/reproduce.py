@@ -27,6 +27,10 @@ def command(
     """Reproduce Tables 1, 3, 4 and 5 of Best and Gordon (1999) on simulated roads."""
     if full and quick:
         raise click.UsageError("--full and --quick exclude each other.")
+    if roads and (full or quick):
+        raise click.UsageError(
+            "--roads excludes --full and --quick, which set the number of roads."
+        )
     count = roads or (FULL_ROADS if full else QUICK_ROADS if quick else DEFAULT_ROADS)
     start_jax()
     import jax

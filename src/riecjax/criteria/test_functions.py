@@ -31,7 +31,7 @@ class Primitives(eqx.Module):
 
     def increments(self, windows: WindowSet) -> Float[Array, "columns windows"]:
         """Integral of every column over every window."""
-        line = self.slope[:, None] * (windows.stop - windows.start)
+        line = self.slope[:, None] * (windows.stop - windows.start)[None, :]
         return self._at(windows.stop) - self._at(windows.start) + line
 
     def _at(
@@ -40,7 +40,7 @@ class Primitives(eqx.Module):
         if jnp.issubdtype(position.dtype, jnp.integer):
             return self.values[:, position]
         below = jnp.clip(position.astype(jnp.int32), 0, self.values.shape[1] - 2)
-        share = position - below
+        share = (position - below)[None, :]
         left, right = self.values[:, below], self.values[:, below + 1]
         return left + share * (right - left) - 0.5 * share * (1 - share) * self.bend[:, below]
 

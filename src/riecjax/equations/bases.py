@@ -56,8 +56,8 @@ class RoofFunctions(AbstractBasis):
         points = self.break_points
         last = points.shape[0] - 2
         # Comparing with the inner points vectorises where a binary search does not.
-        below = jnp.sum(x[..., None] >= points[1:-1], axis=-1)
-        below = jnp.clip(below, 0, last)
+        inside = [(x >= points[i]).astype(jnp.int32) for i in range(1, last + 1)]
+        below = sum(inside, start=jnp.zeros(jnp.shape(x), jnp.int32))
         share = (x - points[below]) / (points[below + 1] - points[below])
         return below, share
 
@@ -65,6 +65,7 @@ class RoofFunctions(AbstractBasis):
         """R_i(x) for every i."""
         below, share = self._segment(x)
         index = jnp.arange(self.break_points.shape[0])[:, None]
+        below, share = below[None, :], share[None, :]
         return jnp.where(index == below, 1 - share, 0.0) + jnp.where(index == below + 1, share, 0.0)
 
     def interpolate(self, values: Float[Array, " points"], x: Array) -> Array:

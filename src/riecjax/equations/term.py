@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record, Signals
 
@@ -19,9 +19,29 @@ Write functions once, at module level: a new function object each time compiles 
 
 
 def evaluate(expression: Expression, record: Record) -> Float[Array, " n"]:
-    """Samples of an expression on a record."""
+    """Samples of an expression on a record.
+
+    **Raises:** `DataError` for a missing signal, `ModelError` if a function of the user's own
+    fails or does not return one number for each sample.
+    """
     signals = record.signals
-    return signals[expression] if isinstance(expression, str) else expression(signals)
+    if isinstance(expression, str):
+        return signals[expression]
+    name = getattr(expression, "__name__", "an expression")
+    try:
+        samples = jnp.asarray(expression(signals))
+    except RiecjaxError:
+        raise
+    except Exception as error:  # whatever the user's own code raises
+        raise ModelError(
+            f"the expression {name} failed: {type(error).__name__}: {error}"
+        ) from error
+    if samples.shape != (record.sample_count,):
+        raise ModelError(
+            f"the expression {name} must return one number for each of the {record.sample_count} "
+            f"samples; it returned shape {samples.shape}."
+        )
+    return samples
 
 
 class AbstractTerm(eqx.Module):

@@ -68,7 +68,7 @@ def identify(
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for record in recordings:
-        criterion.check(record)
+        check_record(procedure, record, criterion)
 
     keys = _record_keys(key, len(recordings))
     counts = [_block_count(criterion, record) for record in recordings]
@@ -80,6 +80,7 @@ def identify(
     )
     solutions, covariance = _solve(stages, given, None)
     if is_concrete(solutions):
+        _raise_if_not_finite(stages, plan)
         rows = None
         if _worst_condition(solutions) > gram_condition_limit(covariance.dtype):
             rows = _rows(procedure, recordings, criterion, keys)
@@ -97,6 +98,19 @@ def identify(
         stage_names=tuple(plan[stage.stage][0] for stage in solutions),
         block_count=sum(counts),
     )
+
+
+def check_record(procedure: Procedure, record: Record, criterion: AbstractCriterion) -> None:
+    """Raise what `identify` would raise of this one record, before any arithmetic.
+
+    **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
+    for an expression that fails.
+    """
+    criterion.check(record)
+    key = jax.random.key(0)
+    for stage in procedure.stages:
+        for equation in stage:
+            eqx.filter_eval_shape(criterion.rows, equation, record, key)
 
 
 @eqx.filter_jit
@@ -206,6 +220,18 @@ def _block_count(criterion: AbstractCriterion, record: Record) -> int:
 
 def _worst_condition(solutions: list[StageSolution]) -> float:
     return max(float(stage.solution.condition_number) for stage in solutions)
+
+
+def _raise_if_not_finite(
+    stages: list[NormalEquations], plan: list[tuple[str, tuple[str, ...]]]
+) -> None:
+    for equations, (label, _) in zip(stages, plan):
+        if not bool(jnp.all(jnp.isfinite(equations.moments))):
+            raise DataError(
+                f"{label}: its terms are not finite numbers on this record: a division by zero, a "
+                f"root of a negative number, or values too large to be squared. Scale the signals "
+                f"to SI units and check the equation's expressions."
+            )
 
 
 def _raise_if_unidentifiable(

@@ -67,7 +67,7 @@ def solve(equations: NormalEquations) -> Solution:
 def solve_rows(rows: Rows) -> Solution:
     """Solve rows by a singular value decomposition: dearer, accurate to eps times cond."""
     scale = _column_scale(jnp.sum(rows.regressors**2, axis=0))
-    matrix = rows.regressors * scale
+    matrix = rows.regressors * scale[None, :]
     tolerance = float(jnp.finfo(matrix.dtype).eps) * max(matrix.shape)
     theta = lx.linear_solve(
         lx.MatrixLinearOperator(matrix), rows.target, solver=lx.SVD(rcond=tolerance), throw=False

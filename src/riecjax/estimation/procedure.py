@@ -169,6 +169,6 @@ def _sandwich(score: Float[Array, "blocks p"], slope: Float[Array, "p p"]) -> Fl
     diagonal = jnp.abs(jnp.diagonal(slope))
     scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
     scaled = slope * scale[:, None] * scale[None, :]
-    influence = jnp.linalg.solve(scaled, (score * scale).T).T * scale
+    influence = scale[:, None] * jnp.linalg.solve(scaled, scale[:, None] * score.T)
     correction = block_count / max(block_count - 1, 1)
-    return correction * influence.T @ influence
+    return correction * influence @ influence.T

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, RiecjaxError
 
 if TYPE_CHECKING:
     from jaxtyping import Array
@@ -66,11 +66,18 @@ class Model:
         **Raises:** `ModelError` if this model is only for simulation.
         """
         from riecjax.equations.equation import Equation
-        from riecjax.estimation.procedure import staged
+        from riecjax.estimation.procedure import Procedure, staged
 
         if self.procedure is None:
             raise ModelError(f"model '{self.name}' can be simulated but not identified.")
-        built = _resolve(self.procedure)()
+        try:
+            built = _resolve(self.procedure)()
+        except RiecjaxError:
+            raise
+        except Exception as error:  # whatever the user's own code raises
+            raise ModelError(f"{self.name} failed: {type(error).__name__}: {error}") from None
+        if not isinstance(built, Equation | Procedure):
+            raise ModelError(f"{self.name}: its procedure must build an Equation or a Procedure.")
         return staged(built) if isinstance(built, Equation) else built
 
     def build_system(self, settings: Mapping[str, float]) -> AbstractSystem:

@@ -24,7 +24,9 @@ class Preparation(NamedTuple):
             for name, of in model.derived.items()
         ]
         if self.every > 1:
-            steps.append(f"every {self.every}th sample")
+            ending = {1: "st", 2: "nd", 3: "rd"}.get(self.every % 10, "th")
+            ending = "th" if 10 < self.every % 100 < 14 else ending
+            steps.append(f"every {self.every}{ending} sample")
         return steps
 
 

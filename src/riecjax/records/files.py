@@ -137,7 +137,7 @@ def _reader(file: Path) -> Callable[[Path], dict[str, np.ndarray]]:
     reader = READERS.get(file.suffix.lower())
     if reader is None:
         raise DataError(
-            f"cannot read '{file.name}': its ending must be one of {', '.join(READERS)}."
+            f"cannot read '{file.name or file}': its ending must be one of {', '.join(READERS)}."
         )
     if not file.is_file():
         raise DataError(f"there is no file '{file}'.")
@@ -149,28 +149,52 @@ def _reader(file: Path) -> Callable[[Path], dict[str, np.ndarray]]:
 def _read_csv(file: Path) -> dict[str, np.ndarray]:
     try:
         with file.open(newline="", encoding="utf-8-sig") as stream:
-            head = stream.read(65536)
-            delimiter = _delimiter(head)
+            delimiter = _delimiter(stream.read(65536))
             stream.seek(0)
-            header = next(csv.reader(stream, delimiter=delimiter), [])
-            names = [name.strip() for name in header]
-            if not any(names) or all(_is_number(name) for name in names):
-                raise DataError(f"{file.name}: the first row must name the columns.")
-            if len(set(names)) < len(names):
-                twice = next(name for name in names if names.count(name) > 1)
-                raise DataError(f"{file.name}: two columns are called '{twice}'.")
-            table = np.loadtxt(stream, delimiter=delimiter, ndmin=2)
+            names = _column_names(file, next(csv.reader(stream, delimiter=delimiter), []))
+            rows = [line for line in stream if line.strip()]
     except UnicodeDecodeError:
         raise DataError(f"{file.name}: not a text file in UTF-8.") from None
-    except (ValueError, csv.Error) as error:
-        if isinstance(error, DataError):
-            raise
+    except csv.Error as error:
         raise DataError(f"{file.name}: {_first_sentence(error)}") from None
+    if not rows:
+        raise DataError(f"{file.name}: there are no samples below the column names.")
+    try:
+        table = np.loadtxt(rows, delimiter=delimiter, ndmin=2, comments=None)
+    except ValueError as error:
+        where = _first_bad_line(file, delimiter, len(names))
+        raise DataError(f"{file.name}: {where or _first_sentence(error)}") from None
     if table.shape[1] != len(names):
         raise DataError(
             f"{file.name}: {len(names)} column names but {table.shape[1]} columns of numbers."
         )
     return dict(zip(names, table.T))
+
+
+def _column_names(file: Path, header: list[str]) -> list[str]:
+    names = [name.strip() for name in header]
+    if not any(names) or all(_is_number(name) for name in names):
+        raise DataError(f"{file.name}: the first row must name the columns.")
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise DataError(f"{file.name}: two columns are called '{twice}'.")
+    return names
+
+
+def _first_bad_line(file: Path, delimiter: str, columns: int) -> str:
+    """In words, the first line below the header that is not one number for each column."""
+    with file.open(newline="", encoding="utf-8-sig") as stream:
+        reader = csv.reader(stream, delimiter=delimiter)
+        next(reader)
+        for row in reader:
+            if not any(field.strip() for field in row):
+                continue
+            if len(row) != columns:
+                return f"line {reader.line_num} has {len(row)} values for {columns} columns."
+            for field in row:
+                if not _is_number(field):
+                    return f"line {reader.line_num}: {field.strip()[:40]!r} is not a number."
+    return ""
 
 
 def _read_npz(file: Path) -> dict[str, np.ndarray]:

@@ -9,6 +9,8 @@ from riecjax.errors import DataError
 from riecjax.records.record import Record
 
 FILTER_ORDER = 4
+FILTER_PADDING = 16
+"""Samples by which SciPy extends each end of a record for a filter of this order."""
 SETTLING_PERIODS = 5
 """Periods of the cut-off frequency after which a zero-phase filter has forgotten the ends."""
 
@@ -25,6 +27,13 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     record too short for the filter.
     """
     nyquist = 0.5 / float(record.time_step)
+    lowest = min(cutoffs.values())
+    cut = int(np.ceil(SETTLING_PERIODS / lowest / float(record.time_step)))
+    if lowest > 0 and 2 * cut >= record.sample_count - 2 * FILTER_PADDING:
+        raise DataError(
+            f"the record is too short to be filtered at {lowest:g} Hz: {cut} samples are lost at "
+            f"each end."
+        )
     filtered = {}
     for name, cutoff in cutoffs.items():
         if not 0 < cutoff < nyquist:
@@ -34,12 +43,6 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
             )
         sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         filtered[name] = jnp.asarray(scipy.signal.sosfiltfilt(sections, np.asarray(record[name])))
-    cut = int(np.ceil(SETTLING_PERIODS / min(cutoffs.values()) / float(record.time_step)))
-    if 2 * cut >= record.sample_count - 2:
-        raise DataError(
-            f"the record is too short to be filtered at {min(cutoffs.values()):g} Hz: {cut} "
-            f"samples are lost at each end."
-        )
     return record.with_signals(filtered).part(cut, record.sample_count - cut)
 
 

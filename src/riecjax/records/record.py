@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from riecjax.errors import DataError
+from riecjax.errors import DataError, MissingSignalError
 
 # Logged time stamps are rounded; steps may differ by this share before the grid counts as uneven.
 TIME_STEP_TOLERANCE = 1e-3
@@ -25,10 +25,7 @@ class Signals(Mapping[str, Array]):
         try:
             return self._arrays[name]
         except KeyError:
-            raise DataError(
-                f"the record has no signal '{name}'; it has: {', '.join(self._arrays) or 'none'}. "
-                f"Rename a column to it (on the command line: --map {name}=COLUMN)."
-            ) from None
+            raise MissingSignalError(name, tuple(self._arrays)) from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Key
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.estimation.estimate import Estimate
@@ -86,30 +87,32 @@ def print_identification(document: Document, console: Console) -> None:
     """Tables for a reader."""
     criterion = document["criterion"]
     settings = ", ".join(f"{k} {v}" for k, v in criterion.items() if k != "name")
-    console.print(f"{document['model']}  {criterion['name'].upper()}  {settings}", highlight=False)
+    heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
+    console.print(heading, highlight=False, markup=False)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for column in ("parameter", "value", "std error", "95 % interval", "unit"):
         table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
     for name, entry in document["parameters"].items():
         low, high = entry["interval95"]
         table.add_row(
-            name,
+            Text(name),
             _number(entry["value"]),
             _number(entry["std_error"], 2),
             f"{_number(low)} .. {_number(high)}",
-            entry["unit"],
+            Text(entry["unit"]),
         )
     for name, entry in document["known"].items():
-        table.add_row(name, _number(entry["value"]), "", "known", entry["unit"])
+        table.add_row(Text(name), _number(entry["value"]), "", "known", Text(entry["unit"]))
     console.print(table)
     for stage in document["residual"]["stages"]:
         console.print(
             f"{stage['equation']}: relative residual {100 * stage['relative_rms']:.3g} %, "
             f"condition number {_number(stage['condition_number'], 3)}, {stage['rows']} rows",
             highlight=False,
+            markup=False,
         )
     for step in document["provenance"]["preparation"]:
-        console.print(f"prepared: {step}", highlight=False)
+        console.print(f"prepared: {step}", highlight=False, markup=False)
 
 
 def identification_figures(
@@ -144,14 +147,15 @@ def identification_figures(
 
 def _explained(estimate: Estimate, rows: Rows) -> Rows:
     """Two columns: what the known terms and parameters give, and what the estimated explain."""
-    left = rows.fix({name: value for name, value in estimate.known.items()})
-    theta = jnp.stack([estimate[name] for name in left.parameters])
-    # Stages before this one found some of its coefficients: without a target, one of them is it.
-    if bool(jnp.all(left.target == 0)):
-        first = left.parameters[0]
-        left = left.fix({first: estimate[first]})
-        theta = theta[1:]
-    return Rows(jnp.stack([left.target, left.regressors @ theta]), rows.position, ("explained",))
+    left = rows.fix(estimate.known)
+    # Where no term is known beforehand, an earlier stage found the coefficient that sets the scale.
+    if left.parameters and bool(jnp.all(left.target == 0)):
+        left = left.fix({left.parameters[0]: estimate[left.parameters[0]]})
+    explained = sum(
+        (estimate[name] * column for name, column in zip(left.parameters, left.columns[1:])),
+        start=jnp.zeros_like(left.target),
+    )
+    return Rows(jnp.stack([left.target, explained]), rows.position, ("explained",))
 
 
 def _draw_fit(axes: Any, explained: np.ndarray, measured: np.ndarray, name: str, unit: str) -> None:

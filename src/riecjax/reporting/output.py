@@ -1,5 +1,6 @@
 """Where results go: the terminal, standard output as JSON, and a folder."""
 
+import io
 import json
 import os
 import shutil
@@ -74,7 +75,7 @@ def write_folder(
 
 
 def _as_text(document: Document, show: Callable[[Document, Console], None]) -> str:
-    console = Console(record=True, width=110, file=open(os.devnull, "w"))  # noqa: SIM115
+    console = Console(record=True, width=110, file=io.StringIO())
     show(document, console)
     return console.export_text()
 

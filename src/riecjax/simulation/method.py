@@ -177,7 +177,9 @@ class Adaptive(AbstractMethod):
         assert solution.ys is not None
         reached = jnp.sum(jnp.all(jnp.isfinite(solution.ys), axis=-1).astype(jnp.int32))
         lost = jnp.arange(last + 1) >= reached
-        states = jnp.where(lost[:, None], solution.ys[jnp.maximum(reached - 1, 0)], solution.ys)
+        states = jnp.where(
+            lost[:, None], solution.ys[jnp.maximum(reached - 1, 0)][None], solution.ys
+        )
         return states, _status_of(solution.result, reached > last), reached
 
 

@@ -1,0 +1,211 @@
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call, rejected, write_csv
+
+TEN_LINES = """
+import riecjax as rx
+
+cart = rx.Equation(
+    rx.Term("m", "v", derivative=1, measured=("a",), unit="kg"),
+    rx.Term("c", "v", unit="N s/m"),
+    rx.Term("k", lambda s: s["p"] ** 3, unit="N/m^3"),
+    -rx.Term(1.0, "f", unit="N"),
+    name="cart",
+)
+"""
+TRUTH = {"m": 2.5, "c": 0.75, "k": 40.0}
+UNITS = {"m": "kg", "c": "N s/m", "k": "N/m^3"}
+IMPORTS = """
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.estimation.procedure import simultaneous, staged
+from riecjax.models.model import Model, Quantity
+"""
+EQUATION = 'Equation(Term("m", "a"), Term("c", "v"), -Term(1.0, "f"), name="cart")'
+
+
+@pytest.fixture(autouse=True)
+def working_folder(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(4000) / 500
+    p, v = (
+        np.sin(3 * time) + 0.2 * np.sin(11 * time),
+        3 * np.cos(3 * time) + 2.2 * np.cos(11 * time),
+    )
+    a = -9 * np.sin(3 * time) - 24.2 * np.sin(11 * time)
+    f = TRUTH["m"] * a + TRUTH["c"] * v + TRUTH["k"] * p**3
+    write_csv(Path("cart.csv"), {"t": time, "p": p, "v": v, "a": a, "f": f})
+
+
+def model(text: str, name: str = "mine.py") -> None:
+    Path(name).write_text(text)
+
+
+def identified(capsys, reference: str, *options: object) -> dict:
+    result = call(capsys, "identify", "cart.csv", "--model", reference, "--json", *options)
+    assert result.status == 0, result.err
+    return result.document
+
+
+@pytest.mark.parametrize("criterion", ["riec", "dols"])
+def test_an_equation_in_ten_lines(capsys, criterion):
+    assert len(TEN_LINES.strip().splitlines()) <= 10
+    model(TEN_LINES)
+    document = identified(capsys, "mine.py:cart", "--criterion", criterion)
+    assert document["model"] == "cart"
+    assert {n: e["unit"] for n, e in document["parameters"].items()} == UNITS
+    for name, value in TRUTH.items():
+        # DOLS reads exact samples. RIEC integrates p^3, whose fastest wave has 33 rad/s, by
+        # trapezoids: (33 / 500)^2 / 12 = 3.6e-4.
+        accuracy = 1e-9 if criterion == "dols" else 3.6e-4
+        assert document["parameters"][name]["value"] == pytest.approx(value, rel=accuracy)
+
+
+def test_set_and_map_work_on_a_user_s_model(capsys):
+    model(TEN_LINES.replace('"f"', '"push"'))
+    options = ("--criterion", "dols", "--set", "m=2.5", "--map", "push=f")
+    document = identified(capsys, "mine.py:cart", *options)
+    assert document["known"] == {"m": {"value": 2.5, "unit": "kg"}}
+    assert document["parameters"]["c"]["value"] == pytest.approx(0.75, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [
+        f"thing = {EQUATION}",
+        f"thing = staged({EQUATION})",
+        f"thing = simultaneous({EQUATION})",
+        f"def thing():\n    return {EQUATION}",
+        f"thing = lambda: staged({EQUATION})",
+        f"thing = Model('thing', '', procedure=lambda: {EQUATION})",
+        f"def thing():\n    return Model('thing', '', procedure=lambda: {EQUATION})",
+    ],
+)
+def test_what_an_object_may_be(capsys, definition):
+    model(IMPORTS + definition)
+    document = identified(capsys, "mine.py:thing", "--criterion", "dols")
+    assert list(document["parameters"]) == ["m", "c"]
+    assert document["model"] == "thing"
+
+
+def test_a_model_s_derived_signals_are_formed(capsys):
+    model(
+        IMPORTS + 'equation = Equation(Term("m", "acc"), Term("c", "v"), -Term(1.0, "f"))\n'
+        'thing = Model("thing", "", procedure=lambda: equation, derived={"acc": "v"})'
+    )
+    given = identified(capsys, "mine.py:thing", "--criterion", "dols", "--map", "acc=a")
+    formed = identified(capsys, "mine.py:thing", "--criterion", "dols")
+    # Central differences lose (11 / 500)^2 / 6 = 8e-5 of the fastest wave.
+    assert formed["parameters"]["m"]["value"] == pytest.approx(
+        given["parameters"]["m"]["value"], rel=1e-3
+    )
+    assert formed["parameters"] != given["parameters"]
+
+
+def test_two_models_of_one_file_name_do_not_mix(capsys):
+    for folder, name in (("one", "m"), ("two", "mass")):
+        Path(folder).mkdir()
+        model(IMPORTS + "thing = " + EQUATION.replace('"m"', f'"{name}"'), f"{folder}/mine.py")
+    for folder, name in (("one", "m"), ("two", "mass"), ("one", "m")):
+        document = identified(capsys, f"{folder}/mine.py:thing", "--criterion", "dols")
+        assert name in document["parameters"]
+
+
+def test_names_with_square_brackets_are_printed_as_they_are(capsys):
+    # A terminal library must not take them for its own mark-up.
+    equation = EQUATION.replace('name="cart"', 'name="axis [/b] [x]"')
+    equation = equation.replace('"c", "v"', '"c", "v", unit="[N s/m]"')
+    model(IMPORTS + f"thing = {equation}")
+    options = ("--criterion", "dols", "--out", "results")
+    result = call(capsys, "identify", "cart.csv", "--model", "mine.py:thing", *options)
+    assert result.status == 0
+    assert "axis [/b] [x]" in result.out
+    assert "[N s/m]" in result.out
+
+
+def test_figures_where_a_stage_has_nothing_left_to_find(capsys):
+    second = 'Equation(Term("c", "v"), -Term(1.0, "f"), name="drag")'
+    model(IMPORTS + f"thing = simultaneous({EQUATION}, {second})")
+    options = ("--criterion", "dols", "--set", "c=1", "--out", "results")
+    document = identified(capsys, "mine.py:thing", *options)
+    assert list(document["parameters"]) == ["m"]
+    assert Path("results/fit.png").is_file()
+
+
+FAILING = {
+    "syntax error": ("def f(:\n", ("mine.py", "SyntaxError", "line 1")),
+    "missing object": ("other = 1\n", ("mine.py", "no object 'thing'")),
+    "exception": ("raise RuntimeError('first\\nsecond')\n", ("RuntimeError: first second",)),
+    "import of nothing": ("import no_such_module\n", ("no_such_module",)),
+    "exit": ("import sys\nsys.exit(0)\n", ("mine.py",)),
+    "wrong kind": ("thing = 3\n", ("'thing'", "not a Model, an Equation or a Procedure")),
+    "function of the wrong kind": ("thing = lambda: 3\n", ("not a Model, an Equation",)),
+    "function that fails": ("def thing():\n    return {}['a']\n", ("mine.py", "KeyError")),
+    "function with arguments": ("def thing(a):\n    return a\n", ("mine.py", "argument")),
+    "class": (IMPORTS + "thing = Term\n", ("mine.py", "argument")),
+    "model that fails": (
+        IMPORTS + "thing = Model('thing', '', procedure=lambda: 1 / 0)\n",
+        ("ZeroDivisionError",),
+    ),
+    "model of the wrong kind": (
+        IMPORTS + "thing = Model('thing', '', procedure=lambda: 3)\n",
+        ("Equation",),
+    ),
+    "model for simulation only": (IMPORTS + "thing = Model('it', '')\n", ("not identified",)),
+    "no equation": (IMPORTS + "thing = Equation(Term(1.0, 'f'))\n", ("named coefficient",)),
+    "no scale": (
+        IMPORTS + "thing = Equation(Term('m', 'a'), Term('c', 'v'))\n",
+        ("every coefficient is unknown", "--set"),
+    ),
+    "unknown signal": (IMPORTS + f"thing = {EQUATION.replace('f', 'g')}\n", ("'g'", "--map g=")),
+    "expression that fails": (
+        IMPORTS + "thing = Equation(Term('m', lambda s: s['a'].nope), -Term(1.0, 'f'))\n",
+        ("nope",),
+    ),
+    "expression of another length": (
+        IMPORTS + "thing = Equation(Term('m', lambda s: s['a'][:-1]), -Term(1.0, 'f'))\n",
+        ("3999", "4000"),
+    ),
+    "expression that is a number": (
+        IMPORTS + "thing = Equation(Term('m', lambda s: 1.0), -Term(1.0, 'f'))\n",
+        ("4000",),
+    ),
+    "expression that is not finite": (
+        IMPORTS + "thing = Equation(Term('m', lambda s: s['a'] / 0), -Term(1.0, 'f'))\n",
+        ("finite",),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FAILING)
+def test_models_that_fail(capsys, case):
+    text, words = FAILING[case]
+    model(text)
+    arguments = ("identify", "cart.csv", "--model", "mine.py:thing", "--out", "results")
+    message = rejected(capsys, 1, *arguments)
+    for word in words:
+        assert re.search(re.escape(word), message), message
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ("none.py:thing", "no file 'none.py'"),
+        ("mine.py", "path/to/file.py:object"),
+        ("mine.py:", "mine.py"),
+        (":thing", "unknown model"),
+        ("mine.txt:thing", "unknown model"),
+    ],
+)
+def test_references(capsys, reference, words):
+    model(IMPORTS + f"thing = {EQUATION}\n")
+    assert words in rejected(capsys, 1, "identify", "cart.csv", "--model", reference)
+
+
+def test_an_equation_cannot_be_simulated(capsys):
+    model(IMPORTS + f"thing = {EQUATION}\n")
+    arguments = ("simulate", "mine.py:thing", "--input", "white-noise", "--out", "s.csv")
+    assert "identified but not simulated" in rejected(capsys, 1, *arguments)

@@ -1,0 +1,144 @@
+"""How the study is put together; its numbers are compared with the published ones elsewhere."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.estimation.identify import identify
+from riecjax.models.catalogue import built_in_model
+from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
+from riecjax.models.quarter_car.identification import QuarterCar
+from riecjax.models.quarter_car.reconstruction import Pothole
+from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
+from riecjax.paper.reproduction import (
+    PARAMETERS,
+    RoadResult,
+    identification_record,
+    identify_variants,
+    paper_criteria,
+    run_road,
+)
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import pothole
+from riecjax.simulation.method import FixedStep
+from riecjax.simulation.simulate import simulate
+
+# Coarse steps: what is tested is that ways of computing agree, not how accurately.
+METHOD = FixedStep(2)
+KEYS = jax.random.split(jax.random.key(2024), 2)
+SHAPE = {"depth": 0.04, "length": 1.5, "ramp": 0.4}
+HOLE = Pothole(**{name: jnp.asarray(value) for name, value in SHAPE.items()})
+ROUGHNESS = jnp.asarray(2e-5)
+
+
+def source() -> QuarterCarSource:
+    built = built_in_model("quarter-car-source").build_system({})
+    assert isinstance(built, QuarterCarSource)
+    return built
+
+
+def road_result(key) -> RoadResult:
+    return run_road(key, source(), HOLE, ROUGHNESS, method=METHOD)
+
+
+@pytest.fixture(scope="module")
+def training() -> Record:
+    record_key = jax.random.split(KEYS[0], 3)[0]
+    return identification_record(source(), record_key, method=METHOD).checked().record
+
+
+@pytest.fixture(scope="module")
+def alone() -> list[RoadResult]:
+    one = eqx.filter_jit(road_result)
+    return [one(key) for key in KEYS]
+
+
+def test_table_2_is_as_printed():
+    assert TABLE_2.sample_count == 8000
+    criteria = paper_criteria()
+    assert set(criteria) == set(CRITERIA)
+    riec = criteria["RIEC"]
+    assert isinstance(riec, RIEC)
+    assert isinstance(criteria["DOLS"], DOLS)
+    windows = riec.windows
+    assert (float(windows.alpha), float(windows.beta), windows.count) == (0.05, 0.5, 8000)
+
+
+def test_identification_record_is_the_white_road_of_table_2(training):
+    velocity = np.asarray(training["v_r"])
+    assert velocity.size == 8000
+    assert float(training.time_step) == 1 / 200
+    np.testing.assert_allclose(np.sqrt(np.mean(velocity**2)), 0.55, rtol=1e-12)
+    energy = np.abs(np.fft.rfft(velocity)) ** 2
+    assert np.sum(energy[np.fft.rfftfreq(8000, 1 / 200) > 30.001]) < 1e-20 * np.sum(energy)
+
+
+@pytest.mark.parametrize(
+    ("criterion", "variant"),
+    [("RIEC", "W_true"), ("RIEC", "B_id"), ("DOLS", "B_true"), ("DOLS", "W_id")],
+)
+def test_variants_equal_identify_with_its_equation_and_known_masses(criterion, variant, training):
+    key = jax.random.key(9)
+    made = paper_criteria()[criterion]
+    found = identify_variants(training, made, key)[variant]
+    procedure = quarter_car_by_wheel() if variant.startswith("W") else quarter_car_by_body()
+    known = {"M_us": 30.0, "M_s": 300.0} if variant.endswith("true") else {}
+    expected = identify(procedure, training, made, key=key, known=known)
+    assert set(found) == set(PARAMETERS)
+    for name in PARAMETERS:
+        # The same normal equations, but in one block here and in many there.
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-8, err_msg=name)
+    if known:
+        assert (float(found["M_us"]), float(found["M_s"])) == (30.0, 300.0)
+
+
+def test_variants_differ(training):
+    found = identify_variants(training, DOLS(), jax.random.key(0))
+    stiffness = [float(found[variant]["K_s"]) for variant in VARIANTS]
+    assert np.unique(np.round(stiffness, 3)).size == 4
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_road_identifies_on_its_own_record_and_windows(criterion, alone, training):
+    window_key = jax.random.split(KEYS[0], 3)[1]
+    expected = identify_variants(training, paper_criteria()[criterion], window_key)
+    found = alone[0].parameters[criterion]
+    for variant in VARIANTS:
+        for name in PARAMETERS:
+            np.testing.assert_allclose(found[variant][name], expected[variant][name], rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_vmapped_roads_equal_one_by_one(alone):
+    together = eqx.filter_jit(jax.vmap(road_result))(KEYS)
+    assert bool(jnp.all(together.successful))
+    one_by_one = jax.tree.map(lambda *leaves: jnp.stack(leaves), *alone)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-8), together, one_by_one)
+    assert float(together.parameters["RIEC"]["W_id"]["M_s"][0]) != float(
+        together.parameters["RIEC"]["W_id"]["M_s"][1]
+    )
+
+
+@pytest.mark.parametrize("variant", ["W_id", "B_true"])
+def test_pothole_errors_are_those_of_the_identified_model_against_the_source(variant, alone):
+    step = 1 / TABLE_2.rate
+    velocity = pothole(600, step, **SHAPE)
+    inputs = Record({"v_r": velocity}, step)
+    truth = simulate(source(), inputs, method=METHOD).record
+    model = QuarterCar.from_parameters(alone[0].parameters["DOLS"][variant])
+    predicted = simulate(model, inputs, method=METHOD).record
+    expected = [
+        100 * np.linalg.norm(predicted[s] - truth[s]) / np.linalg.norm(truth[s])
+        for s in ("x1", "x2", "x3", "x4")
+    ]
+    found = alone[0].errors["pothole"]["DOLS"][variant]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+def test_contact_is_the_share_of_the_training_record_below_lift_off(alone, training):
+    expected = np.mean(np.asarray(training["F_t"]) < 330 * 9.81 * (1 - 1e-12))
+    np.testing.assert_allclose(alone[0].contact, expected, rtol=1e-12)

@@ -1,0 +1,248 @@
+import io
+import json
+import sys
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from rich.console import Console
+
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.errors import DataError
+from riecjax.estimation.identify import identify
+from riecjax.estimation.procedure import staged
+from riecjax.records.record import Record
+from riecjax.reporting.identification import (
+    identification_document,
+    identification_figures,
+    print_identification,
+)
+from riecjax.reporting.output import emit, require_plots, versions, write_folder
+
+DOCUMENT = {
+    "answer": 42,
+    "warnings": [{"code": "odd", "message": "5 < 6 & so on"}],
+    "provenance": {"seed": 1},
+}
+
+
+class Figure:
+    def savefig(self, path: Path, **_options: object) -> None:
+        path.write_bytes(b"picture")
+
+
+class Broken(Figure):
+    def savefig(self, path: Path, **_options: object) -> None:
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+
+def show(document: dict, console: Console) -> None:
+    console.print(f"the answer is {document['answer']}", highlight=False)
+
+
+def emitted(
+    out: Path | None = None,
+    as_json: bool = False,
+    figures: Callable[[], Mapping[str, object]] = dict,
+) -> None:
+    emit(DOCUMENT, as_json=as_json, out=out, show=show, figures=figures, title="A <title>")
+
+
+def test_terminal(capsys):
+    emitted()
+    captured = capsys.readouterr()
+    assert captured.out == "the answer is 42\n"
+    assert captured.err == "warning [odd]: 5 < 6 & so on\n"
+
+
+def test_json(capsys):
+    emitted(as_json=True)
+    captured = capsys.readouterr()
+    assert json.loads(captured.out) == DOCUMENT
+    assert captured.err == "warning [odd]: 5 < 6 & so on\n"
+
+
+def test_figures_are_not_drawn_without_a_folder():
+    emitted(figures=lambda: pytest.fail("was drawn"))
+
+
+def test_folder(capsys, tmp_path):
+    out = tmp_path / "a" / "b"
+    emitted(out, figures=lambda: {"one": Figure(), "two": Figure()})
+    names = sorted(path.name for path in out.iterdir())
+    assert names == ["one.png", "report.html", "results.json", "two.png"]
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
+    assert json.loads((out / "results.json").read_text()) == DOCUMENT
+    assert str(out) in capsys.readouterr().out
+
+
+def test_page_is_escaped_and_self_contained(tmp_path):
+    emitted(tmp_path / "out", figures=lambda: {"one": Figure()})
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "A &lt;title&gt;" in page
+    assert "5 &lt; 6 &amp; so on" in page
+    assert "the answer is 42" in page
+    assert "data:image/png;base64,cGljdHVyZQ==" in page
+    assert "http" not in page
+    assert "<script" not in page
+
+
+@pytest.mark.parametrize("existing", [False, True])
+def test_a_failure_leaves_the_folder_as_it_was(capsys, tmp_path, existing):
+    out = tmp_path / "out"
+    if existing:
+        out.mkdir()
+        (out / "results.json").write_text("old")
+    with pytest.raises(DataError, match="No space left on device"):
+        emitted(out, as_json=True, figures=lambda: {"one": Figure(), "two": Broken()})
+    assert capsys.readouterr().out == ""
+    assert [path.name for path in tmp_path.iterdir()] == (["out"] if existing else [])
+    if existing:
+        assert [path.name for path in out.iterdir()] == ["results.json"]
+        assert (out / "results.json").read_text() == "old"
+
+
+def test_a_failing_table_leaves_nothing(tmp_path):
+    def fail(document: dict, console: Console) -> None:
+        raise RuntimeError("no table")
+
+    with pytest.raises(RuntimeError, match="no table"):
+        write_folder(tmp_path / "out", DOCUMENT, {"one": Figure()}, "title", fail)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="cannot write to"):
+        emitted(tmp_path / "file" / "out")
+
+
+def test_no_file_is_left_open(tmp_path):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        emitted(tmp_path / "out")
+    assert [str(warning.message) for warning in caught] == []
+
+
+def draw_nothing() -> dict[str, Figure]:
+    require_plots()
+    return {}
+
+
+@pytest.mark.parametrize("module", ["matplotlib", "jinja2"])
+def test_missing_packages_are_named_with_the_remedy(tmp_path, monkeypatch, module):
+    monkeypatch.delitem(sys.modules, "riecjax.reporting.html", raising=False)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(DataError, match=r"pip install 'riecjax\[report\]'"):
+        emitted(tmp_path / "out", figures=draw_nothing)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_versions():
+    found = versions()
+    assert found["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert found["jax"] == jax.__version__
+    assert found["numpy"] == np.__version__
+
+
+EQUATION = Equation(Term("m", "a", unit="kg"), Term("c", "v", unit="N s/m"), -Term(1.0, "f"))
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    rng = np.random.default_rng(0)
+    a, v = rng.normal(size=(2, 500))
+    return Record({"a": a, "v": v, "f": 2 * a + 3 * v + 0.1 * rng.normal(size=500)}, 0.01)
+
+
+@pytest.fixture(scope="module")
+def identified(record):
+    return identify(EQUATION, record, DOLS(), known={"c": 3.0})
+
+
+@pytest.fixture(scope="module")
+def document(identified, record):
+    files = [Path("a.csv")]
+    return identification_document(
+        identified, "cart", files=files, records=[record], seed=5, steps=["filtered"]
+    )
+
+
+def test_identification_document(document, identified, record):
+    assert document["parameters"] == {
+        "m": {
+            "value": float(identified["m"]),
+            "unit": "kg",
+            "std_error": float(identified.standard_error("m")),
+            "interval95": list(identified.interval("m")),
+        }
+    }
+    assert document["known"] == {"c": {"value": 3.0, "unit": "N s/m"}}
+    left = np.asarray(record["f"] - 3 * record["v"])
+    share = np.sqrt(np.mean((left - float(identified["m"]) * record["a"]) ** 2) / np.mean(left**2))
+    assert document["residual"]["relative_rms"] == pytest.approx(share, rel=1e-9)
+    assert document["residual"]["stages"][0]["rows"] == 500
+    assert document["provenance"]["preparation"] == ["filtered"]
+    json.dumps(document, allow_nan=False)
+
+
+def test_identification_table(document):
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_identification(document, console)
+    text = console.export_text()
+    value = f"{document['parameters']['m']['value']:.6g}"
+    for word in ("cart", "DOLS", value, "kg", "known", "N s/m", "500 rows", "filtered"):
+        assert word in text
+
+
+def test_numbers_that_are_not_finite_become_null(identified, record):
+    import equinox as eqx
+
+    lost = eqx.tree_at(lambda e: e.covariance, identified, np.full((1, 1), np.nan))
+    document = identification_document(
+        lost, "cart", files=[Path("a.csv")], records=[record], seed=0, steps=[]
+    )
+    assert document["parameters"]["m"]["std_error"] is None
+    assert document["parameters"]["m"]["interval95"] == [None, None]
+    json.dumps(document, allow_nan=False)
+    print_identification(document, Console(quiet=True))
+
+
+@pytest.mark.parametrize(
+    ("criterion", "unit"), [(DOLS(), "N"), (RIEC(RandomWindows(0.05, 0.2, 300)), "N s")]
+)
+def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion, unit):
+    equation = Equation(*EQUATION.terms[:2], -Term(1.0, "f", unit="N"), unit="N")
+    procedure = staged(equation)
+    key = jax.random.key(0)
+    estimate = identify(procedure, record, criterion, key=key)
+    figure = identification_figures(estimate, procedure, [record], key)["fit"]
+    fit, residual = figure.axes
+    explained, measured = (np.asarray(data) for data in fit.lines[-1].get_data())
+    scatter = np.asarray(residual.lines[-1].get_ydata())
+    np.testing.assert_allclose(measured - explained, scatter, atol=1e-12)
+    # The residual of a least-squares fit is at right angles to what is explained.
+    assert abs(explained @ scatter) < 1e-9 * (explained @ explained)
+    assert fit.get_xlabel().endswith(f"({unit})")
+    share = np.sqrt(np.mean(scatter**2) / np.mean(measured**2))
+    assert share == pytest.approx(float(estimate.stages[0].relative_rms), rel=1e-6)
+
+
+def test_figures_are_closed_when_written(record, tmp_path):
+    # Otherwise a program that identifies in a loop keeps every figure and is warned of it.
+    plt = require_plots()
+    plt.close("all")
+    procedure = staged(EQUATION)
+    estimate = identify(procedure, record, DOLS())
+    emitted(
+        tmp_path / "out",
+        figures=lambda: identification_figures(estimate, procedure, [record], jax.random.key(0)),
+    )
+    assert plt.get_fignums() == []
