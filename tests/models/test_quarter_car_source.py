@@ -75,23 +75,25 @@ def test_curves_are_continuous(name):
 
 
 @pytest.mark.parametrize("name", DAMPERS)
-@pytest.mark.parametrize("velocity", VELOCITIES)
-def test_slope_is_the_derivative_of_the_damper_force(name, velocity):
+def test_slope_is_the_derivative_of_the_damper_force_also_at_rest_and_at_knots(name):
     damper = DAMPERS[name]()
-    v = jnp.asarray(velocity)
-    np.testing.assert_allclose(jax.grad(damper)(v), damper.slope(v), rtol=1e-10)
+    velocity = jnp.array(VELOCITIES)
+    np.testing.assert_allclose(
+        jax.vmap(jax.grad(damper))(velocity), damper.slope(velocity), rtol=1e-10
+    )
 
 
 @pytest.mark.parametrize("name", DAMPERS)
-@pytest.mark.parametrize("velocity", [v for v in VELOCITIES if v != 0])
-def test_damper_force_is_the_integral_of_its_slope(name, velocity):
+def test_damper_force_is_the_integral_of_its_slope(name):
     damper = DAMPERS[name]()
-    inner = [v for v in VELOCITIES if min(0, velocity) < v < max(0, velocity)]
-    slope = jax.jit(lambda v: damper.slope(v))
-    expected, _ = scipy.integrate.quad(
-        lambda v: float(slope(v)), 0, velocity, points=inner or None, epsabs=0, epsrel=1e-10
-    )
-    np.testing.assert_allclose(damper(jnp.asarray(velocity)), expected, rtol=1e-8)
+    ends = np.array(VELOCITIES)
+    nodes, weights = np.polynomial.legendre.leggauss(30)
+    # Gauss's rule from each velocity to the next, so that no knot lies inside an interval.
+    half = 0.5 * np.diff(ends)
+    points = (ends[:-1] + half)[:, None] + half[:, None] * nodes[None]
+    integrals = half * (np.asarray(damper.slope(jnp.asarray(points))) @ weights)
+    force = np.asarray(damper(jnp.asarray(ends)))
+    np.testing.assert_allclose(np.diff(force), integrals, rtol=1e-9, atol=1e-9)
 
 
 def test_spline_slope_is_linear_between_its_knots_in_each_direction():
