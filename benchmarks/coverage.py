@@ -53,7 +53,7 @@ def one_road(key: Key[Array, ""], source: QuarterCarSource) -> dict[str, dict[st
                 total = stages[stage.stage].total().fix({**given, **found_before(stage, found)})
                 variance = stage.residual_rms**2 * jnp.diagonal(jnp.linalg.inv(total.gram))
                 textbook.append(jnp.sqrt(variance))
-            covariance = block_sandwich(stages, solutions, given)
+            covariance = block_sandwich(stages, solutions, given, BLOCKS)
             results[f"{side}_{masses}"] = {
                 "theta": jnp.stack(list(found.values())),
                 "sandwich": jnp.sqrt(jnp.diagonal(covariance)),

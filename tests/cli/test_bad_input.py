@@ -266,6 +266,7 @@ OPTIONS = {
     "--scale zz=2": (1, "no column 'zz'"),
     "--scale t=-1": (1, "time must increase"),
     "--low-pass x1=100": (1, "half the sampling rate, 100 Hz"),
+    "--low-pass x1=0": (1, "between 0 and half the sampling rate"),
     "--low-pass x1=-1": (1, "between 0 and half the sampling rate"),
     "--low-pass x1=1": (1, "too short to be filtered"),
     "--low-pass zz=10": (1, "no signal 'zz'"),

@@ -128,7 +128,7 @@ def in_blocks(columns, names) -> NormalEquations:
 def estimate(stages):
     solutions = solve_stages(stages, {})
     theta = jnp.concatenate([stage.solution.theta for stage in solutions])
-    covariance = block_sandwich(stages, solutions, {})
+    covariance = block_sandwich(stages, solutions, {}, BLOCKS)
     textbook = [
         stage.residual_rms**2 * jnp.diagonal(jnp.linalg.inv(stages[stage.stage].total().gram))[-1]
         for stage in solutions
@@ -189,7 +189,7 @@ def test_block_sandwich_equals_the_formula_for_one_stage():
     rows = random_rows(60, 5)
     block = np.arange(60) // 6
     stages = [normal_equations(rows, block_of_row=jnp.array(block), block_count=10)]
-    found = block_sandwich(stages, solve_stages(stages, {}), {})
+    found = block_sandwich(stages, solve_stages(stages, {}), {}, 10)
     A, y = np.asarray(rows.regressors), np.asarray(rows.target)
     theta = np.linalg.lstsq(A, y)[0]
     scores = np.stack([A[block == i].T @ (y - A @ theta)[block == i] for i in range(10)])

@@ -92,5 +92,6 @@ def _generated(
                 ramp=jnp.asarray(hole.ramp),
             )
     if not all(bool(jnp.any(values != 0)) for values in signals.values()):
-        raise ModelError("the input is zero throughout: lengthen --duration or widen --bandwidth.")
+        widen = "" if kind == "pothole" else " or widen --bandwidth"
+        raise ModelError(f"the input is zero throughout: lengthen --duration{widen}.")
     return Record(signals, 1 / rate)

@@ -104,12 +104,13 @@ class RandomWindows(eqx.Module):
         # A lag of k samples leaves n - k starts. Pairs are numbered lag by lag; the number of pairs
         # before the j-th lag is j (n - k_a) - j (j - 1) / 2, which is inverted for j. The form with
         # the root in the denominator does not cancel.
-        most = sample_count - shortest
-        lag_count = longest - shortest + 1
+        # In real numbers: of ten minutes at 10 kHz, 32-bit integers do not hold the pairs.
+        lag_count = (longest - shortest + 1).astype(u.dtype)
+        most = (sample_count - shortest).astype(u.dtype)
         pairs = lag_count * most - lag_count * (lag_count - 1) / 2
         b = 2.0 * most + 1.0
         j = 4 * u * pairs / (b + jnp.sqrt(b**2 - 8 * u * pairs))
-        lag = shortest + jnp.clip(j.astype(jnp.int32), 0, lag_count - 1)
+        lag = shortest + jnp.clip(j.astype(jnp.int32), 0, longest - shortest)
         start = jnp.minimum((v * (sample_count - lag)).astype(jnp.int32), sample_count - lag - 1)
         return WindowSet(start, start + lag)
 

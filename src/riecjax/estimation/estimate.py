@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.stats
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.errors import ModelError
@@ -39,7 +39,7 @@ class Estimate(eqx.Module):
     - `stages`: solution, conditioning and residual of each stage.
     - `known`: parameters that were not estimated, with their values.
     - `criterion`: what was made small.
-    - `block_count`: independent blocks of time behind the covariance.
+    - `block_count`: independent blocks of time behind the covariance, scalar.
     """
 
     theta: Float[Array, " p"]
@@ -47,10 +47,10 @@ class Estimate(eqx.Module):
     stages: tuple[StageSolution, ...]
     known: dict[str, Array]
     criterion: AbstractCriterion
+    block_count: Int[Array, ""]
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
-    block_count: int = eqx.field(static=True)
 
     def __getitem__(self, name: str) -> Float[Array, ""]:
         if name in self.known:
@@ -128,13 +128,13 @@ class Estimate(eqx.Module):
                         f"signal unexplained, so it is wrong in some important way.",
                     )
                 )
-        if self.block_count < FEWEST_BLOCKS:
+        if int(self.block_count) < FEWEST_BLOCKS:
             found.append(
                 Finding(
                     "short_record",
-                    f"the record holds only {self.block_count} independent stretches of twice the "
-                    f"longest window; intervals are rough. Record for longer or choose a smaller "
-                    f"beta.",
+                    f"the record holds only {int(self.block_count)} independent stretches of twice "
+                    f"the longest window; intervals are rough. Record for longer or choose a "
+                    f"smaller beta.",
                 )
             )
         if self.theta.dtype == jnp.float32:
@@ -167,7 +167,7 @@ class Estimate(eqx.Module):
         return eps * max(float(self.condition_number), 10.0) ** 2
 
     def _quantile(self, level: float) -> float:
-        return float(scipy.stats.t.ppf(0.5 + level / 2, max(self.block_count - 1, 1)))
+        return float(scipy.stats.t.ppf(0.5 + level / 2, max(int(self.block_count) - 1, 1)))
 
     def __str__(self) -> str:
         width = max(len(name) for name in self)

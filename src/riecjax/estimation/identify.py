@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
+from jaxtyping import Array, Int, Key
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
@@ -68,23 +68,28 @@ def identify(
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for record in recordings:
-        check_record(procedure, record, criterion)
+        criterion.check(record)
 
-    keys = _record_keys(key, len(recordings))
-    counts = [_block_count(criterion, record) for record in recordings]
+    keys = record_keys(key, len(recordings))
     stages = _sum_records(
         [
-            stage_normal_equations(procedure, record, criterion, record_key, block_count=count)
-            for record, record_key, count in zip(recordings, keys, counts)
+            stage_normal_equations(
+                procedure, record, criterion, record_key, block_count=MOST_BLOCKS
+            )
+            for record, record_key in zip(recordings, keys)
         ]
     )
-    solutions, covariance = _solve(stages, given, None)
+    blocks = sum(
+        (independent_blocks(criterion, record, MOST_BLOCKS) for record in recordings),
+        start=jnp.zeros((), jnp.int32),
+    )
+    solutions, covariance = _solve(stages, given, blocks, None)
     if is_concrete(solutions):
         _raise_if_not_finite(stages, plan)
         rows = None
         if _worst_condition(solutions) > gram_condition_limit(covariance.dtype):
             rows = _rows(procedure, recordings, criterion, keys)
-            solutions, covariance = _solve(stages, given, rows)
+            solutions, covariance = _solve(stages, given, blocks, rows)
         _raise_if_unidentifiable(solutions, plan)
 
     return Estimate(
@@ -96,7 +101,7 @@ def identify(
         parameters=tuple(name for stage in solutions for name in stage.parameters),
         units=tuple(procedure.units.items()),
         stage_names=tuple(plan[stage.stage][0] for stage in solutions),
-        block_count=sum(counts),
+        block_count=blocks,
     )
 
 
@@ -122,7 +127,10 @@ def stage_normal_equations(
     *,
     block_count: int = 1,
 ) -> list[NormalEquations]:
-    """Normal equations of each stage on one record, with `block_count` blocks of time each."""
+    """Normal equations of each stage on one record, in blocks of time along the leading axis.
+
+    Of the `block_count` blocks only the first `independent_blocks(...)` hold rows.
+    """
     collected = []
     for stage, names in zip(procedure.stages, _stage_parameters(procedure)):
         parts = [criterion.rows(equation, record, key).embed(names) for equation in stage]
@@ -130,7 +138,7 @@ def stage_normal_equations(
         summed = [
             normal_equations(
                 part,
-                block_of_row=_block_of_row(part, record, block_count),
+                block_of_row=_block_of_row(part, record, criterion, block_count),
                 block_count=block_count,
             )
             for part in parts
@@ -149,11 +157,20 @@ def _stage_parameters(procedure: Procedure) -> list[tuple[str, ...]]:
     ]
 
 
-def _block_of_row(rows: Rows, record: Record, block_count: int) -> Array | None:
+def independent_blocks(criterion: AbstractCriterion, record: Record, most: int) -> Int[Array, ""]:
+    """How many blocks of twice the longest window fit into a record: 2 at least, `most` at most."""
+    length = jnp.maximum(2 * jnp.asarray(criterion.block_length), 2 * record.time_step)
+    return jnp.clip(jnp.round(record.duration / length), 2, most).astype(jnp.int32)
+
+
+def _block_of_row(
+    rows: Rows, record: Record, criterion: AbstractCriterion, block_count: int
+) -> Array | None:
     if block_count == 1:
         return None
+    used = independent_blocks(criterion, record, block_count)
     share = rows.position / record.sample_count
-    return jnp.clip((share * block_count).astype(jnp.int32), 0, block_count - 1)
+    return jnp.clip((share * used).astype(jnp.int32), 0, used - 1)
 
 
 def _sum_records(per_record: list[list[NormalEquations]]) -> list[NormalEquations]:
@@ -170,10 +187,13 @@ def _sum_records(per_record: list[list[NormalEquations]]) -> list[NormalEquation
 
 @eqx.filter_jit
 def _solve(
-    stages: list[NormalEquations], known: Mapping[str, Array], rows: list[Rows] | None
+    stages: list[NormalEquations],
+    known: Mapping[str, Array],
+    block_count: Int[Array, ""],
+    rows: list[Rows] | None,
 ) -> tuple[list[StageSolution], Array]:
     solutions = solve_stages(stages, known, rows)
-    return solutions, block_sandwich(stages, solutions, known)
+    return solutions, block_sandwich(stages, solutions, known, block_count)
 
 
 def _rows(
@@ -202,20 +222,11 @@ def _known_values(procedure: Procedure, known: Mapping[str, float | Array]) -> d
     return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
 
 
-def _record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:
+def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:
+    """The key that each of several records draws its windows with."""
     if key is None or count == 1:
         return [key] * count
     return list(jax.random.split(key, count))
-
-
-def _block_count(criterion: AbstractCriterion, record: Record) -> int:
-    """As many blocks as twice the longest window fits in, but no more than needed."""
-    if not is_concrete(criterion.block_length, record.time_step):
-        return MOST_BLOCKS
-    step = float(np.asarray(record.time_step).reshape(-1)[0])
-    duration = step * (record.sample_count - 1)
-    length = max(2 * float(criterion.block_length), 2 * step)
-    return int(np.clip(round(duration / length), 2, MOST_BLOCKS))
 
 
 def _worst_condition(solutions: list[StageSolution]) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.equation import Equation
@@ -136,6 +136,7 @@ def block_sandwich(
     stages: list[NormalEquations],
     solutions: list[StageSolution],
     known: Mapping[str, Array],
+    block_count: Int[Array, ""] | int,
 ) -> Float[Array, "p p"]:
     """Covariance of all parameters of all stages, from scores summed over blocks of time.
 
@@ -144,6 +145,8 @@ def block_sandwich(
     than the correlation are nearly independent; their scatter gives the sandwich
     J^-1 S J^-T. J holds the cross terms between stages, so what is uncertain in the masses
     reaches the stiffness found with them.
+
+    **Arguments:** `block_count`: how many of the blocks along the leading axis hold rows.
     """
     names = tuple(name for stage in solutions for name in stage.parameters)
     theta = dict(zip(names, jnp.concatenate([stage.solution.theta for stage in solutions])))
@@ -160,15 +163,16 @@ def block_sandwich(
         rows = jnp.zeros((len(stage.parameters), len(names)))
         jacobian.append(rows.at[:, place].set(blocks.total().gram[own][:, source]))
     score, slope = jnp.concatenate(scores, axis=1), jnp.concatenate(jacobian)
-    return _sandwich(score, slope)
+    return _sandwich(score, slope, block_count)
 
 
-def _sandwich(score: Float[Array, "blocks p"], slope: Float[Array, "p p"]) -> Float[Array, "p p"]:
-    block_count = score.shape[0]
+def _sandwich(
+    score: Float[Array, "blocks p"], slope: Float[Array, "p p"], block_count: Int[Array, ""] | int
+) -> Float[Array, "p p"]:
     # Columns and rows scaled alike: parameters may differ by ten powers of ten.
     diagonal = jnp.abs(jnp.diagonal(slope))
     scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
     scaled = slope * scale[:, None] * scale[None, :]
     influence = scale[:, None] * jnp.linalg.solve(scaled, scale[:, None] * score.T)
-    correction = block_count / max(block_count - 1, 1)
+    correction = block_count / jnp.maximum(block_count - 1, 1)
     return correction * influence @ influence.T

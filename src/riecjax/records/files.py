@@ -66,6 +66,8 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     file = Path(path)
     check_writable(file)
     writer = WRITERS[file.suffix.lower()]
+    if "t" in record.arrays:
+        raise DataError("a signal called 't' would take the place of time; give it another name.")
     columns = {"t": np.asarray(record.time)} | {
         name: np.asarray(values) for name, values in record.arrays.items()
     }
@@ -157,6 +159,8 @@ def _read_csv(file: Path) -> dict[str, np.ndarray]:
         raise DataError(f"{file.name}: not a text file in UTF-8.") from None
     except csv.Error as error:
         raise DataError(f"{file.name}: {_first_sentence(error)}") from None
+    except OSError as error:
+        raise DataError(f"{file.name}: cannot be read: {error.strerror}.") from None
     if not rows:
         raise DataError(f"{file.name}: there are no samples below the column names.")
     try:
@@ -205,9 +209,9 @@ def _read_npz(file: Path) -> dict[str, np.ndarray]:
             raise DataError(f"{file.name}: unpacks to {size} bytes, more than is read.")
         with np.load(file, allow_pickle=False) as arrays:
             return _vectors({name: arrays[name] for name in arrays.files})
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        if isinstance(error, DataError):
-            raise
+    except (DataError, MemoryError):
+        raise
+    except Exception as error:  # a damaged archive lets out whatever zlib, zip or NumPy raise
         raise DataError(f"{file.name}: not a readable NPZ file: {_first_sentence(error)}") from None
 
 
@@ -218,7 +222,9 @@ def _read_mat(file: Path) -> dict[str, np.ndarray]:
         raise DataError(
             f"{file.name}: a MATLAB v7.3 file; save it with save(..., '-v7') to read it here."
         ) from None
-    except Exception as error:  # loadmat lets out whatever a damaged file provokes in it.
+    except MemoryError:
+        raise
+    except Exception as error:  # loadmat lets out whatever a damaged file provokes in it
         raise DataError(f"{file.name}: not a readable MAT file: {_first_sentence(error)}") from None
     return _vectors({k: v for k, v in variables.items() if not k.startswith("__")})
 
@@ -235,16 +241,26 @@ def _vectors(arrays: Mapping[str, object]) -> dict[str, np.ndarray]:
 
 def _write_csv(file: Path, columns: Mapping[str, np.ndarray]) -> None:
     table = np.column_stack(list(columns.values()))
-    # 17 digits bring every 64-bit number back exactly.
-    np.savetxt(file, table, delimiter=",", header=",".join(columns), comments="", fmt="%.17g")
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream, lineterminator="\n").writerow(columns)
+        # 17 digits bring every 64-bit number back exactly.
+        np.savetxt(stream, table, delimiter=",", fmt="%.17g")
 
 
 def _write_npz(file: Path, columns: Mapping[str, np.ndarray]) -> None:
-    with file.open("wb") as stream:
-        np.savez_compressed(stream, **columns)  # pyright: ignore[reportArgumentType]
+    # NumPy's savez takes names as keywords, and so not all names.
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in columns.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, values, allow_pickle=False)
 
 
 def _write_mat(file: Path, columns: Mapping[str, np.ndarray]) -> None:
+    for name in columns:
+        if not (name.isidentifier() and name.isascii() and name[0].isalpha()) or len(name) > 31:
+            raise DataError(
+                f"'{name}' cannot be a variable in a MAT file; rename it or write CSV or NPZ."
+            )
     with file.open("wb") as stream:
         scipy.io.savemat(stream, dict(columns), oned_as="column")
 

@@ -27,20 +27,21 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     record too short for the filter.
     """
     nyquist = 0.5 / float(record.time_step)
-    lowest = min(cutoffs.values())
-    cut = int(np.ceil(SETTLING_PERIODS / lowest / float(record.time_step)))
-    if lowest > 0 and 2 * cut >= record.sample_count - 2 * FILTER_PADDING:
-        raise DataError(
-            f"the record is too short to be filtered at {lowest:g} Hz: {cut} samples are lost at "
-            f"each end."
-        )
-    filtered = {}
     for name, cutoff in cutoffs.items():
         if not 0 < cutoff < nyquist:
             raise DataError(
                 f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
                 f"the sampling rate, {nyquist:g} Hz."
             )
+    lowest = min(cutoffs.values())
+    cut = int(np.ceil(SETTLING_PERIODS / lowest / float(record.time_step)))
+    if record.sample_count <= max(2 * cut + 2, FILTER_PADDING):
+        raise DataError(
+            f"the record is too short to be filtered at {lowest:g} Hz: {cut} samples are lost at "
+            f"each end."
+        )
+    filtered = {}
+    for name, cutoff in cutoffs.items():
         sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         filtered[name] = jnp.asarray(scipy.signal.sosfiltfilt(sections, np.asarray(record[name])))
     return record.with_signals(filtered).part(cut, record.sample_count - cut)

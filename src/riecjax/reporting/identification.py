@@ -14,6 +14,7 @@ from rich.text import Text
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.identify import record_keys
 from riecjax.estimation.procedure import Procedure
 from riecjax.records.record import Record
 from riecjax.reporting.output import Document, require_plots, versions
@@ -77,7 +78,7 @@ def identification_document(
                 for file, record in zip(files, records)
             ],
             "preparation": steps,
-            "intervals": f"block sandwich over {estimate.block_count} blocks of time",
+            "intervals": f"block sandwich over {int(estimate.block_count)} blocks of time",
             "versions": versions(),
         },
     }
@@ -128,9 +129,9 @@ def identification_figures(
         unit = _row_unit(equations[0].unit, estimate.criterion)
         rows = Rows.concatenate(
             [
-                _explained(estimate, estimate.criterion.rows(equation, record, key))
+                _explained(estimate, estimate.criterion.rows(equation, record, record_key))
+                for record, record_key in zip(records, record_keys(key, len(records)))
                 for equation in equations
-                for record in records
             ]
         )
         measured, explained = np.asarray(rows.target), np.asarray(rows.columns[1])

@@ -50,6 +50,7 @@ def write_folder(
 
     Everything is made in a temporary folder beside it first; only then files are moved in.
     """
+    plt = require_plots()
     from riecjax.reporting.html import report_page
 
     try:
@@ -72,6 +73,9 @@ def write_folder(
         raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
     finally:
         shutil.rmtree(made, ignore_errors=True)
+        for figure in figures.values():
+            if isinstance(figure, plt.Figure):
+                plt.close(figure)
 
 
 def _as_text(document: Document, show: Callable[[Document, Console], None]) -> str:
@@ -90,11 +94,12 @@ def versions() -> dict[str, str]:
 
 
 def require_plots() -> Any:
-    """matplotlib, without a screen.
+    """matplotlib's pyplot, without a screen, where jinja2 is there too.
 
     **Raises:** `DataError` with the remedy if it is not installed.
     """
     try:
+        import jinja2  # noqa: F401
         import matplotlib
     except ImportError:
         raise DataError(
