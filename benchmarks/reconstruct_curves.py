@@ -38,8 +38,10 @@ from riecjax.paper.tables import contact, table_3, table_4, table_5
 from riecjax.simulation.method import FixedStep
 from riecjax.studies.monte_carlo import over_keys
 
-# Distances that count as one: relative for the tables, absolute for the contact share.
-IDENTIFIED_SCALE, VALIDATED_SCALE, CONTACT_SCALE = 0.006, 0.04, 0.0015
+# Distances that count as one, near the scatter over roads: relative for the tables (where Table 5
+# alternates between road and pot-hole), absolute for the contact share.
+IDENTIFIED_SCALE, CONTACT_SCALE = 0.005, 0.0015
+VALIDATED_SCALE = np.tile([0.03, 0.03, 0.02, 0.02], 4)
 # How far (as a factor, e^1.5) a shape may move from its start, and how dearly: a move by e costs
 # as much as one number that is off by a twentieth of its scale. It only settles what nothing else
 # does, such as the stiffness of a bump stop that is never reached.
@@ -71,19 +73,19 @@ def neutral_start() -> Reconstruction:
 
 
 def refined_start() -> Reconstruction:
-    """Where a first joint calibration, with the road's amplitude free, had ended.
+    """Where earlier joint calibrations from neutral starts ended, rounded.
 
-    From the neutral start the joint calibration ends in a neighbouring solution: nearly the same
-    damper, softer bump stops.
+    The neutral start leads the joint calibration to a neighbouring solution, whose bump stops are
+    softer and whose Table 3 is a little worse.
     """
     return Reconstruction(
         damper=DigressiveDamper(
-            jnp.asarray(4335.0), jnp.array([923.0, 555.0]), jnp.array([0.128, 0.170])
+            jnp.asarray(4300.0), jnp.array([600.0, 650.0]), jnp.array([0.17, 0.18])
         ),
-        stop_gaps=jnp.array([0.0233, 0.0725]),
-        stop_rates=jnp.array([3352.0, 1113.0]),
-        mount_cubic=jnp.asarray(8.24e8),
-        pothole=Pothole(jnp.asarray(0.0724), jnp.asarray(2.712), jnp.asarray(0.915)),
+        stop_gaps=jnp.array([0.04, 0.07]),
+        stop_rates=jnp.array([7000.0, 1000.0]),
+        mount_cubic=jnp.asarray(6e8),
+        pothole=Pothole(jnp.asarray(0.1), jnp.asarray(2.2), jnp.asarray(1.4)),
         roughness=jnp.asarray(1.5e-5),
     )
 
@@ -128,19 +130,21 @@ def residuals(step: Float[Array, " shapes"], args: tuple[Any, ...]) -> Float[Arr
         lambda key: run_road(key, source, shapes.pothole, shapes.roughness, method=FixedStep(6))
     )(keys)
     identified, validated, touching = distances(result)
+    # Grows faster than linearly, so that no number is given up for the sake of the others.
+    identified = _sharpen(identified / IDENTIFIED_SCALE)
+    validated = _sharpen(validated / VALIDATED_SCALE)
     return jnp.concatenate(
         [
-            _sharpen(identified / IDENTIFIED_SCALE, 3.0),
-            weights * _sharpen(validated / VALIDATED_SCALE, 2.0),
+            identified,
+            weights * validated,
             (touching / CONTACT_SCALE)[None],
             PRIOR * step,
         ]
     )
 
 
-def _sharpen(far: Array, knee: float) -> Array:
-    """Grow faster than linearly beyond the knee: no number is given up for the others' sake."""
-    return far * jnp.sqrt(1 + (far / knee) ** 2)
+def _sharpen(far: Array) -> Array:
+    return far * jnp.sqrt(1 + (far / 2) ** 2)
 
 
 def positive_shapes(problem: Problem) -> tuple[int, Callable[[Array], Reconstruction]]:

@@ -465,3 +465,12 @@ def test_a_missing_estimate_names_those_that_exist():
     found = identify(oscillator(), exact_record(), DOLS())
     with pytest.raises(ModelError, match="no estimated parameter 'mass'; there are: m, d, k"):
         found["mass"]
+
+
+def test_an_equation_that_nothing_anchors_is_refused_among_others():
+    cart = Equation(Term("m", "a"), -Term(1.0, "f"), name="cart")
+    loose = Equation(Term("p", "a"), Term("q", "f"), name="loose")
+    linked = Equation(Term("m", "f"), Term("q", "a"), name="linked")
+    with pytest.raises(ModelError, match="loose"):
+        simultaneous(cart, loose).plan(set())
+    assert simultaneous(cart, linked).plan(set()) == [("cart + linked", ("m", "q"))]

@@ -77,7 +77,7 @@ class RoofFunctions(AbstractBasis):
 class Polynomial(AbstractBasis):
     """Powers x^p of a signal for the given exponents."""
 
-    exponents: tuple[int, ...] = eqx.field(static=True)
+    exponents: tuple[int, ...] = eqx.field(static=True, converter=tuple)
 
     @property
     def labels(self) -> tuple[str, ...]:

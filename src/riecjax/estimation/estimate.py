@@ -141,9 +141,9 @@ class Estimate(eqx.Module):
             found.append(
                 Finding(
                     "single_precision",
-                    f"computed in 32-bit: rounding alone moves the parameters by a share of up to "
-                    f"about {self._rounding():.0e}. Enable 64-bit by "
-                    f"jax.config.update('jax_enable_x64', True).",
+                    f"computed in 32-bit: rounding in the solve alone moves the parameters by a "
+                    f"share of about {self._rounding():.0e}, and signals with an offset by more. "
+                    f"Enable 64-bit by jax.config.update('jax_enable_x64', True).",
                 )
             )
         return found

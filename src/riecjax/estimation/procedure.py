@@ -60,7 +60,7 @@ class Procedure(eqx.Module):
             names = dict.fromkeys(name for equation in stage for name in equation.parameters)
             unknown = tuple(name for name in names if name not in found)
             label = " + ".join(equation.name for equation in stage)
-            if unknown and not any(eq.has_target or set(eq.parameters) & found for eq in stage):
+            if unknown and not all(_anchored(stage, found)):
                 raise ModelError(
                     f"{label}: every coefficient is unknown, so all of them zero would fit. "
                     f"Fix one of {', '.join(unknown)} (on the command line: --set NAME=VALUE)."
@@ -68,6 +68,17 @@ class Procedure(eqx.Module):
             plan.append((label, unknown))
             found |= set(unknown)
         return plan
+
+
+def _anchored(stage: tuple[Equation, ...], found: set[str]) -> list[bool]:
+    """For each equation, whether a known term sets its scale, if through shared parameters."""
+    reached, size = set(found), -1
+    while len(reached) > size:
+        size = len(reached)
+        for equation in stage:
+            if equation.has_target or set(equation.parameters) & reached:
+                reached |= set(equation.parameters)
+    return [bool(set(equation.parameters) & reached) for equation in stage]
 
 
 def staged(*equations: Equation) -> Procedure:

@@ -35,11 +35,12 @@ class SplineDamper(eqx.Module):
     def __call__(self, velocity: Array) -> Array:
         """Force in N at a velocity in m/s."""
         speed = jnp.abs(velocity)
-        force = self.slope_at_rest * speed
+        beyond = jnp.zeros_like(speed)
         for rise, a, b in zip(self._rises(velocity), DAMPER_KNOTS, DAMPER_KNOTS[1:]):
             share = jnp.clip((speed - a) / (b - a), 0.0, 1.0)
-            force = force + rise * (0.5 * (b - a) * share**2 + jnp.maximum(speed - b, 0.0))
-        return jnp.sign(velocity) * force
+            beyond = beyond + rise * (0.5 * (b - a) * share**2 + jnp.maximum(speed - b, 0.0))
+        # Not sign(v) F(|v|): that has no derivative at rest, and linearisation needs it there.
+        return self.slope_at_rest * velocity + jnp.sign(velocity) * beyond
 
     def slope(self, velocity: Array) -> Array:
         """dF/dv in N s/m."""

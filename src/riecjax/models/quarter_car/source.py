@@ -99,4 +99,4 @@ class QuarterCarSource(AbstractSystem):
 def contact_share(tyre_extension: Array, source: QuarterCarSource) -> Array:
     """Share of the samples at which the tyre touches the road."""
     lift_off = source.lift_off_force / source.tyre_stiffness
-    return jnp.mean(tyre_extension <= lift_off, axis=-1)
+    return jnp.mean(tyre_extension <= lift_off, axis=-1, dtype=tyre_extension.dtype)

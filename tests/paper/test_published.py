@@ -1,0 +1,113 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.windows import RandomWindows
+from riecjax.models.quarter_car.identification import quarter_car_system
+from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.paper.claims import evaluate_claims
+from riecjax.paper.reproduction import identification_record, identify_variants, run_road
+from riecjax.paper.tables import contact, table_3, table_4, table_5
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import robson_road
+from riecjax.simulation.simulate import simulate
+from riecjax.studies.monte_carlo import over_keys
+from riecjax.validation.percentage_error import percentage_error
+
+ROADS = 8
+
+
+@pytest.fixture(scope="module")
+def roads():
+    shapes = reconstructed()
+    return over_keys(
+        run_road,
+        jax.random.key(11),
+        ROADS,
+        quarter_car_source(shapes),
+        shapes.pothole,
+        shapes.roughness,
+    )
+
+
+def deviations(table):
+    return np.array([cell.deviation for row in table.values() for cell in row.values()])
+
+
+def test_no_simulation_is_lost(roads):
+    assert bool(jnp.all(roads.successful))
+
+
+@pytest.mark.parametrize(("table", "count"), [(table_3, 6), (table_4, 8)])
+def test_tables_3_and_4_are_reproduced(roads, table, count):
+    distances = np.abs(deviations(table(roads)))
+    assert distances.size == count
+    assert distances.max() < 0.025
+
+
+def test_table_5_is_reproduced(roads):
+    distances = np.abs(deviations(table_5(roads)))
+    assert distances.size == 16
+    assert distances.max() < 0.15
+    assert distances.mean() < 0.05
+
+
+def test_the_tyre_is_in_contact_as_published(roads):
+    assert abs(contact(roads).reproduced - 0.99) < 0.004
+
+
+def test_riec_finds_the_sprung_mass_where_dols_does_not(roads):
+    masses = {claim.id: claim for claim in evaluate_claims(roads)}[6]
+    assert masses.holds
+
+
+def test_a_road_of_other_amplitude_is_not_the_published_one(roads):
+    # Half the road's amplitude excites the non-linearities less: the tables must notice.
+    shapes = reconstructed()
+    calm = over_keys(
+        run_road,
+        jax.random.key(11),
+        ROADS,
+        quarter_car_source(shapes),
+        shapes.pothole,
+        shapes.roughness / 16,
+    )
+    assert np.abs(deviations(table_5(calm))).mean() > 0.05
+
+
+def chain(damper_rate):
+    """From the damper's slope at rest to a validation error: everything in between."""
+    shapes = eqx.tree_at(lambda s: s.damper.low_speed_rate, reconstructed(), damper_rate)
+    source = quarter_car_source(shapes)
+    training = identification_record(source, jax.random.key(0)).record.part(0, 1000)
+    criterion = RIEC(RandomWindows(0.05, 0.5, 2000))
+    parameters = identify_variants(training, criterion, jax.random.key(1))["B_id"]
+    road = Record({"v_r": robson_road(jax.random.key(2), 600, 0.005)}, 0.005)
+    truth = simulate(source, road).record
+    predicted = simulate(quarter_car_system(parameters), road).record
+    errors = [percentage_error(predicted[name], truth[name]) for name in ("x2", "x4")]
+    return jnp.stack([*parameters.values(), *errors])
+
+
+@pytest.fixture(scope="module")
+def forward():
+    rate = jnp.asarray(4000.0)
+    return jax.jit(lambda r: jax.jvp(chain, (r,), (jnp.ones_like(r),))[1])(rate)
+
+
+def test_derivative_of_the_whole_chain_is_that_of_finite_differences(forward):
+    # Bump stops, lift-off and roof functions have kinks, so the chain's second derivative jumps:
+    # the step is small enough that hardly a sample crosses one.
+    rate, step = 4000.0, 0.02
+    run = jax.jit(chain)
+    slopes = (run(jnp.asarray(rate + step)) - run(jnp.asarray(rate - step))) / (2 * step)
+    assert np.allclose(forward, slopes, rtol=1e-3)
+    assert float(jnp.min(jnp.abs(forward[3:]))) > 0
+
+
+def test_reverse_mode_agrees_with_forward_mode(forward):
+    reverse = jax.jit(jax.grad(lambda r: chain(r)[-1]))(jnp.asarray(4000.0))
+    assert np.allclose(reverse, forward[-1], rtol=1e-8)
