@@ -50,7 +50,7 @@ def robson_road(
     """Road velocity in m/s of a random road, eq. (27): S(f) = k U^1.5 f^-2.5.
 
     S is the displacement's spectral density, read here per rad/s, that is, divided by 2 pi as a
-    density per Hz. Taken per Hz the road would lift the tyre 22 % of the time, far from what the
+    density per Hz. Taken per Hz the road would lift the tyre 23 % of the time, far from what the
     paper shows. Components between 0 Hz (excluded) and `bandwidth` are Gaussian.
 
     **Arguments:** `speed` U in m/s; `roughness` k; `bandwidth` in Hz.
