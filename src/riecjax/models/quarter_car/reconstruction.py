@@ -83,19 +83,19 @@ def reconstructed() -> Reconstruction:
     )
 
 
-DAMPER_LOW_SPEED_RATE = 4125.2
+DAMPER_LOW_SPEED_RATE = 4290.6
 """Slope of the damper curve at rest in N s/m."""
-DAMPER_HIGH_SPEED_RATES = (458.47, 548.6)
+DAMPER_HIGH_SPEED_RATES = (568.6, 648.4)
 """Slope far beyond the knee in N s/m, compression and rebound."""
-DAMPER_KNEES = (0.22634, 0.1952)
+DAMPER_KNEES = (0.19645, 0.16498)
 """Velocity of the knee in m/s, compression and rebound."""
-STOP_GAPS = (0.040847, 0.073093)
+STOP_GAPS = (0.03658, 0.069088)
 """Deflection at which the second stage of the spring begins in m, compression and rebound."""
-STOP_RATES = (5819.6, 992.66)
+STOP_RATES = (6128.5, 997.29)
 """Stiffness that the second stage adds in N/m, compression and rebound."""
-MOUNT_CUBIC = 523180000.0
+MOUNT_CUBIC = 543110000.0
 """Cubic stiffness of the engine mount in N/m^3."""
-POTHOLE = (0.0929, 1.9799, 1.3144)
+POTHOLE = (0.092554, 2.0443, 1.2889)
 """Depth, length and ramp of the pot-hole in m."""
 ROUGHNESS = 1.5e-5
 """k of eq. (27), read as a density per rad/s. Published: 3e-5, without saying per what."""
