@@ -69,10 +69,7 @@ def found_before(stage, found: dict[str, Array]) -> dict[str, Array]:
 
 def limit(side: str, masses: str, moments: list[Array]) -> dict[str, float]:
     """What the criterion converges to: the solution of all roads' normal equations."""
-    names = [
-        tuple(dict.fromkeys(n for equation in stage for n in equation.parameters))
-        for stage in PROCEDURES[side]().stages
-    ]
+    names = PROCEDURES[side]().stage_parameters
     stages = [
         NormalEquations(jnp.sum(m, axis=0)[None], jnp.ones(1), n) for m, n in zip(moments, names)
     ]

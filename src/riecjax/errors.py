@@ -1,5 +1,8 @@
 """Errors that a user can act on: each message says what is wrong and what to do about it."""
 
+import contextlib
+from collections.abc import Iterator
+
 
 class RiecjaxError(ValueError):
     """Base of every error that riecjax raises on purpose."""
@@ -31,3 +34,14 @@ class IdentifiabilityError(RiecjaxError):
 
 class SimulationError(RiecjaxError):
     """A simulation lost its solution where one was needed."""
+
+
+@contextlib.contextmanager
+def users_code(name: object) -> Iterator[None]:
+    """Run the user's own code: whatever it raises becomes a `ModelError` of one line about it."""
+    try:
+        yield
+    except RiecjaxError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise ModelError(f"{name} failed: {type(error).__name__}: {error}") from error

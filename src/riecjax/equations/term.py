@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
-from riecjax.errors import DataError, ModelError, RiecjaxError
+from riecjax.errors import DataError, ModelError, users_code
 from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record, Signals
 
@@ -28,14 +28,8 @@ def evaluate(expression: Expression, record: Record) -> Float[Array, " n"]:
     if isinstance(expression, str):
         return signals[expression]
     name = getattr(expression, "__name__", "an expression")
-    try:
+    with users_code(f"the expression {name}"):
         samples = jnp.asarray(expression(signals))
-    except RiecjaxError:
-        raise
-    except Exception as error:  # whatever the user's own code raises
-        raise ModelError(
-            f"the expression {name} failed: {type(error).__name__}: {error}"
-        ) from error
     if samples.shape != (record.sample_count,):
         raise ModelError(
             f"the expression {name} must return one number for each of the {record.sample_count} "

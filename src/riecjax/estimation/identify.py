@@ -132,7 +132,7 @@ def stage_normal_equations(
     Of the `block_count` blocks only the first `independent_blocks(...)` hold rows.
     """
     collected = []
-    for stage, names in zip(procedure.stages, _stage_parameters(procedure)):
+    for stage, names in zip(procedure.stages, procedure.stage_parameters):
         parts = [criterion.rows(equation, record, key).embed(names) for equation in stage]
         # Rows of a stage's equations are summed, never interleaved: one Gram matrix per equation.
         summed = [
@@ -148,13 +148,6 @@ def stage_normal_equations(
             total = total + further
         collected.append(total)
     return collected
-
-
-def _stage_parameters(procedure: Procedure) -> list[tuple[str, ...]]:
-    return [
-        tuple(dict.fromkeys(name for equation in stage for name in equation.parameters))
-        for stage in procedure.stages
-    ]
 
 
 def independent_blocks(criterion: AbstractCriterion, record: Record, most: int) -> Int[Array, ""]:
@@ -210,7 +203,7 @@ def _rows(
                 for equation in stage
             ]
         )
-        for stage, names in zip(procedure.stages, _stage_parameters(procedure))
+        for stage, names in zip(procedure.stages, procedure.stage_parameters)
     ]
 
 

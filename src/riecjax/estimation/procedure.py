@@ -27,8 +27,15 @@ class Procedure(eqx.Module):
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of all coefficients, in order of first appearance."""
-        equations = [equation for stage in self.stages for equation in stage]
-        return tuple(dict.fromkeys(name for eq in equations for name in eq.parameters))
+        return tuple(dict.fromkeys(name for names in self.stage_parameters for name in names))
+
+    @property
+    def stage_parameters(self) -> list[tuple[str, ...]]:
+        """Names of the coefficients of each stage, in order of first appearance."""
+        return [
+            tuple(dict.fromkeys(name for equation in stage for name in equation.parameters))
+            for stage in self.stages
+        ]
 
     @property
     def units(self) -> dict[str, str]:
@@ -56,8 +63,7 @@ class Procedure(eqx.Module):
         """
         found: set[str] = set(known)
         plan = []
-        for stage in self.stages:
-            names = dict.fromkeys(name for equation in stage for name in equation.parameters)
+        for stage, names in zip(self.stages, self.stage_parameters):
             unknown = tuple(name for name in names if name not in found)
             label = " + ".join(equation.name for equation in stage)
             if unknown and not all(_anchored(stage, found)):

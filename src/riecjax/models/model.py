@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from riecjax.errors import ModelError, RiecjaxError
+from riecjax.errors import ModelError, users_code
 
 if TYPE_CHECKING:
     from jaxtyping import Array
@@ -70,12 +70,8 @@ class Model:
 
         if self.procedure is None:
             raise ModelError(f"model '{self.name}' can be simulated but not identified.")
-        try:
+        with users_code(self.name):
             built = _resolve(self.procedure)()
-        except RiecjaxError:
-            raise
-        except Exception as error:  # whatever the user's own code raises
-            raise ModelError(f"{self.name} failed: {type(error).__name__}: {error}") from None
         if not isinstance(built, Equation | Procedure):
             raise ModelError(f"{self.name}: its procedure must build an Equation or a Procedure.")
         return staged(built) if isinstance(built, Equation) else built

@@ -2,11 +2,10 @@
 
 import importlib.util
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 from riecjax.equations.equation import Equation
-from riecjax.errors import ModelError, RiecjaxError
+from riecjax.errors import ModelError, users_code
 from riecjax.estimation.procedure import Procedure
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.model import Model, Quantity
@@ -25,7 +24,8 @@ def find_model(reference: str) -> Model:
         return built_in_model(reference)
     found = _load(Path(path), attribute)
     if not isinstance(found, Model | Equation | Procedure) and callable(found):
-        found = _guarded(found, path)
+        with users_code(path):
+            found = found()
     if isinstance(found, Model):
         return found
     if isinstance(found, Equation | Procedure):
@@ -34,16 +34,6 @@ def find_model(reference: str) -> Model:
         f"'{attribute}' in {path} is not a Model, an Equation or a Procedure, nor a function that "
         f"returns one."
     )
-
-
-def _guarded(function: Callable[[], object], path: str) -> object:
-    """Call the user's own code; whatever it raises becomes one line about it."""
-    try:
-        return function()
-    except RiecjaxError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise ModelError(f"{path} failed: {type(error).__name__}: {error}") from None
 
 
 def _model_of(name: str, found: Equation | Procedure) -> Model:
@@ -60,8 +50,8 @@ def _load(path: Path, attribute: str) -> object:
         raise ModelError(f"'{path}' is not a Python file.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    loader = spec.loader
-    _guarded(lambda: loader.exec_module(module), str(path))
+    with users_code(path):
+        spec.loader.exec_module(module)
     if not hasattr(module, attribute):
         raise ModelError(f"{path} has no object '{attribute}'.")
     return getattr(module, attribute)

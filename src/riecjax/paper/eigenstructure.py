@@ -7,14 +7,10 @@ import numpy as np
 
 from riecjax.models.quarter_car.curves import BumpStopSpring, HardeningMount, LinearDamper
 from riecjax.models.quarter_car.reconstruction import (
-    BODY_MASS,
-    DAMPER_COMPLIANCE,
-    ENGINE_MASS,
     MOUNT_DAMPING,
     MOUNT_RATE,
     SPRING_RATE,
-    TYRE_STIFFNESS,
-    WHEEL_MASS,
+    source_with_curves,
 )
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import DAMPING_RATE, TABLE_1, PublishedMode
@@ -36,16 +32,11 @@ def linear_source(
     mount_rate: float = MOUNT_RATE, mount_damping: float = MOUNT_DAMPING
 ) -> QuarterCarSource:
     """The source model as linearised in Section 3: 1.5 kN s/m, 20 kN/m, and a linear mount."""
-    return QuarterCarSource(
-        wheel_mass=jnp.asarray(WHEEL_MASS),
-        body_mass=jnp.asarray(BODY_MASS),
-        engine_mass=jnp.asarray(ENGINE_MASS),
-        tyre_stiffness=jnp.asarray(TYRE_STIFFNESS),
-        damper_compliance=jnp.asarray(DAMPER_COMPLIANCE),
-        mount_damping=jnp.asarray(mount_damping),
-        damper=LinearDamper(jnp.asarray(DAMPING_RATE)),
-        spring=BumpStopSpring(jnp.asarray(SPRING_RATE), jnp.full(2, 1.0), jnp.zeros(2)),
-        mount=HardeningMount(jnp.asarray(mount_rate), jnp.zeros(())),
+    return source_with_curves(
+        LinearDamper(jnp.asarray(DAMPING_RATE)),
+        BumpStopSpring(jnp.asarray(SPRING_RATE), jnp.full(2, 1.0), jnp.zeros(2)),
+        HardeningMount(jnp.asarray(mount_rate), jnp.zeros(())),
+        mount_damping,
     )
 
 

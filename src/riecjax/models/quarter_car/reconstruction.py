@@ -19,7 +19,7 @@ from jaxtyping import Array
 
 from riecjax.leaves import Leaf
 from riecjax.models.quarter_car.curves import BumpStopSpring, DigressiveDamper, HardeningMount
-from riecjax.models.quarter_car.source import DamperCurve, QuarterCarSource
+from riecjax.models.quarter_car.source import Curve, DamperCurve, QuarterCarSource
 
 WHEEL_MASS = 30.0
 """M_w in kg, derived."""
@@ -113,6 +113,18 @@ def quarter_car_source(
     """
     shapes = jax.tree.map(jnp.asarray, shapes)
     mount = HardeningMount(jnp.asarray(MOUNT_RATE), jnp.asarray(shapes.mount_cubic))
+    spring = BumpStopSpring(
+        jnp.asarray(SPRING_RATE), jnp.asarray(shapes.stop_gaps), jnp.asarray(shapes.stop_rates)
+    )
+    return source_with_curves(
+        shapes.damper, spring, mount.scaled(mount_rate / MOUNT_RATE), mount_damping
+    )
+
+
+def source_with_curves(
+    damper: DamperCurve, spring: Curve, mount: Curve, mount_damping: float | Array
+) -> QuarterCarSource:
+    """The source model of these curves, with the published and derived masses and rates."""
     return QuarterCarSource(
         wheel_mass=jnp.asarray(WHEEL_MASS),
         body_mass=jnp.asarray(BODY_MASS),
@@ -120,11 +132,9 @@ def quarter_car_source(
         tyre_stiffness=jnp.asarray(TYRE_STIFFNESS),
         damper_compliance=jnp.asarray(DAMPER_COMPLIANCE),
         mount_damping=jnp.asarray(mount_damping),
-        damper=shapes.damper,
-        spring=BumpStopSpring(
-            jnp.asarray(SPRING_RATE), jnp.asarray(shapes.stop_gaps), jnp.asarray(shapes.stop_rates)
-        ),
-        mount=mount.scaled(mount_rate / MOUNT_RATE),
+        damper=damper,
+        spring=spring,
+        mount=mount,
     )
 
 
