@@ -72,14 +72,3 @@ def central_difference(
     return jnp.concatenate([first[None], inner, last[None]]) / (2 * time_step)
 
 
-def every(record: Record, count: int) -> Record:
-    """Every `count`-th sample, without filtering first.
-
-    **Raises:** `DataError` unless 1 <= count and two samples remain.
-    """
-    if count < 1 or (record.sample_count - 1) // count < 1:
-        raise DataError(
-            f"cannot take every {count}th of {record.sample_count} samples: too few would remain."
-        )
-    arrays = {name: values[..., ::count] for name, values in record.arrays.items()}
-    return Record(arrays, record.time_step * count, record.start_time, record.units)

@@ -1,31 +1,36 @@
 """A recording: uniformly sampled, named signals."""
 
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Iterable, Iterator, Mapping
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError
-
-# Logged time stamps are rounded; steps may differ by this share before the grid counts as uneven.
-TIME_STEP_TOLERANCE = 1e-3
+from riecjax.records.time_base import time_base
 
 
 class Signals(Mapping[str, Array]):
-    """The signals of a record by name; asking for one that is missing says which ones exist."""
+    """The signals of a record by name; asking for one that is missing says which ones exist.
+
+    `read` collects the names that were asked for: which signals an expression depends on.
+    """
 
     def __init__(self, arrays: Mapping[str, Array]):
         self._arrays = dict(arrays)
+        self.read: set[str] = set()
 
     def __getitem__(self, name: str) -> Array:
         try:
-            return self._arrays[name]
+            value = self._arrays[name]
         except KeyError:
             raise MissingSignalError(name, tuple(self._arrays)) from None
+        self.read.add(name)
+        return value
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)
@@ -43,18 +48,27 @@ class Record(eqx.Module):
     A record is a pytree: its arrays trace, vmap and differentiate. Build one from user data with
     [`Record.from_samples`][], which checks everything once; code downstream trusts a record.
 
+    Samples that are not there (a NaN in the file, a pause of the logger) are marked in `missing`
+    and hold the last value before them, so that every array is finite. No window and no filter
+    reaches across them. A pause, however long, takes one sample.
+
     **Fields:**
 
     - `arrays`: signal name to its samples, shape `(n,)`, all of one length.
     - `time_step`: seconds between samples, scalar.
     - `start_time`: time of the first sample in seconds, scalar.
     - `units`: (signal name, unit) pairs for those signals whose unit is known.
+    - `missing`: signal name to a mask, True where its sample is missing; only signals that lack
+      some are named.
+    - `stamps`: time of each sample in seconds where the record has pauses, else `None`.
     """
 
     arrays: dict[str, Float[Array, " n"]]
     time_step: Float[Array, ""]
     start_time: Float[Array, ""]
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    missing: dict[str, Bool[Array, " n"]]
+    stamps: Float[Array, " n"] | None
 
     def __init__(
         self,
@@ -62,6 +76,8 @@ class Record(eqx.Module):
         time_step: ArrayLike | Array,
         start_time: ArrayLike | Array = 0.0,
         units: Mapping[str, str] | tuple[tuple[str, str], ...] = (),
+        missing: Mapping[str, ArrayLike | Array] | None = None,
+        stamps: ArrayLike | Array | None = None,
     ):
         dtype = jnp.result_type(float)
         self.arrays = {name: jnp.asarray(values, dtype) for name, values in arrays.items()}
@@ -69,6 +85,10 @@ class Record(eqx.Module):
         self.start_time = jnp.asarray(start_time, dtype)
         pairs = units.items() if isinstance(units, Mapping) else units
         self.units = tuple(sorted((name, unit) for name, unit in pairs if name in arrays))
+        self.missing = {
+            name: jnp.asarray(mask, bool) for name, mask in (missing or {}).items() if name in arrays
+        }
+        self.stamps = None if stamps is None else jnp.asarray(stamps, dtype)
 
     def __check_init__(self):
         lengths = {name: values.shape for name, values in self.arrays.items()}
@@ -91,31 +111,36 @@ class Record(eqx.Module):
 
         **Arguments:**
 
-        - `signals`: name to samples, each of shape `(n,)`.
+        - `signals`: name to samples, each of shape `(n,)`; NaN where a sample is missing.
         - `time`: time of each sample in seconds, shape `(n,)`; or give `time_step` in seconds.
+          Pauses between evenly sampled stretches are kept as such.
         - `units`: name to unit, for those that are known.
 
-        **Raises:** `DataError` for fewer than two samples, NaN or infinity, unequal lengths, and
-        time that does not increase or is not evenly spaced.
+        **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample,
+        unequal lengths, and time that does not increase or is not evenly spaced.
         """
-        arrays = {name: _finite_samples(name, values) for name, values in signals.items()}
+        arrays = {name: _samples(name, values) for name, values in signals.items()}
         if (time is None) == (time_step is None):
             raise DataError("give either the time of each sample or the time step, not both.")
+        stamps = None
         if time is not None:
-            step, start = _uniform_grid(_finite_samples("t", time))
+            given = _samples("t", time)
+            _require_equal_lengths({**arrays, "t": given})
+            base = time_base(given)
+            step, start = base.step, base.start
+            if base.pauses.size:
+                stamps = np.insert(given, base.pauses, base.pause_times(given))
+                arrays = {k: np.insert(v, base.pauses, np.nan) for k, v in arrays.items()}
         else:
             step, start = float(time_step or 0.0), 0.0
         if not (np.isfinite(step) and step > 0):
             raise DataError(f"the time step must be a positive number of seconds; got {step:g}.")
-        lengths = {values.size for values in arrays.values()}
-        if time is not None:
-            lengths.add(np.size(np.asarray(time)))
-        if len(lengths) > 1:
-            listed = ", ".join(f"{name} {values.size}" for name, values in arrays.items())
-            raise DataError(f"all signals and the time must have the same length; got {listed}.")
-        if lengths and min(lengths) < 2:
+        _require_equal_lengths(arrays)
+        if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
-        return cls(arrays, step, start, units or {})
+        missing = {k: np.isnan(v) for k, v in arrays.items() if np.isnan(v).any()}
+        filled = {k: _hold(v, missing[k]) if k in missing else v for k, v in arrays.items()}
+        return cls(filled, step, start, units or {}, missing, stamps)
 
     @property
     def signals(self) -> Signals:
@@ -132,29 +157,47 @@ class Record(eqx.Module):
 
     @property
     def duration(self) -> Float[Array, ""]:
-        """Time from the first to the last sample in seconds: t_max of eq. (15)."""
+        """Seconds recorded, pauses left out: t_max of eq. (15)."""
         return self.time_step * (self.sample_count - 1)
 
     @property
     def time(self) -> Float[Array, " n"]:
         """Time of each sample in seconds."""
+        if self.stamps is not None:
+            return self.stamps
         return self.start_time + self.time_step * jnp.arange(self.sample_count)
 
+    def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
+        """True where none of these signals lacks its sample; `None` where none ever does."""
+        masks = [self.missing[name] for name in sorted(set(names)) if name in self.missing]
+        return ~functools.reduce(jnp.logical_or, masks) if masks else None
+
     def with_signals(
-        self, signals: Mapping[str, Array], units: Mapping[str, str] | None = None
+        self,
+        signals: Mapping[str, Array],
+        units: Mapping[str, str] | None = None,
+        missing: Mapping[str, Array] | None = None,
     ) -> "Record":
-        """A record with these signals added or replaced."""
+        """A record with these signals added or replaced, `missing` where they have no sample."""
+        kept = {name: mask for name, mask in self.missing.items() if name not in signals}
         return Record(
             {**self.arrays, **signals},
             self.time_step,
             self.start_time,
             {**dict(self.units), **(units or {})},
+            {**kept, **(missing or {})},
+            self.stamps,
         )
 
     def select(self, *names: str) -> "Record":
         """A record of only these signals, in this order."""
         return Record(
-            {name: self[name] for name in names}, self.time_step, self.start_time, self.units
+            {name: self[name] for name in names},
+            self.time_step,
+            self.start_time,
+            self.units,
+            self.missing,
+            self.stamps,
         )
 
     def part(self, start: int, stop: int) -> "Record":
@@ -163,8 +206,48 @@ class Record(eqx.Module):
             raise DataError(
                 f"samples {start} to {stop} do not lie in a record of {self.sample_count} samples."
             )
-        arrays = {name: values[..., start:stop] for name, values in self.arrays.items()}
-        return Record(arrays, self.time_step, self.start_time + start * self.time_step, self.units)
+        return self._sliced(slice(start, stop), 1)
+
+    def every(self, count: int) -> "Record":
+        """Every `count`-th sample, without filtering first.
+
+        **Raises:** `DataError` unless 1 <= count and two samples remain.
+        """
+        if count < 1 or (self.sample_count - 1) // count < 1:
+            raise DataError(
+                f"cannot take every {count}th of {self.sample_count} samples: too few would remain."
+            )
+        return self._sliced(slice(None, None, count), count)
+
+    def segments(self, names: Iterable[str] | None = None) -> list[slice]:
+        """Unbroken stretches, in which none of these signals (or of all) lacks a sample.
+
+        Not under jit.
+        """
+        present = self.present(self.arrays if names is None else names)
+        if present is None:
+            return [slice(0, self.sample_count)]
+        edges = np.flatnonzero(np.diff(np.pad(np.asarray(present).astype(np.int8), 1)))
+        return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
+
+    def _sliced(self, samples: slice, count: int) -> "Record":
+        # Thinning must not lose a gap between two samples that stay: a gap then widens to one.
+        def thin(mask: Array) -> Array:
+            if count == 1:
+                return mask[..., samples]
+            padded = jnp.pad(mask, [(0, 0)] * (mask.ndim - 1) + [(0, -mask.shape[-1] % count)])
+            return padded.reshape(*mask.shape[:-1], -1, count).any(-1)
+
+        return Record(
+            {name: values[..., samples] for name, values in self.arrays.items()},
+            self.time_step * count,
+            self.start_time + (samples.start or 0) * self.time_step
+            if self.stamps is None
+            else self.stamps[..., samples.start or 0],
+            self.units,
+            {name: thin(mask) for name, mask in self.missing.items()},
+            None if self.stamps is None else self.stamps[..., samples],
+        )
 
 
 def stack_records(records: list[Record]) -> Record:
@@ -172,7 +255,7 @@ def stack_records(records: list[Record]) -> Record:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *records)
 
 
-def _finite_samples(name: str, values: ArrayLike) -> np.ndarray:
+def _samples(name: str, values: ArrayLike) -> np.ndarray:
     try:
         samples = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -181,32 +264,24 @@ def _finite_samples(name: str, values: ArrayLike) -> np.ndarray:
         raise DataError(
             f"signal '{name}' must be one column of samples; it has shape {samples.shape}."
         )
-    bad = ~np.isfinite(samples)
-    if bad.any():
-        first = int(np.argmax(bad))
+    infinite = np.isinf(samples)
+    if infinite.any():
         raise DataError(
-            f"signal '{name}' has {int(bad.sum())} value(s) that are not finite numbers, the first "
-            f"at sample {first}. Remove or repair those samples."
+            f"signal '{name}' has {int(infinite.sum())} infinite value(s), the first at sample "
+            f"{int(np.argmax(infinite))}. Remove or repair those samples."
         )
+    if samples.size and np.isnan(samples).all():
+        raise DataError(f"signal '{name}' holds no number at all.")
     return samples
 
 
-def _uniform_grid(time: np.ndarray) -> tuple[float, float]:
-    if time.size < 2:
-        raise DataError("a record needs at least two samples.")
-    steps = np.diff(time)
-    if (steps <= 0).any():
-        first = int(np.argmax(steps <= 0)) + 1
-        raise DataError(
-            f"time must increase from sample to sample; at sample {first} it goes from "
-            f"{time[first - 1]:g} to {time[first]:g} s. Sort the record or remove repeated rows."
-        )
-    step = float((time[-1] - time[0]) / (time.size - 1))
-    if np.max(np.abs(steps - step)) > TIME_STEP_TOLERANCE * step + 4 * np.spacing(
-        np.max(np.abs(time))
-    ):
-        raise DataError(
-            f"samples must be evenly spaced; steps range from {steps.min():g} to {steps.max():g} s."
-            " Resample the record to a uniform rate, or cut it at its gaps."
-        )
-    return step, float(time[0])
+def _require_equal_lengths(arrays: Mapping[str, np.ndarray]) -> None:
+    if len({values.size for values in arrays.values()}) > 1:
+        listed = ", ".join(f"{name} {values.size}" for name, values in arrays.items())
+        raise DataError(f"all signals and the time must have the same length; got {listed}.")
+
+
+def _hold(samples: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Missing samples replaced by the last one before them, at the start by the first after."""
+    last = np.maximum.accumulate(np.where(missing, -1, np.arange(samples.size)))
+    return samples[np.where(last < 0, np.argmin(missing), last)]
