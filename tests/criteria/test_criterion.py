@@ -41,7 +41,7 @@ def increments(term, record, start, stop):
 
 @eqx.filter_jit
 def column_increments(equation, record, windows):
-    return Boxcar().primitives(equation, record).increments(windows)
+    return Boxcar().primitives(equation, record).integrals(windows).columns
 
 
 def windows_in_samples(kind, steps):
@@ -216,7 +216,7 @@ def test_random_windows_without_a_key_are_refused():
 def test_criteria_describe_themselves_as_plain_data():
     described = RIEC(RandomWindows(0.05, 0.3, 50)).describe()
     expected = {"name": "riec", "alpha": 0.05, "beta": 0.3, "windows": 50}
-    assert described == expected | {"test_function": "boxcar"}
+    assert described == expected | {"test_function": "boxcar", "quadrature": 2}
     assert DOLS().describe() == {"name": "dols"}
 
 

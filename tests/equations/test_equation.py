@@ -56,9 +56,11 @@ def test_without_known_terms_the_target_is_zero():
 def test_twice_negated_is_the_same_term():
     for term in (Term("a", "x"), Term(2.0, "x"), Terms("c", Polynomial((1,)), of="x")):
         np.testing.assert_array_equal(
-            term.__neg__().__neg__().samples(RECORD, 0), term.samples(RECORD, 0)
+            term.__neg__().__neg__().samples(RECORD, 0).values, term.samples(RECORD, 0).values
         )
-        np.testing.assert_array_equal((-term).samples(RECORD, 0), -term.samples(RECORD, 0))
+        np.testing.assert_array_equal(
+            (-term).samples(RECORD, 0).values, -term.samples(RECORD, 0).values
+        )
 
 
 @pytest.mark.parametrize(("derivative", "signal"), [(0, "x"), (1, "dx"), (2, "ddx")])
@@ -121,4 +123,4 @@ def test_a_missing_signal_is_explained_with_a_remedy(term, words):
 
 def test_a_numeric_coefficient_may_be_an_array():
     term = Term(jnp.array(2.5), "x", sign=-2.0)
-    np.testing.assert_allclose(term.samples(RECORD, 0)[0], -5 * SAMPLES["x"])
+    np.testing.assert_allclose(term.samples(RECORD, 0).values[0], -5 * SAMPLES["x"])

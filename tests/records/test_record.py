@@ -43,11 +43,11 @@ def signals_with(value, at):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (dict(signals=signals_with(np.nan, 3), time_step=1.0), ["'x'", "at sample 3", "repair"]),
+        (dict(signals={"x": np.full(5, np.nan)}, time_step=1.0), ["'x'", "no number at all"]),
         (dict(signals=signals_with(np.inf, 0), time_step=1.0), ["'x'", "at sample 0"]),
         (
             dict(signals={"x": ramp()}, time=[0, 1, np.nan, 3, 4]),
-            ["'t'", "at sample 2"],
+            ["time is missing at 1", "at sample 2"],
         ),
         (
             dict(signals={"x": ramp()}, time=[0, 1, 1, 2, 3]),
@@ -55,8 +55,8 @@ def signals_with(value, at):
         ),
         (dict(signals={"x": ramp()}, time=[0, 1, 3, 2, 4]), ["must increase", "at sample 3"]),
         (
-            dict(signals={"x": ramp()}, time=[0, 1, 2, 3, 4.1]),
-            ["evenly spaced", "from 1 to 1.1", "Resample"],
+            dict(signals={"x": ramp()}, time=[0, 1, 2, 3, 4.15]),
+            ["evenly spaced", "from 1 to 1.15", "Resample"],
         ),
         (dict(signals={"x": ramp(4)}, time=ramp(5)), ["same length", "x 4"]),
         (dict(signals={"x": ramp(4), "y": ramp(5)}, time_step=1.0), ["x 4", "y 5"]),
@@ -115,3 +115,70 @@ def test_a_record_passes_through_jit_and_vmap():
     records = [Record.from_samples({"x": k * ramp()}, time_step=0.1 * k) for k in (1.0, 2.0)]
     durations = jax.jit(jax.vmap(lambda r: r.duration * r["x"][-1]))(stack_records(records))
     np.testing.assert_allclose(durations, [0.4 * 4, 0.8 * 8])
+
+
+def test_missing_samples_are_marked_and_hold_the_last_value():
+    record = Record.from_samples({"x": [np.nan, 1, np.nan, np.nan, 4], "y": ramp()}, time_step=1.0)
+    np.testing.assert_array_equal(record["x"], [1, 1, 1, 1, 4])
+    np.testing.assert_array_equal(record.missing["x"], [True, False, True, True, False])
+    assert set(record.missing) == {"x"}
+    assert record.present(["y"]) is None
+    np.testing.assert_array_equal(record.present(["x", "y"]), [0, 1, 0, 0, 1])
+    assert record.segments(["x"]) == [slice(1, 2), slice(4, 5)]
+    assert record.segments(["y"]) == [slice(0, 5)]
+
+
+def paused(pause=5000.0):
+    time = np.concatenate([0.1 * ramp(20), pause + 0.1 * ramp(10)])
+    return Record.from_samples({"x": np.sin(time)}, time=time), time
+
+
+@pytest.mark.parametrize("pause", [2.1, 2.137, 5000.03])
+def test_a_pause_of_any_length_takes_one_sample_and_time_stays_true(pause):
+    record, time = paused(pause)
+    assert record.sample_count == 31
+    assert record.segments() == [slice(0, 20), slice(21, 31)]
+    assert float(record.time_step) == pytest.approx(0.1, rel=1e-9)
+    np.testing.assert_allclose(np.delete(record.time, 20), time, rtol=1e-15)
+    assert time[19] < record.time[20] < time[20]
+    np.testing.assert_array_equal(np.delete(record["x"], 20), np.sin(time))
+
+
+def test_parts_of_a_paused_record_keep_its_time_and_its_gaps():
+    record, time = paused()
+    part = record.part(15, 25)
+    np.testing.assert_allclose(part.time[-4:], time[20:24])
+    assert part.segments() == [slice(0, 5), slice(6, 10)]
+    assert float(part.start_time) == pytest.approx(1.5)
+    assert record.select("x").segments() == record.segments()
+
+
+@pytest.mark.parametrize("count", [2, 3, 7])
+def test_thinning_never_joins_what_a_pause_parts(count):
+    thin = paused()[0].every(count)
+    kept = np.arange(0, 31, count)
+    first, second = thin.segments()
+    assert np.all(kept[first] < 20)
+    assert np.all(kept[second] > 20)
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        np.round(ramp(3000) / 600, 3),
+        np.floor(ramp(3000) / 600 * 1000) / 1000,
+        (ramp(3000) / 600).astype(np.float32).astype(float),
+        1.7e9 + ramp(3000) / 600,
+    ],
+    ids=["rounded to ms", "cut to ms", "32-bit", "seconds since 1970"],
+)
+def test_stamps_within_their_own_rounding_of_an_even_grid_are_even(stamps):
+    record = Record.from_samples({"x": ramp(3000)}, time=stamps)
+    assert float(record.time_step) == pytest.approx(1 / 600, rel=1e-3)
+    assert record.sample_count == 3000
+
+
+def test_a_clock_that_jitters_is_not_even():
+    jitter = np.random.default_rng(0).uniform(-0.1, 0.1, 300) / 600
+    with pytest.raises(DataError, match="evenly spaced"):
+        Record.from_samples({"x": ramp(300)}, time=ramp(300) / 600 + jitter)

@@ -173,7 +173,7 @@ def command(
 
     from riecjax.criteria.criterion import DOLS, RIEC
     from riecjax.criteria.windows import RandomWindows
-    from riecjax.estimation.identify import check_record, identify
+    from riecjax.estimation.identify import identify, signals_read
     from riecjax.models.preparation import Preparation, prepare
     from riecjax.models.resolve import find_model
     from riecjax.records.files import read_record
@@ -202,7 +202,7 @@ def command(
         with about(file, rename):
             record = read_record(file, rename=rename, scale=scale)
             record = prepare(record, model, settings)
-            check_record(procedure, record, criterion)
+            signals_read(procedure, record, criterion)
             records.append(record)
     key = jax.random.key(seed)
     estimate = identify(procedure, records, criterion, key=key, known=known)

@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.criteria.test_functions import Boxcar
+from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import sum_columns
+from riecjax.equations.term import both_present, sum_columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
@@ -24,11 +24,27 @@ class Rows(eqx.Module):
     - `columns`: shape `(1 + parameters, rows)`; the first holds the target.
     - `position`: where in the record each row starts, in samples.
     - `parameters`: names of the regressors.
+    - `kept`: False for rows that touch a missing or masked sample; their columns are zero. `None`
+      where there are none.
     """
 
     columns: Float[Array, "columns rows"]
     position: Int[Array, " rows"] | Float[Array, " rows"]
     parameters: tuple[str, ...] = eqx.field(static=True)
+    kept: Bool[Array, " rows"] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        columns: Float[Array, "columns rows"],
+        position: Array,
+        parameters: tuple[str, ...],
+        kept: Bool[Array, " rows"] | None,
+    ) -> "Rows":
+        """Rows of which those that are not kept are emptied."""
+        if kept is not None:
+            columns = jnp.where(kept[None, :], columns, 0.0)
+        return cls(columns, position, parameters, kept)
 
     @property
     def target(self) -> Float[Array, " rows"]:
@@ -45,7 +61,7 @@ class Rows(eqx.Module):
         zero = jnp.zeros_like(self.target)
         held = dict(zip(self.parameters, self.columns[1:]))
         columns = jnp.stack([self.target, *(held.get(name, zero) for name in parameters)])
-        return Rows(columns, self.position, parameters)
+        return Rows(columns, self.position, parameters, self.kept)
 
     def fix(self, known: Mapping[str, Array]) -> "Rows":
         """The rows left when these parameters take these values: their columns join the target."""
@@ -53,14 +69,32 @@ class Rows(eqx.Module):
         given = [known[name] * column for name, column in held.items() if name in known]
         kept = tuple(name for name in self.parameters if name not in known)
         target = self.target - sum(given, start=jnp.zeros_like(self.target))
-        return Rows(jnp.stack([target, *(held[name] for name in kept)]), self.position, kept)
+        columns = jnp.stack([target, *(held[name] for name in kept)])
+        return Rows(columns, self.position, kept, self.kept)
+
+    def rename(self, parameters: tuple[str, ...]) -> "Rows":
+        """The same rows with other names for the regressors."""
+        return Rows(self.columns, self.position, parameters, self.kept)
+
+    def count(self) -> Float[Array, ""]:
+        """Number of rows that are kept."""
+        if self.kept is None:
+            return jnp.asarray(self.columns.shape[1], self.columns.dtype)
+        return jnp.sum(self.kept, dtype=self.columns.dtype)
 
     @staticmethod
     def concatenate(parts: Sequence["Rows"]) -> "Rows":
         """Rows of the same parameters, one after the other."""
         columns = jnp.concatenate([part.columns for part in parts], axis=1)
         position = jnp.concatenate([part.position for part in parts])
-        return Rows(columns, position, parts[0].parameters)
+        kept = None
+        if any(part.kept is not None for part in parts):
+            masks = [
+                jnp.ones(part.columns.shape[1], bool) if part.kept is None else part.kept
+                for part in parts
+            ]
+            kept = jnp.concatenate(masks)
+        return Rows(columns, position, parts[0].parameters, kept)
 
 
 class AbstractCriterion(eqx.Module):
@@ -72,12 +106,21 @@ class AbstractCriterion(eqx.Module):
         raise NotImplementedError
 
     @property
+    def smoothness(self) -> int:
+        """How many time derivatives the weight takes off the motion, by integration by parts."""
+        raise NotImplementedError
+
+    @property
     def block_length(self) -> Leaf:
         """Seconds after which two rows share no data: their errors are not locked together."""
         raise NotImplementedError
 
     def check(self, record: Record) -> None:
         """Raise `DataError` if the record is too short for this criterion (not under jit)."""
+        raise NotImplementedError
+
+    def row_count(self, record: Record) -> int:
+        """How many rows an equation has on this record, before any is left out."""
         raise NotImplementedError
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
@@ -101,6 +144,11 @@ class DOLS(AbstractCriterion):
         return False
 
     @property
+    def smoothness(self) -> int:
+        """0: no weight, every derivative is read."""
+        return 0
+
+    @property
     def block_length(self) -> np.ndarray:
         """Zero: rows share no data."""
         return np.zeros(())
@@ -108,14 +156,22 @@ class DOLS(AbstractCriterion):
     def check(self, record: Record) -> None:
         """Nothing to check: a record has samples."""
 
+    def row_count(self, record: Record) -> int:
+        """One for each sample."""
+        return record.sample_count
+
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None = None) -> Rows:
-        """One row for each sample.
+        """One row for each sample that is present and not masked.
 
         **Raises:** `DataError` for a missing signal or derivative.
         """
-        blocks = [term.samples(record, term.derivative) for term in equation.terms]
+        read = [term.samples(record, term.derivative) for term in equation.terms]
+        kept = equation.trusted(record)
+        for sampled in read:
+            kept = both_present(kept, sampled.present)
+        blocks = [sampled.values for sampled in read]
         columns = sum_columns(equation.terms, blocks, equation.parameters)
-        return Rows(columns, jnp.arange(record.sample_count), equation.parameters)
+        return Rows.of(columns, jnp.arange(record.sample_count), equation.parameters, kept)
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -126,17 +182,25 @@ class RIEC(AbstractCriterion):
     """The randomized integral error criterion, eq. (17).
 
     One row for each window: the equation of motion, weighted by a test function and integrated.
+    Windows that touch a missing or masked sample are left out.
 
-    **Arguments:** `windows`, such as `RandomWindows(alpha, beta, count)`; `test_function`.
+    **Arguments:** `windows`, such as `RandomWindows(alpha, beta, count)`; `test_function`, such
+    as `Boxcar()` (RIEC as published), `Hat()` or `Bump(p)`. Alpha and beta are lengths of the
+    whole window, for each of them.
     """
 
     windows: RandomWindows
-    test_function: Boxcar = eqx.field(default_factory=Boxcar)
+    test_function: AbstractTestFunction = eqx.field(default_factory=Boxcar)
 
     @property
     def needs_key(self) -> bool:
         """True: windows are drawn at random."""
         return True
+
+    @property
+    def smoothness(self) -> int:
+        """The test function's."""
+        return self.test_function.smoothness
 
     @property
     def block_length(self) -> Leaf:
@@ -145,7 +209,13 @@ class RIEC(AbstractCriterion):
 
     def check(self, record: Record) -> None:
         """The record must be longer than the longest window."""
-        self.windows.check(record.sample_count, record.time_step)
+        self.windows.check(
+            record.sample_count, record.time_step, self.test_function.length_multiple
+        )
+
+    def row_count(self, record: Record) -> int:
+        """One for each window."""
+        return self.windows.count
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
         """One row for each window. The same key draws the same windows for every equation.
@@ -154,9 +224,11 @@ class RIEC(AbstractCriterion):
         """
         if key is None:
             raise ModelError("random windows need a key: key=jax.random.key(seed).")
-        windows = self.windows.draw(key, record.sample_count, record.time_step)
-        primitives = self.test_function.primitives(equation, record)
-        return Rows(primitives.increments(windows), windows.start, equation.parameters)
+        windows = self.windows.draw(
+            key, record.sample_count, record.time_step, self.test_function.length_multiple
+        )
+        columns, kept = self.test_function.integrals(equation, record, windows)
+        return Rows.of(columns, windows.start, equation.parameters, kept)
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -165,5 +237,5 @@ class RIEC(AbstractCriterion):
             "alpha": float(self.windows.alpha),
             "beta": float(self.windows.beta),
             "windows": self.windows.count,
-            "test_function": "boxcar",
+            **self.test_function.describe(),
         }

@@ -1,38 +1,94 @@
-"""Test functions: the weight that a window gives to the equation of motion inside it."""
+"""Test functions: the weight that a window gives to the equation of motion inside it.
+
+With a weight phi that vanishes at both ends of the window, integration by parts moves derivatives
+from the motion to the weight:
+
+    integral phi d^k s / dt^k dt = (-1)^k integral d^k phi / dt^k s dt
+
+so that a position suffices where DOLS needs an acceleration. How many derivatives can be moved is
+the weight's smoothness: one for the boxcar, two for the hat and for bumps.
+"""
+
+from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from riecjax.criteria.quadrature import ORDERS, running_integral
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import AbstractTerm, sum_columns
+from riecjax.equations.term import AbstractTerm, Sampled, both_present, sum_columns
+from riecjax.errors import ModelError
 from riecjax.records.record import Record
 
 
-class Primitives(eqx.Module):
-    """For each column of an equation, the function whose increment over a window is its integral.
+class Integrals(NamedTuple):
+    """Weighted integrals of every column of an equation over every window.
 
-    Each is kept as the straight line of its mean slope plus what is left. Of a signal with an
-    offset the running integral grows with the record, and the difference of two large
-    numbers would lose in 32-bit what the line keeps exactly.
+    **Fields:** `columns`, the target first; `whole`, False for windows that touch a missing or
+    masked sample and hold no meaning, `None` where there are none.
+    """
+
+    columns: Float[Array, "columns windows"]
+    whole: Bool[Array, " windows"] | None
+
+
+class AbstractTestFunction(eqx.Module):
+    """A weight on a window, and the integrals of an equation that it makes."""
+
+    @property
+    def smoothness(self) -> int:
+        """How many time derivatives it takes off the motion, by integration by parts."""
+        raise NotImplementedError
+
+    @property
+    def length_multiple(self) -> int:
+        """Window lengths are whole multiples of so many samples."""
+        raise NotImplementedError
+
+    def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
+        """Integral of every column of the equation over every window."""
+        raise NotImplementedError
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings, for tables and JSON."""
+        raise NotImplementedError
+
+
+class Primitives(eqx.Module):
+    """For each column of an equation, the function whose differences are its integrals.
+
+    The s-th difference over a window, s = 1 for the boxcar and 2 for the hat, of the s-th
+    running integral of a column. Each is kept as the polynomial of its mean plus what is left. Of
+    a signal with an offset the running integral grows with the record, and the difference of
+    large numbers would lose in 32-bit what the polynomial keeps exactly.
 
     **Fields:**
 
     - `values`: what is left, at the samples, shape `(columns, n)`.
-    - `slope`: mean slope of each column per sample, shape `(columns,)`.
+    - `mean`: mean of each integrand times the time step to the power s, shape `(columns,)`.
     - `bend`: increase of the column's slope from each sample to the next, per sample. Between
       samples an integrand is a straight line, so its primitive is a parabola with this bend.
+    - `present`: where every column has its sample and the equation is to be trusted.
+    - `difference`: s.
     """
 
     values: Float[Array, "columns n"]
-    slope: Float[Array, " columns"]
+    mean: Float[Array, " columns"]
     bend: Float[Array, "columns n-1"]
+    present: Bool[Array, " n"] | None
+    difference: int = eqx.field(static=True)
 
-    def increments(self, windows: WindowSet) -> Float[Array, "columns windows"]:
+    def integrals(self, windows: WindowSet) -> Integrals:
         """Integral of every column over every window."""
-        line = self.slope[:, None] * (windows.stop - windows.start)[None, :]
-        return self._at(windows.stop) - self._at(windows.start) + line
+        start, stop = windows
+        step = (stop - start) / self.difference
+        polynomial = self.mean[:, None] * (step**self.difference)[None, :]
+        ends = self._at(stop) + (-1) ** self.difference * self._at(start)
+        middle = 2 * self._at((start + stop) // 2) if self.difference == 2 else 0.0
+        return Integrals(ends - middle + polynomial, whole(windows, self.present))
 
     def _at(
         self, position: Int[Array, " windows"] | Float[Array, " windows"]
@@ -45,38 +101,240 @@ class Primitives(eqx.Module):
         return left + share * (right - left) - 0.5 * share * (1 - share) * self.bend[:, below]
 
 
-class Boxcar(eqx.Module):
+class _Differences(AbstractTestFunction):
+    """Weights whose integrals are differences of running integrals."""
+
+    quadrature: eqx.AbstractVar[int]
+
+    def __check_init__(self):
+        if self.quadrature not in ORDERS:
+            raise ModelError(
+                f"the order of quadrature must be one of {ORDERS}; got {self.quadrature}."
+            )
+
+    @property
+    def length_multiple(self) -> int:
+        """As the order of the difference, so that all its points lie on samples."""
+        return self.smoothness
+
+    def primitives(self, equation: Equation, record: Record) -> Primitives:
+        """Primitives of the target (first row) and of every named coefficient's column."""
+        s = self.smoothness
+        read = [
+            (term, term.samples(record, max(term.derivative - s, 0))) for term in equation.terms
+        ]
+        present = _present(equation, record, [sampled for _, sampled in read])
+        parts = [self._primitive(term, sampled, record, present) for term, sampled in read]
+        terms, names = equation.terms, equation.parameters
+        return Primitives(
+            sum_columns(terms, [part.values for part in parts], names),
+            sum_columns(terms, [part.mean[:, None] for part in parts], names)[:, 0],
+            sum_columns(terms, [part.bend for part in parts], names),
+            present,
+            s,
+        )
+
+    def _primitive(
+        self, term: AbstractTerm, sampled: Sampled, record: Record, present: Array | None
+    ) -> Primitives:
+        s = self.smoothness
+        values = sampled.values
+        bend = jnp.zeros_like(values[:, :-1])
+        mean = jnp.zeros_like(values[:, 0])
+        for repeat in range(max(s - term.derivative, 0)):
+            values = values * record.time_step
+            average = jnp.mean(values, axis=1)
+            # The mean of a later integrand belongs to a polynomial whose differences vanish.
+            mean = average * record.time_step ** (s - 1) if repeat + term.derivative == 0 else mean
+            bend = jnp.diff(values, axis=1)
+            values = running_integral(values - average[:, None], self.quadrature, present)
+        return Primitives(values, mean, bend, present, s)
+
+    def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
+        """Integral of every column of the equation over every window.
+
+        **Raises:** `ModelError` for windows that start between samples, unless the test function
+        is the boxcar with trapezoidal quadrature.
+        """
+        on_samples = jnp.issubdtype(windows.start.dtype, jnp.integer)
+        if not on_samples and (self.smoothness > 1 or self.quadrature > 2):
+            raise ModelError(
+                "windows between samples go with the boxcar and quadrature of order 2; draw them "
+                "on samples (between_samples=False)."
+            )
+        return self.primitives(equation, record).integrals(windows)
+
+
+class Boxcar(_Differences):
     """Weight 1 inside the window, 0 outside: RIEC as published.
 
     Integrates the equation once. A term with a derivative becomes a difference between the ends
     of the window, the paper's Delta x, so that velocities stand where DOLS needs
-    accelerations. Integrals are trapezoidal, of second order in the time step.
+    accelerations.
+
+    **Arguments:** `quadrature`: order in the time step, 2 (trapezoids), 4, 6 or 8.
+
+    **Raises:** `ModelError` for another order.
     """
 
-    def primitives(self, equation: Equation, record: Record) -> Primitives:
-        """Primitives of the target (first row) and of every named coefficient's column."""
-        parts = [_boxcar_primitives(term, record) for term in equation.terms]
-        terms, names = equation.terms, equation.parameters
-        return Primitives(
-            sum_columns(terms, [part.values for part in parts], names),
-            sum_columns(terms, [part.slope[:, None] for part in parts], names)[:, 0],
-            sum_columns(terms, [part.bend for part in parts], names),
-        )
+    quadrature: int = eqx.field(static=True, default=2)
+
+    @property
+    def smoothness(self) -> int:
+        """1: the boxcar's first derivative is a pulse at either end."""
+        return 1
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings."""
+        return {"test_function": "boxcar", "quadrature": self.quadrature}
 
 
-def _boxcar_primitives(term: AbstractTerm, record: Record) -> Primitives:
-    if term.derivative > 0:
-        values = term.samples(record, term.derivative - 1)
-        zero = jnp.zeros_like(values)
-        return Primitives(values, zero[:, 0], zero[:, :-1])
-    integrand = term.samples(record, 0) * record.time_step
-    mean = jnp.mean(integrand, axis=1)
-    return Primitives(
-        running_integral(integrand - mean[:, None]), mean, jnp.diff(integrand, axis=1)
-    )
+class Hat(_Differences):
+    """A triangle over the window, of slope 1 to its middle and -1 from there.
+
+    Integrates the equation twice, the paper's "second integration": over a window [0, 2 L] a
+    second derivative becomes x(2 L) - 2 x(L) + x(0), so a recorded position suffices.
+
+    **Arguments:** `quadrature`: order in the time step, 2 (trapezoids), 4, 6 or 8.
+
+    **Raises:** `ModelError` for another order.
+    """
+
+    quadrature: int = eqx.field(static=True, default=2)
+
+    @property
+    def smoothness(self) -> int:
+        """2: the hat's second derivative is a pulse at either end and one in the middle."""
+        return 2
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings."""
+        return {"test_function": "hat", "quadrature": self.quadrature}
 
 
-def running_integral(samples: Float[Array, "columns n"]) -> Float[Array, "columns n"]:
-    """Trapezoidal integral from the first sample to each, in units of the time step."""
-    areas = 0.5 * (samples[:, 1:] + samples[:, :-1])
-    return jnp.pad(jnp.cumsum(areas, axis=1), ((0, 0), (1, 0)))
+class Bump(AbstractTestFunction):
+    """The smooth weight (1 - tau^2)^p, with tau from -1 to 1 over the window.
+
+    Integrals are sums over the samples of weight times signal, for every start at once by fast
+    Fourier transform, one window length after the other. The k-th derivative of the weight has a
+    zero of multiplicity p - k at both ends, so by Euler and Maclaurin the sums converge with
+    order p - k + 1 where that is even, else p - k + 2: for an inertia (k = 2), order 4 with p = 4.
+
+    **Arguments:**
+
+    - `p`: 3 or more, so that a second derivative of the weight is still continuous.
+    - `lengths`: number of window lengths, evenly spaced from alpha to beta; a window takes the
+      nearest one.
+
+    **Raises:** `ModelError` for p < 3 or no length.
+    """
+
+    p: int = eqx.field(static=True, default=4)
+    lengths: int = eqx.field(static=True, default=32)
+
+    def __check_init__(self):
+        if self.p < 3:
+            raise ModelError(f"a bump needs p of 3 or more; got {self.p}.")
+        if self.lengths < 1:
+            raise ModelError(f"a bump needs at least one window length; got {self.lengths}.")
+
+    @property
+    def smoothness(self) -> int:
+        """2: as many as an equation of motion has."""
+        return 2
+
+    @property
+    def length_multiple(self) -> int:
+        """1: any whole number of samples."""
+        return 1
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings."""
+        return {"test_function": "bump", "p": self.p}
+
+    def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
+        """Integral of every column of the equation over every window.
+
+        **Raises:** `ModelError` for windows that start between samples.
+        """
+        if not jnp.issubdtype(windows.start.dtype, jnp.integer):
+            raise ModelError("bumps need windows on samples (between_samples=False).")
+        columns, present = self._columns(equation, record)
+        windows, lengths = self.rounded(windows, record.sample_count)
+        size = 2 * record.sample_count
+        spectrum = jnp.fft.rfft(columns, size, axis=-1)
+
+        def of_length(total: Array, length: Array) -> tuple[Array, None]:
+            weights = jnp.fft.rfft(self.weights(length, record), size, axis=-1)
+            # Summed over the order of derivative: correlation of each column with its weight.
+            product = jnp.sum(spectrum * jnp.conj(weights)[:, None, :], axis=0)
+            everywhere = jnp.fft.irfft(product, size, axis=-1)
+            mine = (windows.stop - windows.start == length)[None, :]
+            return jnp.where(mine, everywhere[:, windows.start], total), None
+
+        empty = jnp.zeros((columns.shape[1], windows.start.shape[0]), columns.dtype)
+        total, _ = jax.lax.scan(of_length, empty, lengths)
+        return Integrals(total, whole(windows, present))
+
+    def rounded(
+        self, windows: WindowSet, sample_count: int
+    ) -> tuple[WindowSet, Int[Array, " lengths"]]:
+        """The windows with the nearest of `lengths` lengths, and these lengths in samples."""
+        drawn = windows.stop - windows.start
+        shortest, longest = jnp.min(drawn), jnp.max(drawn)
+        spacing = (longest - shortest) / max(self.lengths - 1, 1)
+        lengths = jnp.round(shortest + spacing * jnp.arange(self.lengths)).astype(drawn.dtype)
+        nearest = jnp.round((drawn - shortest) / jnp.where(spacing > 0, spacing, 1.0))
+        length = lengths[jnp.clip(nearest.astype(jnp.int32), 0, self.lengths - 1)]
+        start = jnp.minimum(windows.start, sample_count - 1 - length)
+        return WindowSet(start, start + length), lengths
+
+    def weights(self, length: Int[Array, ""], record: Record) -> Float[Array, "3 n"]:
+        """(-1)^k d^k phi / dt^k dt at the samples of a window of `length` samples, k = 0, 1, 2."""
+        tau = 2 * jnp.arange(record.sample_count) / length - 1
+        inside = jnp.abs(tau) < 1
+        tau = jnp.where(inside, tau, 0.0)
+        slope = 2 / (length * record.time_step)
+        u, p = 1 - tau**2, self.p
+        first = -2 * p * tau * u ** (p - 1)
+        second = 4 * p * (p - 1) * tau**2 * u ** (p - 2) - 2 * p * u ** (p - 1)
+        weights = jnp.stack([u**p, -slope * first, slope**2 * second])
+        return jnp.where(inside[None, :], weights, 0.0) * record.time_step
+
+    def _columns(
+        self, equation: Equation, record: Record
+    ) -> tuple[Float[Array, "3 columns n"], Bool[Array, " n"] | None]:
+        """Samples of every column, by the order of the derivative in front of them."""
+        read = [term.samples(record, 0) for term in equation.terms]
+        by_order = []
+        for order in range(3):
+            blocks = [
+                _without_mean(sampled.values, order)
+                if term.derivative == order
+                else jnp.zeros_like(sampled.values)
+                for term, sampled in zip(equation.terms, read)
+            ]
+            by_order.append(sum_columns(equation.terms, blocks, equation.parameters))
+        return jnp.stack(by_order), _present(equation, record, read)
+
+
+def _without_mean(values: Float[Array, "columns n"], derivative: int) -> Array:
+    """A constant has no derivative, while the sum of a weight's derivative is not quite zero."""
+    return values if derivative == 0 else values - jnp.mean(values, axis=1, keepdims=True)
+
+
+def whole(windows: WindowSet, present: Bool[Array, " n"] | None) -> Bool[Array, " windows"] | None:
+    """Which windows hold no missing sample; `None` where nothing is missing."""
+    if present is None:
+        return None
+    absent = jnp.pad(jnp.cumsum(~present), (1, 0))
+    first = jnp.floor(windows.start).astype(jnp.int32)
+    last = jnp.ceil(windows.stop).astype(jnp.int32)
+    return absent[last + 1] == absent[first]
+
+
+def _present(equation: Equation, record: Record, read: list[Sampled]) -> Bool[Array, " n"] | None:
+    present = equation.trusted(record)
+    for sampled in read:
+        present = both_present(present, sampled.present)
+    return present

@@ -64,7 +64,7 @@ class RandomWindows(eqx.Module):
                 f"beta = {float(self.beta):g} s."
             )
 
-    def check(self, sample_count: int, time_step: Array) -> None:
+    def check(self, sample_count: int, time_step: Array, multiple: int = 1) -> None:
         """Raise `DataError` if the record is too short or too coarse (not under jit)."""
         if not is_concrete(self.alpha, self.beta, time_step):
             return
@@ -75,42 +75,53 @@ class RandomWindows(eqx.Module):
                 f"the longest window, beta = {beta:g} s, is longer than the record, "
                 f"{duration:g} s. Choose a smaller beta or record for longer."
             )
-        if beta < step:
+        if beta < multiple * step:
+            samples = "one sample" if multiple == 1 else f"{multiple} samples"
             raise DataError(
-                f"the longest window, beta = {beta:g} s, is shorter than one sample, {step:g} s. "
-                f"Choose longer windows."
+                f"the longest window, beta = {beta:g} s, is shorter than {samples}, "
+                f"{multiple * step:g} s. Choose longer windows."
             )
 
     def draw(
-        self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""]
+        self,
+        key: Key[Array, ""],
+        sample_count: int,
+        time_step: Float[Array, ""],
+        multiple: int = 1,
     ) -> WindowSet:
-        """`count` windows of a record with `sample_count` samples."""
-        draw = self._draw_between_samples if self.between_samples else self._draw_on_samples
-        return draw(key, sample_count, time_step)
+        """`count` windows of a record with `sample_count` samples.
+
+        On samples, lengths are multiples of `multiple` samples.
+        """
+        if self.between_samples:
+            return self._draw_between_samples(key, sample_count, time_step)
+        return self._draw_on_samples(key, sample_count, time_step, multiple)
 
     def lags(
-        self, sample_count: int, time_step: Float[Array, ""]
+        self, sample_count: int, time_step: Float[Array, ""], multiple: int = 1
     ) -> tuple[Int[Array, ""], Int[Array, ""]]:
-        """Shortest and longest window in whole samples, at least 1 and within the record."""
-        shortest = jnp.clip(jnp.round(self.alpha / time_step), 1, sample_count - 1)
-        longest = jnp.clip(jnp.round(self.beta / time_step), shortest, sample_count - 1)
+        """Shortest and longest window in multiples of samples, at least 1, within the record."""
+        unit, most = multiple * time_step, (sample_count - 1) // multiple
+        shortest = jnp.clip(jnp.round(self.alpha / unit), 1, most)
+        longest = jnp.clip(jnp.round(self.beta / unit), shortest, most)
         return shortest.astype(jnp.int32), longest.astype(jnp.int32)
 
     def _draw_on_samples(
-        self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""]
+        self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""], multiple: int
     ) -> WindowSet:
-        shortest, longest = self.lags(sample_count, time_step)
+        m = multiple
+        shortest, longest = self.lags(sample_count, time_step, m)
         u, v = jax.random.uniform(key, (2, self.count))
         # A lag of k samples leaves n - k starts. Pairs are numbered lag by lag; the number of pairs
-        # before the j-th lag is j (n - k_a) - j (j - 1) / 2, which is inverted for j. The form with
-        # the root in the denominator does not cancel.
+        # before the j-th lag is j (n - k_a) - m j (j - 1) / 2, which is inverted for j. The form
+        # with the root in the denominator does not cancel.
         # In real numbers: of ten minutes at 10 kHz, 32-bit integers do not hold the pairs.
         lag_count = (longest - shortest + 1).astype(u.dtype)
-        most = (sample_count - shortest).astype(u.dtype)
-        pairs = lag_count * most - lag_count * (lag_count - 1) / 2
-        b = 2.0 * most + 1.0
-        j = 4 * u * pairs / (b + jnp.sqrt(b**2 - 8 * u * pairs))
-        lag = shortest + jnp.clip(j.astype(jnp.int32), 0, longest - shortest)
+        most = (sample_count - m * shortest).astype(u.dtype)
+        pairs = lag_count * most - m * lag_count * (lag_count - 1) / 2
+        b = 2.0 * most + m
+        j = 4 * u * pairs / (b + jnp.sqrt(b**2 - 8 * m * u * pairs))
+        lag = m * (shortest + jnp.clip(j.astype(jnp.int32), 0, longest - shortest))
         start = jnp.minimum((v * (sample_count - lag)).astype(jnp.int32), sample_count - lag - 1)
         return WindowSet(start, start + lag)
 

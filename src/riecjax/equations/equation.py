@@ -1,12 +1,20 @@
 """An equation of motion, linear in its parameters."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import equinox as eqx
+from jaxtyping import Array, Bool
 
-from riecjax.equations.term import AbstractTerm, Term, Terms, merge_known
+from riecjax.equations.term import (
+    AbstractTerm,
+    both_present,
+    evaluate,
+    merge_known,
+    read_expression,
+)
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
+from riecjax.records.record import Record, Signals
 
 
 class Equation(eqx.Module):
@@ -22,17 +30,28 @@ class Equation(eqx.Module):
     )
     ```
 
-    **Arguments:** the terms; `name` for messages and tables; `unit` of the terms, for figures.
+    **Arguments:** the terms; `name` for messages and tables; `unit` of the terms, for figures;
+    `where`, a function of the signals that is True at the samples where the equation is to be
+    trusted, such as [`faster_than`][]`("dq", 1e-3)` where a sign of dq is noise. No window
+    touches the others.
 
     **Raises:** `ModelError` if there is no unknown coefficient.
     """
 
     terms: tuple[AbstractTerm, ...]
+    where: Callable[[Signals], Array] | None = eqx.field(static=True)
     name: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
 
-    def __init__(self, *terms: AbstractTerm, name: str = "equation", unit: str = ""):
+    def __init__(
+        self,
+        *terms: AbstractTerm,
+        name: str = "equation",
+        unit: str = "",
+        where: Callable[[Signals], Array] | None = None,
+    ):
         self.terms = terms
+        self.where = where
         self.name = name
         self.unit = unit
         if not self.parameters:
@@ -48,9 +67,7 @@ class Equation(eqx.Module):
         """Unit of each named coefficient."""
         units: dict[str, str] = {}
         for term in self.terms:
-            if isinstance(term, Term | Terms):
-                for name in term.parameters:
-                    units.setdefault(name, term.unit)
+            units |= {name: unit for name, unit in term.units.items() if not units.get(name)}
         return units
 
     @property
@@ -62,3 +79,23 @@ class Equation(eqx.Module):
     def has_target(self) -> bool:
         """Whether a term without an unknown name sets the scale of the solution."""
         return any(not term.parameters for term in self.terms)
+
+    def trusted(self, record: Record) -> Bool[Array, " n"] | None:
+        """Where `where` holds and its signals are present; `None` without `where`."""
+        if self.where is None:
+            return None
+        mask, present = evaluate(self.where, record)
+        return both_present(mask.astype(bool), present)
+
+    def signals_read(self, record: Record, smoothness: int) -> set[str]:
+        """Names of the signals that a criterion reads which takes `smoothness` derivatives off.
+
+        **Raises:** as [`evaluate`][] does, for an expression that cannot be evaluated.
+        """
+        signals = record.signals
+        for term in self.terms:
+            order = max(term.derivative - smoothness, 0)
+            read_expression(term.expression(record, order), signals)
+        if self.where is not None:
+            read_expression(self.where, signals)
+        return signals.read

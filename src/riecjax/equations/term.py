@@ -1,10 +1,12 @@
 """One term of an equation of motion: a coefficient times a derivative of a signal expression."""
 
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.bases import AbstractBasis
 from riecjax.errors import DataError, ModelError, users_code
@@ -14,28 +16,58 @@ from riecjax.records.record import Record, Signals
 Expression = str | Callable[[Signals], Array]
 """A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
 
+A function returns one number for each sample, or one for all of them.
 Write functions once, at module level: a new function object each time compiles anew.
 """
 
 
-def evaluate(expression: Expression, record: Record) -> Float[Array, " n"]:
-    """Samples of an expression on a record.
+class Sampled(NamedTuple):
+    """Samples of one or several columns, and where they are present (`None`: everywhere)."""
+
+    values: Float[Array, "columns n"]
+    present: Bool[Array, " n"] | None
+
+
+def evaluate(
+    expression: Expression, record: Record
+) -> tuple[Float[Array, " n"], Bool[Array, " n"] | None]:
+    """Samples of an expression on a record, and where every signal that it reads is present.
 
     **Raises:** `DataError` for a missing signal, `ModelError` if a function of the user's own
     fails or does not return one number for each sample.
     """
     signals = record.signals
     if isinstance(expression, str):
-        return signals[expression]
+        return signals[expression], record.present((expression,))
     name = getattr(expression, "__name__", "an expression")
     with users_code(f"the expression {name}"):
         samples = jnp.asarray(expression(signals))
+    if samples.shape == ():
+        samples = jnp.broadcast_to(samples, (record.sample_count,))
     if samples.shape != (record.sample_count,):
         raise ModelError(
             f"the expression {name} must return one number for each of the {record.sample_count} "
             f"samples; it returned shape {samples.shape}."
         )
-    return samples
+    return samples, record.present(signals.read)
+
+
+def read_expression(expression: Expression, signals: Signals) -> None:
+    """Note in `signals.read` what an expression reads, without computing anything."""
+    if isinstance(expression, str):
+        _ = signals[expression]
+        return
+    with users_code(f"the expression {getattr(expression, '__name__', 'of a term')}"):
+        jax.eval_shape(lambda: expression(signals))
+
+
+def both_present(
+    one: Bool[Array, " n"] | None, other: Bool[Array, " n"] | None
+) -> Bool[Array, " n"] | None:
+    """Where both are present."""
+    if one is None or other is None:
+        return other if one is None else one
+    return one & other
 
 
 class AbstractTerm(eqx.Module):
@@ -49,7 +81,19 @@ class AbstractTerm(eqx.Module):
         """Names of the unknown coefficients, one for each column; empty for a known term."""
         raise NotImplementedError
 
-    def samples(self, record: Record, order: int) -> Float[Array, "columns n"]:
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each unknown coefficient."""
+        raise NotImplementedError
+
+    def expression(self, record: Record, order: int) -> Expression:
+        """What holds the expression differentiated `order` times on this record.
+
+        **Raises:** `DataError` where that needs a derivative that the record does not hold.
+        """
+        raise NotImplementedError
+
+    def samples(self, record: Record, order: int) -> Sampled:
         """Samples of the expression differentiated `order` times, for every column.
 
         **Raises:** `DataError` where that needs a derivative that the record does not hold.
@@ -116,10 +160,19 @@ class Term(AbstractTerm):
         """The coefficient's name, if it has one."""
         return () if self.name is None else (self.name,)
 
-    def samples(self, record: Record, order: int) -> Float[Array, "1 n"]:
+    @property
+    def units(self) -> dict[str, str]:
+        """The coefficient's unit."""
+        return {name: self.unit for name in self.parameters}
+
+    def expression(self, record: Record, order: int) -> Expression:
+        """`of`, or the name of the signal that holds its derivative; see the base class."""
+        return self.of if order == 0 else _derivative_name(self, record, order)
+
+    def samples(self, record: Record, order: int) -> Sampled:
         """Samples of `number x d^order/dt^order (of)`; see the base class."""
-        expression = self.of if order == 0 else _derivative_name(self, record, order)
-        return (jnp.asarray(self.number) * evaluate(expression, record))[None]
+        values, present = evaluate(self.expression(record, order), record)
+        return Sampled((jnp.asarray(self.number) * values)[None], present)
 
     def __neg__(self) -> "Term":
         return eqx.tree_at(lambda term: term.number, self, -self.number)
@@ -133,13 +186,15 @@ class Terms(AbstractTerm):
     - `prefix`: coefficients are named `prefix_label`, with the labels of the basis.
     - `basis`: such as [`roof`][] functions.
     - `of`: signal name or function of the signals, in which the basis is evaluated.
-    - `unit`: unit of the coefficients.
+    - `unit`: unit of the coefficients; several, one for each function, where they differ.
+
+    **Raises:** `ModelError` if there are several units and not one for each function.
     """
 
     prefix: str = eqx.field(static=True)
     basis: AbstractBasis
     of: Expression = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
+    unit: str | tuple[str, ...] = eqx.field(static=True)
     sign: Leaf
     derivative: int = eqx.field(static=True)
 
@@ -149,7 +204,7 @@ class Terms(AbstractTerm):
         basis: AbstractBasis,
         of: Expression,
         *,
-        unit: str = "",
+        unit: str | tuple[str, ...] = "",
         sign: float | Array = 1.0,
     ):
         self.prefix = prefix
@@ -158,17 +213,33 @@ class Terms(AbstractTerm):
         self.unit = unit
         self.sign = as_leaf(sign)
         self.derivative = 0
+        if not isinstance(unit, str) and len(unit) != len(basis.labels):
+            raise ModelError(
+                f"{prefix}: {len(unit)} units for {len(basis.labels)} functions of the basis."
+            )
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the coefficients."""
         return tuple(f"{self.prefix}_{label}" for label in self.basis.labels)
 
-    def samples(self, record: Record, order: int) -> Float[Array, "functions n"]:
-        """Samples of every function; see the base class."""
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each coefficient."""
+        names = self.parameters
+        units = (self.unit,) * len(names) if isinstance(self.unit, str) else self.unit
+        return dict(zip(names, units))
+
+    def expression(self, record: Record, order: int) -> Expression:
+        """`of`, whose basis functions have no recorded derivative; see the base class."""
         if order != 0:
             raise DataError(f"the derivative of the basis '{self.prefix}' is not recorded.")
-        return jnp.asarray(self.sign) * self.basis(evaluate(self.of, record))
+        return self.of
+
+    def samples(self, record: Record, order: int) -> Sampled:
+        """Samples of every function; see the base class."""
+        values, present = evaluate(self.expression(record, order), record)
+        return Sampled(jnp.asarray(self.sign) * self.basis(values), present)
 
     def __neg__(self) -> "Terms":
         return eqx.tree_at(lambda terms: terms.sign, self, -self.sign)

@@ -1,7 +1,6 @@
 """What an identification found, and how far it can be trusted."""
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,15 +12,11 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.errors import ModelError
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import StageSolution
+from riecjax.findings import Finding
 
 FEWEST_BLOCKS = 10
-
-
-class Finding(NamedTuple):
-    """Something a user should know, with a code for scripts."""
-
-    code: str
-    message: str
+LARGE_RESIDUAL = 0.5
+"""Share of the target past which a model is called wrong."""
 
 
 class Estimate(eqx.Module):
@@ -40,6 +35,7 @@ class Estimate(eqx.Module):
     - `known`: parameters that were not estimated, with their values.
     - `criterion`: what was made small.
     - `block_count`: independent blocks of time behind the covariance, scalar.
+    - `rows_offered`: for each stage, how many rows there would be without gaps and masks.
     """
 
     theta: Float[Array, " p"]
@@ -51,6 +47,7 @@ class Estimate(eqx.Module):
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
+    rows_offered: tuple[int, ...] = eqx.field(static=True)
 
     def __getitem__(self, name: str) -> Float[Array, ""]:
         if name in self.known:
@@ -98,55 +95,67 @@ class Estimate(eqx.Module):
 
     def findings(self) -> list[Finding]:
         """What a user should know before trusting this estimate (not under jit)."""
-        found = []
-        limit = gram_condition_limit(self.theta.dtype)
-        if float(self.condition_number) > limit:
-            found.append(
-                Finding(
-                    "ill_conditioned",
-                    f"the regressors are nearly collinear (condition number "
-                    f"{float(self.condition_number):.2g}); the least certain combination is "
-                    f"{self.weakest_combination()}.",
-                )
+        return [
+            *self._conditioning(),
+            *self._wide_intervals(),
+            *self._residuals(),
+            *self._coverage(),
+            *self._precision(),
+        ]
+
+    def _conditioning(self) -> Iterator[Finding]:
+        if float(self.condition_number) > gram_condition_limit(self.theta.dtype):
+            yield Finding(
+                "ill_conditioned",
+                f"the regressors are nearly collinear (condition number "
+                f"{float(self.condition_number):.2g}); the least certain combination is "
+                f"{self.weakest_combination()}.",
             )
+
+    def _wide_intervals(self) -> Iterator[Finding]:
         for name in self.parameters:
             low, high = self.interval(name)
             if high - low > 2 * abs(float(self[name])):
-                found.append(
-                    Finding(
-                        "interval_wider_than_estimate",
-                        f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
-                        f"hardly determine it.",
-                    )
+                yield Finding(
+                    "interval_wider_than_estimate",
+                    f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
+                    f"hardly determine it.",
                 )
+
+    def _residuals(self) -> Iterator[Finding]:
         for label, stage in zip(self.stage_names, self.stages):
-            if float(stage.relative_rms) > 0.5:
-                found.append(
-                    Finding(
-                        "large_residual",
-                        f"{label}: the model leaves {100 * float(stage.relative_rms):.0f} % of the "
-                        f"signal unexplained, so it is wrong in some important way.",
-                    )
+            if float(stage.relative_rms) > LARGE_RESIDUAL:
+                yield Finding(
+                    "large_residual",
+                    f"{label}: the model leaves {100 * float(stage.relative_rms):.0f} % of the "
+                    f"signal unexplained, so it is wrong in some important way.",
+                )
+
+    def _coverage(self) -> Iterator[Finding]:
+        for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
+            lost = 1 - float(stage.count) / offered
+            if lost > 0:
+                yield Finding(
+                    "rows_left_out",
+                    f"{label}: {100 * lost:.2g} % of the windows (or samples) touch a missing or "
+                    f"masked sample and are left out.",
                 )
         if int(self.block_count) < FEWEST_BLOCKS:
-            found.append(
-                Finding(
-                    "short_record",
-                    f"the record holds only {int(self.block_count)} independent stretches of twice "
-                    f"the longest window; intervals are rough. Record for longer or choose a "
-                    f"smaller beta.",
-                )
+            yield Finding(
+                "short_record",
+                f"the record holds only {int(self.block_count)} independent stretches of twice "
+                f"the longest window; intervals are rough. Record for longer or choose a "
+                f"smaller beta.",
             )
+
+    def _precision(self) -> Iterator[Finding]:
         if self.theta.dtype == jnp.float32:
-            found.append(
-                Finding(
-                    "single_precision",
-                    f"computed in 32-bit: rounding in the solve alone moves the parameters by a "
-                    f"share of about {self._rounding():.0e}, and signals with an offset by more. "
-                    f"Enable 64-bit by jax.config.update('jax_enable_x64', True).",
-                )
+            yield Finding(
+                "single_precision",
+                f"computed in 32-bit: rounding in the solve alone moves the parameters by a "
+                f"share of about {self._rounding():.0e}, and signals with an offset by more. "
+                f"Enable 64-bit by jax.config.update('jax_enable_x64', True).",
             )
-        return found
 
     def weakest_combination(self) -> str:
         """The combination of parameters that the data tells least about, in words."""

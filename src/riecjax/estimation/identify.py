@@ -21,6 +21,7 @@ from riecjax.estimation.procedure import (
     solve_stages,
     staged,
 )
+from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 
@@ -36,6 +37,7 @@ def identify(
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
+    own: Sequence[str] = (),
 ) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
@@ -49,49 +51,44 @@ def identify(
     - `criterion`: `RIEC(RandomWindows(alpha, beta, count))` or `DOLS()`.
     - `key`: for random windows, `jax.random.key(seed)`. All equations share its windows.
     - `known`: parameters held at these values instead of being estimated.
+    - `own`: parameters with a value of their own in each record, such as a sensor's offset; in
+      the result `offset` becomes `offset[1]`, `offset[2]`, ...
 
     **Returns:** an [`Estimate`][].
 
     **Raises:** `ModelError` for an unknown parameter name, a missing key, or an equation with
-    nothing to set its scale; `DataError` for a missing signal or a record shorter than a window;
-    `IdentifiabilityError` if regressors are collinear, naming the combination that cannot be
-    told apart.
+    nothing to set its scale; `DataError` for a missing signal, a record shorter than a window, or
+    no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
+    combination that cannot be told apart.
     """
     procedure = staged(model) if isinstance(model, Equation) else model
     recordings = [records] if isinstance(records, Record) else list(records)
-    given = _known_values(procedure, known or {})
-    plan = procedure.plan(set(given))
     if not recordings:
         raise DataError("identification needs at least one record.")
-    if not any(unknown for _, unknown in plan):
-        raise ModelError("every parameter is known; nothing is left to identify.")
+    sharing = Sharing(procedure.parameters, own, len(recordings))
+    given = _known_values(procedure, sharing, known or {})
+    plan = _plan(procedure, sharing, given)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for record in recordings:
         criterion.check(record)
 
     keys = record_keys(key, len(recordings))
-    stages = _sum_records(
-        [
-            stage_normal_equations(
-                procedure, record, criterion, record_key, block_count=MOST_BLOCKS
-            )
-            for record, record_key in zip(recordings, keys)
-        ]
-    )
+    stages = _all_records(procedure, sharing, recordings, criterion, keys)
     blocks = sum(
         (independent_blocks(criterion, record, MOST_BLOCKS) for record in recordings),
         start=jnp.zeros((), jnp.int32),
     )
     solutions, covariance = _solve(stages, given, blocks, None)
     if is_concrete(solutions):
+        _raise_if_empty(stages, plan)
         _raise_if_not_finite(stages, plan)
-        rows = None
         if _worst_condition(solutions) > gram_condition_limit(covariance.dtype):
-            rows = _rows(procedure, recordings, criterion, keys)
+            rows = _all_rows(procedure, sharing, recordings, criterion, keys)
             solutions, covariance = _solve(stages, given, blocks, rows)
         _raise_if_unidentifiable(solutions, plan)
 
+    units = {name: unit for name, unit in sharing.values(procedure.units).items()}
     return Estimate(
         theta=jnp.concatenate([stage.solution.theta for stage in solutions]),
         covariance=covariance,
@@ -99,23 +96,33 @@ def identify(
         known={name: jnp.asarray(value) for name, value in given.items()},
         criterion=criterion,
         parameters=tuple(name for stage in solutions for name in stage.parameters),
-        units=tuple(procedure.units.items()),
+        units=tuple(units.items()),
         stage_names=tuple(plan[stage.stage][0] for stage in solutions),
         block_count=blocks,
+        rows_offered=tuple(
+            _rows_offered(procedure.stages[stage.stage], recordings, criterion)
+            for stage in solutions
+        ),
     )
 
 
-def check_record(procedure: Procedure, record: Record, criterion: AbstractCriterion) -> None:
-    """Raise what `identify` would raise of this one record, before any arithmetic.
+def signals_read(
+    procedure: Procedure, record: Record, criterion: AbstractCriterion
+) -> tuple[str, ...]:
+    """Names of the record's signals that a criterion reads for a procedure's equations.
+
+    Raises what `identify` would raise of this one record, before any arithmetic.
 
     **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
     for an expression that fails.
     """
     criterion.check(record)
-    key = jax.random.key(0)
+    read: set[str] = set()
     for stage in procedure.stages:
         for equation in stage:
-            eqx.filter_eval_shape(criterion.rows, equation, record, key)
+            read |= equation.signals_read(record, criterion.smoothness)
+            eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
+    return tuple(name for name in record.arrays if name in read)
 
 
 @eqx.filter_jit
@@ -166,8 +173,25 @@ def _block_of_row(
     return jnp.clip((share * used).astype(jnp.int32), 0, used - 1)
 
 
-def _sum_records(per_record: list[list[NormalEquations]]) -> list[NormalEquations]:
+def _all_records(
+    procedure: Procedure,
+    sharing: Sharing,
+    records: list[Record],
+    criterion: AbstractCriterion,
+    keys: list[Key[Array, ""] | None],
+) -> list[NormalEquations]:
     """Blocks of all records, one after the other along the leading axis: never a mixed one."""
+    per_record = []
+    for i, (record, key) in enumerate(zip(records, keys)):
+        stages = stage_normal_equations(procedure, record, criterion, key, block_count=MOST_BLOCKS)
+        per_record.append(
+            [
+                stage.rename(sharing.of_record(names, i)).embed(sharing.everywhere(names))
+                if sharing.own
+                else stage
+                for stage, names in zip(stages, procedure.stage_parameters)
+            ]
+        )
     return [
         NormalEquations(
             jnp.concatenate([part.moments for part in parts]),
@@ -189,8 +213,9 @@ def _solve(
     return solutions, block_sandwich(stages, solutions, known, block_count)
 
 
-def _rows(
+def _all_rows(
     procedure: Procedure,
+    sharing: Sharing,
     records: list[Record],
     criterion: AbstractCriterion,
     keys: list[Key[Array, ""] | None],
@@ -198,8 +223,10 @@ def _rows(
     return [
         Rows.concatenate(
             [
-                criterion.rows(equation, record, key).embed(names)
-                for record, key in zip(records, keys)
+                criterion.rows(equation, record, key)
+                .rename(sharing.of_record(equation.parameters, i))
+                .embed(sharing.everywhere(names))
+                for i, (record, key) in enumerate(zip(records, keys))
                 for equation in stage
             ]
         )
@@ -207,12 +234,34 @@ def _rows(
     ]
 
 
-def _known_values(procedure: Procedure, known: Mapping[str, float | Array]) -> dict[str, Array]:
-    names = procedure.parameters
+def _rows_offered(
+    stage: tuple[Equation, ...], records: list[Record], criterion: AbstractCriterion
+) -> int:
+    return len(stage) * sum(criterion.row_count(record) for record in records)
+
+
+def _known_values(
+    procedure: Procedure, sharing: Sharing, known: Mapping[str, float | Array]
+) -> dict[str, Array]:
+    names = {*procedure.parameters, *sharing.parameters}
     if unknown := [name for name in known if name not in names]:
-        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {', '.join(names)}.")
-    merged = {**procedure.known, **known}
+        listed = ", ".join(sharing.parameters)
+        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
+    merged = {**sharing.values(procedure.known), **sharing.values(known)}
     return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
+
+
+def _plan(
+    procedure: Procedure, sharing: Sharing, given: Mapping[str, Array]
+) -> list[tuple[str, tuple[str, ...]]]:
+    """(stage name, parameters it finds, over all records) for each stage."""
+    plan = [
+        (label, tuple(name for name in sharing.everywhere(names) if name not in given))
+        for label, names in procedure.plan(sharing.settled(given))
+    ]
+    if not any(unknown for _, unknown in plan):
+        raise ModelError("every parameter is known; nothing is left to identify.")
+    return plan
 
 
 def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:
@@ -224,6 +273,15 @@ def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] |
 
 def _worst_condition(solutions: list[StageSolution]) -> float:
     return max(float(stage.solution.condition_number) for stage in solutions)
+
+
+def _raise_if_empty(stages: list[NormalEquations], plan: list[tuple[str, tuple[str, ...]]]) -> None:
+    for equations, (label, unknown) in zip(stages, plan):
+        if unknown and not bool(jnp.sum(equations.count) > 0):
+            raise DataError(
+                f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
+                f"or repair the record's gaps."
+            )
 
 
 def _raise_if_not_finite(

@@ -57,6 +57,10 @@ class NormalEquations(eqx.Module):
         """The sum over the axis of blocks."""
         return NormalEquations(self.moments.sum(0), self.count.sum(0), self.parameters)
 
+    def rename(self, parameters: tuple[str, ...]) -> "NormalEquations":
+        """The same equations with other names for the regressors."""
+        return NormalEquations(self.moments, self.count, parameters)
+
     def embed(self, parameters: tuple[str, ...]) -> "NormalEquations":
         """The same equations among more parameters, with zeros for those that do not occur."""
         if missing := set(self.parameters) - set(parameters):
@@ -99,13 +103,11 @@ def normal_equations(
     """Normal equations of rows, one for each of `block_count` blocks (leading axis)."""
     columns = rows.columns
     if block_of_row is None:
-        count = jnp.full((1,), columns.shape[1], columns.dtype)
-        return NormalEquations((columns @ columns.T)[None], count, rows.parameters)
+        return NormalEquations((columns @ columns.T)[None], rows.count()[None], rows.parameters)
     products = columns[:, None, :] * columns[None, :, :]
     moments = jax.ops.segment_sum(
         jnp.moveaxis(products, -1, 0), block_of_row, num_segments=block_count
     )
-    count = jax.ops.segment_sum(
-        jnp.ones(columns.shape[1], columns.dtype), block_of_row, num_segments=block_count
-    )
+    kept = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
+    count = jax.ops.segment_sum(kept.astype(columns.dtype), block_of_row, num_segments=block_count)
     return NormalEquations(moments, count, rows.parameters)

@@ -139,7 +139,7 @@ def solve_stages(
             StageSolution(
                 solution,
                 jnp.sqrt(share),
-                jnp.sqrt(residual / equations.count),
+                jnp.sqrt(residual / jnp.maximum(equations.count, 1)),
                 equations.count,
                 equations.parameters,
                 i,

@@ -86,7 +86,9 @@ class Record(eqx.Module):
         pairs = units.items() if isinstance(units, Mapping) else units
         self.units = tuple(sorted((name, unit) for name, unit in pairs if name in arrays))
         self.missing = {
-            name: jnp.asarray(mask, bool) for name, mask in (missing or {}).items() if name in arrays
+            name: jnp.asarray(mask, bool)
+            for name, mask in (missing or {}).items()
+            if name in arrays
         }
         self.stamps = None if stamps is None else jnp.asarray(stamps, dtype)
 

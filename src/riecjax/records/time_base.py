@@ -1,5 +1,6 @@
 """From the time stamps of a logger to a time step: even, even with pauses, or neither."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -52,9 +53,10 @@ def time_base(stamps: np.ndarray) -> TimeBase:
             f"{stamps[first - 1]:g} to {stamps[first]:g} s. Sort the record or remove repeated "
             f"rows."
         )
-    usual = float(np.median(steps))
+    usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))
     rounding = _resolution(stamps, usual)
-    pauses = np.flatnonzero(steps > SHORTEST_PAUSE * usual + 2 * rounding) + 1
+    # A step of an even grid comes out longer by the rounding at most.
+    pauses = np.flatnonzero(steps > max(SHORTEST_PAUSE * usual, usual + rounding)) + 1
     inner = np.delete(steps, pauses - 1)
     step = float(inner.mean()) if inner.size else usual
     # Either no step differs much, while a slow clock may drift; or all stamps lie within their
@@ -75,7 +77,7 @@ def _distance_from_grid(stamps: np.ndarray, pauses: np.ndarray, step: float) -> 
     edges = np.concatenate([[0], pauses, [stamps.size]])
     return max(
         float(np.ptp(stamps[first:last] - step * np.arange(last - first))) / 2
-        for first, last in zip(edges[:-1], edges[1:])
+        for first, last in itertools.pairwise(edges)
     )
 
 
@@ -87,6 +89,6 @@ def _resolution(stamps: np.ndarray, step: float) -> float:
         finest = max(finest, float(np.spacing(np.float32(largest))))
     for digits in range(9):
         digit = 10.0**-digits
-        if digit < step and np.all(np.abs(stamps - np.round(stamps, digits)) <= finest):
+        if digit < 0.9 * step and np.all(np.abs(stamps - np.round(stamps, digits)) <= finest):
             return max(finest, digit)
     return finest

@@ -1,0 +1,53 @@
+"""Which parameters several records share, and which take a value of their own in each."""
+
+from collections.abc import Iterable, Mapping
+from typing import TypeVar
+
+from riecjax.errors import ModelError
+
+Value = TypeVar("Value")
+
+
+class Sharing:
+    """Names of parameters over several records: `offset` becomes `offset[1]`, `offset[2]`, ...
+
+    **Arguments:** `parameters` of the model; `own`, those with a value of their own in each of
+    `record_count` records, such as a sensor's offset; all others are shared.
+
+    **Raises:** `ModelError` for a name in `own` that the model does not have.
+    """
+
+    def __init__(self, parameters: tuple[str, ...], own: Iterable[str], record_count: int):
+        self.own = frozenset(own)
+        self.record_count = record_count
+        if unknown := sorted(self.own - set(parameters)):
+            raise ModelError(
+                f"unknown parameter '{unknown[0]}'; the model has: {', '.join(parameters)}."
+            )
+        self.parameters = self.everywhere(parameters)
+
+    def of_record(self, names: Iterable[str], index: int) -> tuple[str, ...]:
+        """The names as the record number `index` (from 0) knows them."""
+        return tuple(f"{name}[{index + 1}]" if name in self.own else name for name in names)
+
+    def everywhere(self, names: Iterable[str]) -> tuple[str, ...]:
+        """The names over all records."""
+        expanded = []
+        for name in names:
+            if name in self.own:
+                expanded += [f"{name}[{i + 1}]" for i in range(self.record_count)]
+            else:
+                expanded.append(name)
+        return tuple(expanded)
+
+    def values(self, given: Mapping[str, Value]) -> dict[str, Value]:
+        """Values by name over all records: one for `offset` holds in every record."""
+        return {
+            expanded: value for name, value in given.items() for expanded in self.everywhere([name])
+        }
+
+    def settled(self, names: Iterable[str]) -> set[str]:
+        """Of the model's own names, those whose every record's value is among `names`."""
+        known = set(names)
+        base = {name.partition("[")[0] if name not in self.own else name for name in known} | known
+        return {name for name in base if set(self.everywhere([name])) <= known}

@@ -1,0 +1,246 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
+from riecjax.criteria.windows import RandomWindows, WindowSet
+from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import faster_than
+from riecjax.equations.term import Term
+from riecjax.errors import ModelError
+from riecjax.estimation.identify import identify
+from riecjax.records.record import Record
+
+
+def motion(t):
+    return np.sin(3 * t) + 0.3 * np.cos(11 * t)
+
+
+def velocity(t):
+    return 3 * np.cos(3 * t) - 3.3 * np.sin(11 * t)
+
+
+def acceleration(t):
+    return -9 * np.sin(3 * t) - 36.3 * np.cos(11 * t)
+
+
+EQUATION = Equation(
+    Term("m", "x", derivative=2, measured=("dx", "ddx")),
+    Term("d", "x", derivative=1, measured=("dx",)),
+    Term("k", "x"),
+    -Term(1.0, "u"),
+)
+TRUTH = {"m": 2.0, "d": 0.7, "k": 30.0}
+DURATION = 4.0
+
+
+def record_of(count, offset=0.0):
+    t = np.linspace(0.0, DURATION, count)
+    x, dx, ddx = motion(t) + offset, velocity(t), acceleration(t)
+    force = TRUTH["m"] * ddx + TRUTH["d"] * dx + TRUTH["k"] * x
+    return Record({"x": x, "dx": dx, "ddx": ddx, "u": force}, t[1] - t[0])
+
+
+def hat(tau, length):
+    return np.minimum(tau, length - tau)
+
+
+def bump(p):
+    return lambda tau, length: (1 - (2 * tau / length - 1) ** 2) ** p
+
+
+# Six lengths from 60 to 360 samples hold the 60, 120 and 360 of the windows below.
+WEIGHTS = {
+    "hat": (Hat(8), hat),
+    "bump 6": (Bump(6, lengths=6), bump(6)),
+    "bump 9": (Bump(9, lengths=6), bump(9)),
+}
+
+
+@pytest.mark.parametrize("name", WEIGHTS)
+def test_every_column_is_the_weighted_integral_of_its_own_derivative(name):
+    """Against adaptive quadrature of weight times derivative, which was never differenced here."""
+    test_function, weight = WEIGHTS[name]
+    record = record_of(1601)
+    start, stop = np.array([0, 13, 700, 1240]), np.array([60, 133, 820, 1600])
+    columns, whole = test_function.integrals(EQUATION, record, WindowSet(start, stop))
+    assert whole is None
+    step = float(record.time_step)
+    for j, (a, b) in enumerate(zip(start, stop)):
+        length = (b - a) * step
+        for row, function in ((1, acceleration), (2, velocity), (3, motion)):
+            exact, _ = scipy.integrate.quad(
+                lambda tau, f=function, a=a, length=length: weight(tau, length) * f(a * step + tau),
+                0.0,
+                length,
+                points=[length / 2],
+                limit=200,
+                epsabs=1e-12,
+            )
+            assert columns[row, j] == pytest.approx(exact, rel=2e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("test_function", "order"),
+    [
+        (Hat(2), 2),
+        (Hat(4), 4),
+        (Hat(6), 6),
+        (Boxcar(4), 4),
+        (Boxcar(6), 6),
+        (Bump(4), 4),
+        (Bump(6), 6),
+    ],
+    ids=str,
+)
+def test_estimates_converge_with_the_order_of_the_quadrature(test_function, order):
+    def error(count):
+        criterion = RIEC(RandomWindows(0.3, 0.9, 3000), test_function)
+        estimate = identify(EQUATION, record_of(count), criterion, key=jax.random.key(0))
+        return abs(float(estimate["m"]) / TRUTH["m"] - 1)
+
+    coarse, fine = error(101), error(201)
+    assert coarse < 0.1
+    assert np.log2(coarse / fine) > order - 0.6
+
+
+@pytest.mark.parametrize("test_function", [Hat(4), Bump(4)], ids=str)
+def test_position_and_force_alone_identify_a_second_order_system(test_function):
+    record = record_of(801).select("x", "u")
+    criterion = RIEC(RandomWindows(0.2, 0.8, 2000), test_function)
+    estimate = identify(EQUATION, record, criterion, key=jax.random.key(1))
+    for name, value in TRUTH.items():
+        assert float(estimate[name]) == pytest.approx(value, rel=2e-5)
+
+
+def test_the_boxcar_still_needs_the_velocity():
+    with pytest.raises(ValueError, match="first time derivative of x"):
+        identify(
+            EQUATION,
+            record_of(201).select("x", "u"),
+            RIEC(RandomWindows(0.2, 0.8, 100)),
+            key=jax.random.key(0),
+        )
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e4])
+@pytest.mark.parametrize("test_function", [Hat(), Bump()], ids=str)
+def test_a_large_offset_costs_no_more_than_its_own_rounding(test_function, offset):
+    record = record_of(801, offset)
+    windows = WindowSet(np.arange(0, 600), np.arange(0, 600) + 80)
+    with_offset, _ = test_function.integrals(EQUATION, record, windows)
+    without, _ = test_function.integrals(EQUATION, record_of(801), windows)
+    scale = np.abs(np.asarray(without)).max(1)
+    for row in (1, 2):
+        error = np.abs(np.asarray(with_offset - without)[row]).max() / scale[row]
+        assert error < 1e-13 + 3e-14 * offset
+
+
+GAPS = st.lists(st.integers(0, 200), max_size=6, unique=True)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    gaps=GAPS, seed=st.integers(0, 1000), kind=st.sampled_from([Boxcar(4), Hat(), Bump(lengths=64)])
+)
+def test_windows_that_touch_a_missing_sample_are_left_out_and_no_others(gaps, seed, kind):
+    t = np.linspace(0.0, 2.0, 201)
+    spoilt = motion(t)
+    spoilt[gaps] = np.nan
+    signals = {"x": spoilt, "dx": velocity(t), "u": 30 * motion(t)}
+    if len(gaps) == 201:
+        return
+    record = Record.from_samples(signals, time_step=0.01)
+    equation = Equation(Term("d", "x", derivative=1), Term("k", "x"), -Term(1.0, "u"))
+    windows = RandomWindows(0.05, 0.25, 200).draw(
+        jax.random.key(seed), 201, record.time_step, kind.length_multiple
+    )
+    if isinstance(kind, Bump):
+        windows, _ = kind.rounded(windows, 201)
+    _, whole = kind.integrals(equation, record, windows)
+    touched = np.array(
+        [
+            any(a <= g <= b for g in gaps)
+            for a, b in zip(np.asarray(windows.start), np.asarray(windows.stop))
+        ]
+    )
+    if not gaps:
+        assert whole is None
+    else:
+        np.testing.assert_array_equal(np.asarray(whole), ~touched)
+
+
+@pytest.mark.parametrize(
+    "criterion", [DOLS(), RIEC(RandomWindows(0.1, 0.4, 4000), Hat(4))], ids=str
+)
+def test_a_gap_filled_with_nonsense_does_not_move_the_estimate(criterion):
+    record = record_of(1601)
+    t = np.asarray(record.time)
+    bad = (t > 1.0) & (t < 1.3)
+    signals = {name: np.where(bad, np.nan, record[name]) for name in ("x", "dx", "ddx", "u")}
+    gappy = Record.from_samples(signals, time=t)
+    # What stands in the gap is held; made worse, it must not matter.
+    worse = gappy.with_signals({"u": jnp.where(bad, 1e9, gappy["u"])}, missing=gappy.missing)
+    estimate = identify(EQUATION, worse, criterion, key=jax.random.key(0))
+    for name, value in TRUTH.items():
+        assert float(estimate[name]) == pytest.approx(value, rel=1e-5)
+    assert [finding.code for finding in estimate.findings()].count("rows_left_out") == 1
+
+
+def test_a_mask_leaves_out_the_windows_that_touch_it():
+    masked = Equation(*EQUATION.terms, where=faster_than("dx", 0.5))
+    record = record_of(801)
+    windows = WindowSet(np.arange(0, 780), np.arange(0, 780) + 20)
+    _, whole = Boxcar().integrals(masked, record, windows)
+    slow = np.abs(np.asarray(record["dx"])) <= 0.5
+    expected = [not slow[a : a + 21].any() for a in range(780)]
+    np.testing.assert_array_equal(np.asarray(whole), expected)
+    assert 0 < np.sum(expected) < 780
+
+
+def test_when_no_window_is_left_the_error_says_what_to_do():
+    masked = Equation(*EQUATION.terms, where=faster_than("dx", 1e9))
+    with pytest.raises(ValueError, match="every window touches a missing or masked sample"):
+        identify(masked, record_of(801), RIEC(RandomWindows(0.1, 0.3, 50)), key=jax.random.key(0))
+
+
+@pytest.mark.parametrize("test_function", [Hat(), Bump(), Boxcar(4)], ids=str)
+def test_windows_between_samples_are_for_the_trapezoidal_boxcar(test_function):
+    criterion = RIEC(RandomWindows(0.1, 0.3, 50, between_samples=True), test_function)
+    with pytest.raises(ModelError, match="between_samples=False"):
+        identify(EQUATION, record_of(801), criterion, key=jax.random.key(0))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Boxcar(3), "quadrature must be one of"),
+        (lambda: Hat(0), "quadrature must be one of"),
+        (lambda: Bump(2), "p of 3 or more"),
+        (lambda: Bump(4, lengths=0), "at least one window length"),
+    ],
+)
+def test_wrong_settings_are_refused(make, words):
+    with pytest.raises(ModelError, match=words):
+        make()
+
+
+@pytest.mark.parametrize("test_function", [Hat(4), Bump(5)], ids=str)
+def test_estimates_differentiate_and_vmap(test_function):
+    record = record_of(401)
+
+    def mass(scale, beta):
+        criterion = RIEC(RandomWindows(0.2, beta, 500), test_function)
+        scaled = record.with_signals({"u": scale * record["u"]})
+        return identify(EQUATION, scaled, criterion, key=jax.random.key(0))["m"]
+
+    slope = jax.grad(mass)(1.0, 0.8)
+    difference = (mass(1.001, 0.8) - mass(0.999, 0.8)) / 0.002
+    assert float(slope) == pytest.approx(float(difference), rel=1e-6)
+    batch = jax.vmap(mass)(jnp.array([1.0, 2.0]), jnp.array([0.7, 0.8]))
+    np.testing.assert_allclose(batch, [mass(1.0, 0.7), mass(2.0, 0.8)], rtol=1e-9)

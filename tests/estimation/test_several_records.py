@@ -1,0 +1,119 @@
+import jax
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.test_functions import Boxcar
+from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant
+from riecjax.equations.term import Term
+from riecjax.errors import IdentifiabilityError, ModelError
+from riecjax.estimation.identify import identify
+from riecjax.records.record import Record
+
+EQUATION = Equation(
+    Term("M", "q", derivative=2, measured=("dq", "ddq"), unit="kg"),
+    Term("c", "q", derivative=1, measured=("dq",), unit="N s/m"),
+    Term("offset", constant, unit="N"),
+    -Term(1.0, "force"),
+)
+OFFSETS = (3.0, -1.5, 0.25)
+LENGTHS = (4000, 2500, 3100)
+
+
+def record(offset, count, phase):
+    t = 0.002 * np.arange(count)
+    q = np.sin(2 * t + phase) + 0.2 * np.sin(7 * t)
+    dq = 2 * np.cos(2 * t + phase) + 1.4 * np.cos(7 * t)
+    ddq = -4 * np.sin(2 * t + phase) - 9.8 * np.sin(7 * t)
+    force = 12.0 * ddq + 5.0 * dq + offset
+    return Record.from_samples({"q": q, "dq": dq, "ddq": ddq, "force": force}, time_step=0.002)
+
+
+RECORDS = [record(o, n, i) for i, (o, n) in enumerate(zip(OFFSETS, LENGTHS))]
+CRITERIA = [DOLS(), RIEC(RandomWindows(0.05, 0.5, 1000), Boxcar(quadrature=4))]
+KEY = jax.random.key(0)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA, ids=["dols", "riec"])
+def test_offsets_of_each_record_leave_the_shared_parameters_exact(criterion):
+    estimate = identify(EQUATION, RECORDS, criterion, key=KEY, own=["offset"])
+    assert estimate.parameters == ("M", "c", "offset[1]", "offset[2]", "offset[3]")
+    assert float(estimate["M"]) == pytest.approx(12.0, rel=1e-5)
+    assert float(estimate["c"]) == pytest.approx(5.0, rel=1e-4)
+    for i, offset in enumerate(OFFSETS):
+        assert float(estimate[f"offset[{i + 1}]"]) == pytest.approx(offset, abs=1e-3)
+    assert dict(estimate.units)["offset[2]"] == "N"
+
+
+def test_own_offsets_equal_the_dense_solution():
+    """One column of ones per record, stacked by hand and solved by NumPy."""
+    noisy = [
+        r.with_signals({"force": r["force"] + np.random.default_rng(i).normal(size=r.sample_count)})
+        for i, r in enumerate(RECORDS)
+    ]
+    estimate = identify(EQUATION, noisy, DOLS(), own=["offset"])
+    ones = [np.zeros((r.sample_count, 3)) for r in noisy]
+    for i, block in enumerate(ones):
+        block[:, i] = 1.0
+    columns = [np.column_stack([r["ddq"], r["dq"], block]) for r, block in zip(noisy, ones)]
+    expected = np.linalg.lstsq(
+        np.vstack(columns), np.concatenate([r["force"] for r in noisy]), rcond=None
+    )[0]
+    np.testing.assert_allclose(estimate.theta, expected, rtol=1e-9)
+
+
+def test_without_own_offsets_one_shared_offset_is_found():
+    estimate = identify(EQUATION, RECORDS, DOLS())
+    assert estimate.parameters == ("M", "c", "offset")
+    assert min(OFFSETS) < float(estimate["offset"]) < max(OFFSETS)
+
+
+def test_own_parameters_may_be_known_all_at_once_or_one_by_one():
+    at_once = identify(EQUATION, RECORDS, DOLS(), own=["offset"], known={"offset": 1.0})
+    assert at_once.parameters == ("M", "c")
+    one = identify(EQUATION, RECORDS, DOLS(), own=["offset"], known={"offset[2]": OFFSETS[1]})
+    assert one.parameters == ("M", "c", "offset[1]", "offset[3]")
+    assert float(one["offset[1]"]) == pytest.approx(OFFSETS[0], rel=1e-6)
+
+
+def test_own_parameters_survive_the_solve_by_rows():
+    """Two nearly equal regressors force the SVD of the rows."""
+    nearly = [
+        r.with_signals(
+            {"dp": r["dq"] + 1e-7 * np.random.default_rng(i).normal(size=r.sample_count)}
+        )
+        for i, r in enumerate(RECORDS)
+    ]
+    equation = Equation(*EQUATION.terms, Term("c2", "dp"))
+    estimate = identify(equation, nearly, DOLS(), own=["offset"])
+    assert float(estimate["offset[1]"]) == pytest.approx(OFFSETS[0], rel=1e-6)
+    assert float(estimate["c"] + estimate["c2"]) == pytest.approx(5.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (dict(own=["friction"]), "unknown parameter 'friction'; the model has: M, c, offset"),
+        (dict(own=["offset"], known={"offset[4]": 1.0}), r"unknown parameter 'offset\[4\]'"),
+        (dict(known={"offset[1]": 1.0}), r"unknown parameter 'offset\[1\]'"),
+    ],
+)
+def test_unknown_names_are_answered_with_those_that_exist(settings, words):
+    with pytest.raises(ModelError, match=words):
+        identify(EQUATION, RECORDS, DOLS(), **settings)
+
+
+def test_an_offset_beside_a_step_at_rest_is_reported_with_the_null_direction():
+    """A spring under a constant force: k x + offset = F has a line of solutions."""
+    count = 2000
+    still = Record.from_samples(
+        {"x": np.full(count, 0.02), "F": np.full(count, 40.0)}, time_step=0.001
+    )
+    equation = Equation(Term("k", "x"), Term("offset", constant), -Term(1.0, "F"), name="spring")
+    for criterion in CRITERIA:
+        with pytest.raises(
+            IdentifiabilityError, match=r"cannot tell these apart.*0\.71 k - 0\.71 offset"
+        ):
+            identify(equation, still, criterion, key=KEY)
