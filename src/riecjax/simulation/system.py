@@ -14,7 +14,7 @@ class AbstractSystem(eqx.Module):
     """`x' = derivative(x, u)`, autonomous but for its sampled inputs u.
 
     Subclasses name their states, inputs and outputs with units, in the order in which the arrays
-    hold them.
+    hold them: as class variables, or as properties where instances differ.
     """
 
     states: ClassVar[Quantities] = ()
@@ -45,3 +45,9 @@ class AbstractSystem(eqx.Module):
     def input_names(self) -> tuple[str, ...]:
         """Names of the inputs in order."""
         return tuple(name for name, _ in self.inputs)
+
+    @property
+    def velocity_of(self) -> Mapping[str, str]:
+        """State to the state that is its time derivative: `d<state>`, where there is one."""
+        names = self.state_names
+        return {name: f"d{name}" for name in names if f"d{name}" in names}
