@@ -66,15 +66,15 @@ def identify(
     if not recordings:
         raise DataError("identification needs at least one record.")
     sharing = Sharing(procedure.parameters, own, len(recordings))
-    given = _known_values(procedure, sharing, known or {})
-    plan = _plan(procedure, sharing, given)
+    given = known_values(procedure, sharing, known or {})
+    plan = plan_stages(procedure, sharing, given)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for record in recordings:
         criterion.check(record)
 
     keys = record_keys(key, len(recordings))
-    stages = _all_records(procedure, sharing, recordings, criterion, keys)
+    stages = all_normal_equations(procedure, sharing, recordings, criterion, keys)
     blocks = sum(
         (independent_blocks(criterion, record, MOST_BLOCKS) for record in recordings),
         start=jnp.zeros((), jnp.int32),
@@ -84,7 +84,7 @@ def identify(
         _raise_if_empty(stages, plan)
         _raise_if_not_finite(stages, plan)
         if _worst_condition(solutions) > gram_condition_limit(covariance.dtype):
-            rows = _all_rows(procedure, sharing, recordings, criterion, keys)
+            rows = all_rows(procedure, sharing, recordings, criterion, keys)
             solutions, covariance = _solve(stages, given, blocks, rows)
         _raise_if_unidentifiable(solutions, plan)
 
@@ -133,11 +133,16 @@ def stage_normal_equations(
     key: Key[Array, ""] | None,
     *,
     block_count: int = 1,
+    blocks_used: Int[Array, ""] | None = None,
 ) -> list[NormalEquations]:
     """Normal equations of each stage on one record, in blocks of time along the leading axis.
 
-    Of the `block_count` blocks only the first `independent_blocks(...)` hold rows.
+    Of the `block_count` blocks only the first `blocks_used` hold rows, by default
+    `independent_blocks(...)`.
     """
+    used = blocks_used
+    if used is None and block_count > 1:
+        used = independent_blocks(criterion, record, block_count)
     collected = []
     for stage, names in zip(procedure.stages, procedure.stage_parameters):
         parts = [criterion.rows(equation, record, key).embed(names) for equation in stage]
@@ -145,7 +150,7 @@ def stage_normal_equations(
         summed = [
             normal_equations(
                 part,
-                block_of_row=_block_of_row(part, record, criterion, block_count),
+                block_of_row=None if used is None else _block_of_row(part, record, used),
                 block_count=block_count,
             )
             for part in parts
@@ -163,27 +168,33 @@ def independent_blocks(criterion: AbstractCriterion, record: Record, most: int) 
     return jnp.clip(jnp.round(record.duration / length), 2, most).astype(jnp.int32)
 
 
-def _block_of_row(
-    rows: Rows, record: Record, criterion: AbstractCriterion, block_count: int
-) -> Array | None:
-    if block_count == 1:
-        return None
-    used = independent_blocks(criterion, record, block_count)
+def _block_of_row(rows: Rows, record: Record, used: Int[Array, ""]) -> Int[Array, " rows"]:
     share = rows.position / record.sample_count
     return jnp.clip((share * used).astype(jnp.int32), 0, used - 1)
 
 
-def _all_records(
+def all_normal_equations(
     procedure: Procedure,
     sharing: Sharing,
     records: list[Record],
     criterion: AbstractCriterion,
     keys: list[Key[Array, ""] | None],
+    blocks_used: list[Int[Array, ""]] | None = None,
 ) -> list[NormalEquations]:
-    """Blocks of all records, one after the other along the leading axis: never a mixed one."""
+    """Normal equations of each stage over all records.
+
+    Blocks of all records stand one after the other along the leading axis, never a mixed one.
+    """
     per_record = []
     for i, (record, key) in enumerate(zip(records, keys)):
-        stages = stage_normal_equations(procedure, record, criterion, key, block_count=MOST_BLOCKS)
+        stages = stage_normal_equations(
+            procedure,
+            record,
+            criterion,
+            key,
+            block_count=MOST_BLOCKS,
+            blocks_used=None if blocks_used is None else blocks_used[i],
+        )
         per_record.append(
             [
                 stage.rename(sharing.of_record(names, i)).embed(sharing.everywhere(names))
@@ -213,13 +224,14 @@ def _solve(
     return solutions, block_sandwich(stages, solutions, known, block_count)
 
 
-def _all_rows(
+def all_rows(
     procedure: Procedure,
     sharing: Sharing,
     records: list[Record],
     criterion: AbstractCriterion,
     keys: list[Key[Array, ""] | None],
 ) -> list[Rows]:
+    """Rows of each stage over all records and all its equations."""
     return [
         Rows.concatenate(
             [
@@ -240,7 +252,7 @@ def _rows_offered(
     return len(stage) * sum(criterion.row_count(record) for record in records)
 
 
-def _known_values(
+def known_values(
     procedure: Procedure, sharing: Sharing, known: Mapping[str, float | Array]
 ) -> dict[str, Array]:
     names = {*procedure.parameters, *sharing.parameters}
@@ -251,7 +263,7 @@ def _known_values(
     return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
 
 
-def _plan(
+def plan_stages(
     procedure: Procedure, sharing: Sharing, given: Mapping[str, Array]
 ) -> list[tuple[str, tuple[str, ...]]]:
     """(stage name, parameters it finds, over all records) for each stage."""

@@ -26,6 +26,16 @@ class Sharing:
             )
         self.parameters = self.everywhere(parameters)
 
+    # Equal by content, so that a jitted function which takes one is not compiled anew.
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sharing) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash(self._content())
+
+    def _content(self) -> tuple[object, ...]:
+        return (self.parameters, self.own, self.record_count)
+
     def of_record(self, names: Iterable[str], index: int) -> tuple[str, ...]:
         """The names as the record number `index` (from 0) knows them."""
         return tuple(f"{name}[{index + 1}]" if name in self.own else name for name in names)

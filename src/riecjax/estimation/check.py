@@ -1,0 +1,158 @@
+"""Before a fit: whether these records can answer the question that a model asks."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from riecjax.criteria.criterion import RIEC, AbstractCriterion
+from riecjax.criteria.quadrature import ORDERS
+from riecjax.criteria.test_functions import Bump
+from riecjax.equations.equation import Equation
+from riecjax.estimation.estimate import FEWEST_BLOCKS
+from riecjax.estimation.excitation import Excitation, excitation
+from riecjax.estimation.identify import (
+    MOST_BLOCKS,
+    all_rows,
+    independent_blocks,
+    record_keys,
+    signals_read,
+)
+from riecjax.estimation.procedure import Procedure, staged
+from riecjax.estimation.sharing import Sharing
+from riecjax.findings import Finding
+from riecjax.records.quality import check_signals
+from riecjax.records.record import Record
+
+FEWEST_SAMPLES = 4
+"""Samples that the shortest window should span."""
+QUADRATURE_ERROR = 0.01
+"""Share of a regressor that the integrals' error may reach."""
+FATAL = ("not_excited", "unidentifiable")
+"""Codes of findings that leave no answer, rather than a doubtful one."""
+
+
+class Check(NamedTuple):
+    """What stands against identifying a model from records.
+
+    **Fields:** `findings`; `excitations`, one for each stage; `signals`, what is read.
+    """
+
+    findings: list[Finding]
+    excitations: list[Excitation]
+    signals: tuple[str, ...]
+
+    @property
+    def answerable(self) -> bool:
+        """Whether nothing found rules an answer out."""
+        return not any(finding.code in FATAL for finding in self.findings)
+
+
+def check(
+    model: Equation | Procedure,
+    records: Record | Sequence[Record],
+    criterion: AbstractCriterion,
+    *,
+    key: Key[Array, ""] | None = None,
+    known: Mapping[str, float | Array] | None = None,
+    own: Sequence[str] = (),
+) -> Check:
+    """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
+
+    Nothing is estimated, and nothing that is found here stops a fit; see [`Check.answerable`][].
+
+    **Raises:** as `identify`, for what can be said without arithmetic.
+    """
+    procedure = staged(model) if isinstance(model, Equation) else model
+    recordings = [records] if isinstance(records, Record) else list(records)
+    read = [signals_read(procedure, record, criterion) for record in recordings]
+    excitations = excitation(procedure, recordings, criterion, key=key, known=known, own=own)
+    findings = [
+        *_sensors(recordings, read),
+        *_windows(recordings, criterion),
+        *_quadrature(procedure, recordings, criterion, key),
+        *(finding for stage in excitations for finding in stage.findings()),
+    ]
+    return Check(findings, excitations, tuple(dict.fromkeys(n for names in read for n in names)))
+
+
+def _sensors(records: list[Record], read: list[tuple[str, ...]]) -> list[Finding]:
+    findings = []
+    for i, (record, names) in enumerate(zip(records, read)):
+        prefix = f"record {i + 1}: " if len(records) > 1 else ""
+        findings += [
+            Finding(finding.code, prefix + finding.message)
+            for finding in check_signals(record, names)
+        ]
+    return findings
+
+
+def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Finding]:
+    if not isinstance(criterion, RIEC):
+        return []
+    findings = []
+    alpha, beta = float(criterion.windows.alpha), float(criterion.windows.beta)
+    coarsest = max(float(record.time_step) for record in records)
+    if alpha < (FEWEST_SAMPLES - 0.5) * coarsest:
+        findings.append(
+            Finding(
+                "short_windows",
+                f"the shortest window, {alpha:g} s, spans {alpha / coarsest:.1f} samples of "
+                f"{coarsest:g} s; below {FEWEST_SAMPLES} it is hardly an integral. Choose a larger "
+                f"alpha, or sample faster.",
+            )
+        )
+    blocks = sum(int(independent_blocks(criterion, record, MOST_BLOCKS)) for record in records)
+    if blocks < FEWEST_BLOCKS:
+        total = sum(float(record.duration) for record in records)
+        findings.append(
+            Finding(
+                "short_record",
+                f"{total:.3g} s recorded are only {blocks} stretches of twice the longest "
+                f"window, {beta:g} s; intervals will be rough. Record for longer or choose a "
+                f"smaller beta.",
+            )
+        )
+    return findings
+
+
+def _quadrature(
+    procedure: Procedure,
+    records: list[Record],
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+) -> list[Finding]:
+    """Compare the integrals with those of the highest order: how far the sampling carries."""
+    if not isinstance(criterion, RIEC) or isinstance(criterion.test_function, Bump):
+        return []
+    if criterion.windows.between_samples:
+        return []
+    finer = eqx.tree_at(
+        lambda c: c.test_function, criterion, type(criterion.test_function)(max(ORDERS))
+    )
+    sharing = Sharing(procedure.parameters, (), len(records))
+    keys = record_keys(key, len(records))
+    worst, share = "", 0.0
+    for rows, better in zip(
+        all_rows(procedure, sharing, records, criterion, keys),
+        all_rows(procedure, sharing, records, finer, keys),
+    ):
+        error = jnp.sum((rows.columns - better.columns) ** 2, axis=1)
+        size = jnp.sum(better.columns**2, axis=1)
+        shares = np.sqrt(np.asarray(error) / np.maximum(np.asarray(size), 1e-300))
+        at = int(np.argmax(shares))
+        if shares[at] > share:
+            worst, share = ("the known terms", *rows.parameters)[at], float(shares[at])
+    if share <= QUADRATURE_ERROR:
+        return []
+    return [
+        Finding(
+            "coarse_sampling",
+            f"the motion is sampled so coarsely that its integrals are {100 * share:.2g} % off (at "
+            f"{worst}). Use quadrature of higher order (on the command line: --quadrature 6), "
+            f"up-sample the record (--upsample 8), or sample faster.",
+        )
+    ]

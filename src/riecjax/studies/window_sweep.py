@@ -1,0 +1,234 @@
+"""Estimates against window length: the standard test of whether a model is exact enough.
+
+With an exact model every window length finds the same parameters, up to scatter. Where a model leaves
+something out, what is left out weighs differently at different lengths, and the estimates drift.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Array, Float, Int, Key
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.equation import Equation
+from riecjax.errors import DataError
+from riecjax.estimation.identify import (
+    MOST_BLOCKS,
+    all_normal_equations,
+    independent_blocks,
+    known_values,
+    plan_stages,
+    record_keys,
+)
+from riecjax.estimation.procedure import (
+    Procedure,
+    block_influence,
+    small_sample_factor,
+    solve_stages,
+    staged,
+)
+from riecjax.estimation.sharing import Sharing
+from riecjax.findings import Finding
+from riecjax.records.record import Record
+
+FEWEST_SAMPLES = 4
+"""Samples that the shortest window of a sweep spans at least."""
+FEWEST_STRETCHES = 10
+"""Longest windows that the records hold at least, end to end."""
+SMALLEST_DRIFT = 0.005
+"""Share of a parameter below which a drift is nobody's concern."""
+LEVEL = 0.05
+
+
+class WindowSweep(eqx.Module):
+    """Estimates at several window lengths, from the same records.
+
+    **Fields:**
+
+    - `alpha`, `beta`: shortest and longest window of each band in seconds, shape `(bands,)`.
+    - `theta`: estimates, shape `(bands, p)`.
+    - `influence`: how far each block of time moves each estimate, shape `(bands, blocks, p)`; the
+      blocks are the same at every length, so that estimates can be compared pairwise.
+    - `relative_rms`: residual of each stage, shape `(bands, stages)`.
+    - `block_count`: blocks that hold rows.
+    - `parameters`, `units`, `stage_names`: as in an estimate.
+    """
+
+    alpha: Float[Array, " bands"]
+    beta: Float[Array, " bands"]
+    theta: Float[Array, "bands p"]
+    influence: Float[Array, "bands blocks p"]
+    relative_rms: Float[Array, "bands stages"]
+    block_count: Int[Array, ""]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    stage_names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def standard_errors(self) -> Float[Array, "bands p"]:
+        """Standard error of each estimate."""
+        return jnp.sqrt(small_sample_factor(self.block_count) * jnp.sum(self.influence**2, axis=1))
+
+    def drift(self, name: str) -> tuple[int, int, float, float]:
+        """The two lengths between which a parameter differs most significantly (not under jit).
+
+        **Returns:** their indices, the difference of the estimates, and its standard error, in
+        which what is common to both lengths cancels.
+        """
+        j = self.parameters.index(name)
+        theta, influence = np.asarray(self.theta[:, j]), np.asarray(self.influence[:, :, j])
+        difference = theta[None, :] - theta[:, None]
+        apart = influence[None, :, :] - influence[:, None, :]
+        error = np.sqrt(float(small_sample_factor(self.block_count)) * np.sum(apart**2, axis=-1))
+        significance = np.where(error > 0, np.abs(difference) / np.where(error > 0, error, 1), 0)
+        relevant = np.abs(difference) > SMALLEST_DRIFT * np.abs(theta).max()
+        first, last = np.unravel_index(np.argmax(significance * relevant), difference.shape)
+        first, last = sorted((int(first), int(last)))
+        return first, last, float(difference[first, last]), float(error[first, last])
+
+    def findings(self) -> list[Finding]:
+        """`window_sensitive` for each parameter that drifts by more than its uncertainty.
+
+        A paired test at the 5 % level, corrected for the number of pairs (Bonferroni), of a drift of
+        at least half a percent.
+        """
+        bands = self.theta.shape[0]
+        pairs = bands * (bands - 1) / 2
+        dof = max(int(self.block_count) - 1, 1)
+        limit = float(scipy.stats.t.isf(LEVEL / (2 * pairs), dof))
+        units = dict(self.units)
+        found = []
+        for j, name in enumerate(self.parameters):
+            first, last, difference, error = self.drift(name)
+            if abs(difference) > limit * error and error > 0:
+                low, high = int(jnp.argmin(self.theta[:, j])), int(jnp.argmax(self.theta[:, j]))
+                low, high = sorted((low, high))
+                unit = f" {units[name]}" if units.get(name) else ""
+                found.append(
+                    Finding(
+                        "window_sensitive",
+                        f"{name} goes from {float(self.theta[low, j]):.4g} with windows of "
+                        f"{self._band(low)} to {float(self.theta[high, j]):.4g}{unit} with "
+                        f"{self._band(high)}; between {self._band(first)} and {self._band(last)} "
+                        f"it changes by {abs(difference) / error:.1f} standard errors of the "
+                        f"change. The model leaves out something that matters at one of these "
+                        f"lengths, or short windows show the sensors' noise.",
+                    )
+                )
+        return found
+
+    def _band(self, index: int) -> str:
+        return f"{float(self.alpha[index]):.3g} to {float(self.beta[index]):.3g} s"
+
+
+def window_sweep(
+    model: Equation | Procedure,
+    records: Record | Sequence[Record],
+    criterion: RIEC,
+    *,
+    key: Key[Array, ""],
+    known: Mapping[str, float | Array] | None = None,
+    own: Sequence[str] = (),
+    shortest: float | None = None,
+    longest: float | None = None,
+    bands: int = 10,
+) -> WindowSweep:
+    """Identify a model again and again, with windows from short to long (not under jit).
+
+    Each band reaches from a length to twice that length.
+
+    **Arguments:** as for [`identify`][], and
+
+    - `shortest`, `longest`: ends of the sweep in seconds; by default a tenth of the criterion's
+      alpha, at least four samples, to twice its beta, at most a tenth of all records together.
+    - `bands`: number of lengths.
+
+    **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
+    """
+    procedure = staged(model) if isinstance(model, Equation) else model
+    recordings = [records] if isinstance(records, Record) else list(records)
+    sharing = Sharing(procedure.parameters, own, len(recordings))
+    given = known_values(procedure, sharing, known or {})
+    plan = plan_stages(procedure, sharing, given)
+    low, high = _reach(recordings, criterion, shortest, longest)
+    alpha = np.geomspace(low, high / 2, bands)
+    beta = 2 * alpha
+    lengthy = _with_windows(criterion, alpha[-1], beta[-1])
+    used = [independent_blocks(lengthy, record, MOST_BLOCKS) for record in recordings]
+    theta, influence, residual = _estimates(
+        procedure,
+        sharing,
+        recordings,
+        criterion,
+        record_keys(key, len(recordings)),
+        given,
+        used,
+        (jnp.asarray(alpha), jnp.asarray(beta)),
+    )
+    units = sharing.values(procedure.units)
+    stages = [(label, unknown) for label, unknown in plan if unknown]
+    return WindowSweep(
+        alpha=jnp.asarray(alpha),
+        beta=jnp.asarray(beta),
+        theta=theta,
+        influence=influence,
+        relative_rms=residual,
+        block_count=sum(used, start=jnp.zeros((), jnp.int32)),
+        parameters=tuple(name for _, unknown in stages for name in unknown),
+        units=tuple(units.items()),
+        stage_names=tuple(label for label, _ in stages),
+    )
+
+
+def _reach(
+    records: list[Record], criterion: RIEC, shortest: float | None, longest: float | None
+) -> tuple[float, float]:
+    coarsest = max(float(record.time_step) for record in records)
+    multiple = criterion.test_function.smoothness
+    low = max(float(criterion.windows.alpha) / 10, multiple * FEWEST_SAMPLES * coarsest)
+    recorded = sum(float(record.duration) for record in records) / FEWEST_STRETCHES
+    each = min(float(record.duration) for record in records) / 2
+    high = min(2 * float(criterion.windows.beta), recorded, each)
+    low = low if shortest is None else shortest
+    high = high if longest is None else longest
+    if not 0 < low < high / 2:
+        raise DataError(
+            f"too short for a sweep over window lengths: from {low:.3g} to {high:.3g} s there are "
+            f"not two bands. Record for longer, or choose a larger beta."
+        )
+    return low, high
+
+
+def _with_windows(criterion: RIEC, alpha: Array | float, beta: Array | float) -> RIEC:
+    return RIEC(RandomWindows(alpha, beta, criterion.windows.count), criterion.test_function)
+
+
+@eqx.filter_jit
+def _estimates(
+    procedure: Procedure,
+    sharing: Sharing,
+    records: list[Record],
+    criterion: RIEC,
+    keys: list[Key[Array, ""]],
+    given: Mapping[str, Array],
+    used: list[Int[Array, ""]],
+    lengths: tuple[Float[Array, " bands"], Float[Array, " bands"]],
+) -> tuple[Float[Array, "bands p"], Float[Array, "bands blocks p"], Float[Array, "bands stages"]]:
+    def at_length(length: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        stages = all_normal_equations(
+            procedure, sharing, records, _with_windows(criterion, *length), keys, used
+        )
+        solutions = solve_stages(stages, given)
+        return (
+            jnp.concatenate([stage.solution.theta for stage in solutions]),
+            block_influence(stages, solutions, given),
+            jnp.stack([stage.relative_rms for stage in solutions]),
+        )
+
+    # One length after the other: rows of all of them at once would need ten times the memory.
+    return jax.lax.map(at_length, lengths)
