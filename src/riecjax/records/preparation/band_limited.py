@@ -66,8 +66,8 @@ def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> 
 
     **Returns:** values of shape `(m,)`, NaN where the weights would reach beyond the samples.
     """
-    low_pass, density = (ANTI_ALIAS, spacing) if spacing > 1 else (INTERPOLATION, 1.0)
-    reach = low_pass.reach(density)
+    low_pass, density = _low_pass(spacing)
+    reach = reach_beyond(spacing)
     positions = np.round(positions, PHASE_DIGITS)
     found = np.full(positions.size, np.nan)
     inside = np.flatnonzero((positions >= reach) & (positions <= samples.size - 1 - reach))
@@ -84,3 +84,13 @@ def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> 
         weights /= weights.sum(axis=1, keepdims=True)
         found[block] = np.einsum("ij,ij->i", weights[which], neighbours[before - reach + 1])
     return found
+
+
+def reach_beyond(spacing: float) -> int:
+    """Samples that `band_limited` needs on each side of a position."""
+    low_pass, density = _low_pass(spacing)
+    return low_pass.reach(density)
+
+
+def _low_pass(spacing: float) -> tuple[LowPass, float]:
+    return (ANTI_ALIAS, spacing) if spacing > 1 else (INTERPOLATION, 1.0)

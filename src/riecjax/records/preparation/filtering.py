@@ -1,15 +1,20 @@
 """Filters without phase, and the removal of offset and drift."""
 
-import jax.numpy as jnp
 import numpy as np
 import scipy.signal
 
 from riecjax.errors import DataError
+from riecjax.records.preparation.stretches import (
+    longest_stretch,
+    on_stretches,
+    require_samples,
+    with_gaps,
+)
 from riecjax.records.record import Record
 
 FILTER_ORDER = 4
 FILTER_PADDING = 16
-"""Samples by which SciPy extends each end of a record for a filter of this order."""
+"""Samples by which SciPy extends each end of a stretch for a filter of this order."""
 SETTLING_PERIODS = 5
 """Periods of the cut-off frequency after which a zero-phase filter has forgotten the ends."""
 
@@ -18,29 +23,95 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     """Filter signals by a zero-phase Butterworth low-pass of 4th order (run both ways).
 
     Five periods of the lowest cut-off are cut from both ends, where the filter still feels the
-    record's ends.
+    record's ends. Five periods of a signal's own cut-off become missing on both sides of its gaps.
 
     **Arguments:** `cutoffs`: signal name to cut-off in Hz.
 
     **Raises:** `DataError` for a cut-off beyond half the sampling rate, a missing signal, or a
-    record too short for the filter.
+    record whose stretches are too short for the filter.
     """
-    nyquist = 0.5 / float(record.time_step)
+    if not cutoffs:
+        return record
+    time_step = float(record.time_step)
+    nyquist = 0.5 / time_step
     for name, cutoff in cutoffs.items():
         if not 0 < cutoff < nyquist:
             raise DataError(
                 f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
                 f"the sampling rate, {nyquist:g} Hz."
             )
-    lowest = min(cutoffs.values())
-    cut = int(np.ceil(SETTLING_PERIODS / lowest / float(record.time_step)))
-    if record.sample_count <= max(2 * cut + 2, FILTER_PADDING):
+    lost = {name: int(np.ceil(SETTLING_PERIODS / f / time_step)) for name, f in cutoffs.items()}
+    cut = max(lost.values())
+    if record.sample_count <= _shortest(cut):
         raise DataError(
-            f"the record is too short to be filtered at {lowest:g} Hz: {cut} samples are lost at "
-            f"each end."
+            f"the record is too short to be filtered at {min(cutoffs.values()):g} Hz: {cut} "
+            f"samples are lost at each end. Raise the cut-off, or record for longer."
         )
-    filtered = {}
+
+    def filtered(name: str) -> np.ndarray:
+        sections = scipy.signal.butter(FILTER_ORDER, cutoffs[name] / nyquist, output="sos")
+
+        def step(samples: np.ndarray) -> np.ndarray:
+            found = np.full(samples.size, np.nan)
+            if samples.size > _shortest(lost[name]):
+                inner = slice(lost[name], -lost[name])
+                found[inner] = scipy.signal.sosfiltfilt(sections, samples)[inner]
+            return found
+
+        return on_stretches(record, name, step)
+
+    columns = {name: filtered(name) for name in cutoffs}
+    result = with_gaps(record, columns).part(cut, record.sample_count - cut)
     for name, cutoff in cutoffs.items():
-        sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
-        filtered[name] = jnp.asarray(scipy.signal.sosfiltfilt(sections, np.asarray(record[name])))
-    return record.with_signals(filtered).part(cut, record.sample_count - cut)
+        require_samples(
+            result,
+            name,
+            f"no stretch of '{name}' without a gap is long enough to be filtered at {cutoff:g} Hz: "
+            f"it takes more than {_shortest(lost[name])} samples, and the longest has "
+            f"{longest_stretch(record, name)}. Raise the cut-off, or repair the gaps.",
+        )
+    return result
+
+
+def remove_offset(record: Record, *signals: str) -> Record:
+    """Subtract from each of these signals its mean over the samples that are there.
+
+    Instruments add offsets, which an equation with a stiffness reads as a force.
+
+    **Raises:** `DataError` for no signal, or one that the record lacks.
+    """
+    return _without_polynomial(record, signals, 0)
+
+
+def remove_drift(record: Record, *signals: str) -> Record:
+    """Subtract from each of these signals its least-squares straight line over time.
+
+    Time is the true one: a pause counts as long as it lasted.
+
+    **Raises:** `DataError` for no signal, or one that the record lacks.
+    """
+    return _without_polynomial(record, signals, 1)
+
+
+def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -> Record:
+    if not signals:
+        raise DataError(
+            f"name the signals to remove the {('offset', 'drift')[degree]} from; there are: "
+            f"{', '.join(record.arrays)}."
+        )
+    time = np.asarray(record.time)
+    columns = {}
+    for name in signals:
+        values = on_stretches(record, name, np.copy)
+        there = ~np.isnan(values)
+        # Fitted in scaled time, lest seconds since 1970 spoil the fit.
+        trend = np.polynomial.Polynomial.fit(
+            time[there], values[there], min(degree, there.sum() - 1)
+        )
+        columns[name] = values - trend(time)
+    return with_gaps(record, columns)
+
+
+def _shortest(lost: int) -> int:
+    """Samples that are still too few to be filtered if `lost` of them go at each end."""
+    return max(2 * lost + 2, FILTER_PADDING)

@@ -7,7 +7,9 @@ import numpy as np
 import scipy.interpolate
 
 from riecjax.errors import DataError
-from riecjax.records.preparation.band_limited import band_limited
+from riecjax.records.preparation.band_limited import band_limited, reach_beyond
+from riecjax.records.preparation.stretches import gaps, hold, longest_stretch
+from riecjax.records.record import Record
 
 LARGEST_GRID = 50_000_000
 """Samples, over all channels, that a common grid may have before it is refused."""
@@ -20,6 +22,51 @@ EVEN = 1e-4
 SAME_TIME = 1e-6
 """Share of a step within which a grid's time is a sample's time."""
 FEWEST_KNOTS = 4
+
+
+def resample(record: Record, rate: float) -> Record:
+    """Bring a record to another rate, without phase.
+
+    To a faster rate, band-limited: errors below 1e-6 up to 0.9 of half the record's rate; 44
+    samples are lost at both ends and beside gaps. To a slower rate, low-passed first: flat within
+    1e-4 to 0.8 of half the new rate and 80 dB down from half of it on; 26 new samples are lost.
+    A pause stays a pause, and a new grid begins after it.
+
+    **Arguments:** `rate` in Hz.
+
+    **Raises:** `DataError` for an impossible rate, more than 50 million samples, or a signal whose
+    stretches are all too short.
+    """
+    _check_rate(rate)
+    return _resampled(record, 1.0 / rate, 1.0 / (rate * float(record.time_step)))
+
+
+def upsample(record: Record, factor: int) -> Record:
+    """Insert `factor - 1` samples between every two, by band-limited interpolation.
+
+    For records of few samples per period, where a trapezoid between samples is not the area under
+    the signal: at 9 samples per period it loses 4 % of it. Signals pass up to 0.9 of half
+    the record's rate, with errors below 1e-6 of their amplitude; recorded samples stay as they are.
+    44 samples are lost at both ends and beside gaps.
+
+    **Raises:** `DataError` for a factor below 1, more than 50 million samples, or a signal whose
+    stretches are all too short.
+    """
+    _check_factor(factor)
+    return _resampled(record, float(record.time_step) / factor, 1.0 / factor)
+
+
+def decimate(record: Record, factor: int) -> Record:
+    """Every `factor`-th sample of the low-passed record, without phase.
+
+    Flat within 1e-4 to 0.8 of half the new rate, and 80 dB down from half of it on, so that nothing
+    folds; 26 new samples are lost at both ends and beside gaps. `record.every(factor)` thins
+    without a low-pass.
+
+    **Raises:** `DataError` for a factor below 1, or a signal whose stretches are all too short.
+    """
+    _check_factor(factor)
+    return _resampled(record, float(record.time_step) * factor, float(factor))
 
 
 def on_grid(
@@ -47,8 +94,7 @@ def on_grid(
     **Raises:** `DataError` for time that does not increase, values that are infinite, no common
     time, stretches that are all too short, or a grid of more than 50 million samples.
     """
-    if not (np.isfinite(rate) and rate > 0):
-        raise DataError(f"the rate must be a positive number of samples per second; got {rate:g}.")
+    _check_rate(rate)
     if not channels:
         raise DataError("there is no channel to bring to a common rate.")
     sampled = {name: _channel(name, *given) for name, given in channels.items()}
@@ -176,3 +222,99 @@ def _thinned(
     if not even_step:
         return np.full(grid.size, np.nan)
     return band_limited(values, (grid - time[0]) / even_step, 1 / (rate * even_step))
+
+
+class _Piece(NamedTuple):
+    """What a stretch between two pauses became: rows of an even grid, with NaN in gaps."""
+
+    start: float
+    columns: dict[str, np.ndarray]
+
+
+def _resampled(record: Record, step: float, spacing: float) -> Record:
+    """A record with `step` seconds between samples, which are `spacing` of the old ones."""
+    if abs(spacing - 1) < SAME_TIME:
+        return record
+    if record.sample_count / spacing * len(record.arrays) > LARGEST_GRID:
+        raise DataError(
+            f"{len(record.arrays)} signal(s) of {record.sample_count} samples would become more "
+            f"than {LARGEST_GRID} samples. Choose a lower rate or factor, or select signals."
+        )
+    pieces = [_piece(record, run, step, spacing) for run in _runs(record)]
+    pieces = [piece for piece in pieces if piece is not None]
+    for name in record.arrays:
+        if not any((~np.isnan(piece.columns[name])).any() for piece in pieces):
+            raise DataError(
+                f"no stretch of '{name}' without a gap is long enough for 1 sample in {step:g} s: "
+                f"it takes {2 * reach_beyond(spacing) + 1} samples of the record, and the longest "
+                f"has {longest_stretch(record, name)}. Choose a higher rate, leave this signal "
+                f"out, or repair the gaps."
+            )
+    columns = {name: _joined([p.columns[name] for p in pieces]) for name in record.arrays}
+    return Record(
+        {name: hold(values) for name, values in columns.items()},
+        step,
+        pieces[0].start,
+        record.units,
+        gaps(columns),
+        _stamps(pieces, step) if len(pieces) > 1 else None,
+    )
+
+
+def _runs(record: Record) -> list[slice]:
+    """Stretches of one even grid: between pauses, which no signal spans."""
+    if record.stamps is None:
+        return [slice(0, record.sample_count)]
+    any_present = np.zeros(record.sample_count, bool)
+    for name in record.arrays:
+        for segment in record.segments([name]):
+            any_present[segment] = True
+    edges = np.flatnonzero(np.diff(np.pad(any_present.astype(np.int8), 1)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
+
+
+def _piece(record: Record, run: slice, step: float, spacing: float) -> _Piece | None:
+    """One run on its new grid, less the rows at its ends where nothing could be computed."""
+    old_time = np.asarray(record.time[run])
+    # Stamps may be rounded; together they tell the run's start more precisely than its first.
+    start = float(np.mean(old_time - float(record.time_step) * np.arange(old_time.size)))
+    positions = spacing * np.arange(int((old_time.size - 1) / spacing + SAME_TIME) + 1)
+    columns = {}
+    for name in record.arrays:
+        samples = np.asarray(record[name])
+        values = np.full(positions.size, np.nan)
+        for segment in record.segments([name]):
+            if run.start <= segment.start < run.stop:
+                first, last = segment.start - run.start, segment.stop - run.start
+                a, b = np.searchsorted(positions, [first - SAME_TIME, last])
+                values[a:b] = band_limited(samples[segment], positions[a:b] - first, spacing)
+        columns[name] = values
+    some = np.flatnonzero(np.logical_or.reduce([~np.isnan(v) for v in columns.values()]))
+    if not some.size:
+        return None
+    rows = slice(some[0], some[-1] + 1)
+    return _Piece(start + step * int(some[0]), {k: v[rows] for k, v in columns.items()})
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    """Parts with one missing sample between each two: the pause."""
+    between = [np.array([np.nan])] * len(parts)
+    return np.concatenate([array for pair in zip(parts, between) for array in pair][:-1])
+
+
+def _stamps(pieces: list[_Piece], step: float) -> np.ndarray:
+    times = [p.start + step * np.arange(next(iter(p.columns.values())).size) for p in pieces]
+    stamps = _joined(times)
+    pauses = np.flatnonzero(np.isnan(stamps))
+    stamps[pauses] = 0.5 * (stamps[pauses - 1] + stamps[pauses + 1])
+    return stamps
+
+
+def _check_rate(rate: float) -> None:
+    if not (np.isfinite(rate) and rate > 0):
+        raise DataError(f"the rate must be a positive number of samples per second; got {rate:g}.")
+
+
+def _check_factor(factor: int) -> None:
+    if factor < 1 or int(factor) != factor:
+        raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")
