@@ -140,7 +140,7 @@ def test_low_pass_hardly_matters_to_riec(identified):
 
 
 def test_settings_in_the_file_are_left_out(file):
-    from riecjax.records.files import read_record
+    from riecjax.records.reading.read import read_record
 
     record = read_record(file)
     assert set(record.arrays) == {"qm", "qg", "vir"}

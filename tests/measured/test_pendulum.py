@@ -11,9 +11,9 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import pendulum_equation
-from riecjax.records.files import write_record
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
+from riecjax.records.writing import write_record
 
 STEP = 1e-3
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from riecjax.errors import DataError, MissingSignalError, ModelError
 from riecjax.models.quarter_car.reconstruction import ROUGHNESS, reconstructed
-from riecjax.records.files import read_record
+from riecjax.records.reading.read import read_record
 from riecjax.records.record import Record
 from riecjax.simulation.excitation import band_limited_noise, pothole, robson_road
 

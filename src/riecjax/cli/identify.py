@@ -176,7 +176,7 @@ def command(
     from riecjax.estimation.identify import identify, signals_read
     from riecjax.models.preparation import Preparation, prepare
     from riecjax.models.resolve import find_model
-    from riecjax.records.files import read_record
+    from riecjax.records.reading.read import read_record
     from riecjax.reporting.identification import (
         identification_document,
         identification_figures,

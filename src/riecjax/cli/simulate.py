@@ -67,7 +67,7 @@ def command(
     start_jax()
     from riecjax.cli.drive import drive
     from riecjax.models.resolve import find_model
-    from riecjax.records.files import check_writable, write_record
+    from riecjax.records.writing import check_writable, write_record
     from riecjax.simulation.simulate import simulate
 
     check_writable(out)

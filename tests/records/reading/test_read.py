@@ -12,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from riecjax.errors import DataError
-from riecjax.records import files
-from riecjax.records.files import read_record, write_record, write_whole
+from riecjax.records import writing
+from riecjax.records.reading import limits
+from riecjax.records.reading.read import read_record
+from riecjax.records.writing import write_record, write_whole
 from riecjax.records.record import Record
 
 ENDINGS = (".csv", ".npz", ".mat")
@@ -209,11 +211,11 @@ def test_full_disk_is_reported_and_leaves_the_old_file(tmp_path, monkeypatch):
     target = tmp_path / "a.csv"
     target.write_text("old")
 
-    def fail(temporary: Path, columns: object) -> None:
+    def fail(temporary: Path, *_columns: object) -> None:
         temporary.write_text("half of it")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setitem(files.WRITERS, ".csv", fail)
+    monkeypatch.setitem(writing.WRITERS, ".csv", fail)
     with pytest.raises(DataError, match="No space left on device"):
         write_record(target, Record({"x": TIME}, 0.1))
     assert target.read_text() == "old"
@@ -298,7 +300,7 @@ def test_damage_inside_a_compressed_npz(tmp_path):
 
 def test_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     path = write_columns(tmp_path, ".npz", COLUMNS)
-    monkeypatch.setattr(files, "LARGEST_FILE", 5000)
+    monkeypatch.setattr(limits, "LARGEST_FILE", 5000)
     np.savez_compressed(path, t=np.arange(2000.0), x=np.zeros(2000))
     assert path.stat().st_size > 0
     with pytest.raises(DataError, match=r"unpacks to|larger than"):

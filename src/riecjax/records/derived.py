@@ -1,0 +1,97 @@
+"""Signals computed from others by a formula of the user's: `35.15 * vir - mean(vir)`."""
+
+import ast
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from riecjax.errors import ModelError
+
+LONGEST_FORMULA = 2000
+"""Characters of a formula."""
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    present = values[~np.isnan(values)]
+    return np.asarray(present.mean() if present.size else np.nan)
+
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
+    **{
+        name: (1, getattr(np, name))
+        for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sign", "tanh")
+    },
+    "minimum": (2, np.minimum),
+    "maximum": (2, np.maximum),
+    "mean": (1, _mean),
+}
+"""What a formula may call, with the number of arguments. `mean` leaves missing samples out."""
+OPERATIONS: dict[type, Callable[..., np.ndarray]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.float_power,
+    ast.USub: np.negative,
+    ast.UAdd: np.positive,
+}
+
+
+def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The values of a formula of numbers, columns, `+ - * / **` and a few functions.
+
+    Nothing but these is understood, and nothing is executed. Missing samples (NaN) stay
+    missing; numbers are 64-bit floats throughout.
+
+    **Arguments:** `columns`: name to samples, shape `(n,)`; a name that is no Python name must
+    be renamed first.
+
+    **Raises:** `ModelError` naming the piece that is not understood.
+    """
+    if len(formula) > LONGEST_FORMULA:
+        raise ModelError(f"a formula may have {LONGEST_FORMULA} characters, not {len(formula)}.")
+    try:
+        tree = ast.parse(formula.strip(), mode="eval")
+        with np.errstate(all="ignore"):
+            value = _value(tree.body, formula.strip(), columns)
+    except (SyntaxError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f"the formula {formula[:80]!r} cannot be read.") from None
+    except (RecursionError, MemoryError):
+        raise ModelError(f"the formula {formula[:40]!r}... is nested too deep.") from None
+    length = next((values.size for values in columns.values()), 1)
+    return np.array(np.broadcast_to(value, (length,)), dtype=float)
+
+
+def _value(node: ast.expr, formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    match node:
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            return np.float64(_number(number, formula))  # pyright: ignore[reportReturnType]
+        case ast.Name(id=name) if name in columns:
+            return columns[name]
+        case ast.Name(id=name):
+            raise ModelError(f"there is no column '{name}' in the formula {formula[:80]!r}.")
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATIONS:
+            return OPERATIONS[type(op)](
+                _value(left, formula, columns), _value(right, formula, columns)
+            )
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATIONS:
+            return OPERATIONS[type(op)](_value(operand, formula, columns))
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in FUNCTIONS:
+            count, function = FUNCTIONS[name]
+            if len(arguments) != count:
+                raise ModelError(f"{name} takes {count} argument(s) in {formula[:80]!r}.")
+            return function(*(_value(each, formula, columns) for each in arguments))
+    piece = (ast.get_source_segment(formula, node) or formula)[:80]
+    raise ModelError(
+        f"{piece!r} is not allowed in a formula; it may hold numbers, names of columns, + - * / **,"
+        f" and {', '.join(FUNCTIONS)}."
+    )
+
+
+def _number(number: float, formula: str) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        raise ModelError(f"a number in {formula[:40]!r} is too large.") from None

@@ -1,0 +1,170 @@
+"""Records from data frames of pandas and data sets of xarray, neither of which is imported."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.reading.assembly import Selection, record_from_channels
+from riecjax.records.reading.channels import TIME_COLUMNS, Channels, vectors
+from riecjax.records.reading.unit_names import split_unit
+from riecjax.records.record import Record
+
+
+def from_dataframe(
+    frame: Any,
+    *,
+    time: str | None = None,
+    rename: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
+    units: Mapping[str, str] | None = None,
+    derive: Mapping[str, str] | None = None,
+    time_step: float | None = None,
+    resample: float | None = None,
+) -> Record:
+    """Make a record of a data frame of pandas: a signal for each column of numbers.
+
+    Time is the column `time`, or an index of date-times, durations or floats (seconds), or a
+    column called `t` or `time`. Date-times count in seconds from the first. Columns without
+    numbers are left out. The other arguments are those of [`read_record`][].
+
+    **Raises:** `DataError` without a time or for samples that do not make a record, `ModelError`
+    for a formula.
+    """
+    columns: dict[str, np.ndarray] = {}
+    left_out: dict[str, str] = {}
+    for place, label in enumerate(frame.columns):
+        name = ".".join(map(str, label)) if isinstance(label, tuple) else str(label)
+        if name in columns or name in left_out:
+            raise DataError(f"two columns are called '{name}'.")
+        values = _numbers(frame.iloc[:, place])
+        if values is None:
+            left_out[name] = f"it holds {frame.dtypes.iloc[place]}, not numbers"
+        else:
+            columns[name] = values
+    renamed = dict(rename or {})
+    if time is not None:
+        renamed["t"] = time
+    elif "t" not in renamed and time_step is None and _is_time(frame.index):
+        index = _numbers(frame.index)
+        if index is not None and frame.index.name not in columns:
+            # Of all names of time, `t` is the first to be looked for.
+            columns = {"t": index} | {k: v for k, v in columns.items() if k != "t"}
+    stated = {name: unit for name in columns if (unit := split_unit(name)[1])}
+    selection = Selection(renamed, scale or {}, units or {}, derive or {}, time_step, resample)
+    return record_from_channels(Channels(columns, stated, {}, left_out), selection)
+
+
+def from_dataset(
+    dataset: Any,
+    *,
+    time: str | None = None,
+    rename: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
+    units: Mapping[str, str] | None = None,
+    derive: Mapping[str, str] | None = None,
+    time_step: float | None = None,
+    resample: float | None = None,
+) -> Record:
+    """Make a record of a data set of xarray: a signal for each variable over time.
+
+    Time is the coordinate `time`, or the only one that may be time by its name or its type.
+    A variable of two dimensions becomes `name[0]`, `name[1]`, ... Units are the variables'
+    attribute `units`. The other arguments are those of [`read_record`][].
+
+    **Raises:** `DataError` without a time or for samples that do not make a record, `ModelError`
+    for a formula.
+    """
+    axis = None if time_step is not None else _time_coordinate(dataset, time)
+    arrays: dict[str, np.ndarray] = {}
+    stated: dict[str, str] = {}
+    left_out: dict[str, str] = {}
+    for label, variable in dataset.data_vars.items():
+        name = str(label)
+        if axis is not None and axis not in variable.dims:
+            left_out[name] = f"it does not depend on {axis}"
+            continue
+        values = _numbers(variable.transpose(axis, ...) if axis is not None else variable)
+        if values is None:
+            left_out[name] = f"it holds {variable.dtype}, not numbers"
+            continue
+        flat = values.reshape(values.shape[0], -1)
+        parts = {name: flat[:, 0]} if values.ndim == 1 else {
+            f"{name}[{place}]": flat[:, place] for place in range(flat.shape[1])
+        }  # fmt: skip
+        arrays |= parts
+        if variable.attrs.get("units"):
+            stated |= dict.fromkeys(parts, str(variable.attrs["units"]))
+    renamed = dict(rename or {})
+    if axis is not None:
+        name = str(axis)
+        values = _numbers(dataset[axis])
+        if values is None:
+            raise DataError(f"the coordinate '{name}' is no time.")
+        arrays[name] = values
+        if dataset[axis].attrs.get("units") and dataset[axis].dtype.kind in "fiu":
+            stated[name] = stated["t"] = str(dataset[axis].attrs["units"])
+        renamed["t"] = name
+    channels = replace(vectors(arrays), units=stated, left_out=left_out)
+    selection = Selection(renamed, scale or {}, units or {}, derive or {}, time_step, resample)
+    return record_from_channels(channels, selection)
+
+
+def _time_coordinate(dataset: Any, time: str | None) -> Any:
+    if time is not None:
+        if time not in dataset.coords:
+            there = ", ".join(map(str, dataset.coords))
+            raise DataError(f"there is no coordinate '{time}'; there are: {there}.")
+        return time
+    along = [name for name in dataset.dims if name in dataset.coords]
+    named = [name for name in TIME_COLUMNS if name in along]
+    typed = [name for name in along if dataset[name].dtype.kind in "mM"]
+    found = named[:1] or typed
+    if len(found) != 1:
+        raise DataError(
+            "which coordinate is time is not clear; give time=. There are:"
+            f" {', '.join(map(str, along)) or 'none'}."
+        )
+    return found[0]
+
+
+def _is_time(index: Any) -> bool:
+    """Whether an index of pandas can be time: date-times, durations, or floats; no counts."""
+    return getattr(index.dtype, "kind", "O") in "mMf"
+
+
+def _numbers(series: Any) -> np.ndarray | None:
+    """Numbers as floats, date-times and durations in seconds; `None` for anything else.
+
+    NaN where a value is missing, whichever of its signs pandas uses.
+    """
+    kind = getattr(series.dtype, "kind", "O")
+    if kind in "mM":
+        if getattr(series.dtype, "tz", None) is not None:
+            shifted = (
+                series if hasattr(series, "tz_convert") and not hasattr(series, "dt") else series.dt
+            )
+            series = shifted.tz_convert("UTC").tz_localize(None)
+        return _seconds(np.asarray(series))
+    if kind in "iufb":
+        try:
+            return series.to_numpy(dtype=float, na_value=np.nan)
+        except TypeError:  # xarray's has no such arguments
+            return np.asarray(series.to_numpy(), dtype=float)
+    return None
+
+
+def _seconds(stamps: np.ndarray) -> np.ndarray:
+    unit, ticks = np.datetime_data(stamps.dtype)
+    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+    if unit not in per_second:
+        stamps = stamps.astype(f"{stamps.dtype.kind}8[us]")
+        unit, ticks = "us", 1
+    missing = np.isnat(stamps)
+    counts = stamps.astype("int64")
+    # Counted from the first before they become floats, which hold 16 digits only.
+    first = counts[~missing][0] if stamps.dtype.kind == "M" and not missing.all() else 0
+    since = (counts - first) * float(ticks) / per_second[unit]
+    return np.where(missing, np.nan, since)

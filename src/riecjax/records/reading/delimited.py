@@ -1,0 +1,269 @@
+"""Reading tables in text files: CSV, TSV and what data loggers write."""
+
+import csv
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.reading.arrow import compute
+from riecjax.records.reading.channels import Channels
+from riecjax.records.reading.dialect import Dialect, Layout, layout
+from riecjax.records.reading.limits import check_column_count, first_sentence
+from riecjax.records.reading.numerals import (
+    GROUPED,
+    are_stamps,
+    is_numeric,
+    numbers,
+    present,
+    seconds,
+)
+from riecjax.records.reading.text import as_utf8
+from riecjax.records.reading.unit_names import split_unit
+
+SAMPLE = 2**16
+"""Bytes at the start of a file on which its dialect is decided."""
+LONGEST_LINE = 2**22
+"""Bytes of a line past which a file is no table."""
+FEWEST_LINES, MOST_LINES = 6, 400
+"""Lines on which the dialect is decided."""
+MOSTLY = 0.9
+"""Share of numbers past which a text in a column is an error, and the column not one of texts."""
+
+
+class Table(NamedTuple):
+    """A text file's body, its layout, and how its decimal sign was found.
+
+    `content` is the whole file in UTF-8; `body` its part below the header, comments removed.
+    """
+
+    content: bytes
+    body: bytes
+    layout: Layout
+    decimal_given: bool
+
+    def line_of(self, row: int) -> int:
+        """The line, counted from 1 as in an editor, of a row counted from 0."""
+        return next(line for place, (line, _) in enumerate(self.rows()) if place == row)
+
+    def rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Line number and fields of each row that is not blank; slow, for messages only."""
+        text = io.StringIO(self.body.decode(), newline="\n")
+        reader = csv.reader(text, delimiter=self.layout.dialect.delimiter)
+        for fields in reader:
+            if fields or self.layout.width == 1:
+                yield self.layout.start + reader.line_num, fields
+
+
+def read_delimited(
+    file: Path, delimiter: str | None = None, decimal: str | None = None
+) -> Channels:
+    """Read a text file of columns with a header row.
+
+    Delimiter, decimal sign, header, a row of units, comments and lines above the header are
+    found out; what could be read in two ways is refused.
+
+    **Raises:** `DataError` naming the line and the text that is no number, for rows of unequal
+    length, and for files that are not text or have no header.
+    """
+    content, notes = as_utf8(file.read_bytes())
+    lines = _first_lines(content)
+    found = layout(lines, delimiter, decimal)
+    check_column_count(found.width)
+    body, comments = _body(content, found)
+    table = Table(content, body, found, decimal is not None)
+    names = _names(found.names)
+    columns, left_out, stamped = _columns(table, names)
+    units = _units(names, found.units) | dict.fromkeys(stamped, "s")
+    notes += _notes(found, lines, comments, stamped)
+    notes += [f"column '{name}' left out: {why}" for name, why in left_out.items()]
+    return Channels(columns, {k: u for k, u in units.items() if k in columns}, {}, left_out, notes)
+
+
+def _first_lines(content: bytes) -> list[str]:
+    end = SAMPLE
+    while True:
+        head = content[:end]
+        whole = len(head) == len(content)
+        lines = head.decode(errors="replace").split("\n")
+        if whole or len(lines) > FEWEST_LINES or end > FEWEST_LINES * LONGEST_LINE:
+            break
+        end *= 4
+    longest = max(map(len, lines))
+    if longest > LONGEST_LINE:
+        raise DataError(
+            f"a line of more than {LONGEST_LINE} characters is no row of numbers in columns."
+        )
+    return (lines if whole else lines[:-1])[:MOST_LINES]
+
+
+def _body(content: bytes, found: Layout) -> tuple[bytes, int]:
+    """The rows below the header, comments blanked so that lines keep their numbers."""
+    start = 0
+    for _ in range(found.start):
+        start = content.index(b"\n", start) + 1
+    body = content[start:]
+    sign = rb"#|%|//" if found.dialect.delimiter == ";" else rb"#|%|//|;"
+    body, comments = re.subn(rb"(?m)^[ \t]*(?:" + sign + rb")[^\n]*", b"", body)
+    if found.dialect.delimiter == " ":
+        body = re.sub(rb"[ \t]+", b" ", body)
+        body = re.sub(rb"(?m)^ | $", b"", body)
+    elif found.dialect.delimiter != "\t":
+        body = re.sub(rb"(?m)^[ \t]+$", b"", body)
+    if found.width == 1:
+        body = body.rstrip(b"\n")
+    return body, comments
+
+
+def _parse(table: Table) -> Any:
+    import pyarrow as pa
+    from pyarrow import csv as pa_csv
+
+    width = table.layout.width
+    keys = [str(place) for place in range(width)]
+    try:
+        return pa_csv.read_csv(
+            pa.BufferReader(table.body),
+            read_options=pa_csv.ReadOptions(column_names=keys, block_size=2 * LONGEST_LINE),
+            parse_options=pa_csv.ParseOptions(
+                delimiter=table.layout.dialect.delimiter,
+                newlines_in_values=b'"' in table.body,
+                # In a single column a blank line is a sample that is missing.
+                ignore_empty_lines=width > 1,
+            ),
+            convert_options=pa_csv.ConvertOptions(
+                column_types=dict.fromkeys(keys, pa.string()), strings_can_be_null=False
+            ),
+        )
+    except pa.ArrowInvalid as error:
+        raise DataError(_ragged_row(table) or first_sentence(error)) from None
+
+
+def _ragged_row(table: Table) -> str:
+    """In words, the first row that has not one value for each column."""
+    try:
+        for line, fields in table.rows():
+            if len(fields) != table.layout.width:
+                return f"line {line} has {len(fields)} values for {table.layout.width} columns."
+    except csv.Error as error:
+        return first_sentence(error)
+    return ""
+
+
+def _columns(
+    table: Table, names: list[str]
+) -> tuple[dict[str, np.ndarray], dict[str, str], list[str]]:
+    """Columns of numbers, the other columns with the reason, and those of time stamps."""
+    parsed = _parse(table)
+    if not parsed.num_rows:
+        raise DataError("there are no samples below the column names.")
+    texts = {name: present(parsed.column(place)) for place, name in enumerate(names) if name}
+    _refuse_nameless(parsed, names)
+    if table.layout.dialect.decimal == "," and not table.decimal_given:
+        _refuse_thousands(table, texts)
+    columns: dict[str, np.ndarray] = {}
+    left_out: dict[str, str] = {}
+    stamped: list[str] = []
+    for name, text in texts.items():
+        values = numbers(text, table.layout.dialect.decimal, table.decimal_given)
+        if values is None and _mostly(table, are_stamps(text), text):
+            values = seconds(text)
+            stamped.append(name)
+        if values is None:
+            valid = is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
+            _mostly(table, valid, text)
+            row = valid.to_pylist().index(False)
+            left_out[name] = (
+                f"it holds text, {text[row].as_py()[:40]!r} on line {table.line_of(row)}"
+            )
+        else:
+            columns[name] = values
+    return _without_blank_end(columns), left_out, stamped
+
+
+def _mostly(table: Table, valid: Any, text: Any) -> bool:
+    """Whether all are valid; hardly any invalid ones are an error that names the first."""
+    flags = np.array([flag for flag in valid.to_pylist() if flag is not None], dtype=bool)
+    if flags.size and flags.all():
+        return True
+    if flags.size and flags.mean() >= MOSTLY:
+        row = valid.to_pylist().index(False)
+        raise DataError(f"line {table.line_of(row)}: {text[row].as_py()[:40]!r} is not a number.")
+    return False
+
+
+def _refuse_nameless(parsed: Any, names: list[str]) -> None:
+    for place, name in enumerate(names):
+        if not name and present(parsed.column(place)).null_count < parsed.num_rows:
+            filled = sum(bool(each) for each in names)
+            raise DataError(f"{filled} column names but {len(names)} columns of numbers.")
+
+
+def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
+    """Refuse commas that may set thousands apart as well as decimals, throughout the file."""
+    pc = compute()
+
+    doubtful = None
+    for text in texts.values():
+        valid = pc.fill_null(is_numeric(text, ",", False), False)
+        with_comma = pc.and_(valid, pc.fill_null(pc.match_substring(text, ","), False))
+        grouped = pc.fill_null(pc.match_substring_regex(text, GROUPED["."]), False)
+        if pc.any(pc.and_not(with_comma, grouped)).as_py():
+            return
+        if doubtful is None and pc.any(with_comma).as_py():
+            doubtful = with_comma.to_pylist().index(True), text
+    if doubtful:
+        row, text = doubtful
+        raise DataError(
+            f"line {table.line_of(row)}: {text[row].as_py()!r} may have a decimal comma or"
+            " thousands set apart; pass decimal=',' or decimal='.'."
+        )
+
+
+def _without_blank_end(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Without the rows at the end in which nothing stands, as spreadsheets leave them."""
+    if not columns:
+        return columns
+    filled = np.flatnonzero(np.any([~np.isnan(values) for values in columns.values()], axis=0))
+    stop = filled[-1] + 1 if filled.size else None
+    return {name: values[:stop] for name, values in columns.items()}
+
+
+def _names(header: list[str]) -> list[str]:
+    """Names of the columns; those at the end without a name stay empty."""
+    last = max((place for place, name in enumerate(header) if name), default=-1)
+    names = [
+        name or (f"column {place + 1}" if place < last else "") for place, name in enumerate(header)
+    ]
+    given = [name for name in names if name]
+    if len(set(given)) < len(given):
+        twice = next(name for name in given if given.count(name) > 1)
+        raise DataError(f"two columns are called '{twice}'.")
+    return names
+
+
+def _units(names: list[str], row: list[str]) -> dict[str, str]:
+    stated = {name: unit for name in names if (unit := split_unit(name)[1])}
+    return stated | {name: unit for name, unit in zip(names, row) if unit}
+
+
+def _notes(found: Layout, lines: list[str], comments: int, stamped: list[str]) -> list[str]:
+    notes = []
+    if found.dialect.delimiter != ",":
+        notes.append(str(found.dialect))
+    if found.dialect.decimal == ",":
+        notes.append("decimal comma")
+    above = sum(bool(line.strip()) for line in lines[: max(found.header, 0)])
+    if above:
+        notes.append(f"{above} lines above the column names skipped")
+    if found.header >= 0 and Dialect(",", ".").comment(lines[found.header]):
+        notes.append("column names taken from a comment")
+    if found.units:
+        notes.append("units taken from the row below the column names")
+    if comments:
+        notes.append(f"{comments} comment lines skipped")
+    return notes + [f"column '{name}': time stamps, as seconds from the first" for name in stamped]

@@ -1,0 +1,244 @@
+"""How a text file writes its table: delimiter, decimal sign, header and where the numbers begin."""
+
+import csv
+import re
+from collections import Counter
+from typing import NamedTuple
+
+from riecjax.errors import DataError
+from riecjax.records.reading.limits import MOST_COLUMNS
+from riecjax.records.reading.numerals import is_missing, is_number, is_stamp
+from riecjax.records.reading.unit_names import bare_unit, is_unit
+
+DELIMITERS = (",", ";", "\t", "|", " ")
+"""In order of preference; a blank stands for any white space."""
+NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
+_COMMENT = re.compile(r"\s*(?:#|%|//)+\s*")
+_SEMICOLON_COMMENT = re.compile(r"\s*(?:#|%|;|//)+\s*")
+
+
+class Dialect(NamedTuple):
+    """Delimiter (a blank: any white space) and decimal sign."""
+
+    delimiter: str
+    decimal: str
+
+    def comment(self, line: str) -> re.Match[str] | None:
+        """The sign that makes this line a comment."""
+        return (_COMMENT if self.delimiter == ";" else _SEMICOLON_COMMENT).match(line)
+
+    def fields(self, line: str) -> list[str]:
+        """The fields of one line, stripped."""
+        if self.delimiter == " ":
+            line = " ".join(line.split())
+        if '"' not in line:
+            return [field.strip() for field in line.split(self.delimiter)]
+        fields = next(csv.reader([line], delimiter=self.delimiter), [])
+        return [field.strip().strip('"').strip() for field in fields]
+
+    def __str__(self) -> str:
+        return f"delimiter {NAMES.get(self.delimiter, self.delimiter)}, decimal {self.decimal!r}"
+
+
+class Layout(NamedTuple):
+    """A table in a text file, as read in one dialect.
+
+    **Fields:** `names` of the columns; `units` by position; `start`, the line (from 0) with the
+    first row of numbers; `width`, fields in a row; `header`, the line of the names; `badness`,
+    the share of rows and fields that do not fit.
+    """
+
+    dialect: Dialect
+    names: list[str]
+    units: list[str]
+    start: int
+    width: int
+    header: int
+    badness: float
+
+    @property
+    def named(self) -> bool:
+        """Whether there is a name for each column."""
+        return len(self.names) == self.width
+
+
+def layout(lines: list[str], delimiter: str | None, decimal: str | None) -> Layout:
+    """The one way to read these lines, the first of a file, as a table with named columns.
+
+    Every dialect is tried; the one that gives the same number of names and numbers, with fewest
+    fields that are no numbers, is taken.
+
+    **Raises:** `DataError` where there is none, or where two are equally good.
+    """
+    _refuse_too_wide(lines)
+    found = [_layout(lines, dialect) for dialect in _dialects(lines, delimiter, decimal)]
+    layouts = [one for one in found if one is not None and _plausible(one, lines, delimiter)]
+    if not layouts:
+        if any(line.strip() for line in lines):
+            raise DataError("there are no samples below the column names.")
+        raise DataError("the file is empty; the first row must name the columns.")
+    best = min(layouts, key=lambda one: (not one.named, round(one.badness, 3), -one.width))
+    if not best.names:
+        raise DataError("the first row must name the columns.")
+    if not best.named:
+        raise DataError(
+            f"{len(best.names)} column names but {best.width} columns of numbers"
+            f" ({best.dialect}; line {best.start + 1})."
+        )
+    if decimal is None and delimiter is None:
+        _refuse_bare_commas(best, lines)
+    return best
+
+
+def _dialects(lines: list[str], delimiter: str | None, decimal: str | None) -> list[Dialect]:
+    text = "\n".join(lines)
+    delimiters = [delimiter] if delimiter else [d for d in DELIMITERS if d == " " or d in text]
+    # A comma can be both only where quotes tell the two apart.
+    return [
+        Dialect(d, c)
+        for c in ([decimal] if decimal else [".", ","])
+        for d in delimiters
+        if c != d or '"' in text
+    ]
+
+
+def _plausible(found: Layout, lines: list[str], delimiter: str | None) -> bool:
+    """One column only where its name holds no delimiter: else the file has more columns."""
+    if found.width > 1 or delimiter or found.header < 0:
+        return True
+    return not any(sign in lines[found.header] for sign in DELIMITERS[:-1])
+
+
+def _refuse_bare_commas(best: Layout, lines: list[str]) -> None:
+    if best.width > 1 or best.dialect.decimal == ".":
+        return
+    for place in range(best.start, len(lines)):
+        if "," in lines[place] and not best.dialect.comment(lines[place]):
+            raise DataError(
+                f"line {place + 1}: {lines[place].strip()[:40]!r} is one number with a decimal"
+                " comma, or two columns; pass decimal=',' or delimiter=','."
+            )
+
+
+def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
+    rows = {
+        place: dialect.fields(line)
+        for place, line in enumerate(lines)
+        if line.strip() and not dialect.comment(line)
+    }
+    kinds = {place: _kinds(fields, dialect.decimal) for place, fields in rows.items()}
+    usual = Counter(kind for kind in kinds.values() if "N" in kind or "S" in kind)
+    if not usual:
+        return None
+    # The usual row is data; of equally usual ones the one with fewest texts.
+    pattern = max(usual, key=lambda kind: (usual[kind], -kind.count("T"), len(kind)))
+    first = next(place for place, kind in kinds.items() if _fits(kind, pattern))
+    header, units, start = _header(rows, kinds, first, len(pattern))
+    if header is None:
+        header, names = _commented_header(lines, dialect, first, len(pattern))
+    else:
+        names = rows[header]
+    names = _trimmed(names, pattern, dialect)
+    data = [kind for place, kind in kinds.items() if place >= start]
+    ragged = sum(len(kind) != len(pattern) for kind in data) / len(data)
+    texts = sum(kind.count("T") for kind in data) / max(sum(map(len, data)), 1)
+    return Layout(dialect, names, units, start, len(pattern), header, ragged + texts)
+
+
+def _kinds(fields: list[str], decimal: str) -> str:
+    """One letter for each field: missing, number, time stamp, or text."""
+    return "".join(
+        "M"
+        if is_missing(field)
+        else "N"
+        if is_number(field, decimal)
+        else "S"
+        if is_stamp(field)
+        else "T"
+        for field in fields
+    )
+
+
+def _fits(kind: str, pattern: str) -> bool:
+    return len(kind) == len(pattern) and all(a == b or "M" in (a, b) for a, b in zip(kind, pattern))
+
+
+def _header(
+    rows: dict[int, list[str]], kinds: dict[int, str], first: int, width: int
+) -> tuple[int | None, list[str], int]:
+    """Line of the names, the units by position, and the line where data begins."""
+    above: list[int] = []
+    for place in reversed([place for place in rows if place < first]):
+        if len(_without_empty_end(rows[place])) > width or (
+            not above and len(rows[place]) == 1 < width
+        ):
+            break
+        above.append(place)
+        if len(rows[place]) != width:
+            break
+    if not above:
+        return None, [], first
+    # A row that is partly numbers below a row of names is data that went wrong, not a header.
+    texts = [place for place in above if "T" in kinds[place] and not set(kinds[place]) & {"N", "S"}]
+    fallback = [place for place in above if "T" in kinds[place]]
+    if not texts and not fallback:
+        return None, [], first
+    last = (texts or fallback)[0]
+    between = [place for place in above if place > last]
+    if between and _is_unit_row(rows[between[-1]]):
+        return last, [bare_unit(field) for field in rows[between[-1]]], _after(rows, between[-1])
+    upper = next((place for place in texts if place < last), None)
+    if upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
+        return upper, [bare_unit(field) for field in rows[last]], _after(rows, last)
+    return last, [], _after(rows, last)
+
+
+def _after(rows: dict[int, list[str]], place: int) -> int:
+    return min(other for other in rows if other > place)
+
+
+def _is_unit_row(fields: list[str]) -> bool:
+    return any(fields) and all(not field or is_unit(field) for field in fields)
+
+
+def _commented_header(
+    lines: list[str], dialect: Dialect, first: int, width: int
+) -> tuple[int, list[str]]:
+    """The last comment above the numbers, where it holds a name for each column."""
+    for place in range(first - 1, -1, -1):
+        sign = dialect.comment(lines[place])
+        if sign:
+            names = dialect.fields(lines[place][sign.end() :])
+            named = len(names) == width and "T" in _kinds(names, dialect.decimal)
+            return (place, names) if named else (-1, [])
+        if lines[place].strip():
+            break
+    return -1, []
+
+
+def _without_empty_end(fields: list[str]) -> list[str]:
+    kept = len(fields)
+    while kept and not fields[kept - 1]:
+        kept -= 1
+    return fields[:kept]
+
+
+def _trimmed(names: list[str], pattern: str, dialect: Dialect) -> list[str]:
+    """Names for `pattern`: a delimiter at the end of a row makes no column."""
+    names = _without_empty_end(names)
+    width = len(pattern)
+    if dialect.delimiter == " " and len(names) > width:
+        # A unit in brackets stands apart from its name by a blank, which delimits nothing.
+        joined = re.sub(r"\s+(?=[\[(])", "\0", " ".join(names))
+        names = [name.replace("\0", " ") for name in joined.split(" ")]
+    if names and len(names) < width and set(pattern[len(names) :]) == {"M"}:
+        names = [*names, *[""] * (width - len(names))]
+    return names
+
+
+def _refuse_too_wide(lines: list[str]) -> None:
+    for line in lines:
+        if len(line) > MOST_COLUMNS:
+            widest = max(len(line.split()), *(line.count(sign) + 1 for sign in DELIMITERS[:-1]))
+            if widest > MOST_COLUMNS:
+                raise DataError(f"has {widest} columns; more than {MOST_COLUMNS} are not read.")

@@ -1,0 +1,74 @@
+"""Reading measurement files in ASAM MDF (.mf4, .mdf), with the extra `mdf`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.reading.channels import Channels
+from riecjax.records.reading.limits import check_column_count, check_unpacked, foreign_reader
+
+
+def read_mdf(file: Path) -> Channels:
+    """Read an MDF file: every channel group has a time axis of its own.
+
+    A channel keeps its name; one whose name stands in several groups becomes `name (group 2)`,
+    groups counted from 1. The times are called `time`, or `time (group 2)`.
+
+    **Raises:** `DataError` for a damaged file, or where asammdf is not installed.
+    """
+    try:
+        import asammdf
+    except ImportError:
+        raise DataError(
+            "to read MDF files, install the package's extra: pip install 'riecjax[mdf]'."
+        ) from None
+    with foreign_reader("MDF"), asammdf.MDF(str(file)) as source:
+        _check_size(source)
+        return _channels(source)
+
+
+def _check_size(source: Any) -> None:
+    check_column_count(sum(len(group.channels) for group in source.groups))
+    check_unpacked(
+        8 * sum(group.channel_group.cycles_nr * len(group.channels) for group in source.groups)
+    )
+
+
+def _channels(source: Any) -> Channels:
+    columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    time_of: dict[str, str] = {}
+    left_out: dict[str, str] = {}
+    names = [channel.name for group in source.groups for channel in group.channels]
+    several = len(source.groups) > 1
+    for place, group in enumerate(source.groups):
+        time = f"time (group {place + 1})" if several else "time"
+        masters = source.masters_db
+        for index, channel in enumerate(group.channels):
+            if index == masters.get(place):
+                continue
+            signal = source.get(group=place, index=index)
+            repeated = names.count(channel.name) > 1 or channel.name == time
+            name = f"{channel.name} (group {place + 1})" if repeated else channel.name
+            samples = np.asarray(signal.samples)
+            if samples.ndim != 1 or samples.dtype.kind not in "fiub":
+                left_out[name] = "it holds no single numbers"
+                continue
+            columns[name] = _masked(signal, samples)
+            columns[time] = np.asarray(signal.timestamps, float)
+            time_of[name] = time
+            if signal.unit:
+                units[name] = str(signal.unit)
+    notes = [f"channel '{name}' left out: {why}" for name, why in left_out.items()]
+    return Channels(columns, units, time_of, left_out, notes)
+
+
+def _masked(signal: Any, samples: np.ndarray) -> np.ndarray:
+    """Samples as floats, NaN where the file marks them as invalid."""
+    values = samples.astype(float)
+    invalid = getattr(signal, "invalidation_bits", None)
+    if invalid is not None:
+        values[np.asarray(invalid, bool)] = np.nan
+    return values

@@ -1,0 +1,115 @@
+"""Reading Parquet files."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.reading.arrow import compute
+from riecjax.records.reading.channels import TIME_COLUMNS, Channels
+from riecjax.records.reading.limits import check_column_count, check_unpacked, foreign_reader
+from riecjax.records.reading.numerals import unwrapped
+
+UNNAMED_INDEX = "__index_level_0__"
+"""What pandas calls the index of a frame when it has no name."""
+
+
+def read_parquet(file: Path) -> Channels:
+    """Read a Parquet file: numbers, and time stamps and durations as seconds.
+
+    Stamps count from the first. A unit is taken from a column's metadata `unit`.
+
+    **Raises:** `DataError` for a damaged file or one that unpacks to too much.
+    """
+    with foreign_reader("Parquet"):
+        from pyarrow import parquet
+
+        # Not by its name, by which PyArrow would look for partitions in folders beside it.
+        with file.open("rb") as stream, parquet.ParquetFile(stream) as source:
+            schema = source.schema_arrow
+            _check_size(source, len(schema))
+            wanted = [place for place, field in enumerate(schema) if _is_numeric(field.type)]
+            left_out = {
+                field.name: f"it holds {field.type}, not numbers"
+                for place, field in enumerate(schema)
+                if place not in set(wanted)
+            }
+            names = _unique([schema.field(place).name for place in wanted])
+            table = source.read(columns=names, use_threads=True)
+            columns = {name: _numbers(table.column(name)) for name in names}
+            units = {name: unit for name in names if (unit := _unit(schema.field(name)))}
+            index = _unnamed_index(schema, columns)
+    notes = [f"column '{name}' left out: {why}" for name, why in left_out.items()]
+    if index:
+        columns[index] = columns.pop(UNNAMED_INDEX)
+        notes.append("the frame's index taken as time")
+    return Channels(columns, units, {}, left_out, notes)
+
+
+def _check_size(source: Any, columns: int) -> None:
+    metadata = source.metadata
+    check_column_count(metadata.num_columns)
+    groups = range(metadata.num_row_groups)
+    check_unpacked(sum(metadata.row_group(place).total_byte_size for place in groups))
+    # Run-length coding packs without bound: what counts is the table that is made of it.
+    check_unpacked(8 * metadata.num_rows * max(columns, 1))
+
+
+def _unique(names: list[str]) -> list[str]:
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise DataError(f"two columns are called '{twice}'.")
+    return names
+
+
+def _is_numeric(kind: Any) -> bool:
+    import pyarrow.types as types
+
+    if types.is_dictionary(kind):
+        return _is_numeric(kind.value_type)
+    checks = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal,
+              types.is_timestamp, types.is_duration, types.is_time)  # fmt: skip
+    return any(check(kind) for check in checks)
+
+
+def _numbers(column: Any) -> np.ndarray:
+    import pyarrow as pa
+    import pyarrow.types as types
+
+    pc = compute()
+    if types.is_dictionary(column.type):
+        column = pc.cast(column, column.type.value_type)
+    kind = column.type
+    if not (types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind)):
+        return _floats(pc.cast(column, pa.float64(), safe=False))
+    ticks = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
+    if types.is_time32(kind):
+        column = pc.cast(column, pa.int32())
+    counts = pc.cast(column, pa.int64())
+    first = pc.min(counts).as_py() if types.is_timestamp(kind) else 0
+    since = _floats(pc.cast(pc.subtract(counts, first or 0), pa.float64(), safe=False)) / ticks
+    return unwrapped(since) if types.is_time(kind) else since
+
+
+def _floats(column: Any) -> np.ndarray:
+    return np.array(column.to_numpy(), dtype=float)
+
+
+def _unit(field: Any) -> str | None:
+    stated = (field.metadata or {}).get(b"unit")
+    return stated.decode(errors="replace") if stated else None
+
+
+def _unnamed_index(schema: Any, columns: dict[str, np.ndarray]) -> str | None:
+    """The name of time where the only time in the file is the index of a frame of pandas."""
+    import pyarrow.types as types
+
+    if UNNAMED_INDEX not in columns or any(name in columns for name in TIME_COLUMNS):
+        return None
+    described = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
+    kind = schema.field(UNNAMED_INDEX).type
+    if UNNAMED_INDEX not in described.get("index_columns", ()) or types.is_integer(kind):
+        return None
+    return "time"

@@ -1,0 +1,145 @@
+"""Writing records to files: CSV, NPZ, MATLAB v5 and Parquet, whole or not at all."""
+
+import csv
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.record import Record
+from riecjax.records.time_base import STEP_TOLERANCE
+
+Columns = Mapping[str, np.ndarray]
+
+
+def write_record(path: str | os.PathLike[str], record: Record) -> None:
+    """Write a record to CSV, NPZ, MAT or Parquet, by the file name's ending, time as column `t`.
+
+    A missing sample is written as NaN, in CSV as an empty field; a pause is one in the times. Only
+    Parquet keeps units. The file appears whole or not at all: it is written under a temporary
+    name and renamed.
+
+    **Raises:** `DataError` for another ending, a name that the format cannot hold, or a folder
+    that cannot be written to.
+    """
+    file = Path(path)
+    check_writable(file)
+    writer = WRITERS[file.suffix.lower()]
+    if "t" in record.arrays:
+        raise DataError("a signal called 't' would take the place of time; give it another name.")
+    columns, units = _columns(record), dict(record.units)
+    write_whole(file, lambda temporary: writer(temporary, columns, units))
+
+
+def check_writable(file: Path) -> None:
+    """Raise `DataError` if no record can be written to `file`, before the work to make one."""
+    if file.suffix.lower() not in WRITERS:
+        raise DataError(
+            f"cannot write '{file.name}': its ending must be one of {', '.join(WRITERS)}."
+        )
+    if not file.parent.is_dir():
+        raise DataError(f"cannot write '{file}': there is no folder '{file.parent}'.")
+    if file.is_dir():
+        raise DataError(f"cannot write '{file}': it is a folder.")
+
+
+def write_whole(file: Path, write: Callable[[Path], None]) -> None:
+    """Let `write` fill a temporary file beside `file`, then rename it: whole or not at all."""
+    try:
+        handle, name = tempfile.mkstemp(dir=file.parent, suffix=f".tmp{file.suffix}")
+    except OSError as error:
+        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(file)
+    except OSError as error:
+        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _columns(record: Record) -> dict[str, np.ndarray]:
+    """Time and signals, NaN where a sample is missing, without the samples that pauses take."""
+    values = {name: np.array(array, dtype=float) for name, array in record.arrays.items()}
+    for name, mask in record.missing.items():
+        values[name][np.asarray(mask)] = np.nan
+    time = np.asarray(record.time, dtype=float)
+    if record.stamps is not None:
+        kept = ~_pauses(time, values, float(record.time_step))
+        time, values = time[kept], {name: array[kept] for name, array in values.items()}
+    return {"t": time} | values
+
+
+def _pauses(time: np.ndarray, values: Columns, step: float) -> np.ndarray:
+    """Samples that stand for a pause: nothing is there, and they are off the even grid."""
+    empty = np.all([np.isnan(array) for array in values.values()], axis=0)
+    off = np.abs(np.diff(time) - step) > STEP_TOLERANCE * step
+    return empty & (np.append(off, True) | np.insert(off, 0, True))
+
+
+def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
+    for name in columns:
+        if not name.isprintable() or name != name.strip() or not name.strip('"') == name != "":
+            raise DataError(f"'{name}' cannot name a column in CSV; rename it or write NPZ.")
+    table = np.column_stack(list(columns.values()))
+    missing = np.isnan(table).any()
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        # 17 digits bring every 64-bit number back exactly.
+        if missing:
+            writer.writerows(["" if x != x else f"{x:.17g}" for x in row] for row in table.tolist())
+        else:
+            np.savetxt(stream, table, delimiter=",", fmt="%.17g")
+
+
+def _write_npz(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
+    # NumPy's savez takes names as keywords, and so not all names.
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in columns.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, values, allow_pickle=False)
+
+
+def _write_mat(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
+    import scipy.io
+
+    for name in columns:
+        if not (name.isidentifier() and name.isascii() and name[0].isalpha()) or len(name) > 31:
+            raise DataError(
+                f"'{name}' cannot be a variable in a MAT file; rename it or write CSV or NPZ."
+            )
+    with file.open("wb") as stream:
+        scipy.io.savemat(stream, dict(columns), oned_as="column")
+
+
+def _write_parquet(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    stated = {"t": "s", **units}
+    fields = [
+        pa.field(name, pa.float64(), metadata={"unit": stated[name]} if name in stated else None)
+        for name in columns
+    ]
+    table = pa.table(list(columns.values()), schema=pa.schema(fields))
+    with file.open("wb") as stream:
+        parquet.write_table(table, stream)
+
+
+WRITERS: dict[str, Callable[[Path, Columns, Mapping[str, str]], None]] = {
+    ".csv": _write_csv,
+    ".npz": _write_npz,
+    ".mat": _write_mat,
+    ".parquet": _write_parquet,
+}
+"""How a record is written, by the file name's ending."""
