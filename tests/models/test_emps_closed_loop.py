@@ -1,0 +1,209 @@
+"""The axis under its controller: against closed forms, SciPy, fine steps and static balance."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from riecjax.errors import DataError, ModelError
+from riecjax.models.emps import Axis, ControlledAxis, simulate_sampled_control
+from riecjax.records.record import Record
+from riecjax.simulation.method import FixedStep
+from riecjax.simulation.simulate import simulate
+
+VALUES = {
+    "M": 95.0,
+    "Fv_pos": 170.0,
+    "Fc_pos": 20.0,
+    "Fv_neg": 240.0,
+    "Fc_neg": 21.0,
+    "offset": -3.0,
+}
+
+
+def axis(**changes: float) -> Axis:
+    return Axis(**{name: jnp.asarray(value) for name, value in {**VALUES, **changes}.items()})
+
+
+class Standstill:
+    """SciPy's event: stop where the velocity passes zero in a direction."""
+
+    terminal = True
+
+    def __init__(self, direction: float):
+        self.direction = direction
+
+    def __call__(self, t, x):
+        return x[1]
+
+
+def advance(moved: Axis, position: float, velocity: float, force: float, seconds: float):
+    state = [jnp.asarray(x) for x in (position, velocity, force, seconds)]
+    return moved.advance(state[0], state[1], state[2], state[3])
+
+
+def scipy_advance(q: float, v: float, force: float, seconds: float) -> tuple[float, float]:
+    """Slide by DOP853 until standstill, then stick or slide on the other way."""
+    p, time = VALUES, 0.0
+    drive = force - p["offset"]
+    for _ in range(2):
+        pulled = 1 if drive > p["Fc_pos"] else -1 if drive < -p["Fc_neg"] else 0
+        direction = np.sign(v) if v != 0 else pulled
+        if direction == 0:
+            return q, 0.0
+        viscous, coulomb = (
+            (p["Fv_pos"], p["Fc_pos"]) if direction > 0 else (p["Fv_neg"], -p["Fc_neg"])
+        )
+
+        def rate(t, x, viscous=viscous, coulomb=coulomb):
+            return [x[1], (drive - coulomb - viscous * x[1]) / p["M"]]
+
+        found = solve_ivp(
+            rate,
+            (time, seconds),
+            [q, v],
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-15,
+            events=Standstill(-direction),
+        )
+        q, v, time = found.y[0, -1], found.y[1, -1], found.t[-1]
+        if not found.t_events[0].size:
+            return q, v
+        v = 0.0
+    raise AssertionError("it cannot stop twice under a constant force")
+
+
+@pytest.mark.parametrize("velocity", [0.0, 0.05, -0.05, 2e-4, -2e-4])
+@pytest.mark.parametrize("force", [0.0, 15.0, -22.0, 60.0, -60.0, 4000.0])
+@pytest.mark.parametrize("seconds", [1e-3, 0.8])
+def test_motion_under_a_constant_force_is_exact_through_stops(velocity, force, seconds):
+    expected = scipy_advance(0.1, velocity, force, seconds)
+    found = advance(axis(), 0.1, velocity, force, seconds)
+    np.testing.assert_allclose(found[:2], expected, rtol=1e-9, atol=1e-13)
+    # Its acceleration is where the motion starts to.
+    soon = 1e-6
+    ahead = scipy_advance(0.1, velocity, force, soon)[1]
+    np.testing.assert_allclose(found[2], (ahead - velocity) / soon, rtol=1e-4, atol=1e-6)
+
+
+def test_two_advances_make_one():
+    whole = advance(axis(), 0.0, 0.01, -40.0, 0.4)
+    middle = advance(axis(), 0.0, 0.01, -40.0, 0.2)
+    again = advance(axis(), float(middle[0]), float(middle[1]), -40.0, 0.2)
+    np.testing.assert_allclose(again[:2], whole[:2], rtol=1e-12)
+
+
+def test_without_viscous_friction_the_motion_is_a_parabola():
+    q, v, a = advance(axis(Fv_pos=0.0), 0.0, 0.1, 112.0, 0.5)
+    np.testing.assert_allclose([q, v, a], [0.05 + 0.125, 0.1 + 0.5, 1.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("velocity", [0.05, 2e-4])
+def test_derivatives_through_a_stop_equal_finite_differences(velocity):
+    def reached(Fc, Fv, force):
+        moved = axis(Fc_pos=Fc, Fv_pos=Fv).advance(
+            jnp.asarray(0.0), jnp.asarray(velocity), force, jnp.asarray(0.3)
+        )
+        return moved[0]
+
+    at, h = (20.0, 170.0, -40.0), 1e-4
+    found = jax.grad(reached, argnums=(0, 1, 2))(*at)
+    for i, slope in enumerate(found):
+        ends = [reached(*(x + s * h * (i == j) for j, x in enumerate(at))) for s in (1, -1)]
+        np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * h), rtol=1e-5, atol=1e-12)
+
+
+def ramp_and_hold(count: int = 1500) -> Record:
+    """A reference that moves at 0.1 m/s for half the time and then stands."""
+    time = np.arange(count) * 1e-3
+    return Record({"qg": 0.1 * np.minimum(time, time[count // 2])}, 1e-3)
+
+
+@pytest.mark.parametrize("form", ["continuous", "sampled"])
+def test_follows_a_ramp_as_its_gains_say(form):
+    """In steady motion q' = 0.1, so the force is the friction and qg - q = (0.1 + u / kv) / kp."""
+    system = ControlledAxis(axis())
+    run = simulate if form == "continuous" else simulate_sampled_control
+    record = run(system, ramp_and_hold()).checked().record
+    at = 700
+    friction = 170.0 * 0.1 + 20.0 - 3.0
+    np.testing.assert_allclose(record["dq"][at], 0.1, rtol=1e-3)
+    np.testing.assert_allclose(record["force"][at], friction, rtol=2e-2)
+    lag = (0.1 + friction / (35.15065188 * 243.45)) / 160.18
+    # Held between samples, the controller sees the velocity one sample late: none when steady.
+    np.testing.assert_allclose(record["qg"][at] - record["q"][at], lag, rtol=1e-3)
+
+
+def test_sampled_axis_sticks_where_the_force_is_within_the_friction():
+    record = simulate_sampled_control(ControlledAxis(axis()), ramp_and_hold()).record
+    assert float(jnp.max(jnp.abs(record["dq"][-100:]))) == 0.0
+    assert float(jnp.ptp(record["q"][-100:])) == 0.0
+    drive = record["force"][-100:] + 3.0
+    assert float(jnp.min(drive)) >= -21.0
+    assert float(jnp.max(drive)) <= 20.0
+    np.testing.assert_array_equal(record["ddq"][-100:], 0.0)
+
+
+def test_sampled_record_obeys_the_controller_and_the_equation_of_motion():
+    record = simulate_sampled_control(
+        ControlledAxis(axis()), ramp_and_hold(), initial_state={"q": -0.001}
+    ).record
+    q, dq, force = (np.asarray(record[name]) for name in ("q", "dq", "force"))
+    assert q[0] == -0.001
+    law = 160.18 * (np.asarray(record["qg"]) - q)[2:] - (q[2:] - q[:-2]) / 2e-3
+    np.testing.assert_allclose(force[2:], 35.15065188 * 243.45 * law, rtol=1e-12)
+    moving = slice(20, 700)
+    friction = 170.0 * dq + 20.0 - 3.0
+    np.testing.assert_allclose(
+        95.0 * np.asarray(record["ddq"])[moving], (force - friction)[moving], atol=1e-9
+    )
+
+
+def test_delay_of_one_applies_what_was_commanded_one_sample_before():
+    record = simulate_sampled_control(ControlledAxis(axis()), ramp_and_hold(200), delay=1).record
+    q = np.asarray(record["q"])
+    law = 160.18 * (np.asarray(record["qg"]) - q)[2:] - (q[2:] - q[:-2]) / 2e-3
+    np.testing.assert_allclose(record["force"][3:], 35.15065188 * 243.45 * law[:-1], rtol=1e-12)
+    assert float(record["force"][0]) == 0.0
+
+
+def test_continuous_form_in_motion_depends_neither_on_the_width_nor_on_the_steps():
+    inputs = ramp_and_hold()
+
+    def simulated(smoothing: float, steps: int) -> Record:
+        system = ControlledAxis(axis(), smoothing=smoothing)
+        return simulate(system, inputs, method=FixedStep(steps)).record
+
+    narrow = simulated(2e-6, 64)
+
+    def change(name: str, part: slice, smoothing: float, steps: int) -> float:
+        difference = simulated(smoothing, steps)[name] - narrow[name]
+        return float(jnp.linalg.norm(difference[part]) / jnp.linalg.norm(narrow[name]))
+
+    default = float(ControlledAxis(axis()).smoothing)
+    moving, always = slice(0, 750), slice(0, None)
+    for smoothing, steps in ((default, 8), (default, 32), (5 * default, 8)):
+        assert change("force", moving, smoothing, steps) < 1e-3
+        assert change("q", always, smoothing, steps) < 5e-5
+    # Sticking is another matter: the docstring says that the force fades.
+    assert change("force", always, default, 8) > 1e-3
+
+
+def test_smoothed_friction_is_the_friction_away_from_rest():
+    velocity = jnp.array([-0.1, -0.01, 0.01, 0.1])
+    np.testing.assert_allclose(
+        axis().friction(velocity, 1e-4), axis().friction(velocity), rtol=1e-12
+    )
+    assert float(axis().friction(jnp.array(0.0), 1e-4)) == 0.0
+
+
+def test_unknown_states_delays_and_missing_references_are_refused():
+    system = ControlledAxis(axis())
+    with pytest.raises(ModelError, match="unknown state 'x'"):
+        simulate_sampled_control(system, ramp_and_hold(10), initial_state={"x": 0.0})
+    with pytest.raises(ModelError, match="0 or 1"):
+        simulate_sampled_control(system, ramp_and_hold(10), delay=2)
+    with pytest.raises(DataError, match="no signal 'qg'"):
+        simulate_sampled_control(system, Record({"u": np.zeros(5)}, 1e-3))
