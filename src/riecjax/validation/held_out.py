@@ -1,0 +1,444 @@
+"""Whether a model predicts a recording that it was not identified from.
+
+A simulation that runs to its end has shown nothing yet. The verdict is about the signals: a fit
+(`nrmse_fit`) of 80 % and more is predicted well, of 50 to 80 % roughly, less is not predicted, and
+below 0 % the measured mean would have been the better prediction. A fit of 50 % leaves an error of
+half the signal's standard deviation, 80 % of a fifth.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.errors import DataError, ModelError, SimulationError
+from riecjax.records.record import Record
+from riecjax.simulation.method import AbstractMethod
+from riecjax.simulation.simulate import Simulation, simulate
+from riecjax.simulation.system import AbstractSystem, Quantities
+from riecjax.validation.goodness_of_fit import nrmse_fit, variance_accounted_for
+from riecjax.validation.percentage_error import percentage_error
+
+PREDICTS_WELL = 80.0
+"""Fit in percent from which a signal is predicted well."""
+PREDICTS_ROUGHLY = 50.0
+"""Fit in percent from which a signal is predicted at all."""
+SHORTEST_STRETCH = 20
+"""Samples of an unbroken stretch below which it is skipped: too short to tell a prediction from
+its own start."""
+FREE_POINTS = 16
+"""Measured points at which a state is tested for having no influence on the motion."""
+
+
+class SignalFit(NamedTuple):
+    """How well one signal is predicted, in percent, over `samples` samples."""
+
+    p: Float[Array, ""]
+    """Error of eq. (28); 0 is perfect."""
+    fit: Float[Array, ""]
+    """`nrmse_fit`; 100 is perfect, 0 the measured mean."""
+    vaf: Float[Array, ""]
+    """Variance accounted for; 100 is perfect but for a constant."""
+    samples: int
+
+    @property
+    def grade(self) -> str:
+        """well, roughly, not, worse than its mean; or unknown, of a signal that does not vary."""
+        fit = float(self.fit)
+        if np.isnan(fit):
+            return "unknown"
+        if fit >= PREDICTS_WELL:
+            return "well"
+        if fit >= PREDICTS_ROUGHLY:
+            return "roughly"
+        return "not" if fit >= 0 else "worse than its mean"
+
+
+class HeldOut(eqx.Module):
+    """What became of a model on a recording.
+
+    **Fields:**
+
+    - `signals`: fit of each signal that was compared.
+    - `judged`: those that `predicts` is about: the states, or what the caller named.
+    - `ran`: whether every stretch was simulated to its end; `reason` says why not, else is empty.
+    - `predicts`: it ran, and every judged signal has a fit of at least 50 %.
+    - `verdict`: one sentence about all of this.
+    - `record`: inputs and everything simulated, on the time of the measured record; samples that
+      were not simulated are marked missing.
+    - `stretches`: (first, past last) sample of each simulated stretch.
+    - `started_from`: for each state `measured`, `differences` (of its recorded integral), `given`
+      or `zero`.
+    - `drifting`: positions that are off while their velocity is predicted: free integrals.
+    """
+
+    signals: dict[str, SignalFit]
+    record: Record
+    judged: tuple[str, ...] = eqx.field(static=True)
+    ran: bool = eqx.field(static=True)
+    reason: str = eqx.field(static=True)
+    predicts: bool = eqx.field(static=True)
+    verdict: str = eqx.field(static=True)
+    stretches: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    started_from: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    drifting: tuple[str, ...] = eqx.field(static=True)
+
+    def describe(self) -> dict[str, Any]:
+        """Everything but the record, as plain data for JSON; fits in percent, `None` if unknown."""
+        return {
+            "ran": self.ran,
+            "reason": self.reason,
+            "predicts": self.predicts,
+            "verdict": self.verdict,
+            "signals": {
+                name: {
+                    "p_percent": _plain(one.p),
+                    "fit_percent": _plain(one.fit),
+                    "vaf_percent": _plain(one.vaf),
+                    "samples": one.samples,
+                    "grade": one.grade,
+                    "judged": name in self.judged,
+                }
+                for name, one in self.signals.items()
+            },
+            "stretches": [list(stretch) for stretch in self.stretches],
+            "samples": self.record.sample_count,
+            "samples_simulated": sum(stop - start for start, stop in self.stretches),
+            "started_from": dict(self.started_from),
+            "drifting": list(self.drifting),
+            "rule": {
+                "well_from_fit_percent": PREDICTS_WELL,
+                "roughly_from_fit_percent": PREDICTS_ROUGHLY,
+            },
+        }
+
+
+class _Stretch(NamedTuple):
+    start: int
+    stop: int
+    simulation: Simulation
+    reached: int
+
+
+def validate_held_out(
+    system: AbstractSystem,
+    measured: Record,
+    *,
+    signals: Sequence[str] | None = None,
+    method: AbstractMethod | None = None,
+    initial_state: Mapping[str, Array | float] | None = None,
+) -> HeldOut:
+    """Simulate along the measured inputs from the measured state, and compare.
+
+    Every stretch in which no input lacks a sample is simulated on its own, from the state measured
+    at its start; stretches under 20 samples are skipped. A state that is not recorded starts from
+    one-sided differences if it is the velocity of a recorded state, otherwise from zero, and the
+    verdict says so. Not under jit.
+
+    **Arguments:**
+
+    - `signals`: what to compare and judge. By default every state and other simulated quantity
+      that the record holds is compared, and the states are judged if any is there.
+    - `method`: as for `simulate`.
+    - `initial_state`: state name to value at the start; at later stretches only of those states
+      that are not recorded.
+
+    **Raises:** `DataError` if the record lacks an input or one of `signals`, holds nothing to
+    compare, or has no stretch of 20 samples; `ModelError` for an unknown state.
+    """
+    given = dict(initial_state or {})
+    if unknown := [name for name in given if name not in system.state_names]:
+        raise ModelError(
+            f"unknown state '{unknown[0]}'; the states are: {', '.join(system.state_names)}."
+        )
+    recorded = [name for name in system.state_names if name in measured.arrays]
+    compared = _compared(system, measured, signals)
+    sources = _sources(system, recorded, given)
+    driven, inputs = _driven(system, measured)
+    runs: list[_Stretch] = []
+    for start, stop in _stretches(system, measured, recorded, sources):
+        # What the caller gives holds at the start; further on the record knows better.
+        held = {n: v for n, v in given.items() if not runs or n not in recorded}
+        first = _start(system, measured, start, sources, held)
+        simulation = _run(driven, inputs, start, stop, method, first)
+        reached = min(int(simulation.samples_reached), stop - start)
+        runs.append(_Stretch(start, stop, simulation, reached))
+    record, simulated = _joined(driven, measured, runs)
+    fits = {name: _fit(record[name], measured, name, simulated) for name in compared}
+    reason = _reason(runs)
+    judged = tuple(signals or [name for name in compared if name in recorded] or compared)
+    drifting = _drifting(system, measured, record, simulated, fits)
+    grades = {fits[name].grade for name in judged} - {"unknown"}
+    predicts = not reason and bool(grades) and grades <= {"well", "roughly"}
+    return HeldOut(
+        fits,
+        record,
+        judged,
+        not reason,
+        reason,
+        predicts,
+        _verdict(reason, predicts, {n: fits[n] for n in judged}, drifting, system, sources),
+        tuple((run.start, run.stop) for run in runs),
+        tuple(sources.items()),
+        drifting,
+    )
+
+
+def _compared(
+    system: AbstractSystem, measured: Record, signals: Sequence[str] | None
+) -> tuple[str, ...]:
+    for name in system.input_names:
+        measured.signals[name]
+    made = dict.fromkeys([*system.state_names, *(f"d{name}" for name in system.state_names)])
+    made |= dict.fromkeys(name for name, _ in system.outputs)
+    available = [name for name in made if name not in system.input_names]
+    if signals is not None:
+        for name in signals:
+            if name not in available:
+                raise DataError(
+                    f"the simulation has no signal '{name}' to compare; it has: "
+                    f"{', '.join(available)}."
+                )
+            measured.signals[name]
+        return tuple(signals)
+    compared = tuple(name for name in available if name in measured.arrays)
+    if not compared:
+        raise DataError(
+            f"the record holds nothing that is simulated, so there is nothing to compare; needed "
+            f"is one of: {', '.join(available)}."
+        )
+    return compared
+
+
+def _sources(
+    system: AbstractSystem, recorded: Sequence[str], given: Mapping[str, Any]
+) -> dict[str, str]:
+    """Where the start of each state comes from."""
+    integral = {velocity: state for state, velocity in system.velocity_of.items()}
+    return {
+        name: "given"
+        if name in given
+        else "measured"
+        if name in recorded
+        else "differences"
+        if integral.get(name) in recorded
+        else "zero"
+        for name in system.state_names
+    }
+
+
+def _stretches(
+    system: AbstractSystem, measured: Record, recorded: Sequence[str], sources: Mapping[str, str]
+) -> list[tuple[int, int]]:
+    """Unbroken stretches of the inputs, each from where the state is known."""
+    there = measured.present(recorded)
+    known = np.ones(measured.sample_count, bool) if there is None else np.asarray(there)
+    if "differences" in sources.values():
+        known = known & np.roll(known, -1) & np.roll(known, -2)
+    # Without inputs a pause still breaks the motion: every recorded signal lacks its sample there.
+    names = system.input_names or tuple(recorded) or tuple(measured.arrays)
+    found = []
+    for part in measured.segments(names):
+        starts = np.flatnonzero(known[part])
+        if starts.size and part.stop - part.start - starts[0] >= SHORTEST_STRETCH:
+            found.append((part.start + int(starts[0]), part.stop))
+    if not found:
+        raise DataError(
+            f"no unbroken stretch of {SHORTEST_STRETCH} samples is left in which "
+            f"{', '.join(names)} are recorded."
+        )
+    return found
+
+
+def _start(
+    system: AbstractSystem,
+    measured: Record,
+    start: int,
+    sources: Mapping[str, str],
+    given: Mapping[str, Array | float],
+) -> dict[str, Array]:
+    integral = {velocity: state for state, velocity in system.velocity_of.items()}
+    values: dict[str, Array] = {}
+    for name, source in sources.items():
+        if name in given:
+            values[name] = jnp.asarray(given[name])
+        elif name in measured.arrays:
+            values[name] = measured[name][start]
+        elif source == "differences":
+            q = measured[integral[name]]
+            rise = -3 * q[start] + 4 * q[start + 1] - q[start + 2]
+            values[name] = rise / (2 * measured.time_step)
+    return values
+
+
+class _Undriven(AbstractSystem):
+    """A system without inputs, along a record that only says how many samples there are."""
+
+    inner: AbstractSystem
+
+    inputs: ClassVar[Quantities] = (("", ""),)
+
+    @property
+    def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.inner.states
+
+    @property
+    def outputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.inner.outputs
+
+    def derivative(self, state: Array, inputs: Array) -> Array:
+        return self.inner.derivative(state, inputs[:0])
+
+    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
+        return self.inner.output(state, inputs[:0])
+
+
+def _driven(system: AbstractSystem, measured: Record) -> tuple[AbstractSystem, Record]:
+    """The system with at least one input, and the record of its inputs."""
+    if system.input_names:
+        return system, measured.select(*system.input_names)
+    return _Undriven(system), Record({"": jnp.zeros(measured.sample_count)}, measured.time_step)
+
+
+def _run(
+    system: AbstractSystem,
+    inputs: Record,
+    start: int,
+    stop: int,
+    method: AbstractMethod | None,
+    first: Mapping[str, Array],
+) -> Simulation:
+    count = stop - start
+    # A length of its own for every stretch would compile for every stretch; powers of two do not.
+    length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
+    levels = {
+        name: jnp.concatenate([x[start:stop], jnp.full(length - count, x[stop - 1])])
+        for name, x in inputs.arrays.items()
+    }
+    padded = Record(levels, inputs.time_step, units=inputs.units)
+    return simulate(system, padded, method=method, initial_state=first)
+
+
+def _joined(
+    system: AbstractSystem, measured: Record, runs: Sequence[_Stretch]
+) -> tuple[Record, np.ndarray]:
+    """Everything simulated on the time of the measured record, and where it was simulated."""
+    made = [n for n in runs[0].simulation.record.arrays if n not in system.input_names]
+    simulated = np.zeros(measured.sample_count, bool)
+    arrays = {name: np.zeros(measured.sample_count) for name in made}
+    for run in runs:
+        part = slice(run.start, run.start + run.reached)
+        simulated[part] = True
+        for name in made:
+            values = np.asarray(run.simulation.record[name])
+            arrays[name][part] = values[: run.reached]
+            # Missing samples hold the last value before them, as in every record.
+            arrays[name][part.stop :] = values[run.reached - 1]
+    units = {n: u for n, u in runs[0].simulation.record.units if u} | dict(measured.units)
+    lacking = {} if simulated.all() else {name: jnp.asarray(~simulated) for name in made}
+    signals = {name: jnp.asarray(values) for name, values in arrays.items()}
+    record = measured.with_signals(signals, units, lacking)
+    return record.select(*(n for n in system.input_names if n), *made), simulated
+
+
+def _fit(predicted: Array, measured: Record, name: str, simulated: np.ndarray) -> SignalFit:
+    there = measured.present((name,))
+    kept = jnp.asarray(simulated) if there is None else there & jnp.asarray(simulated)
+    samples = measured[name]
+    return SignalFit(
+        percentage_error(predicted, samples, kept),
+        nrmse_fit(predicted, samples, kept),
+        variance_accounted_for(predicted, samples, kept),
+        int(jnp.sum(kept)),
+    )
+
+
+def _reason(runs: Sequence[_Stretch]) -> str:
+    for run in runs:
+        if run.reached < run.stop - run.start:
+            try:
+                run.simulation.checked()
+            except SimulationError as error:
+                return str(error)
+    return ""
+
+
+def _drifting(
+    system: AbstractSystem,
+    measured: Record,
+    record: Record,
+    simulated: np.ndarray,
+    fits: Mapping[str, SignalFit],
+) -> tuple[str, ...]:
+    """Positions that are not predicted though their velocity is, and that nothing depends on."""
+    candidates = [
+        position
+        for position, velocity in system.velocity_of.items()
+        if position in fits
+        and velocity in fits
+        and fits[position].grade in ("not", "worse than its mean")
+        and fits[velocity].grade in ("well", "roughly")
+    ]
+    if not candidates:
+        return ()
+    chosen = np.flatnonzero(simulated)
+    chosen = chosen[:: max(1, chosen.size // FREE_POINTS)]
+    states = jnp.stack([record[name][chosen] for name in system.state_names], axis=-1)
+    levels = [measured[name][chosen] for name in system.input_names]
+    inputs = jnp.stack(levels, axis=-1) if levels else jnp.zeros((chosen.size, 0))
+    influence = jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
+    column = system.state_names.index
+    return tuple(q for q in candidates if not bool(jnp.any(influence[:, :, column(q)])))
+
+
+_PHRASES = {
+    "well": "predicted well",
+    "roughly": "predicted roughly",
+    "not": "not predicted",
+    "worse than its mean": "predicted worse than by the measured mean",
+}
+
+
+def _verdict(
+    reason: str,
+    predicts: bool,
+    fits: Mapping[str, SignalFit],
+    drifting: Sequence[str],
+    system: AbstractSystem,
+    sources: Mapping[str, str],
+) -> str:
+    if reason:
+        return f"It did not run: {reason}"
+    parts = []
+    for grade, phrase in _PHRASES.items():
+        if names := [name for name, one in fits.items() if one.grade == grade]:
+            shown = ", ".join(f"{float(fits[name].fit):.1f}" for name in names)
+            parts.append(f"{_are(names)} {phrase} (fit {shown} %)")
+    if names := [name for name, one in fits.items() if one.grade == "unknown"]:
+        parts.append(f"{_are(names)} constant in the record and cannot be judged")
+    for name in drifting:
+        parts.append(
+            f"{name} drifts since it only adds up {system.velocity_of[name]}, which is predicted, "
+            f"and nothing in the model pulls it back"
+        )
+    if names := [name for name, source in sources.items() if source == "differences"]:
+        parts.append(f"{_are(names)} not recorded and started from differences")
+    if names := [name for name, source in sources.items() if source == "zero"]:
+        parts.append(f"{_are(names)} not recorded and started from zero")
+    head = (
+        "It ran and predicts the record" if predicts else "It ran but does not predict the record"
+    )
+    return f"{head}: {'; '.join(parts)}."
+
+
+def _are(names: Sequence[str]) -> str:
+    return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'}"
+
+
+def _plain(value: Array) -> float | None:
+    number = float(value)
+    return number if np.isfinite(number) else None

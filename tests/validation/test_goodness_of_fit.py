@@ -1,0 +1,96 @@
+"""Fit and variance accounted for, by hand and against NumPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.records.record import Record
+from riecjax.validation.goodness_of_fit import nrmse_fit, variance_accounted_for
+from riecjax.validation.percentage_error import percentage_error, validate
+
+MEASURES = (nrmse_fit, variance_accounted_for, percentage_error)
+
+
+def pair(seed: int = 0, shape: tuple[int, ...] = (60,)) -> tuple[jax.Array, jax.Array]:
+    rng = np.random.default_rng(seed)
+    measured = 5 + rng.normal(size=shape)
+    return jnp.asarray(measured + 0.3 * rng.normal(size=shape) + 0.2), jnp.asarray(measured)
+
+
+def test_fit_by_hand():
+    # About the mean 3: (-2, 0, 2), of length sqrt 8; the error (1, 0, 1) of length sqrt 2.
+    found = nrmse_fit(jnp.array([2.0, 3.0, 6.0]), jnp.array([1.0, 3.0, 5.0]))
+    np.testing.assert_allclose(found, 50.0, rtol=1e-14)
+
+
+def test_variance_accounted_for_by_hand():
+    # Error (1, 0, 1): variance 2/9; measured 8/3.
+    found = variance_accounted_for(jnp.array([2.0, 3.0, 6.0]), jnp.array([1.0, 3.0, 5.0]))
+    np.testing.assert_allclose(found, 100 * (1 - (2 / 9) / (8 / 3)), rtol=1e-14)
+
+
+def test_mean_has_fit_zero_and_the_signal_itself_a_hundred():
+    _, measured = pair()
+    mean = jnp.full_like(measured, jnp.mean(measured))
+    np.testing.assert_allclose(nrmse_fit(mean, measured), 0.0, atol=1e-12)
+    assert float(nrmse_fit(measured, measured)) == 100.0
+    assert float(nrmse_fit(-measured, measured)) < 0
+
+
+def test_a_constant_error_costs_fit_but_no_variance():
+    _, measured = pair()
+    np.testing.assert_allclose(variance_accounted_for(measured + 7.0, measured), 100.0)
+    assert float(nrmse_fit(measured + 7.0, measured)) < 0
+
+
+def test_batches_agree_with_numpy_over_the_last_axis():
+    predicted, measured = (np.asarray(x) for x in pair(1, (2, 3, 40)))
+    error = measured - predicted
+    spread = np.linalg.norm(measured - measured.mean(-1, keepdims=True), axis=-1)
+    np.testing.assert_allclose(
+        nrmse_fit(jnp.asarray(predicted), jnp.asarray(measured)),
+        100 * (1 - np.linalg.norm(error, axis=-1) / spread),
+    )
+    np.testing.assert_allclose(
+        variance_accounted_for(jnp.asarray(predicted), jnp.asarray(measured)),
+        100 * (1 - error.var(-1) / measured.var(-1)),
+    )
+
+
+@pytest.mark.parametrize("measure", MEASURES)
+@pytest.mark.parametrize("shape", [(60,), (2, 60)])
+def test_missing_samples_are_as_if_they_were_not_there(measure, shape):
+    predicted, measured = pair(2, shape)
+    present = np.random.default_rng(3).uniform(size=60) > 0.3
+    spoiled = jnp.where(jnp.broadcast_to(jnp.asarray(present), shape), measured, 1e6)
+    found = measure(predicted, spoiled, jnp.asarray(present))
+    expected = measure(predicted[..., present], measured[..., present])
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("measure", [nrmse_fit, variance_accounted_for])
+def test_of_a_signal_that_does_not_vary_it_is_not_a_number(measure):
+    assert np.isnan(measure(jnp.arange(5.0), jnp.full(5, 2.0)))
+
+
+def test_derivative_of_the_fit_is_finite_at_perfection_and_right_elsewhere():
+    predicted, measured = pair(4)
+    assert np.all(np.isfinite(jax.grad(nrmse_fit)(measured, measured)))
+    h = 1e-6
+    ends = [nrmse_fit(predicted + s * h, measured) for s in (1, -1)]
+    slope = jnp.sum(jax.grad(nrmse_fit)(predicted, measured))
+    np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * h), rtol=1e-6)
+
+
+def test_validate_leaves_out_what_either_record_lacks():
+    predicted, measured = (np.asarray(x).copy() for x in pair(5))
+    holes = measured.copy()
+    holes[[4, 5, 30]] = np.nan
+    one = Record.from_samples({"x": predicted}, time_step=0.1)
+    other = Record.from_samples({"x": holes}, time_step=0.1)
+    keep = ~np.isnan(holes)
+    expected = 100 * np.linalg.norm((predicted - measured)[keep]) / np.linalg.norm(measured[keep])
+    np.testing.assert_allclose(validate(one, other, ["x"])["x"], expected, rtol=1e-13)
+    swapped = 100 * np.linalg.norm((predicted - measured)[keep]) / np.linalg.norm(predicted[keep])
+    np.testing.assert_allclose(validate(other, one, ["x"])["x"], swapped, rtol=1e-13)

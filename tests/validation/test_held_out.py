@@ -1,0 +1,281 @@
+"""Held-out validation: right, roughly right, wrong, drifting and diverging models told apart."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.errors import DataError, ModelError
+from riecjax.models.oscillators import Duffing, duffing_equation, pendulum_equation
+from riecjax.models.quarter_car.identification import quarter_car_system
+from riecjax.models.two_mass import two_mass_equation
+from riecjax.records.record import Record
+from riecjax.simulation.equation_system import equation_system
+from riecjax.simulation.method import FixedStep
+from riecjax.simulation.simulate import simulate
+from riecjax.validation.held_out import validate_held_out
+
+VALUES = {"m": 1.0, "d": 0.5, "k1": 100.0, "k2": 0.0, "k3": 800.0}
+COUNT, STEP = 1200, 0.01
+
+
+def duffing(**changes: float) -> Duffing:
+    return Duffing(**{name: jnp.asarray(v) for name, v in {**VALUES, **changes}.items()})
+
+
+def drive(count: int = COUNT) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    smooth = np.convolve(rng.normal(size=count + 40), np.hanning(20), "same")[20:-20]
+    return 12 * smooth
+
+
+@pytest.fixture(scope="module")
+def truth() -> Record:
+    inputs = Record({"u": drive()}, STEP, 2.0, {"u": "N"})
+    return simulate(duffing(), inputs, initial_state={"y": 0.1, "dy": -0.4}).checked().record
+
+
+def recorded(truth: Record, *names: str, lost: slice | None = None, **more) -> Record:
+    samples = {name: np.array(truth[name]) for name in ("u", *names)} | more
+    if lost is not None:
+        samples["u"][lost] = np.nan
+    return Record.from_samples(samples, time_step=STEP, units={"u": "N"})
+
+
+def test_truth_predicts_its_own_record_to_rounding(truth):
+    found = validate_held_out(duffing(), recorded(truth, "y", "dy"))
+    assert found.ran
+    assert found.predicts
+    assert found.reason == ""
+    assert set(found.signals) == {"y", "dy"}
+    for one in found.signals.values():
+        assert float(one.fit) > 100 - 1e-9
+        assert float(one.vaf) > 100 - 1e-9
+        assert float(one.p) < 1e-9
+        assert one.samples == COUNT
+    assert dict(found.started_from) == {"y": "measured", "dy": "measured"}
+    np.testing.assert_allclose(found.record["y"], truth["y"], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "predicts", "grades", "words"),
+    [
+        ({"k1": 101.0}, True, {"well", "roughly"}, "predicts the record"),
+        ({"k1": 20.0, "k3": 0.0}, False, {"not", "worse than its mean"}, "does not predict"),
+        ({"m": 1e4}, False, {"not", "worse than its mean"}, "worse than by the measured mean"),
+    ],
+)
+def test_to_run_is_not_to_predict(truth, changes, predicts, grades, words):
+    found = validate_held_out(duffing(**changes), recorded(truth, "y", "dy"))
+    assert found.ran
+    assert found.predicts is predicts
+    assert {one.grade for one in found.signals.values()} <= grades
+    assert words in found.verdict
+    measured, simulated = np.asarray(truth["y"]), np.asarray(found.record["y"])
+    error = measured - simulated
+    expected = 100 * (1 - np.linalg.norm(error) / np.linalg.norm(measured - measured.mean()))
+    np.testing.assert_allclose(found.signals["y"].fit, expected, rtol=1e-10)
+    np.testing.assert_allclose(
+        found.signals["y"].p, 100 * np.linalg.norm(error) / np.linalg.norm(measured), rtol=1e-10
+    )
+    np.testing.assert_allclose(
+        found.signals["y"].vaf, 100 * (1 - error.var() / measured.var()), rtol=1e-10
+    )
+
+
+def test_unrecorded_velocity_starts_from_differences(truth):
+    found = validate_held_out(duffing(), recorded(truth, "y"))
+    assert dict(found.started_from)["dy"] == "differences"
+    assert "dy is not recorded and started from differences" in found.verdict
+    # Of second order: its error is y''' dt^2 / 3.
+    jerk = np.max(np.abs(np.diff(np.asarray(truth["ddy"])[:5]))) / STEP
+    assert abs(float(found.record["dy"][0]) + 0.4) < jerk * STEP**2
+    assert found.predicts
+
+
+def test_unrecorded_position_starts_from_zero_and_is_said_so(truth):
+    found = validate_held_out(duffing(), recorded(truth, "dy"))
+    assert dict(found.started_from)["y"] == "zero"
+    assert "y is not recorded and started from zero" in found.verdict
+    given = validate_held_out(duffing(), recorded(truth, "dy"), initial_state={"y": 0.1})
+    assert "zero" not in given.verdict
+    assert float(given.signals["dy"].fit) > max(float(found.signals["dy"].fit), 99.9999)
+
+
+def test_each_stretch_restarts_from_its_measured_state(truth):
+    """A wrong model starts right again after a gap; nothing is compared across it."""
+    wrong = duffing(k1=60.0)
+    found = validate_held_out(wrong, recorded(truth, "y", "dy", lost=slice(500, 530)))
+    assert found.stretches == ((0, 500), (530, COUNT))
+    assert float(found.record["y"][530]) == float(truth["y"][530])
+    assert found.signals["y"].samples == COUNT - 30
+    assert np.array_equal(np.flatnonzero(found.record.missing["y"]), np.arange(500, 530))
+    for start, stop in found.stretches:
+        alone = simulate(
+            wrong,
+            truth.select("u").part(start, stop),
+            initial_state={name: truth[name][start] for name in ("y", "dy")},
+        ).record
+        np.testing.assert_allclose(found.record["y"][start:stop], alone["y"], atol=1e-10)
+    kept = np.r_[0:500, 530:COUNT]
+    y, made = np.asarray(truth["y"])[kept], np.asarray(found.record["y"])[kept]
+    expected = 100 * (1 - np.linalg.norm(y - made) / np.linalg.norm(y - y.mean()))
+    np.testing.assert_allclose(found.signals["y"].fit, expected, rtol=1e-9)
+
+
+def test_short_stretches_are_skipped_and_none_at_all_is_an_error(truth):
+    lost = np.array(truth["u"])
+    lost[10:1000] = np.nan
+    record = Record.from_samples({"u": lost, "y": truth["y"], "dy": truth["dy"]}, time_step=STEP)
+    assert validate_held_out(duffing(), record).stretches == ((1000, COUNT),)
+    lost[::15] = np.nan
+    record = Record.from_samples({"u": lost, "y": truth["y"], "dy": truth["dy"]}, time_step=STEP)
+    with pytest.raises(DataError, match="no unbroken stretch of 20 samples"):
+        validate_held_out(duffing(), record)
+
+
+def test_missing_outputs_are_not_compared_and_delay_the_start(truth):
+    y, dy = np.array(truth["y"]), np.array(truth["dy"])
+    y[:7] = np.nan
+    y[100:200] = np.nan
+    record = recorded(truth, y=y, dy=dy)
+    found = validate_held_out(duffing(), record)
+    assert found.stretches == ((7, COUNT),)
+    assert found.signals["y"].samples == COUNT - 107
+    assert found.signals["dy"].samples == COUNT - 7
+    assert float(found.signals["y"].fit) > 100 - 1e-9
+
+
+def test_a_simulation_that_is_lost_did_not_run_and_does_not_predict(truth):
+    found = validate_held_out(duffing(k3=-1e5), recorded(truth, "y", "dy"))
+    assert not found.ran
+    assert not found.predicts
+    assert found.verdict.startswith("It did not run: simulation lost its solution after")
+    assert found.reason in found.verdict
+    assert "y" in found.record.missing
+
+
+def free_mass() -> tuple[Equation, Record]:
+    equation = two_mass_equation()
+    inputs = Record({"F": 10 * np.cos(5 * STEP * np.arange(4000))}, STEP)
+    truth = simulate(equation_system(equation, {"M": 2.0}), inputs).record
+    return equation, truth
+
+
+def test_free_body_whose_velocity_predicts_and_whose_position_drifts_is_explained():
+    equation, truth = free_mass()
+    time = np.asarray(truth.time)
+    # The sensor misses a small constant force that the body felt.
+    measured = truth.with_signals(
+        {"dz": truth["dz"] + 0.01 * time, "z": truth["z"] + 0.005 * time**2}
+    ).select("F", "z", "dz")
+    found = validate_held_out(equation_system(equation, {"M": 2.0}), measured)
+    assert found.signals["dz"].grade in ("well", "roughly")
+    assert found.signals["z"].grade in ("not", "worse than its mean")
+    assert found.drifting == ("z",)
+    assert not found.predicts
+    assert "z drifts since it only adds up dz, which is predicted" in found.verdict
+    velocity = validate_held_out(equation_system(equation, {"M": 2.0}), measured, signals=["dz"])
+    assert velocity.predicts
+    assert "z" not in velocity.signals
+
+
+def test_a_position_that_a_spring_holds_does_not_drift(truth):
+    tilted = truth.with_signals({"y": truth["y"] + 0.5 * jnp.arange(COUNT) * STEP})
+    found = validate_held_out(duffing(), tilted.select("u", "y", "dy"))
+    assert found.signals["y"].grade in ("not", "worse than its mean")
+    assert found.drifting == ()
+    assert "drifts" not in found.verdict
+
+
+def test_a_free_swing_needs_no_input():
+    values = {"p1": 60.0, "p2": 0.3}
+    system = equation_system(pendulum_equation(), values)
+    start = jnp.array([2.0, 0.0])
+    states, _, _ = FixedStep().trajectory(system, jnp.zeros((500, 0)), jnp.array(0.01), start)
+    theta = np.asarray(states[:, 0])
+    record = Record.from_samples({"theta": theta}, time_step=0.01, units={"theta": "rad"})
+    found = validate_held_out(system, record, initial_state={"dtheta": 0.0})
+    assert found.predicts
+    assert float(found.signals["theta"].fit) > 100 - 1e-6
+    assert "" not in found.record.arrays
+    assert dict(found.record.units)["theta"] == "rad"
+    broken = np.array(theta)
+    broken[200:210] = np.nan
+    record = Record.from_samples({"theta": broken}, time_step=0.01)
+    assert validate_held_out(system, record).stretches == ((0, 200), (210, 500))
+
+
+def test_outputs_and_accelerations_are_compared_but_the_states_are_judged():
+    values = {
+        "K_t": 180e3,
+        "M_us": 45.0,
+        "M_s": 300.0,
+        "K_s": 20e3,
+        "F_1": -900.0,
+        "F_2": -500.0,
+        "F_3": 700.0,
+        "F_4": 1300.0,
+    }
+    system = quarter_car_system({name: jnp.asarray(v) for name, v in values.items()})
+    inputs = Record({"v_r": 0.05 * drive(600)}, 0.005)
+    truth = simulate(system, inputs).record
+    spoiled = truth.with_signals({"F_t": -truth["F_t"]}).select("v_r", "x4", "dx4", "F_t")
+    found = validate_held_out(system, spoiled)
+    assert set(found.signals) == {"x4", "dx4", "F_t"}
+    assert found.judged == ("x4",)
+    assert found.predicts
+    assert found.signals["F_t"].grade == "worse than its mean"
+    assert not validate_held_out(system, spoiled, signals=["x4", "F_t"]).predicts
+    only = validate_held_out(system, spoiled.select("v_r", "F_t"))
+    assert only.judged == ("F_t",)
+
+
+def test_units_time_and_inputs_of_the_record_are_kept(truth):
+    record = truth.select("u", "y")
+    found = validate_held_out(equation_system(duffing_equation(), VALUES), record)
+    assert dict(found.record.units) == {"u": "N", "y": "m"}
+    np.testing.assert_array_equal(found.record.time, truth.time)
+    np.testing.assert_array_equal(found.record["u"], truth["u"])
+
+
+def test_description_is_plain_data_with_unknown_numbers_left_out():
+    still = Record({"u": np.zeros(50), "y": np.zeros(50)}, STEP)
+    found = validate_held_out(duffing(), still)
+    plain = json.loads(json.dumps(found.describe(), allow_nan=False))
+    assert plain["signals"]["y"]["fit_percent"] is None
+    assert plain["signals"]["y"]["grade"] == "unknown"
+    assert plain["predicts"] is False
+    assert "cannot be judged" in plain["verdict"]
+    assert plain["samples_simulated"] == plain["samples"] == 50
+    assert plain["stretches"] == [[0, 50]]
+
+
+def test_what_is_asked_for_and_not_there_is_named(truth):
+    record = recorded(truth, "y")
+    with pytest.raises(DataError, match="no signal 'u'"):
+        validate_held_out(duffing(), truth.select("y"))
+    with pytest.raises(DataError, match="no signal 'F' to compare; it has: y, dy, ddy"):
+        validate_held_out(duffing(), record, signals=["F"])
+    with pytest.raises(DataError, match="no signal 'dy'"):
+        validate_held_out(duffing(), record, signals=["dy"])
+    with pytest.raises(DataError, match="nothing to compare"):
+        validate_held_out(duffing(), truth.select("u"))
+    with pytest.raises(ModelError, match="unknown state 'v'"):
+        validate_held_out(duffing(), record, initial_state={"v": 0.0})
+
+
+def test_velocity_under_another_name_is_recognised():
+    equation = Equation(
+        Term("m", "y", derivative=2, measured=("v",)), Term("k", "y"), -Term(1.0, "u")
+    )
+    system = equation_system(equation, {"m": 1.0, "k": 50.0})
+    truth = simulate(
+        system, Record({"u": drive(300)}, STEP), initial_state={"y": 0.3, "v": 2.0}
+    ).record
+    found = validate_held_out(system, truth.select("u", "y"))
+    assert dict(found.started_from) == {"y": "measured", "v": "differences"}
+    np.testing.assert_allclose(found.record["v"][0], 2.0, atol=0.1)
