@@ -83,7 +83,11 @@ def _pauses(time: np.ndarray, values: Columns, step: float) -> np.ndarray:
     """Samples that stand for a pause: nothing is there, and they are off the even grid."""
     empty = np.all([np.isnan(array) for array in values.values()], axis=0)
     off = np.abs(np.diff(time) - step) > STEP_TOLERANCE * step
-    return empty & (np.append(off, True) | np.insert(off, 0, True))
+    # An empty sample beside a pause is a real one, and the pause's lies midway; at an end of a
+    # record that was cut there is nothing to lie midway of.
+    midway = np.ones(time.size, bool)
+    midway[1:-1] = np.isclose(time[1:-1], 0.5 * (time[:-2] + time[2:]), rtol=0, atol=1e-6 * step)
+    return empty & midway & (np.append(off, False) | np.insert(off, 0, False))
 
 
 def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:

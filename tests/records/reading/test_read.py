@@ -1,6 +1,5 @@
 import csv
 import os
-import tempfile
 import zipfile
 from pathlib import Path
 
@@ -8,15 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.io
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from riecjax.errors import DataError
-from riecjax.records import writing
 from riecjax.records.reading import limits
 from riecjax.records.reading.read import read_record
-from riecjax.records.writing import write_record, write_whole
-from riecjax.records.record import Record
 
 ENDINGS = (".csv", ".npz", ".mat")
 TIME = np.arange(5) * 0.1
@@ -35,55 +29,6 @@ def write_columns(folder: Path, ending: str, columns: dict[str, np.ndarray]) -> 
             writer.writerow(columns)
             writer.writerows(np.column_stack(list(columns.values())).tolist())
     return path
-
-
-def bits(values: object) -> list[int]:
-    return np.asarray(values, float).view(np.int64).tolist()
-
-
-def no_temporaries(folder: Path, *expected: str) -> None:
-    assert sorted(path.name for path in folder.iterdir()) == sorted(expected)
-
-
-finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-@given(st.lists(st.tuples(finite, finite), min_size=2, max_size=12), st.floats(1e-6, 1e3))
-@settings(max_examples=25, deadline=None)
-def test_round_trip_is_exact_to_the_bit(ending, samples, step):
-    first, second = np.array(samples).T
-    record = Record({"b": first, "a_2": second}, step)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"record{ending}"
-        write_record(path, record)
-        back = read_record(path)
-    assert set(back.arrays) == {"a_2", "b"}
-    assert bits(back["b"]) == bits(first)
-    assert bits(back["a_2"]) == bits(second)
-    # The step is not in the file but formed from the times: two roundings.
-    np.testing.assert_allclose(back.time_step, step, rtol=1e-14)
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_start_time_is_kept(tmp_path, ending):
-    write_record(tmp_path / f"a{ending}", Record({"x": np.zeros(4)}, 0.25, 3.5))
-    assert read_record(tmp_path / f"a{ending}").time.tolist() == [3.5, 3.75, 4.0, 4.25]
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_written_files_are_read_by_their_own_tools(tmp_path, ending):
-    path = tmp_path / f"a{ending}"
-    values = np.array([1 / 3, -2e-308, 1e300])
-    write_record(path, Record({"x": values}, 0.5))
-    if ending == ".csv":
-        table = np.genfromtxt(path, delimiter=",", names=True)
-    elif ending == ".npz":
-        table = np.load(path)
-    else:
-        table = {k: v.ravel() for k, v in scipy.io.loadmat(path).items() if k in ("t", "x")}
-    assert table["t"].tolist() == [0.0, 0.5, 1.0]
-    assert bits(table["x"]) == bits(values)
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -166,92 +111,6 @@ def test_vectors_of_any_layout_and_number_type(tmp_path, shape, dtype):
     values = np.array([0, 1, 1, 0, 1], dtype)
     np.savez(tmp_path / "a.npz", t=TIME, x=values.reshape(shape))
     assert read_record(tmp_path / "a.npz")["x"].tolist() == [0, 1, 1, 0, 1]
-
-
-def refusal(path: Path, record: Record) -> str | None:
-    try:
-        write_record(path, record)
-    except DataError as error:
-        return str(error)
-    return None
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-@pytest.mark.parametrize("name", ["speed, left", "file", "allow_pickle", "_hidden", "größe"])
-def test_signal_names_survive_or_are_refused(tmp_path, ending, name):
-    # Whatever a name may hold, a signal is never lost or mixed up without a word.
-    path = tmp_path / f"a{ending}"
-    message = refusal(path, Record({name: TIME, "y": 2 * TIME}, 0.1))
-    if message is None:
-        assert set(read_record(path).arrays) == {name, "y"}
-    else:
-        assert name in message
-        no_temporaries(tmp_path)
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_a_signal_called_t_does_not_replace_the_time(tmp_path, ending):
-    path = tmp_path / f"a{ending}"
-    with pytest.raises(DataError, match="'t'"):
-        write_record(path, Record({"t": np.array([5.0, 4.0, 7.0]), "x": np.zeros(3)}, 0.1))
-    no_temporaries(tmp_path)
-
-
-def test_failing_writer_leaves_nothing(tmp_path):
-    def fail(temporary: Path) -> None:
-        temporary.write_text("half of it")
-        raise RuntimeError("out of ideas")
-
-    with pytest.raises(RuntimeError, match="out of ideas"):
-        write_whole(tmp_path / "a.csv", fail)
-    no_temporaries(tmp_path)
-
-
-def test_full_disk_is_reported_and_leaves_the_old_file(tmp_path, monkeypatch):
-    target = tmp_path / "a.csv"
-    target.write_text("old")
-
-    def fail(temporary: Path, *_columns: object) -> None:
-        temporary.write_text("half of it")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setitem(writing.WRITERS, ".csv", fail)
-    with pytest.raises(DataError, match="No space left on device"):
-        write_record(target, Record({"x": TIME}, 0.1))
-    assert target.read_text() == "old"
-    no_temporaries(tmp_path, "a.csv")
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_an_existing_file_is_replaced_whole(tmp_path, ending):
-    path = tmp_path / f"a{ending}"
-    path.write_bytes(b"x" * 100_000)
-    write_record(path, Record({"x": TIME}, 0.1))
-    assert set(read_record(path).arrays) == {"x"}
-    no_temporaries(tmp_path, path.name)
-
-
-def test_written_file_has_the_usual_permissions(tmp_path):
-    ordinary = tmp_path / "ordinary"
-    ordinary.touch()
-    write_record(tmp_path / "a.csv", Record({"x": TIME}, 0.1))
-    assert (tmp_path / "a.csv").stat().st_mode == ordinary.stat().st_mode
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("a.xlsx", "ending must be one of .csv, .npz, .mat"), ("no/a.csv", "there is no folder")],
-)
-def test_unwritable_targets(tmp_path, name, message):
-    with pytest.raises(DataError, match=message):
-        write_record(tmp_path / name, Record({"x": TIME}, 0.1))
-    no_temporaries(tmp_path)
-
-
-def test_a_folder_is_no_target(tmp_path):
-    (tmp_path / "a.csv").mkdir()
-    with pytest.raises(DataError, match="it is a folder"):
-        write_record(tmp_path / "a.csv", Record({"x": TIME}, 0.1))
 
 
 def test_a_file_that_may_not_be_read(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """How a text file writes its table: delimiter, decimal sign, header and where the numbers begin."""
 
 import csv
+import itertools
 import re
 from collections import Counter
 from typing import NamedTuple
@@ -133,7 +134,7 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
     # The usual row is data; of equally usual ones the one with fewest texts.
     pattern = max(usual, key=lambda kind: (usual[kind], -kind.count("T"), len(kind)))
     first = next(place for place, kind in kinds.items() if _fits(kind, pattern))
-    header, units, start = _header(rows, kinds, first, len(pattern))
+    header, units, start = _header(rows, kinds, first, pattern)
     if header is None:
         header, names = _commented_header(lines, dialect, first, len(pattern))
     else:
@@ -164,20 +165,13 @@ def _fits(kind: str, pattern: str) -> bool:
 
 
 def _header(
-    rows: dict[int, list[str]], kinds: dict[int, str], first: int, width: int
+    rows: dict[int, list[str]], kinds: dict[int, str], first: int, pattern: str
 ) -> tuple[int | None, list[str], int]:
     """Line of the names, the units by position, and the line where data begins."""
-    above: list[int] = []
-    for place in reversed([place for place in rows if place < first]):
-        if len(_without_empty_end(rows[place])) > width or (
-            not above and len(rows[place]) == 1 < width
-        ):
-            break
-        above.append(place)
-        if len(rows[place]) != width:
-            break
-    if not above:
-        return None, [], first
+    preceding = [place for place in reversed(rows) if place < first]
+    above = list(itertools.takewhile(lambda place: _as_wide(rows[place], pattern), preceding))
+    # Where no row above is as wide, the last one tells how many names there are instead.
+    above = above or preceding[:1]
     # A row that is partly numbers below a row of names is data that went wrong, not a header.
     texts = [place for place in above if "T" in kinds[place] and not set(kinds[place]) & {"N", "S"}]
     fallback = [place for place in above if "T" in kinds[place]]
@@ -191,6 +185,13 @@ def _header(
     if upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
         return upper, [bare_unit(field) for field in rows[last]], _after(rows, last)
     return last, [], _after(rows, last)
+
+
+def _as_wide(fields: list[str], pattern: str) -> bool:
+    """Whether a row has a field for each column; a delimiter at the end of a row makes none."""
+    filled = len(_without_empty_end(fields))
+    width = len(pattern)
+    return width in (filled, len(fields)) or (filled < width and set(pattern[filled:]) == {"M"})
 
 
 def _after(rows: dict[int, list[str]], place: int) -> int:

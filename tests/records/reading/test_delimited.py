@@ -1,0 +1,340 @@
+"""Text files as loggers and spreadsheets write them, each by hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from riecjax.errors import DataError
+from riecjax.records.reading.delimited import LONGEST_LINE
+from riecjax.records.reading.read import read_channels, read_record
+
+LONG = 900
+"""Rows of a file much longer than what its dialect is decided on."""
+
+
+def columns(folder: Path, text: str | bytes, name: str = "a.csv", **dialect: str):
+    path = folder / name
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return read_channels(path, **dialect)
+
+
+def values(folder: Path, text: str | bytes, **dialect: str) -> dict[str, list[float]]:
+    return {k: v.tolist() for k, v in columns(folder, text, **dialect).columns.items()}
+
+
+def message(folder: Path, text: str | bytes, **dialect: str) -> str:
+    with pytest.raises(DataError) as raised:
+        columns(folder, text, **dialect)
+    assert str(raised.value).startswith("a.csv: ")
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+TX = {"t": [0.0, 0.5, 1.0], "x": [1.5, -2e-3, 3.25]}
+READABLE = {
+    "comma": "t,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
+    "semicolon": "t;x\n0;1.5\n0.5;-2e-3\n1;3.25\n",
+    "tab": "t\tx\n0\t1.5\n0.5\t-2e-3\n1\t3.25\n",
+    "bar": "t|x\n0|1.5\n0.5|-2e-3\n1|3.25\n",
+    "blanks": "   t     x\n   0   1.5\n 0.5 -2e-3\n   1  3.25\n",
+    "comma and blank": "t, x\n0, 1.5\n0.5, -2e-3\n1, 3.25\n",
+    "decimal comma": "t;x\n0;1,5\n0,5;-2e-3\n1;3,25\n",
+    "decimal comma and tab": "t\tx\n0\t1,5\n0,5\t-2E-03\n1,0\t3,25\n",
+    "decimal comma in quotes": 't,x\n"0","1,5"\n"0,5","-2e-3"\n"1","3,25"\n',
+    "decimal comma, blanks": "t x\n0 1,5\n0,5 -2e-3\n1 3,25\n",
+    "quotes": '"t","x"\n"0","1.5"\n"0.5","-2e-3"\n"1","3.25"\n',
+    "no line end": "t,x\n0,1.5\n0.5,-2e-3\n1,3.25",
+    "old line ends": "t,x\r0,1.5\r0.5,-2e-3\r1,3.25\r",
+    "blank lines": "\n\nt,x\n\n0,1.5\n0.5,-2e-3\n   \n1,3.25\n\n\n",
+    "end delimiter in rows": "t,x\n0,1.5,\n0.5,-2e-3,\n1,3.25,\n",
+    "end delimiter throughout": "t;x;\n0;1,5;\n0,5;-2e-3;\n1;3,25;\n",
+    "end delimiter in the header": "t,x,\n0,1.5\n0.5,-2e-3\n1,3.25\n",
+    "empty rows of a spreadsheet": "t,x,,\n0,1.5,,\n0.5,-2e-3,,\n1,3.25,,\n,,,\n,,,\n",
+    "comments": "# by a logger\n%two\nt,x\n0,1.5\n# paused, twice\n0.5,-2e-3\n//x\n1,3.25\n",
+    "header in a comment": "# made by savetxt\n# t x\n0 1.5\n0.5 -2e-3\n1 3.25\n",
+    "preamble": "Logger 7\nOperator: Ann\nRate,100,Hz\nGain,2\n\nt,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
+    "preamble as wide as the table": "Title,Run 7\nGain,2\nt,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
+    "plus signs": "t,x\n+0,+1.5\n+0.5,-2e-3\n+1,+3.25\n",
+    "Fortran": "t,x\n0.,.15D+01\n.5,-2d-3\n1.,3.25D0\n",
+    "semicolon comments": ";by a logger\nt,x\n0,1.5\n;paused\n0.5,-2e-3\n1,3.25\n",
+}
+
+
+@pytest.mark.parametrize("case", READABLE)
+@pytest.mark.parametrize(
+    "encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"]
+)
+def test_one_table_in_every_dialect_and_encoding(tmp_path, case, encoding):
+    assert values(tmp_path, READABLE[case].encode(encoding)) == TX
+
+
+@pytest.mark.parametrize("case", [name for name in READABLE if "empty rows" not in name])
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+def test_dialects_of_long_files(tmp_path, case, ending):
+    # The dialect is decided on the first lines only, and the rest must be read alike.
+    cut = READABLE[case].rstrip("\n\r")
+    last = cut.replace("\r", "\n").split("\n")[-1]
+    text = cut + "\n" + "\n".join([last] * LONG) + "\n"
+    if "old line" in case:
+        text = text.replace("\r", "\n")
+    found = values(tmp_path, text.replace("\n", ending))
+    assert found == {"t": TX["t"] + [1.0] * LONG, "x": TX["x"] + [3.25] * LONG}
+
+
+MISSING = ["", "NaN", "nan", "NA", "N/A", "#N/A", "null", "NULL", "-", "None", " ", "1.#QNAN"]
+
+
+@pytest.mark.parametrize("text", MISSING)
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_missing_values_are_nan(tmp_path, text, delimiter):
+    rows = [["t", "x", "y"], ["0", "1", "2"], ["1", text, "3"], ["2", "5", text], ["3", "7", "8"]]
+    found = values(tmp_path, "\n".join(delimiter.join(row) for row in rows))
+    np.testing.assert_array_equal(found["x"], [1, np.nan, 5, 7])
+    np.testing.assert_array_equal(found["y"], [2, 3, np.nan, 8])
+
+
+def test_missing_samples_are_marked_in_the_record(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x,y\n0,1,2\n1,,3\n2,5,4\n")
+    record = read_record(tmp_path / "a.csv")
+    assert np.asarray(record.missing["x"]).tolist() == [False, True, False]
+    assert set(record.missing) == {"x"}
+
+
+def test_a_blank_line_in_a_single_column_is_a_missing_sample(tmp_path):
+    # Leaving it out would move all later samples by a time step.
+    np.testing.assert_array_equal(values(tmp_path, "x\n1\n\n3\n\n")["x"], [1, np.nan, 3])
+
+
+def test_a_column_without_a_number_is_no_signal_but_does_no_harm(tmp_path):
+    (tmp_path / "a.csv").write_text("t,spare,x\n0,,1\n1,,2\n2,,4\n")
+    assert set(read_record(tmp_path / "a.csv").arrays) == {"x"}
+    with pytest.raises(DataError, match="'y' holds no number at all"):
+        read_record(tmp_path / "a.csv", rename={"y": "spare"})
+
+
+UNITS = {
+    "in square brackets": "t [s],a [m/s2],F\n0,1,2\n1,2,3\n",
+    "in round brackets": "t (s),a (m/s2),F\n0,1,2\n1,2,3\n",
+    "in a row": "t,a,F\ns,m/s2,\n0,1,2\n1,2,3\n",
+    "in a row of brackets": "t,a,F\n[s],[m/s2],[]\n0,1,2\n1,2,3\n",
+    "apart by blanks": "t [s]  a [m/s2]  F\n0 1 2\n1 2 3\n",
+}
+
+
+@pytest.mark.parametrize("case", UNITS)
+def test_units(tmp_path, case):
+    channels = columns(tmp_path, UNITS[case])
+    by_place = [channels.units.get(name) for name in channels.columns]
+    assert by_place == ["s", "m/s2", None]
+    record = read_record(tmp_path / "a.csv", rename={"acc": "a"})
+    assert dict(record.units) == {"acc": "m/s2"}
+    assert record["acc"].tolist() == [1.0, 2.0]
+
+
+def test_what_stands_in_round_brackets_need_not_be_a_unit(tmp_path):
+    channels = columns(tmp_path, "t,speed (left),speed (right),x[0]\n0,1,2,3\n1,2,3,4\n")
+    assert channels.units == {}
+    assert list(channels.columns) == ["t", "speed (left)", "speed (right)", "x[0]"]
+
+
+def test_a_name_without_its_unit_must_be_the_only_one(tmp_path):
+    (tmp_path / "a.csv").write_text("t,F (N),F (kN)\n0,1,2\n1,2,3\n")
+    assert "F (kN)" in read_record(tmp_path / "a.csv", rename={"f": "F (N)"}).arrays
+    with pytest.raises(DataError, match=r"'F' may be any of: F \(N\), F \(kN\)"):
+        read_record(tmp_path / "a.csv", rename={"f": "F"})
+
+
+def test_what_is_scaled_loses_the_unit_of_the_file(tmp_path):
+    (tmp_path / "a.csv").write_text("t,F (kN),x (mm)\n0,1,2\n1,2,3\n")
+    record = read_record(tmp_path / "a.csv", rename={"F": "F"}, scale={"F (kN)": 1e3})
+    assert record["F"].tolist() == [1e3, 2e3]
+    assert dict(record.units) == {"x (mm)": "mm"}
+
+
+@pytest.mark.parametrize(
+    ("head", "step"),
+    [("t", 2), ("time (s)", 2), ("Time [ms]", 2e-3), ("t (µs)", 2e-6), ("time [min]", 120)],
+)
+def test_the_unit_of_time_is_converted(tmp_path, head, step):
+    (tmp_path / "a.csv").write_text(f"x,{head}\n5,0\n6,2\n7,4\n")
+    np.testing.assert_allclose(read_record(tmp_path / "a.csv").time_step, step, rtol=1e-14)
+
+
+def test_an_unknown_unit_of_time_is_asked_for(tmp_path):
+    (tmp_path / "a.csv").write_text("clock [ticks],x\n0,5\n2,6\n4,7\n")
+    with pytest.raises(DataError, match="'ticks', which is not known; scale it"):
+        read_record(tmp_path / "a.csv", rename={"t": "clock"})
+    record = read_record(tmp_path / "a.csv", rename={"t": "clock"}, scale={"clock": 0.25})
+    assert float(record.time_step) == 0.5
+
+
+STAMPS = {
+    "ISO": ["2024-05-01T23:59:59.5", "2024-05-02T00:00:00.25", "2024-05-02T00:00:01"],
+    "blank": ["2024-05-01 10:00:00", "2024-05-01 10:00:00.750", "2024-05-01 10:00:01.5"],
+    "zone": ["2024-03-31T01:59:59.5+01:00", "2024-03-31T03:00:00.25+02:00", "2024-03-31T01:00:01Z"],
+    "clock": ["10:00:00.0", "10:00:00.75", "10:00:01.50"],
+    "past midnight": ["23:59:59.5", "00:00:00.25", "00:00:01"],
+    "elapsed": ["100:00:00.0", "100:00:00.75", "100:00:01.50"],
+}
+
+
+@pytest.mark.parametrize("case", STAMPS)
+def test_time_stamps_become_seconds_from_the_first(tmp_path, case):
+    text = "time,x\n" + "".join(f"{stamp},{i}\n" for i, stamp in enumerate(STAMPS[case]))
+    assert values(tmp_path, text)["time"] == [0.0, 0.75, 1.5]
+
+
+def test_time_stamps_with_a_decimal_comma(tmp_path):
+    text = "time;x\n10:00:00,000;1,5\n10:00:00,750;2,5\n10:00:01,500;3\n"
+    assert values(tmp_path, text)["time"] == [0.0, 0.75, 1.5]
+
+
+def test_nanoseconds_of_time_stamps_survive(tmp_path):
+    stamps = [f"2024-05-01T10:00:{i // 1000:02d}.{i % 1000:03d}000000" for i in range(3000)]
+    text = "time,x\n" + "".join(f"{stamp},1\n" for stamp in stamps)
+    np.testing.assert_allclose(
+        values(tmp_path, text)["time"], np.arange(3000) * 1e-3, rtol=0, atol=1e-11
+    )
+
+
+def test_a_text_column_is_left_out_with_a_note(tmp_path):
+    channels = columns(tmp_path, "t,x,remark\n0,1,ok\n1,2,late\n2,3,\n")
+    assert list(channels.columns) == ["t", "x"]
+    assert "'ok' on line 2" in channels.left_out["remark"]
+    assert any("remark" in note for note in channels.notes)
+    with pytest.raises(DataError, match="'remark' cannot be a signal: it holds text, 'ok'"):
+        read_record(tmp_path / "a.csv", rename={"x": "remark"})
+
+
+def test_remarks_may_hold_the_delimiter_in_quotes(tmp_path):
+    text = 't,remark,x\n0,"cold, wet",1.5\n0.5,"say ""no""",-2e-3\n1,plain,3.25\n'
+    assert values(tmp_path, text) == TX
+
+
+@pytest.mark.parametrize("bad", ["abc", "1.2.3", "1,5", "0x10", "1_000", "--5", "1e"])
+def test_one_bad_number_among_many_is_an_error_that_names_its_line(tmp_path, bad):
+    rows = [[str(i), str(2 * i)] for i in range(700)]
+    rows[600][1] = bad
+    text = "# comment\nt;x\n" + "\n".join(";".join(row) for row in rows)
+    assert f"line 603: '{bad}' is not a number" in message(tmp_path, text)
+
+
+def test_the_line_of_a_bad_number_counts_comments_and_blank_lines(tmp_path):
+    rows = "".join(f"{i},{i}\n" for i in range(20))
+    text = f"made today\n\nt,x\ns,m\n# one\n\n{rows}#two\n20,abc\n"
+    assert "line 28: 'abc'" in message(tmp_path, text)
+
+
+ERRORS = {
+    "empty": ("", "first row must name the columns"),
+    "blank": ("\n \n", "first row must name the columns"),
+    "no header": ("0,1\n1,2\n2,3\n", "first row must name the columns"),
+    "header only": ("t,x\n", "no samples below the column names"),
+    "prose": ("Once upon a time\nthere was a file\n", "no samples"),
+    "too few names": ("t,x\n0,1,5\n1,2,5\n", "2 column names but 3 columns"),
+    "too many names": ("t,x,y\n0,1\n1,2\n", "3 column names but 2 columns"),
+    "ragged": ("t,x\n0,1\n1\n2,3\n", "line 3 has 1 values for 2 columns"),
+    "late ragged": ("t,x\n" + "0,1\n" * LONG + "5,6,7\n", "line 902 has 3 values for 2"),
+    "cut off": ("t,x\n" + "0,1\n" * LONG + "5", "line 902 has 1 values for 2"),
+    "same name": ("t,a,a\n0,1,1\n1,1,1\n", "two columns are called 'a'"),
+    "binary": (bytes(range(256)) * 20, "not a text file"),
+    "null byte": (b"t,x\n0,\x00\n1,2\n", "not a text file"),
+    "control characters": (b"\x89\x01\x02\xff,\n" * 9, "not a text file"),
+    "comma twice": ("t,x\n0,0,1,5\n0,5,2,5\n", "2 column names but 4 columns"),
+    "long line": (b"t,x\n" + b"1" * (LONGEST_LINE + 9), "no row of numbers"),
+    "million columns": ("a," * 10**6 + "b\n" + "1," * 10**6 + "1\n", "more than 10000"),
+}
+
+
+@pytest.mark.parametrize("case", ERRORS)
+def test_unreadable_files(tmp_path, case):
+    text, words = ERRORS[case]
+    assert words in message(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "delimiter", "decimal", "expected"),
+    [
+        ("t;x\n0;1,234\n1;2,345\n", None, ",", [1.234, 2.345]),
+        ("t;x\n0;1,234\n1;2,345\n", None, ".", [1234.0, 2345.0]),
+        ("t;x\n0;1,234,567\n1;2,345\n", None, ".", [1234567.0, 2345.0]),
+        ("t;x\n0;1.234,5\n1;2.345\n", None, ",", [1234.5, 2345.0]),
+        ('t,x\n0,"1,234"\n1,"2,345"\n', None, ".", [1234.0, 2345.0]),
+    ],
+)
+def test_thousands_or_decimals_are_never_guessed(tmp_path, text, delimiter, decimal, expected):
+    if ".234" not in text:
+        assert "pass decimal=',' or decimal='.'" in message(tmp_path, text)
+    else:
+        assert "x" not in columns(tmp_path, text).columns
+    assert values(tmp_path, text, decimal=decimal)["x"] == expected
+
+
+@pytest.mark.parametrize("proof", ["0,123", "12,3456", "1234,567", "1,5"])
+def test_one_clear_decimal_comma_settles_the_others(tmp_path, proof):
+    channels = columns(tmp_path, f"t;x\n0;1,234\n1;{proof}\n")
+    assert channels.columns["x"].tolist() == [1.234, float(proof.replace(",", "."))]
+    assert "decimal comma" in channels.notes
+
+
+def test_one_column_with_commas_may_be_two(tmp_path):
+    text = "x\n1,5\n2,25\n3,125\n"
+    assert "one number with a decimal comma, or two columns" in message(tmp_path, text)
+    assert values(tmp_path, text, decimal=",")["x"] == [1.5, 2.25, 3.125]
+    assert "1 column names but 2" in message(tmp_path, text, delimiter=",")
+
+
+def test_the_dialect_can_be_given(tmp_path):
+    text = "t:x\n0:1.5\n0.5:-2e-3\n1:3.25\n"
+    assert values(tmp_path, text, delimiter=":") == TX
+    for wrong in ({"delimiter": "ab"}, {"decimal": "x"}, {"delimiter": "\n"}):
+        assert "must be" in message(tmp_path, text, **wrong)
+    np.savez(tmp_path / "a.npz", t=np.arange(3.0))
+    with pytest.raises(DataError, match="for text files"):
+        read_channels(tmp_path / "a.npz", decimal=",")
+
+
+def test_notes_say_what_was_decided(tmp_path):
+    text = "Logger 7\n\nKraft;Zeit größer\n1,5;2\n# Pause\n2,5;3\n"
+    notes = "; ".join(columns(tmp_path, text.encode("latin-1")).notes)
+    for words in ("Latin-1", "semicolon", "decimal comma", "1 lines above", "1 comment lines"):
+        assert words in notes
+    assert columns(tmp_path, "t,x\n0,1\n1,2\n").notes == []
+
+
+def test_an_index_without_a_name_gets_one(tmp_path):
+    assert list(values(tmp_path, ",t,x\n0,0.0,1\n1,0.5,2\n")) == ["column 1", "t", "x"]
+
+
+def test_a_row_that_went_wrong_below_the_header_is_not_taken_for_it(tmp_path):
+    rows = "".join(f"{i},{i}\n" for i in range(1, 30))
+    assert "line 2: 'abc' is not a number" in message(tmp_path, f"t,x\nabc,0\n{rows}")
+
+
+def test_numbers_are_read_to_the_last_bit(tmp_path):
+    numbers = np.random.default_rng(3).normal(size=2000) * 10.0 ** np.arange(-300, 300, 0.3)
+    text = "t,x\n" + "".join(f"{i},{x!r}\n" for i, x in enumerate(numbers.tolist()))
+    assert values(tmp_path, text)["x"] == numbers.tolist()
+
+
+@pytest.mark.parametrize("ending", [".tsv", ".txt", ".TXT"])
+def test_other_endings_of_text_files(tmp_path, ending):
+    channels = columns(tmp_path, READABLE["tab"], name=f"a{ending}")
+    assert {k: v.tolist() for k, v in channels.columns.items()} == TX
+
+
+def test_pandas_reads_the_same(tmp_path):
+    import pandas as pd
+
+    frame = pd.DataFrame({"t": np.arange(50) * 0.1, "x": np.sin(np.arange(50.0)), "n": range(50)})
+    frame.loc[7, "x"] = np.nan
+    for options in (
+        {"sep": ","},
+        {"sep": ";", "decimal": ","},
+        {"sep": "\t", "encoding": "utf-16"},
+    ):
+        frame.to_csv(tmp_path / "a.csv", index=False, **options)
+        found = read_channels(tmp_path / "a.csv").columns
+        for name in frame:
+            np.testing.assert_array_equal(found[str(name)], frame[name].to_numpy(float))

@@ -1,0 +1,246 @@
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from riecjax.errors import DataError
+from riecjax.records import writing
+from riecjax.records.reading.read import read_record
+from riecjax.records.record import Record
+from riecjax.records.writing import write_record, write_whole
+
+ENDINGS = (".csv", ".npz", ".mat", ".parquet")
+TIME = np.arange(5) * 0.1
+
+
+def bits(values: object) -> list[int]:
+    return np.asarray(values, float).view(np.int64).tolist()
+
+
+def no_temporaries(folder: Path, *expected: str) -> None:
+    assert sorted(path.name for path in folder.iterdir()) == sorted(expected)
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@given(st.lists(st.tuples(finite, finite), min_size=2, max_size=12), st.floats(1e-6, 1e3))
+@settings(max_examples=25, deadline=None)
+def test_round_trip_is_exact_to_the_bit(ending, samples, step):
+    first, second = np.array(samples).T
+    record = Record({"b": first, "a_2": second}, step)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"record{ending}"
+        write_record(path, record)
+        back = read_record(path)
+    assert set(back.arrays) == {"a_2", "b"}
+    assert bits(back["b"]) == bits(first)
+    assert bits(back["a_2"]) == bits(second)
+    # The step is not in the file but formed from the times: two roundings.
+    np.testing.assert_allclose(back.time_step, step, rtol=1e-14)
+
+
+sample = st.one_of(finite, st.just(np.nan))
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@given(st.data())
+@settings(max_examples=40, deadline=None)
+def test_missing_samples_and_pauses_come_back(ending, data):
+    size = data.draw(st.integers(3, 14))
+    signals = {}
+    for name in ("b", "a_2"):
+        values = np.array(data.draw(st.lists(sample, min_size=size, max_size=size)))
+        values[data.draw(st.integers(0, size - 1))] = 0.25
+        signals[name] = values
+    # Of two parts in three the step is the usual one, so that it is the median.
+    extra = np.zeros(size - 1)
+    for place in data.draw(st.sets(st.integers(0, size - 2), max_size=(size - 1) // 3)):
+        extra[place] = data.draw(st.sampled_from([0.75, 1.0, 2.0, 7.25, 1000.0]))
+    time = 4.0 + np.concatenate([[0.0], np.cumsum(0.25 * (1 + extra))])
+    record = Record.from_samples(signals, time=time)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"record{ending}"
+        write_record(path, record)
+        back = read_record(path)
+    assert set(back.arrays) == set(record.arrays)
+    (rows, breaks), (rows_back, breaks_back) = samples(record), samples(back)
+    assert rows_back == rows
+    assert breaks_back == breaks
+    if record.stamps is None:
+        assert back.sample_count == record.sample_count
+
+
+def samples(record: Record) -> tuple[list[list[int]], list[bool]]:
+    """The samples that are there, to the bit, and between which there are empty ones.
+
+    How many samples an empty stretch beside a pause takes tells nothing.
+    """
+    names = sorted(record.arrays)
+    masks = [np.asarray(record.missing.get(n, np.zeros(record.sample_count, bool))) for n in names]
+    columns = [np.where(mask, np.nan, np.asarray(record[n])) for n, mask in zip(names, masks)]
+    filled = np.flatnonzero(~np.all(masks, axis=0))
+    rows = np.stack([np.asarray(record.time), *columns], axis=1)[filled]
+    return [bits(row) for row in rows], (np.diff(filled) > 1).tolist()
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_parts_of_a_record_with_pauses_can_be_written(tmp_path, ending):
+    time = np.concatenate([np.arange(10) * 0.1, 5 + np.arange(10) * 0.1])
+    whole = Record.from_samples({"x": time**2, "y": time}, time=time)
+    for part in (whole.part(3, 18), whole.part(10, 18), whole.part(2, 11), whole.every(3)):
+        write_record(tmp_path / f"a{ending}", part)
+        back = read_record(tmp_path / f"a{ending}")
+        there = np.asarray(part.present(["x"])) if part.missing else slice(None)
+        again = np.asarray(back.present(["x"])) if back.missing else slice(None)
+        assert back["x"][again].tolist() == part["x"][there].tolist()
+        np.testing.assert_allclose(back.time[again], part.time[there], atol=1e-12)
+
+
+def test_missing_samples_are_written_as_others_read_them(tmp_path):
+    record = Record.from_samples({"x": [1.0, np.nan, 3.0], "y": [1, 2, 3]}, time_step=0.5)
+    write_record(tmp_path / "a.csv", record)
+    assert (tmp_path / "a.csv").read_text() == "t,x,y\n0,1,1\n0.5,,2\n1,3,3\n"
+    write_record(tmp_path / "a.parquet", record)
+    frame = pandas.read_parquet(tmp_path / "a.parquet")
+    np.testing.assert_array_equal(frame["x"], [1, np.nan, 3])
+
+
+def test_parquet_keeps_units(tmp_path):
+    record = Record({"x": TIME, "y": TIME}, 0.1, units={"x": "m/s"})
+    write_record(tmp_path / "a.parquet", record)
+    assert dict(read_record(tmp_path / "a.parquet").units) == {"x": "m/s"}
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_start_time_is_kept(tmp_path, ending):
+    write_record(tmp_path / f"a{ending}", Record({"x": np.zeros(4)}, 0.25, 3.5))
+    assert read_record(tmp_path / f"a{ending}").time.tolist() == [3.5, 3.75, 4.0, 4.25]
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_written_files_are_read_by_their_own_tools(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    values = np.array([1 / 3, -2e-308, 1e300])
+    write_record(path, Record({"x": values}, 0.5))
+    if ending == ".csv":
+        table = np.genfromtxt(path, delimiter=",", names=True)
+    elif ending == ".npz":
+        table = np.load(path)
+    elif ending == ".parquet":
+        table = {k: v.to_numpy() for k, v in pandas.read_parquet(path).items()}
+    else:
+        table = {k: v.ravel() for k, v in scipy.io.loadmat(path).items() if k in ("t", "x")}
+    assert table["t"].tolist() == [0.0, 0.5, 1.0]
+    assert bits(table["x"]) == bits(values)
+
+
+def refusal(path: Path, record: Record) -> str | None:
+    try:
+        write_record(path, record)
+    except DataError as error:
+        return str(error)
+    return None
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "speed, left",
+        "file",
+        "allow_pickle",
+        "_hidden",
+        "größe",
+        "a;b",
+        'say "no"',
+        " x",
+        "line\nend",
+        "",
+        "m",
+        "7",
+        "F (N)",
+        "#1",
+        "-",
+    ],
+)
+def test_signal_names_survive_or_are_refused(tmp_path, ending, name):
+    # Whatever a name may hold, a signal is never lost or mixed up without a word.
+    path = tmp_path / f"a{ending}"
+    message = refusal(path, Record({name: TIME, "y": 2 * TIME}, 0.1))
+    if message is None:
+        assert set(read_record(path).arrays) == {name, "y"}
+    else:
+        assert name in message
+        no_temporaries(tmp_path)
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_signal_called_t_does_not_replace_the_time(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    with pytest.raises(DataError, match="'t'"):
+        write_record(path, Record({"t": np.array([5.0, 4.0, 7.0]), "x": np.zeros(3)}, 0.1))
+    no_temporaries(tmp_path)
+
+
+def test_failing_writer_leaves_nothing(tmp_path):
+    def fail(temporary: Path) -> None:
+        temporary.write_text("half of it")
+        raise RuntimeError("out of ideas")
+
+    with pytest.raises(RuntimeError, match="out of ideas"):
+        write_whole(tmp_path / "a.csv", fail)
+    no_temporaries(tmp_path)
+
+
+def test_full_disk_is_reported_and_leaves_the_old_file(tmp_path, monkeypatch):
+    target = tmp_path / "a.csv"
+    target.write_text("old")
+
+    def fail(temporary: Path, *_columns: object) -> None:
+        temporary.write_text("half of it")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setitem(writing.WRITERS, ".csv", fail)
+    with pytest.raises(DataError, match="No space left on device"):
+        write_record(target, Record({"x": TIME}, 0.1))
+    assert target.read_text() == "old"
+    no_temporaries(tmp_path, "a.csv")
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_an_existing_file_is_replaced_whole(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    path.write_bytes(b"x" * 100_000)
+    write_record(path, Record({"x": TIME}, 0.1))
+    assert set(read_record(path).arrays) == {"x"}
+    no_temporaries(tmp_path, path.name)
+
+
+def test_written_file_has_the_usual_permissions(tmp_path):
+    ordinary = tmp_path / "ordinary"
+    ordinary.touch()
+    write_record(tmp_path / "a.csv", Record({"x": TIME}, 0.1))
+    assert (tmp_path / "a.csv").stat().st_mode == ordinary.stat().st_mode
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("a.xlsx", "ending must be one of .csv, .npz, .mat"), ("no/a.csv", "there is no folder")],
+)
+def test_unwritable_targets(tmp_path, name, message):
+    with pytest.raises(DataError, match=message):
+        write_record(tmp_path / name, Record({"x": TIME}, 0.1))
+    no_temporaries(tmp_path)
+
+
+def test_a_folder_is_no_target(tmp_path):
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(DataError, match="it is a folder"):
+        write_record(tmp_path / "a.csv", Record({"x": TIME}, 0.1))
