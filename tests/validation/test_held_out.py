@@ -126,6 +126,13 @@ def test_each_stretch_restarts_from_its_measured_state(truth):
     np.testing.assert_allclose(found.signals["y"].fit, expected, rtol=1e-9)
 
 
+def test_a_given_start_holds_at_the_first_stretch_and_later_where_nothing_is_recorded(truth):
+    record = recorded(truth, "y", lost=slice(500, 530))
+    found = validate_held_out(duffing(), record, initial_state={"y": 0.3, "dy": 1.5}).record
+    starts = [float(found[name][i]) for name in ("y", "dy") for i in (0, 530)]
+    assert starts == [0.3, float(truth["y"][530]), 1.5, 1.5]
+
+
 def test_short_stretches_are_skipped_and_none_at_all_is_an_error(truth):
     lost = np.array(truth["u"])
     lost[10:1000] = np.nan
