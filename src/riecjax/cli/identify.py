@@ -1,122 +1,42 @@
 """`riecjax identify`: parameters from recordings."""
 
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
-    POSITIVE,
-    assignments,
+    SHARE,
+    Available,
     json_option,
     out_option,
+    own_option,
     seed_option,
     set_option,
 )
+from riecjax.cli.recordings import Recording, RecordingOptions, common_steps, load, record_options
 from riecjax.cli.runtime import start_jax
-from riecjax.errors import DataError, MissingSignalError
 
-DEFAULT_ALPHA, DEFAULT_BETA, DEFAULT_WINDOWS = 0.05, 0.5, 8000
-
-
-class WindowCount(click.ParamType):
-    """A number of random windows."""
-
-    name = "N"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int:
-        if value == "all":
-            self.fail("all windows at once are not available yet; give a number.", param, ctx)
-        try:
-            count = int(str(value))
-        except ValueError:
-            self.fail(f"'{value}' is not a whole number.", param, ctx)
-        if not 1 <= count <= 100_000_000:
-            self.fail(f"{count} is not between 1 and 100000000.", param, ctx)
-        return count
-
-
-class Available(click.Choice[str]):
-    """A choice of which a part is still to come, and says so."""
-
-    def __init__(self, available: list[str], to_come: list[str]):
-        super().__init__([*available, *to_come])
-        self.to_come = to_come
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> str:
-        chosen = super().convert(value, param, ctx)  # pyright: ignore[reportArgumentType]
-        if chosen in self.to_come:
-            self.fail(f"'{chosen}' is not available yet.", param, ctx)
-        return chosen
-
-
-@contextlib.contextmanager
-def about(file: Path, rename: dict[str, str]) -> Iterator[None]:
-    """Name the file in what is said about its record."""
-    try:
-        yield
-    except MissingSignalError as error:
-        taken = [new for new, column in rename.items() if column == error.signal]
-        if taken:
-            raise DataError(
-                f"{file.name}: there is no signal '{error.signal}', for --map {taken[0]}="
-                f"{error.signal} renamed that column; there are: {', '.join(error.available)}."
-            ) from None
-        raise DataError(f"{file.name}: {error}") from None
-    except DataError as error:
-        message = str(error)
-        prefix = "" if message.startswith(f"{file.name}: ") else f"{file.name}: "
-        raise DataError(prefix + message) from None
+if TYPE_CHECKING:
+    from riecjax.criteria.criterion import AbstractCriterion
+    from riecjax.estimation.estimate import Estimate
+    from riecjax.estimation.procedure import Procedure
+    from riecjax.models.model import Model
+    from riecjax.records.record import Record
+    from riecjax.reporting.identification import ValidationRun
+    from riecjax.studies.window_sweep import WindowSweep
 
 
 @click.command("identify")
-@click.argument(
-    "files", metavar="RECORD...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+@record_options
 @click.option(
     "--model",
     "model_name",
     required=True,
     help="A built-in model (see 'riecjax models') or path/to/file.py:object.",
 )
-@click.option(
-    "--criterion",
-    "criterion_name",
-    type=click.Choice(["riec", "dols"]),
-    default="riec",
-    show_default=True,
-    help="Windowed integrals of the equation of motion, or the equation at every sample.",
-)
-@click.option(
-    "--alpha",
-    type=POSITIVE,
-    help=f"Shortest window in s: half a period of the fastest motion modelled. "
-    f"[default: {DEFAULT_ALPHA}]",
-)
-@click.option(
-    "--beta",
-    type=POSITIVE,
-    help=f"Longest window in s: half a period of the slowest motion modelled. "
-    f"[default: {DEFAULT_BETA}]",
-)
-@click.option(
-    "--windows",
-    "count",
-    type=WindowCount(),
-    help=f"Number of random windows. [default: {DEFAULT_WINDOWS}]",
-)
-@click.option(
-    "--test-function",
-    type=Available(["boxcar"], ["hat", "bump"]),
-    default="boxcar",
-    show_default=True,
-    help="Weight inside a window.",
-)
+@criterion_options
 @click.option(
     "--refine",
     type=Available(["none"], ["integral", "output-error"]),
@@ -124,101 +44,154 @@ def about(file: Path, rename: dict[str, str]) -> Iterator[None]:
     show_default=True,
     help="Non-linear refinement after the linear estimate.",
 )
-@assignments("--map", str, "SIGNAL=COLUMN", "Call a column by the model's name.", "rename")
-@assignments("--scale", float, "COLUMN=FACTOR", "Convert a column to SI units.", "scale")
-@assignments(
-    "--low-pass",
-    float,
-    "SIGNAL=HZ",
-    "Filter a signal first: zero-phase 4th-order Butterworth.",
-    "cutoffs",
+@set_option
+@own_option
+@click.option(
+    "--hold-out",
+    type=SHARE,
+    metavar="SHARE",
+    help="Keep this share at the end of each recording for validation by simulation.",
 )
 @click.option(
-    "--every",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Use every N-th sample, after filtering and differentiation.",
+    "--validate",
+    "validation_files",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="RECORD",
+    help="Simulate the identified model on this recording. Repeatable.",
 )
-@set_option
+@click.option(
+    "--sweep/--no-sweep",
+    default=True,
+    show_default=True,
+    help="Estimates against window length, which show an inexact model.",
+)
 @seed_option
 @json_option
 @out_option
 def command(
-    files: tuple[Path, ...],
+    recordings: RecordingOptions,
     model_name: str,
-    criterion_name: str,
-    alpha: float | None,
-    beta: float | None,
-    count: int | None,
-    test_function: str,
+    criteria: CriterionOptions,
     refine: str,
-    rename: dict[str, str],
-    scale: dict[str, float],
-    cutoffs: dict[str, float],
-    every: int,
     known: dict[str, float],
+    own: tuple[str, ...],
+    hold_out: float | None,
+    validation_files: tuple[Path, ...],
+    sweep: bool,
     seed: int,
     as_json: bool,
     out: Path | None,
 ) -> None:
-    """Identify a model's parameters from one or several recordings (CSV, NPZ or MAT).
+    """Identify a model's parameters from one or several recordings.
 
-    A recording holds time `t` in seconds and the model's signals in SI units, evenly sampled.
+    A recording is a CSV, Parquet, MAT, NPZ or MDF file with time in seconds and the model's
+    signals in SI units; --map and --scale bring a logger's columns to that.
     """
-    if criterion_name == "dols" and (alpha or beta or count):
-        raise click.UsageError("--alpha, --beta and --windows belong to --criterion riec.")
+    if own and validation_files:
+        raise click.UsageError(
+            "--own has no value for the recordings of --validate; leave one out."
+        )
+    criterion = criteria.build()
     start_jax()
     import jax
 
-    from riecjax.criteria.criterion import DOLS, RIEC
-    from riecjax.criteria.windows import RandomWindows
-    from riecjax.estimation.identify import identify, signals_read
-    from riecjax.models.preparation import Preparation, prepare
+    from riecjax.estimation.check import check
+    from riecjax.estimation.identify import identify
     from riecjax.models.resolve import find_model
-    from riecjax.records.reading.read import read_record
     from riecjax.reporting.identification import (
+        Identification,
         identification_document,
-        identification_figures,
         print_identification,
     )
+    from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.output import emit
 
     model = find_model(model_name)
     procedure = model.build_procedure()
-    if criterion_name == "riec":
-        criterion = RIEC(
-            RandomWindows(
-                DEFAULT_ALPHA if alpha is None else alpha,
-                DEFAULT_BETA if beta is None else beta,
-                DEFAULT_WINDOWS if count is None else count,
-            )
-        )
-    else:
-        criterion = DOLS()
-    settings = Preparation(cutoffs, every)
-    records = []
-    for file in files:
-        with about(file, rename):
-            record = read_record(file, rename=rename, scale=scale)
-            record = prepare(record, model, settings)
-            signals_read(procedure, record, criterion)
-            records.append(record)
+    loaded = load(recordings.files, recordings, model, criterion)
+    estimating, held = _parts(loaded, hold_out)
+    further = load(validation_files, recordings, model, criterion)
+    records = [recording.record for recording in estimating]
     key = jax.random.key(seed)
-    estimate = identify(procedure, records, criterion, key=key, known=known)
-    document = identification_document(
-        estimate,
-        model.name,
-        files=files,
+    settings = {"key": key, "known": known, "own": own}
+    checked = check(procedure, records, criterion, **settings)
+    estimate = identify(procedure, records, criterion, **settings)
+    result = Identification(
+        model=model.name,
+        procedure=procedure,
+        files=[str(recording.file) for recording in loaded],
         records=records,
+        steps=common_steps(loaded),
+        estimate=estimate,
+        checked=checked,
+        sweep=_sweep(procedure, records, criterion, settings) if sweep else None,
+        validations=validation_runs(model, estimate, own, held, further),
+        key=key,
         seed=seed,
-        steps=settings.describe(model),
     )
     emit(
-        document,
+        identification_document(result),
         as_json=as_json,
         out=out,
         show=print_identification,
-        figures=lambda: identification_figures(estimate, procedure, records, key),
-        title=f"{model.name} from {', '.join(file.name for file in files)}",
+        figures=lambda: identification_figures(result),
+        title=f"{model.name} from {', '.join(file.name for file in recordings.files)}",
     )
+
+
+def _parts(
+    loaded: list[Recording], hold_out: float | None
+) -> tuple[list[Recording], list[Recording]]:
+    """The recordings to estimate from, and those to validate on."""
+    if hold_out is None:
+        return loaded, []
+    from riecjax.records.preparation import split
+
+    halves = [split(recording.record, hold_out) for recording in loaded]
+    estimating = [r._replace(record=first) for r, (first, _) in zip(loaded, halves)]
+    return estimating, [r._replace(record=last) for r, (_, last) in zip(loaded, halves)]
+
+
+def _sweep(
+    procedure: "Procedure",
+    records: list["Record"],
+    criterion: "AbstractCriterion",
+    settings: dict[str, Any],
+) -> "WindowSweep | None":
+    from riecjax.criteria.criterion import RIEC
+    from riecjax.errors import DataError
+    from riecjax.studies.window_sweep import window_sweep
+
+    if not isinstance(criterion, RIEC):
+        return None
+    try:
+        return window_sweep(procedure, records, criterion, **settings)
+    except DataError:
+        return None  # too short a record, which the check has said
+
+
+def validation_runs(
+    model: "Model",
+    estimate: "Estimate",
+    own: tuple[str, ...],
+    held: list[Recording],
+    further: list[Recording],
+) -> list["ValidationRun"]:
+    """Simulations of the identified model on held-out parts and on further recordings."""
+    from riecjax.reporting.identification import ValidationRun
+    from riecjax.validation.held_out import validate_held_out
+
+    runs = []
+    for i, recording in enumerate(held):
+        values = {
+            name: estimate[f"{name}[{i + 1}]" if name in own else name]
+            for name in model.build_procedure().parameters
+        }
+        result = validate_held_out(model.identified_system(values), recording.record)
+        runs.append(ValidationRun(f"{recording.file.name}, last part", recording.record, result))
+    for recording in further:
+        system = model.identified_system(dict(estimate.values))
+        result = validate_held_out(system, recording.record)
+        runs.append(ValidationRun(recording.file.name, recording.record, result))
+    return runs

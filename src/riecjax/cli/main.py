@@ -11,6 +11,7 @@ from riecjax.errors import RiecjaxError
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
 COMMANDS = {
     "reproduce": "riecjax.cli.reproduce",
+    "check": "riecjax.cli.check",
     "identify": "riecjax.cli.identify",
     "simulate": "riecjax.cli.simulate",
     "models": "riecjax.cli.models",
@@ -41,7 +42,7 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status is returned, every message is one line."""
     try:
-        cli.main(arguments, prog_name="riecjax", standalone_mode=False)
+        status = cli.main(arguments, prog_name="riecjax", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         return 2
@@ -58,7 +59,7 @@ def run(arguments: list[str] | None = None) -> int:
         return 1
     except MemoryError:
         return _fail("not enough memory for this record.", 1)
-    return 0
+    return status if isinstance(status, int) else 0
 
 
 def _fail(message: str, status: int) -> int:

@@ -32,6 +32,22 @@ class Assignment(click.ParamType):
         return name.strip(), number
 
 
+class Available(click.Choice[str]):
+    """A choice of which a part is still to come, and says so."""
+
+    def __init__(self, available: list[str], to_come: list[str]):
+        super().__init__([*available, *to_come])
+        self.to_come = to_come
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> str:
+        chosen = super().convert(value, param, ctx)  # pyright: ignore[reportArgumentType]
+        if chosen in self.to_come:
+            self.fail(f"'{chosen}' is not available yet.", param, ctx)
+        return chosen
+
+
 def pairs_to_dict(
     ctx: click.Context, param: click.Parameter, value: tuple[tuple[str, Any], ...]
 ) -> dict[str, Any]:
@@ -68,6 +84,13 @@ seed_option = click.option(
     show_default=True,
     help="Seed of all random draws.",
 )
+own_option = click.option(
+    "--own",
+    "own",
+    multiple=True,
+    metavar="NAME",
+    help="Give a parameter a value of its own in each recording (such as an offset). Repeatable.",
+)
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON document instead of tables."
 )
@@ -96,4 +119,40 @@ class PositiveNumber(click.ParamType):
         return number
 
 
+class FiniteNumber(click.ParamType):
+    """A finite number."""
+
+    name = "number"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        try:
+            number = float(value)
+        except ValueError:
+            self.fail(f"'{value}' is not a number.", param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"'{value}' must be a finite number.", param, ctx)
+        return number
+
+
+class Share(click.ParamType):
+    """A number between 0 and 1, both excluded."""
+
+    name = "share"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        try:
+            number = float(value)
+        except ValueError:
+            self.fail(f"'{value}' is not a number.", param, ctx)
+        if not 0 < number < 1:
+            self.fail(f"'{value}' must lie between 0 and 1.", param, ctx)
+        return number
+
+
 POSITIVE = PositiveNumber()
+FINITE = FiniteNumber()
+SHARE = Share()

@@ -15,6 +15,7 @@ from riecjax.estimation.procedure import StageSolution
 from riecjax.findings import Finding
 
 FEWEST_BLOCKS = 10
+NOTABLE_INFLATION = 1.1
 LARGE_RESIDUAL = 0.5
 """Share of the target past which a model is called wrong."""
 
@@ -31,6 +32,7 @@ class Estimate(eqx.Module):
     - `covariance`: block sandwich covariance of theta (see `block_sandwich`): valid under
       overlapping windows and autocorrelated equation errors. It speaks of scatter about the
       value that the criterion converges to, not of that value's distance from the truth.
+    - `inflation`: factor on each standard error because recordings disagree, 1 where they agree.
     - `stages`: solution, conditioning and residual of each stage.
     - `known`: parameters that were not estimated, with their values.
     - `criterion`: what was made small.
@@ -40,6 +42,7 @@ class Estimate(eqx.Module):
 
     theta: Float[Array, " p"]
     covariance: Float[Array, "p p"]
+    inflation: Float[Array, " p"]
     stages: tuple[StageSolution, ...]
     known: dict[str, Array]
     criterion: AbstractCriterion
@@ -99,6 +102,7 @@ class Estimate(eqx.Module):
             *self._conditioning(),
             *self._wide_intervals(),
             *self._residuals(),
+            *self._disagreement(),
             *self._coverage(),
             *self._precision(),
         ]
@@ -129,6 +133,16 @@ class Estimate(eqx.Module):
                     "large_residual",
                     f"{label}: the model leaves {100 * float(stage.relative_rms):.0f} % of the "
                     f"signal unexplained, so it is wrong in some important way.",
+                )
+
+    def _disagreement(self) -> Iterator[Finding]:
+        for name, factor in zip(self.parameters, self.inflation):
+            if float(factor) > NOTABLE_INFLATION:
+                yield Finding(
+                    "records_disagree",
+                    f"the recordings do not agree on {name}: they scatter more than the time "
+                    f"within each of them explains, so its interval is {float(factor):.2g} times "
+                    f"as wide. The model leaves out something that differs between them.",
                 )
 
     def _coverage(self) -> Iterator[Finding]:

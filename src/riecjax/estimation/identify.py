@@ -12,12 +12,14 @@ from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
 from riecjax.estimation.estimate import Estimate, combination
+from riecjax.estimation.heterogeneity import record_inflation
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.normal_equations import NormalEquations, normal_equations
 from riecjax.estimation.procedure import (
     Procedure,
     StageSolution,
-    block_sandwich,
+    block_influence,
+    small_sample_factor,
     solve_stages,
     staged,
 )
@@ -75,30 +77,28 @@ def identify(
 
     keys = record_keys(key, len(recordings))
     stages = all_normal_equations(procedure, sharing, recordings, criterion, keys)
-    blocks = sum(
-        (independent_blocks(criterion, record, MOST_BLOCKS) for record in recordings),
-        start=jnp.zeros((), jnp.int32),
-    )
-    solutions, covariance = _solve(stages, given, blocks, None)
+    blocks = jnp.stack([independent_blocks(criterion, r, MOST_BLOCKS) for r in recordings])
+    solutions, covariance, inflation = _solve(stages, given, blocks, None)
     if is_concrete(solutions):
         _raise_if_empty(stages, plan)
         _raise_if_not_finite(stages, plan)
         if _worst_condition(solutions) > gram_condition_limit(covariance.dtype):
             rows = all_rows(procedure, sharing, recordings, criterion, keys)
-            solutions, covariance = _solve(stages, given, blocks, rows)
+            solutions, covariance, inflation = _solve(stages, given, blocks, rows)
         _raise_if_unidentifiable(solutions, plan)
 
     units = {name: unit for name, unit in sharing.values(procedure.units).items()}
     return Estimate(
         theta=jnp.concatenate([stage.solution.theta for stage in solutions]),
         covariance=covariance,
+        inflation=inflation,
         stages=tuple(solutions),
         known={name: jnp.asarray(value) for name, value in given.items()},
         criterion=criterion,
         parameters=tuple(name for stage in solutions for name in stage.parameters),
         units=tuple(units.items()),
         stage_names=tuple(plan[stage.stage][0] for stage in solutions),
-        block_count=blocks,
+        block_count=jnp.sum(blocks),
         rows_offered=tuple(
             _rows_offered(procedure.stages[stage.stage], recordings, criterion)
             for stage in solutions
@@ -217,11 +217,16 @@ def all_normal_equations(
 def _solve(
     stages: list[NormalEquations],
     known: Mapping[str, Array],
-    block_count: Int[Array, ""],
+    blocks_used: Int[Array, " records"],
     rows: list[Rows] | None,
-) -> tuple[list[StageSolution], Array]:
+) -> tuple[list[StageSolution], Array, Array]:
+    """Solutions of the stages, covariance of all parameters, and its inflation by records."""
     solutions = solve_stages(stages, known, rows)
-    return solutions, block_sandwich(stages, solutions, known, block_count)
+    influence = block_influence(stages, solutions, known)
+    per_record = influence.reshape(blocks_used.shape[0], -1, influence.shape[-1])
+    inflation = record_inflation(per_record, blocks_used)
+    grown = influence * inflation[None, :]
+    return solutions, small_sample_factor(jnp.sum(blocks_used)) * grown.T @ grown, inflation
 
 
 def all_rows(
@@ -255,6 +260,10 @@ def _rows_offered(
 def known_values(
     procedure: Procedure, sharing: Sharing, known: Mapping[str, float | Array]
 ) -> dict[str, Array]:
+    """Values held fixed, by name over all records: the equations' own and the user's.
+
+    **Raises:** `ModelError` for a name that the model does not have.
+    """
     names = {*procedure.parameters, *sharing.parameters}
     if unknown := [name for name in known if name not in names]:
         listed = ", ".join(sharing.parameters)

@@ -99,6 +99,18 @@ class Model:
             )
         return _resolve(self.system)({name: jnp.asarray(v, float) for name, v in values.items()})
 
+    def identified_system(self, values: Mapping[str, Array]) -> AbstractSystem:
+        """The system to validate identified values with: the model's own, or its equations.
+
+        **Raises:** `ModelError` if the equations cannot be simulated.
+        """
+        from riecjax.simulation.equation_system import equation_system
+
+        names = {parameter.name for parameter in self.simulation_parameters}
+        if self.system is not None and names == set(values):
+            return self.build_system({name: float(value) for name, value in values.items()})
+        return equation_system(self.build_procedure(), values)
+
 
 def _resolve(reference: str | Callable[..., Any]) -> Callable[..., Any]:
     if callable(reference):

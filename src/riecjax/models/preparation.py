@@ -1,43 +1,140 @@
 """From a record as read to the record that a model's equations read."""
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
+from riecjax.errors import DataError
 from riecjax.models.model import Model
-from riecjax.records.preparation import differentiate, every, low_pass
+from riecjax.records.preparation import (
+    differentiate,
+    low_pass,
+    remove_drift,
+    remove_offset,
+    upsample,
+)
 from riecjax.records.record import Record
 
 
-class Preparation(NamedTuple):
-    """What a user asks to be done to a record: cut-offs in Hz by signal, and thinning."""
+class Step(NamedTuple):
+    """One step, in words for the result's provenance, and what it does."""
 
-    cutoffs: dict[str, float]
+    words: str
+    apply: Callable[[Record], Record]
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What a user asks to be done to a record, in this order.
+
+    **Fields:**
+
+    - `start`, `stop`: times in seconds to cut at, or `None`.
+    - `offsets`, `drifts`: signals to remove the mean or a straight line from.
+    - `cutoffs`: signal to cut-off in Hz of a low-pass.
+    - `upsample`: factor of a band-limited interpolation.
+    - `derivatives`: new signal to the signal whose derivative it is.
+    - `every`: use every so manieth sample.
+    """
+
+    start: float | None = None
+    stop: float | None = None
+    offsets: tuple[str, ...] = ()
+    drifts: tuple[str, ...] = ()
+    cutoffs: Mapping[str, float] = field(default_factory=dict)
+    upsample: int = 1
+    derivatives: Mapping[str, str] = field(default_factory=dict)
     every: int = 1
 
-    def describe(self, model: Model) -> list[str]:
-        """The steps in words, in the order in which they are taken."""
-        steps = [
-            f"{name}: zero-phase 4th-order Butterworth low-pass at {cutoff:g} Hz"
-            for name, cutoff in self.cutoffs.items()
+    def steps(self) -> list[Step]:
+        """The steps in the order in which they are taken."""
+        steps = []
+        if self.start is not None or self.stop is not None:
+            low = "the start" if self.start is None else f"{self.start:g} s"
+            high = "the end" if self.stop is None else f"{self.stop:g} s"
+            steps.append(Step(f"cut from {low} to {high}", partial(cut, self.start, self.stop)))
+        steps += [
+            Step(f"{name}: mean removed", partial(_of_signal, remove_offset, name))
+            for name in self.offsets
         ]
         steps += [
-            f"{name}: central differences of {of}, if not recorded"
-            for name, of in model.derived.items()
+            Step(f"{name}: straight line removed", partial(_of_signal, remove_drift, name))
+            for name in self.drifts
         ]
+        if self.cutoffs:
+            listed = ", ".join(f"{name} at {cutoff:g} Hz" for name, cutoff in self.cutoffs.items())
+            steps.append(
+                Step(
+                    f"zero-phase 4th-order Butterworth low-pass: {listed}",
+                    lambda record: low_pass(record, dict(self.cutoffs)),
+                )
+            )
+        if self.upsample > 1:
+            steps.append(
+                Step(
+                    f"band-limited up-sampling by {self.upsample}",
+                    lambda record: upsample(record, self.upsample),
+                )
+            )
+        steps += [_derivative(name, of) for name, of in self.derivatives.items()]
         if self.every > 1:
             ending = {1: "st", 2: "nd", 3: "rd"}.get(self.every % 10, "th")
             ending = "th" if 10 < self.every % 100 < 14 else ending
-            steps.append(f"every {self.every}{ending} sample")
+            steps.append(Step(f"every {self.every}{ending} sample", lambda r: r.every(self.every)))
         return steps
 
 
-def prepare(record: Record, model: Model, preparation: Preparation) -> Record:
-    """Filter, add the model's derived signals where they are missing, and thin out.
+def prepare(record: Record, model: Model, preparation: Preparation) -> tuple[Record, list[str]]:
+    """Take the steps; add the model's derived signals where they are still missing.
+
+    Those are added before the record is thinned, which would coarsen their differences.
+
+    **Returns:** the prepared record, and the steps that were taken, in words.
 
     **Raises:** `DataError` for a missing signal or settings that the record does not allow.
     """
-    if preparation.cutoffs:
-        record = low_pass(record, preparation.cutoffs)
+    steps = preparation.steps()
+    thinning = steps[-1:] if preparation.every > 1 else []
+    words = []
+    for step in steps[: len(steps) - len(thinning)]:
+        record = step.apply(record)
+        words.append(step.words)
     for name, of in model.derived.items():
         if name not in record.signals:
-            record = differentiate(record, of, name)
-    return every(record, preparation.every) if preparation.every > 1 else record
+            step = _derivative(name, of)
+            record = step.apply(record)
+            words.append(step.words)
+    for step in thinning:
+        record = step.apply(record)
+        words.append(step.words)
+    return record, words
+
+
+def cut(start: float | None, stop: float | None, record: Record) -> Record:
+    """The samples between two times in seconds, both included.
+
+    **Raises:** `DataError` if fewer than two samples lie there.
+    """
+    time = np.asarray(record.time)
+    rounding = 1e-6 * float(record.time_step)
+    first = 0 if start is None else int(np.searchsorted(time, start - rounding))
+    last = time.size if stop is None else int(np.searchsorted(time, stop + rounding))
+    if last - first < 2:
+        raise DataError(
+            f"there are no two samples between these times; the record lasts from "
+            f"{time[0]:g} to {time[-1]:g} s."
+        )
+    return record.part(first, last)
+
+
+def _of_signal(step: Callable[..., Record], name: str, record: Record) -> Record:
+    return step(record, name)
+
+
+def _derivative(name: str, of: str) -> Step:
+    return Step(
+        f"{name}: central differences of {of}", lambda record: differentiate(record, of, name)
+    )

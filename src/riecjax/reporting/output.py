@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -110,3 +111,13 @@ def require_plots() -> Any:
     import matplotlib.pyplot as plt
 
     return plt
+
+
+def number(value: float | None, digits: int = 6) -> str:
+    """A number for a table; `none` where there is none."""
+    return "none" if value is None else f"{value:.{digits}g}"
+
+
+def finite(value: float) -> float | None:
+    """The value, or `None` where JSON has no word for it."""
+    return value if math.isfinite(value) else None

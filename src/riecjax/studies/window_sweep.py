@@ -1,7 +1,7 @@
 """Estimates against window length: the standard test of whether a model is exact enough.
 
-With an exact model every window length finds the same parameters, up to scatter. Where a model leaves
-something out, what is left out weighs differently at different lengths, and the estimates drift.
+With an exact model every window length finds the same parameters, up to scatter. Where a model
+leaves something out, that weighs differently at different lengths, and the estimates drift.
 """
 
 from collections.abc import Mapping, Sequence
@@ -94,8 +94,8 @@ class WindowSweep(eqx.Module):
     def findings(self) -> list[Finding]:
         """`window_sensitive` for each parameter that drifts by more than its uncertainty.
 
-        A paired test at the 5 % level, corrected for the number of pairs (Bonferroni), of a drift of
-        at least half a percent.
+        A paired test at the 5 % level, corrected for the number of pairs (Bonferroni), of a drift
+        of at least half a percent.
         """
         bands = self.theta.shape[0]
         pairs = bands * (bands - 1) / 2

@@ -1,0 +1,73 @@
+"""`riecjax check`: whether recordings can answer what a model asks, before any fit."""
+
+import click
+
+from riecjax.cli.criteria import CriterionOptions, criterion_options
+from riecjax.cli.options import json_option, own_option, seed_option, set_option
+from riecjax.cli.recordings import RecordingOptions, common_steps, load, record_options
+from riecjax.cli.runtime import start_jax
+
+
+@click.command("check")
+@record_options
+@click.option(
+    "--model",
+    "model_name",
+    required=True,
+    help="A built-in model (see 'riecjax models') or path/to/file.py:object.",
+)
+@criterion_options
+@set_option
+@own_option
+@seed_option
+@json_option
+def command(
+    recordings: RecordingOptions,
+    model_name: str,
+    criteria: CriterionOptions,
+    known: dict[str, float],
+    own: tuple[str, ...],
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Say whether recordings can answer what a model asks, before any fit.
+
+    Looks at sensors (missing samples, clipping, stuck or spiking signals), sampling, length, and
+    how each parameter is excited. The exit status is 1 if some parameter cannot be found.
+    """
+    criterion = criteria.build()
+    start_jax()
+    import jax
+
+    from riecjax.estimation.check import check
+    from riecjax.models.resolve import find_model
+    from riecjax.reporting.checking import check_document, print_check
+    from riecjax.reporting.output import emit
+
+    model = find_model(model_name)
+    loaded = load(recordings.files, recordings, model, criterion)
+    checked = check(
+        model.build_procedure(),
+        [recording.record for recording in loaded],
+        criterion,
+        key=jax.random.key(seed),
+        known=known,
+        own=own,
+    )
+    emit(
+        check_document(
+            checked,
+            model.name,
+            criterion,
+            files=[str(recording.file) for recording in loaded],
+            records=[recording.record for recording in loaded],
+            steps=common_steps(loaded),
+        ),
+        as_json=as_json,
+        out=None,
+        show=print_check,
+        figures=dict,
+        title="",
+    )
+    if not checked.answerable:
+        click.get_current_context().exit(1)

@@ -1,0 +1,223 @@
+"""Options that say how a recording is read and prepared, and the reading itself."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from riecjax.cli.options import FINITE, POSITIVE, assignments
+from riecjax.errors import DataError, MissingSignalError
+
+if TYPE_CHECKING:
+    from riecjax.criteria.criterion import AbstractCriterion
+    from riecjax.models.model import Model
+    from riecjax.models.preparation import Preparation
+    from riecjax.records.reading.assembly import Selection
+    from riecjax.records.record import Record
+
+RECORD_OPTIONS = (
+    click.argument(
+        "files", metavar="RECORD...", nargs=-1, required=True, type=click.Path(path_type=Path)
+    ),
+    assignments("--map", str, "SIGNAL=COLUMN", "Call a column by the model's name.", "rename"),
+    assignments("--scale", float, "COLUMN=FACTOR", "Convert a column to SI units.", "scale"),
+    assignments(
+        "--derive",
+        str,
+        "SIGNAL=FORMULA",
+        "Compute a signal from others, as in 'force=35.15*volt'.",
+        "derive",
+    ),
+    click.option(
+        "--time-step", type=POSITIVE, help="Seconds between samples, for files without time."
+    ),
+    click.option(
+        "--resample",
+        type=POSITIVE,
+        metavar="HZ",
+        help="Bring unevenly or differently sampled signals to one even rate, anti-aliased.",
+    ),
+    click.option("--delimiter", help="Between columns of a text file. [default: found out]"),
+    click.option(
+        "--decimal",
+        type=click.Choice([".", ","]),
+        help="Decimal sign of a text file. [default: found out]",
+    ),
+    click.option(
+        "--from", "start", type=FINITE, metavar="S", help="Use the record from this time."
+    ),
+    click.option("--to", "stop", type=FINITE, metavar="S", help="Use the record up to this time."),
+    click.option(
+        "--remove-offset",
+        "offsets",
+        multiple=True,
+        metavar="SIGNAL",
+        help="Subtract a signal's mean. Repeatable.",
+    ),
+    click.option(
+        "--remove-drift",
+        "drifts",
+        multiple=True,
+        metavar="SIGNAL",
+        help="Subtract a signal's straight line. Repeatable.",
+    ),
+    assignments(
+        "--low-pass",
+        float,
+        "SIGNAL=HZ",
+        "Filter a signal first: zero-phase 4th-order Butterworth.",
+        "cutoffs",
+    ),
+    click.option(
+        "--upsample",
+        type=click.IntRange(min=1, max=1000),
+        default=1,
+        metavar="N",
+        help="Interpolate N times as many samples, band-limited: for few samples per period.",
+    ),
+    assignments(
+        "--differentiate", str, "NEW=SIGNAL", "Add a signal's central differences.", "derivatives"
+    ),
+    click.option(
+        "--every",
+        type=click.IntRange(min=1),
+        default=1,
+        metavar="N",
+        help="Use every N-th sample, after all other steps.",
+    ),
+)
+
+
+def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The RECORD... argument and its options; they arrive as one `recordings`."""
+
+    def collected(**arguments: Any) -> Any:
+        own = {name: arguments.pop(name) for name in RecordingOptions.__dataclass_fields__}
+        return command(recordings=RecordingOptions(**own), **arguments)
+
+    collected.__doc__ = command.__doc__
+    # Options that stand on the command itself are listed after these.
+    collected.__click_params__ = getattr(command, "__click_params__", [])  # type: ignore[attr-defined]
+    for option in reversed(RECORD_OPTIONS):
+        collected = option(collected)
+    return collected
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """What the user said of the recordings."""
+
+    files: tuple[Path, ...]
+    rename: dict[str, str]
+    scale: dict[str, float]
+    derive: dict[str, str]
+    time_step: float | None
+    resample: float | None
+    delimiter: str | None
+    decimal: str | None
+    start: float | None
+    stop: float | None
+    offsets: tuple[str, ...]
+    drifts: tuple[str, ...]
+    cutoffs: dict[str, float]
+    upsample: int
+    derivatives: dict[str, str]
+    every: int
+
+    def selection(self) -> "Selection":
+        from riecjax.records.reading.assembly import Selection
+
+        return Selection(
+            rename=self.rename,
+            scale=self.scale,
+            derive=self.derive,
+            time_step=self.time_step,
+            resample=self.resample,
+        )
+
+    def preparation(self) -> "Preparation":
+        from riecjax.models.preparation import Preparation
+
+        return Preparation(
+            start=self.start,
+            stop=self.stop,
+            offsets=self.offsets,
+            drifts=self.drifts,
+            cutoffs=self.cutoffs,
+            upsample=self.upsample,
+            derivatives=self.derivatives,
+            every=self.every,
+        )
+
+
+class Recording(NamedTuple):
+    """A prepared record, its file, and how it came about, in words."""
+
+    file: Path
+    record: "Record"
+    steps: list[str]
+
+
+def load(
+    files: Sequence[Path], options: RecordingOptions, model: "Model", criterion: "AbstractCriterion"
+) -> list[Recording]:
+    """Read and prepare the files for a model; only signals that it reads are kept.
+
+    **Raises:** `DataError` naming the file.
+    """
+    from riecjax.estimation.identify import signals_read
+    from riecjax.models.preparation import prepare
+    from riecjax.records.reading.assembly import record_from_channels
+    from riecjax.records.reading.read import read_channels
+
+    procedure = model.build_procedure()
+    loaded = []
+    for file in files:
+        with about(file, options.rename):
+            channels = read_channels(file, delimiter=options.delimiter, decimal=options.decimal)
+            record = record_from_channels(channels, options.selection())
+            notes = [*channels.notes, *_reading_steps(options)]
+            record, steps = prepare(record, model, options.preparation())
+            read = signals_read(procedure, record, criterion)
+            unread = [name for name in record.arrays if name not in read]
+            steps = [step for step in steps if step.partition(":")[0] not in unread]
+            loaded.append(Recording(file, record, [*notes, *steps]))
+    return loaded
+
+
+def common_steps(loaded: list[Recording]) -> list[str]:
+    """The steps common to all recordings once, and those of one with its name."""
+    if len(loaded) == 1:
+        return loaded[0].steps
+    common = [step for step in loaded[0].steps if all(step in other.steps for other in loaded)]
+    own = [f"{r.file.name}: {step}" for r in loaded for step in r.steps if step not in common]
+    return common + own
+
+
+def _reading_steps(options: RecordingOptions) -> list[str]:
+    steps = [f"{name}: column scaled by {factor:g}" for name, factor in options.scale.items()]
+    if options.resample is not None:
+        steps.append(f"resampled to {options.resample:g} Hz")
+    return steps + [f"{name}: {formula}" for name, formula in options.derive.items()]
+
+
+@contextlib.contextmanager
+def about(file: Path, rename: Mapping[str, str]) -> Iterator[None]:
+    """Name the file in what is said about its record."""
+    try:
+        yield
+    except MissingSignalError as error:
+        taken = [new for new, column in rename.items() if column == error.signal]
+        if taken:
+            raise DataError(
+                f"{file.name}: there is no signal '{error.signal}', for --map {taken[0]}="
+                f"{error.signal} renamed that column; there are: {', '.join(error.available)}."
+            ) from None
+        raise DataError(f"{file.name}: {error}") from None
+    except DataError as error:
+        message = str(error)
+        prefix = "" if message.startswith(f"{file.name}: ") else f"{file.name}: "
+        raise DataError(prefix + message) from None

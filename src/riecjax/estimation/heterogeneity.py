@@ -1,0 +1,38 @@
+"""Whether recordings agree; if not, blocks of time within them tell too little of the scatter."""
+
+import jax.numpy as jnp
+import scipy.stats
+from jaxtyping import Array, Float
+
+LEVEL = 0.01
+
+
+def record_inflation(
+    influence: Float[Array, "records blocks p"], blocks_used: Float[Array, " records"]
+) -> Float[Array, " p"]:
+    """By how much standard errors must grow, for each parameter, because recordings disagree.
+
+    If recordings differ only by chance, the sum of a record's influence has the variance of its
+    blocks about their own mean, and the squares of the ratios follow chi-square (Cochran's test).
+    Where that is refuted at the 1 % level, recordings and not blocks are the independent draws: the
+    standard error then comes from the scatter between them, enlarged by Student's t for their small
+    number. 1 otherwise, and for one record.
+
+    **Arguments:** `influence` of each block of time on each estimate, zero in blocks that are not
+    used; `blocks_used` of each record, 2 or more.
+    """
+    count = influence.shape[0]
+    if count < 2:
+        return jnp.ones(influence.shape[-1], influence.dtype)
+    used = blocks_used[:, None].astype(influence.dtype)
+    moved = jnp.sum(influence, axis=1)
+    within = (jnp.sum(influence**2, axis=1) - moved**2 / used) * used / (used - 1)
+    some = within > 0
+    ratio = jnp.where(some, moved**2 / jnp.where(some, within, 1.0), 0.0)
+    disagree = jnp.sum(ratio, axis=0) > float(scipy.stats.chi2.isf(LEVEL, count - 1))
+    between = count / (count - 1) * jnp.sum(moved**2, axis=0)
+    pooled = jnp.sum(influence**2, axis=(0, 1))
+    known = pooled > 0
+    reach = float(scipy.stats.t.isf(0.025, count - 1) / scipy.stats.norm.isf(0.025))
+    grown = reach * jnp.sqrt(between / jnp.where(known, pooled, 1.0))
+    return jnp.where(disagree & known, jnp.maximum(grown, 1.0), 1.0)

@@ -1,0 +1,103 @@
+"""Results of a check before a fit: JSON document and tables on a terminal."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.estimation.check import Check
+from riecjax.records.record import Record
+from riecjax.reporting.output import Document, finite, number, versions
+
+
+def check_document(
+    checked: Check,
+    model: str,
+    criterion: AbstractCriterion,
+    *,
+    files: Sequence[str],
+    records: Sequence[Record],
+    steps: Sequence[str],
+) -> Document:
+    """The document that `riecjax check --json` prints."""
+    return {
+        "schema": 1,
+        "model": model,
+        "criterion": criterion.describe(),
+        "answerable": checked.answerable,
+        "records": [
+            {
+                "file": file,
+                "samples": record.sample_count,
+                "time_step": float(record.time_step),
+                "duration": float(record.duration),
+                "stretches": len(record.segments(checked.signals)),
+            }
+            for file, record in zip(files, records)
+        ],
+        "signals": list(checked.signals),
+        "excitation": excitation_entries(checked),
+        "warnings": [finding._asdict() for finding in checked.findings],
+        "provenance": {"preparation": list(steps), "versions": versions()},
+    }
+
+
+def excitation_entries(checked: Check) -> dict[str, Any]:
+    """For each parameter, how much of its regressor is its own, and how much is noise."""
+    return {
+        name: {
+            "equation": stage.stage_name,
+            "own_share": finite(float(stage.own_share[j])),
+            "noise_share": finite(float(stage.noise_share[j])),
+        }
+        for stage in checked.excitations
+        for j, name in enumerate(stage.parameters)
+    }
+
+
+def print_check(document: Document, console: Console) -> None:
+    """Tables for a reader."""
+    for record in document["records"]:
+        stretches = record["stretches"]
+        parted = "" if stretches == 1 else f", in {stretches} unbroken stretches"
+        console.print(
+            f"{record['file']}: {record['samples']} samples at {1 / record['time_step']:.6g} Hz, "
+            f"{record['duration']:.4g} s{parted}",
+            highlight=False,
+            markup=False,
+        )
+    for step in document["provenance"]["preparation"]:
+        console.print(f"prepared: {step}", highlight=False, markup=False)
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for column in ("parameter", "equation", "own share", "noise"):
+        table.add_column(column, justify="right" if column in ("own share", "noise") else "left")
+    for name, entry in document["excitation"].items():
+        table.add_row(
+            Text(name),
+            Text(entry["equation"]),
+            f"{number(_percent(entry['own_share']), 3)} %",
+            f"{number(_percent(entry['noise_share']), 2)} %",
+        )
+    console.print(table)
+    console.print(
+        "own share: what no combination of the other parameters could do as well (100 % is best)\n"
+        "noise: share of the regressor that the sensors' noise makes up",
+        style="dim",
+        highlight=False,
+    )
+    doubts = len(document["warnings"])
+    if not document["answerable"]:
+        verdict = "these recordings cannot answer what the model asks; see the warnings."
+    elif doubts:
+        noun = "warning" if doubts == 1 else "warnings"
+        verdict = f"these recordings can answer what the model asks, with {doubts} {noun}."
+    else:
+        verdict = "these recordings can answer what the model asks."
+    console.print(verdict, highlight=False)
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share

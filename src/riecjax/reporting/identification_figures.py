@@ -1,0 +1,179 @@
+"""Figures of an identification: fit, window sweep, validation."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.identify import record_keys
+from riecjax.records.record import Record
+from riecjax.reporting.identification import Identification, ValidationRun
+from riecjax.reporting.output import require_plots
+from riecjax.studies.window_sweep import WindowSweep
+
+MOST_POINTS = 3000
+BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
+
+
+def identification_figures(result: Identification) -> dict[str, Any]:
+    """`fit`; `window_sweep` if there is one; `validation_1`, ... for each validation."""
+    figures = {"fit": _fit_figure(result)}
+    if result.sweep is not None:
+        figures["window_sweep"] = sweep_figure(result.sweep, result.estimate)
+    for i, run in enumerate(result.validations):
+        if run.held.signals:
+            figures[f"validation_{i + 1}"] = validation_figure(run)
+    return figures
+
+
+def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
+    """Each parameter over window length, with its interval, and the estimate of the fit."""
+    plt = require_plots()
+    count = len(sweep.parameters)
+    columns = min(count, 4)
+    rows = -(-count // columns)
+    figure, axes = plt.subplots(
+        rows,
+        columns,
+        figsize=(3.2 * columns + 0.6, 2.6 * rows + 0.4),
+        squeeze=False,
+        layout="constrained",
+    )
+    length = np.sqrt(np.asarray(sweep.alpha) * np.asarray(sweep.beta))
+    units = dict(sweep.units)
+    errors = np.asarray(sweep.standard_errors)
+    for j, (name, panel) in enumerate(zip(sweep.parameters, axes.flat)):
+        values = np.asarray(sweep.theta[:, j])
+        low, high = estimate.interval(name)
+        panel.axhspan(low, high, color="0.9", label="the fit's interval")
+        panel.errorbar(
+            length,
+            values,
+            1.96 * errors[:, j],
+            fmt="o-",
+            color=BLUE,
+            markersize=3,
+            linewidth=1,
+            capsize=2,
+            label="window length alone",
+        )
+        panel.set_xscale("log")
+        panel.set_xlabel("window length / s")
+        panel.set_ylabel(f"{name} / ({units[name]})" if units.get(name) else name)
+    for panel in axes.flat[count:]:
+        panel.set_visible(False)
+    axes.flat[0].legend(fontsize="small", frameon=False)
+    return figure
+
+
+def validation_figure(run: ValidationRun) -> Any:
+    """Measured and simulated signals over time."""
+    plt = require_plots()
+    names = list(run.held.signals)
+    figure, axes = plt.subplots(
+        len(names),
+        1,
+        figsize=(8, 2.1 * len(names) + 0.6),
+        squeeze=False,
+        sharex=True,
+        layout="constrained",
+    )
+    units = dict(run.measured.units)
+    time = np.asarray(run.measured.time)
+    for panel, name in zip(axes[:, 0], names):
+        panel.plot(time, _shown(run.measured, name), color=GREY, linewidth=1.6, label="measured")
+        panel.plot(
+            time, _shown(run.held.record, name), color=RUST, linewidth=0.9, label="simulated"
+        )
+        panel.set_ylabel(f"{name} / ({units[name]})" if units.get(name) else name)
+    axes[0, 0].legend(fontsize="small", frameon=False, loc="upper right")
+    axes[0, 0].set_title(run.on, fontsize="medium")
+    axes[-1, 0].set_xlabel("time / s")
+    return figure
+
+
+def _shown(record: Record, name: str) -> np.ndarray:
+    """Samples of a signal, with NaN where it is missing, which leaves a gap in a line."""
+    samples = np.asarray(record[name])
+    return np.where(record.missing[name], np.nan, samples) if name in record.missing else samples
+
+
+def _fit_figure(result: Identification) -> Any:
+    """Each stage's rows, measured against explained, and what is left of them."""
+    plt = require_plots()
+    estimate, procedure, records = result.estimate, result.procedure, result.records
+    own = frozenset(name.partition("[")[0] for name in estimate if "[" in name)
+    stages = [procedure.stages[stage.stage] for stage in estimate.stages]
+    figure, axes = plt.subplots(
+        2, len(stages), figsize=(3.6 * len(stages) + 0.8, 6.4), squeeze=False, layout="constrained"
+    )
+    for column, (equations, name) in enumerate(zip(stages, estimate.stage_names)):
+        unit = _row_unit(equations[0].unit, estimate.criterion)
+        rows = Rows.concatenate(
+            [
+                _explained(
+                    estimate,
+                    _named(estimate.criterion.rows(equation, record, record_key), own, i),
+                )
+                for i, (record, record_key) in enumerate(
+                    zip(records, record_keys(result.key, len(records)))
+                )
+                for equation in equations
+            ]
+        )
+        kept = slice(None) if rows.kept is None else np.asarray(rows.kept)
+        measured, explained = np.asarray(rows.target)[kept], np.asarray(rows.columns[1])[kept]
+        start = np.asarray(rows.position)[kept] * float(records[0].time_step)
+        chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
+        _draw_fit(axes[0, column], explained[chosen], measured[chosen], name, unit)
+        _draw_residual(
+            axes[1, column],
+            start[chosen],
+            (measured - explained)[chosen],
+            unit,
+        )
+    return figure
+
+
+def _named(rows: Rows, own: frozenset[str], index: int) -> Rows:
+    """The rows of one record, with the names of the parameters that are its own."""
+    names = (f"{name}[{index + 1}]" if name in own else name for name in rows.parameters)
+    return rows.rename(tuple(names))
+
+
+def _explained(estimate: Estimate, rows: Rows) -> Rows:
+    """Two columns: what the known terms and parameters give, and what the estimated explain."""
+    left = rows.fix(estimate.known)
+    # Where no term is known beforehand, an earlier stage found the coefficient that sets the scale.
+    if left.parameters and bool(jnp.all(left.target == 0)):
+        left = left.fix({left.parameters[0]: estimate[left.parameters[0]]})
+    explained = sum(
+        (estimate[name] * column for name, column in zip(left.parameters, left.columns[1:])),
+        start=jnp.zeros_like(left.target),
+    )
+    return Rows(jnp.stack([left.target, explained]), rows.position, ("explained",), rows.kept)
+
+
+def _draw_fit(axes: Any, explained: np.ndarray, measured: np.ndarray, name: str, unit: str) -> None:
+    reach = 1.05 * max(np.abs(measured).max(), np.abs(explained).max(), 1e-300)
+    axes.plot([-reach, reach], [-reach, reach], color=GREY, linewidth=0.8)
+    axes.plot(explained, measured, ".", color=BLUE, markersize=2, alpha=0.5)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), title=name)
+    axes.set_xlabel(f"explained by the model{unit}")
+    axes.set_ylabel(f"measured{unit}")
+
+
+def _draw_residual(axes: Any, time: np.ndarray, residual: np.ndarray, unit: str) -> None:
+    axes.axhline(0, color=GREY, linewidth=0.8)
+    axes.plot(time, residual, ".", color=RUST, markersize=2, alpha=0.5)
+    axes.set_xlabel("time / s")
+    axes.set_ylabel(f"residual{unit}")
+
+
+def _row_unit(unit: str, criterion: AbstractCriterion) -> str:
+    """Axis label's unit: an integral criterion's rows are the equation's unit times seconds."""
+    if not unit:
+        return ""
+    return f" / ({unit} s)" if isinstance(criterion, RIEC) else f" / ({unit})"
