@@ -143,10 +143,7 @@ def _numbers(series: Any) -> np.ndarray | None:
     kind = getattr(series.dtype, "kind", "O")
     if kind in "mM":
         if getattr(series.dtype, "tz", None) is not None:
-            shifted = (
-                series if hasattr(series, "tz_convert") and not hasattr(series, "dt") else series.dt
-            )
-            series = shifted.tz_convert("UTC").tz_localize(None)
+            series = type(series)(series.to_numpy("datetime64[ns]"))
         return _seconds(np.asarray(series))
     if kind in "iufb":
         try:

@@ -137,7 +137,7 @@ def _write_parquet(file: Path, columns: Columns, units: Mapping[str, str]) -> No
     ]
     table = pa.table(list(columns.values()), schema=pa.schema(fields))
     with file.open("wb") as stream:
-        parquet.write_table(table, stream)
+        parquet.write_table(table, stream, write_page_checksum=True)
 
 
 WRITERS: dict[str, Callable[[Path, Columns, Mapping[str, str]], None]] = {

@@ -57,7 +57,7 @@ def record_from_channels(channels: Channels, selection: Selection) -> Record:
     if selection.resample is not None:
         return _resampled(signals, times, selection)
     values, time = _on_one_axis(signals.values, times)
-    values = _with_derived(values, time, selection.derive)
+    values = _finite(_with_derived(values, time, selection.derive), selection)
     return Record.from_samples(
         values,
         time=time,
@@ -238,7 +238,7 @@ def _resampled(signals: _Signals, times: dict[str, np.ndarray], selection: Selec
     from riecjax.records.preparation.resampling import on_grid
 
     pairs = {}
-    for name, values in signals.values.items():
+    for name, values in _finite(signals.values, selection).items():
         step = selection.time_step
         time = times[name] if step is None else step * np.arange(values.size)
         known = ~np.isnan(time)
@@ -249,6 +249,14 @@ def _resampled(signals: _Signals, times: dict[str, np.ndarray], selection: Selec
         time=time,
         units={**signals.units, **selection.units},
     )
+
+
+def _finite(values: dict[str, np.ndarray], selection: Selection) -> dict[str, np.ndarray]:
+    """Without the infinite by-products of files from which signals are asked for by name."""
+    wanted = {*selection.rename, *selection.derive}
+    if not wanted - {"t"}:
+        return values
+    return {k: v for k, v in values.items() if k in wanted or not np.isinf(v).any()}
 
 
 def _with_derived(

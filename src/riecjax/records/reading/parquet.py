@@ -27,7 +27,10 @@ def read_parquet(file: Path) -> Channels:
         from pyarrow import parquet
 
         # Not by its name, by which PyArrow would look for partitions in folders beside it.
-        with file.open("rb") as stream, parquet.ParquetFile(stream) as source:
+        with (
+            file.open("rb") as stream,
+            parquet.ParquetFile(stream, page_checksum_verification=True) as source,
+        ):
             schema = source.schema_arrow
             _check_size(source, len(schema))
             wanted = [place for place, field in enumerate(schema) if _is_numeric(field.type)]
