@@ -1,0 +1,396 @@
+"""What is wrong with recorded signals, before anything is computed from them.
+
+Each check is made to stay silent on what machines do: axes at rest, relays and steps, encoders
+that show one value for a while, bumps in a road. What it fires on is worth a look; what to do
+about it stands in the message.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from riecjax.findings import Finding
+from riecjax.records.record import Record
+
+FEWEST_SAMPLES = 50
+"""Present samples below which only missing and constant signals are reported."""
+FEW_LEVELS = 20
+"""Distinct values up to which a signal counts as a command or a relay, not as a sensor's."""
+PILE_UP = 5.0
+"""Times more often than at the next four levels that a clipped signal sits at its extreme. The
+crest of a quantised signal, a parabola, sits there at most 3.2 times as often."""
+REPEATS = 2.5
+"""The same for a signal that is not quantised, in which no value comes twice but by a period."""
+FEWEST_VISITS = 3
+"""Times that a signal must have run into its limits, both together, to count as clipped."""
+STEEP = 10.0
+"""Quanta by which two samples before a visit lie off the extreme where the approach is steep; below
+that, rounding hides whether it was straight. A crest that stays within its last quantum for 3
+samples comes from less than 9."""
+LONGEST_REST = 0.5
+"""Share of samples at one value past which that is where the signal rests."""
+STUCK_SAMPLES = 20
+"""Samples of one value that may be a stuck sensor."""
+STUCK_RATIO = 10.0
+"""Times that a stuck run is longer than what is usual (19 of 20 runs) in the signal."""
+ABRUPT = 0.1
+"""Share of the usual step past which a run begins or ends abruptly. What comes to rest at a finite
+deceleration takes a last step far below."""
+ABRUPT_QUANTA = 3.0
+"""The same in quanta of the signal."""
+MOVES = 0.3
+"""Share of its usual sample-to-sample change past which another signal moves meanwhile."""
+OUTLIER_SCALES = 6.0
+"""Robust standard deviations from the running median past which a sample may be an outlier."""
+OUTLIER_GAP = 1.5
+"""Times that the least outlier stands out further than the most extreme other sample."""
+OUTLIER_LOCAL = 1.5
+"""Times that an outlier stands out further than its six neighbours range."""
+MOST_OUTLIERS = 0.01
+"""Share of samples; more of them are how the signal is."""
+ROUNDING = 1e-9
+"""Share of a signal's range within which values are one: computed ones differ in last digits."""
+COARSE = 0.01
+"""Share of a signal's rms past which its resolution matters."""
+
+
+def check_signals(record: Record, names: Iterable[str]) -> list[Finding]:
+    """Look at these signals for what sensors, converters and loggers do wrong.
+
+    Codes: `missing_samples`, `constant_signal`, `clipped`, `stuck_sensor`, `outliers` and
+    `quantised`. A signal that is constant, or has fewer than 50 samples, is not looked at further.
+    Not under jit.
+
+    **Raises:** `DataError` for a signal that the record lacks.
+    """
+    signals = {name: _signal(record, name) for name in dict.fromkeys(names)}
+    others = {name: _signal(record, name) for name in record.arrays if name not in signals}
+    found = []
+    for name, signal in signals.items():
+        found += _missing_samples(record, signal)
+        if signal.is_constant:
+            found += _constant(signal)
+        elif signal.present >= FEWEST_SAMPLES:
+            rest = [s for key, s in {**signals, **others}.items() if key != name]
+            found += _clipped(signal)
+            found += _stuck(signal, rest)
+            found += _outliers(signal)
+            found += _quantised(signal)
+    return found
+
+
+class _Runs(NamedTuple):
+    """Stretches of one exact value."""
+
+    starts: np.ndarray
+    lengths: np.ndarray
+    values: np.ndarray
+
+
+class _Signal(NamedTuple):
+    """A signal with what several checks ask of it."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+    """NaN where missing."""
+    time: np.ndarray
+    levels: np.ndarray
+    """Distinct values, ascending."""
+    counts: np.ndarray
+    """How often each occurs."""
+    resolution: float
+    """Distance of values where they are multiples of one, else 0."""
+    runs: _Runs
+
+    @property
+    def present(self) -> int:
+        return int(self.counts.sum())
+
+    @property
+    def is_constant(self) -> bool:
+        return self.levels.size == 1
+
+    def says(self, value: float) -> str:
+        return f"{value + 0.0:.4g} {self.unit}".rstrip()
+
+
+def _signal(record: Record, name: str) -> _Signal:
+    values = np.array(record[name], float)
+    if name in record.missing:
+        values[np.asarray(record.missing[name])] = np.nan
+    levels, counts = _levels(values[~np.isnan(values)])
+    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
+    lengths = np.diff(np.concatenate([starts, [values.size]]))
+    runs = _Runs(starts, lengths, values[starts])
+    return _Signal(
+        name,
+        dict(record.units).get(name, ""),
+        values,
+        np.asarray(record.time),
+        levels,
+        counts,
+        _resolution(levels),
+        runs,
+    )
+
+
+def _levels(present: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct values, ascending, and how often each occurs."""
+    distinct, counts = np.unique(present, return_counts=True)
+    if not distinct.size:
+        return distinct, counts
+    new = np.concatenate([[True], np.diff(distinct) > ROUNDING * np.ptp(distinct)])
+    return distinct[new], np.add.reduceat(counts, np.flatnonzero(new))
+
+
+def _resolution(levels: np.ndarray) -> float:
+    """The quantum whose multiples lie between neighbouring levels, 0 if there is none."""
+    if levels.size < 3:
+        return 0.0
+    steps = np.diff(levels)
+    smallest = float(np.min(steps))
+    # The smallest step carries rounding; the mean of all steps of about its size less of it.
+    quantum = float(np.mean(steps[steps < 1.5 * smallest]))
+    multiples = steps / quantum
+    near = np.abs(multiples - np.round(multiples)) < 0.02 + 1e-3 * multiples
+    return quantum if np.mean(near[multiples < 100]) > 0.99 else 0.0
+
+
+def _missing_samples(record: Record, signal: _Signal) -> list[Finding]:
+    mask = np.isnan(signal.values)
+    if not mask.any():
+        return []
+    starts = np.flatnonzero(np.diff(np.concatenate([[False], mask]).astype(np.int8)) == 1)
+    longest = max((s.stop - s.start for s in record.segments([signal.name])), default=0)
+    seconds = max(longest - 1, 0) * float(record.time_step)
+    return [
+        Finding(
+            "missing_samples",
+            f"{signal.name}: {_share(mask.sum(), mask.size)} of the samples ({mask.sum()} of "
+            f"{mask.size}) are missing in {starts.size} gap(s), first at "
+            f"{signal.time[starts[0]]:.4g} s, and the longest unbroken stretch lasts "
+            f"{seconds:.4g} s; choose windows and filters that are short against it.",
+        )
+    ]
+
+
+def _constant(signal: _Signal) -> list[Finding]:
+    return [
+        Finding(
+            "constant_signal",
+            f"{signal.name}: never varies from {signal.says(signal.levels[0])}, so nothing can be "
+            f"identified from it; check that the channel was connected and the right one.",
+        )
+    ]
+
+
+class _Visits(NamedTuple):
+    """Times that a signal sits at an extreme where it does not just turn round."""
+
+    which: str
+    extreme: float
+    starts: np.ndarray
+    samples: int
+    steep: int
+    """Visits that came from far off, and left for far off."""
+
+
+def _clipped(signal: _Signal) -> list[Finding]:
+    """Runs into an extreme from far off, which a crest never does, and sits there."""
+    if signal.levels.size <= FEW_LEVELS or _is_drawn(signal):
+        return []
+    sides = [_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0)]
+    sides = [side for side in sides if side is not None and side.steep]
+    if sum(side.steep for side in sides) < FEWEST_VISITS:
+        return []
+    return [
+        Finding(
+            "clipped",
+            f"{signal.name}: sits at its {side.which} of {signal.says(side.extreme)} in "
+            f"{side.starts.size} place(s), {_share(side.samples, signal.present)} of the samples, "
+            f"first at {signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range "
+            f"does; record with a larger range or leave those stretches out, unless the limit is "
+            f"real, as of a command or of a wheel that lifts.",
+        )
+        for side in sides
+    ]
+
+
+def _visits(signal: _Signal, which: str, sign: float) -> _Visits | None:
+    """Visits to one extreme; `None` where it is a crest, or where the signal rests."""
+    order = np.argsort(-sign * signal.levels)[:5]
+    extreme, samples = signal.levels[order[0]], int(signal.counts[order[0]])
+    ratio = PILE_UP if signal.resolution else REPEATS
+    piles_up = samples > ratio * np.mean(signal.counts[order[1:]])
+    if not piles_up or samples > LONGEST_REST * signal.present:
+        return None
+    rounding = ROUNDING * np.ptp(signal.levels)
+    visits = np.abs(signal.runs.values - extreme) <= rounding
+    starts, lengths = signal.runs.starts[visits], signal.runs.lengths[visits]
+    quantum = max(signal.resolution, rounding)
+    steep = np.ones(starts.size, bool)
+    for edges, outward in ((starts, -1), (starts + lengths - 1, 1)):
+        near, far = (_off(signal, edges + k * outward, float(extreme), sign) for k in (2, 4))
+        steep &= (near > STEEP * quantum) & ~_comes_to_rest(near, far, quantum)
+    return _Visits(which, float(extreme), starts, samples, int(steep.sum()))
+
+
+def _off(signal: _Signal, samples: np.ndarray, extreme: float, sign: float) -> np.ndarray:
+    """How far samples lie off an extreme, NaN beyond the record's ends."""
+    inside = (samples >= 0) & (samples < signal.values.size)
+    values = signal.values[np.clip(samples, 0, signal.values.size - 1)]
+    return np.where(inside, sign * (extreme - values), np.nan)
+
+
+def _comes_to_rest(near: np.ndarray, far: np.ndarray, quantum: float) -> np.ndarray:
+    """Whether a way to an extreme, seen 2 and 4 samples before, may be a parabola that ends there.
+
+    At a finite deceleration near : far is 1 : 4 or less, and somewhat more where the last quantum
+    hides when the motion ended; on a straight way it is 1 : 3 to 1 : 2.
+    """
+    hidden = np.sqrt(np.minimum(quantum / np.maximum(near, quantum), 1.0))
+    return near * (2 - hidden) ** 2 <= far
+
+
+def _is_drawn(signal: _Signal) -> bool:
+    """Made of straight lines, as commands are and what is measured never is."""
+    bend = np.diff(signal.values, 2)
+    extreme = np.isin(signal.values[1:-1], signal.levels[[0, -1]])
+    inner = np.abs(bend[~extreme & ~np.isnan(bend)])
+    return not inner.size or bool(np.mean(inner <= ROUNDING * np.ptp(signal.levels)) > 0.5)
+
+
+def _stuck(signal: _Signal, others: list[_Signal]) -> list[Finding]:
+    """A long run of one value, begun or left by a jump, while something else moves on."""
+    runs, values = signal.runs, signal.values
+    usual = float(np.quantile(runs.lengths, 0.95))
+    long = np.flatnonzero(runs.lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
+    if not long.size or signal.levels.size <= FEW_LEVELS or _is_drawn(signal):
+        return []
+    steps = np.abs(np.diff(values))
+    elsewhere = np.ones(steps.size, bool)
+    for run in long:
+        elsewhere[runs.starts[run] : runs.starts[run] + runs.lengths[run] - 1] = False
+    moving = steps[elsewhere & ~np.isnan(steps)]
+    if not moving.size or np.mean(moving == 0) > LONGEST_REST:
+        return []
+    least = max(ABRUPT * float(np.median(moving[moving > 0])), ABRUPT_QUANTA * signal.resolution)
+    # A machine comes to rest and leaves it gently, and rests in the same place more than once.
+    stuck = [
+        run
+        for run in long
+        if np.sum(runs.values[long] == runs.values[run]) == 1
+        and _is_abrupt(steps, runs.starts[run], runs.lengths[run], least)
+        and _others_move(others, runs.starts[run], runs.lengths[run])
+    ]
+    if not stuck:
+        return []
+    samples = int(runs.lengths[stuck].sum())
+    first = stuck[0]
+    return [
+        Finding(
+            "stuck_sensor",
+            f"{signal.name}: stays at exactly {signal.says(runs.values[first])} for "
+            f"{runs.lengths[first]} samples from {signal.time[runs.starts[first]]:.4g} s on while "
+            f"the rest of the record moves ({samples} samples in {len(stuck)} place(s), "
+            f"{_share(samples, signal.present)}); leave that stretch out and check the sensor and "
+            f"its cable.",
+        )
+    ]
+
+
+def _is_abrupt(steps: np.ndarray, start: int, length: int, least: float) -> bool:
+    """Whether the run begins or ends with a step of at least this size."""
+    edges = [steps[k] for k in (start - 1, start + length - 1) if 0 <= k < steps.size]
+    return bool(np.nanmax([0.0, *edges]) > least)
+
+
+def _others_move(others: list[_Signal], start: int, length: int) -> bool:
+    """Whether some signal changes from sample to sample meanwhile; True where there is none."""
+    sensors = [s for s in others if s.levels.size > FEW_LEVELS]
+    if not sensors:
+        return True
+    for other in sensors:
+        steps = np.diff(other.values)
+        meanwhile = steps[start : start + length - 1]
+        if np.isnan(meanwhile).all():
+            continue
+        if np.nanstd(meanwhile) > MOVES * np.nanstd(steps):
+            return True
+    return False
+
+
+def _outliers(signal: _Signal) -> list[Finding]:
+    """One or two samples that leave their surroundings further than any other sample does."""
+    values = signal.values
+    if signal.levels.size <= FEW_LEVELS:
+        return []
+    windows = np.lib.stride_tricks.sliding_window_view(values, 5)
+    off = np.full(values.size, np.nan)
+    off[2:-2] = np.abs(values[2:-2] - np.median(windows, axis=1))
+    known = off[~np.isnan(off)]
+    if not known.size:
+        return []
+    # Past the steps of its converter, past what is usual, and past the widest gap in between.
+    least = max(
+        OUTLIER_SCALES * 1.4826 * float(np.median(known)),
+        2.0 * float(np.quantile(known, 1 - MOST_OUTLIERS)),
+        2.0 * float(np.nanquantile(np.abs(np.diff(values)), 1 - 2 * MOST_OUTLIERS)),
+        5.0 * signal.resolution,
+    )
+    ranked = np.sort(known)[::-1][: int(MOST_OUTLIERS * known.size) + 2]
+    gap = (ranked[:-1] > least) & (ranked[:-1] > OUTLIER_GAP * ranked[1:])
+    if not gap.any():
+        return []
+    limit = ranked[np.flatnonzero(gap)[-1]]
+    far = np.flatnonzero(off >= limit)
+    groups = np.split(far, np.flatnonzero(np.diff(far) > 1) + 1)
+    spikes = [group for group in groups if _is_isolated(values, off, group)]
+    if len(spikes) < len(groups):
+        return []
+    height = float(np.max(off[far]))
+    return [
+        Finding(
+            "outliers",
+            f"{signal.name}: {far.size} sample(s) stand out from their neighbours by up to "
+            f"{signal.says(height)}, where no other sample does by more than "
+            f"{signal.says(float(np.max(known[known < limit])))}, first at "
+            f"{signal.time[far[0]]:.4g} s; unless they really acted, mark them as missing (NaN), "
+            f"since least squares follow them.",
+        )
+    ]
+
+
+def _is_isolated(values: np.ndarray, off: np.ndarray, group: np.ndarray) -> bool:
+    """Up to two samples, between neighbours that agree with each other."""
+    if group.size > 2:
+        return False
+    near = np.concatenate([values[group[0] - 3 : group[0]], values[group[-1] + 1 :][:3]])
+    return bool(np.min(off[group]) > OUTLIER_LOCAL * np.ptp(near[~np.isnan(near)]))
+
+
+def _quantised(signal: _Signal) -> list[Finding]:
+    present = signal.values[~np.isnan(signal.values)]
+    rms = float(np.std(present))
+    steps = np.abs(np.diff(signal.values))
+    steps = steps[~np.isnan(steps)]
+    # Few levels that are held for long are a command's.
+    held = signal.levels.size <= FEW_LEVELS and np.mean(steps == 0) > 0.95
+    if signal.levels.size < 5 or held or signal.resolution <= COARSE * rms:
+        return []
+    change = float(np.sqrt(np.mean(steps**2))) / signal.resolution
+    return [
+        Finding(
+            "quantised",
+            f"{signal.name}: its resolution of {signal.says(signal.resolution)} is "
+            f"{_share(signal.resolution, rms)} of its rms, and it changes by {change:.2g} such "
+            f"steps from sample to sample (rms); do not differentiate it without a low-pass, and "
+            f"prefer longer windows or a finer range.",
+        )
+    ]
+
+
+def _share(part: float, whole: float) -> str:
+    return f"{100 * part / whole:.3g} %"
