@@ -31,7 +31,7 @@ def write_v73(path: Path, content: dict[str, object]) -> Path:
             elif isinstance(value, list):
                 refs = group.file.require_group("#refs#")
                 made = [
-                    refs.create_dataset(f"{name}{i}", data=np.atleast_2d(v).T)
+                    refs.create_dataset(f"{name}{i}", data=np.atleast_2d(np.asarray(v)).T)
                     for i, v in enumerate(value)
                 ]
                 cell = group.create_dataset(name, (len(made), 1), dtype=h5py.ref_dtype)
@@ -42,7 +42,7 @@ def write_v73(path: Path, content: dict[str, object]) -> Path:
                 codes = np.array([[ord(c)] for c in value], np.uint16)
                 group.create_dataset(name, data=codes).attrs["MATLAB_class"] = np.bytes_("char")
             else:
-                group.create_dataset(name, data=np.atleast_2d(value).T)
+                group.create_dataset(name, data=np.atleast_2d(np.asarray(value)).T)
 
     with h5py.File(path, "w", userblock_size=512) as file:
         fill(file, content)
@@ -187,7 +187,18 @@ def test_a_matlab_cell_that_claims_more_than_there_is(tmp_path):
     assert content.count(sides) == 1
     claimed = np.array([2**30, 1], np.int32).tobytes()
     (tmp_path / "a.mat").write_bytes(content.replace(sides, claimed))
-    with pytest.raises(DataError, match="declares more elements than it holds"):
+    with pytest.raises(DataError, match="cell array of 1073741824 elements holds 3"):
+        read_channels(tmp_path / "a.mat")
+
+
+def test_a_matlab_element_of_an_unknown_type(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"x": TIME})
+    content = (tmp_path / "a.mat").read_bytes()
+    tag = np.array([9, TIME.nbytes], np.int32).tobytes()
+    assert content.count(tag) == 1
+    unknown = np.array([0x409, TIME.nbytes], np.int32).tobytes()
+    (tmp_path / "a.mat").write_bytes(content.replace(tag, unknown))
+    with pytest.raises(DataError, match="unknown type 1033"):
         read_channels(tmp_path / "a.mat")
 
 
@@ -236,7 +247,10 @@ def test_too_many_arrays_are_refused(tmp_path, monkeypatch, make):
         monkeypatch.setattr(f"riecjax.records.reading.{module}.MOST_COLUMNS", 20)
     arrays = {f"x{i}": X for i in range(25)}
     path = tmp_path / f"a.{make}"
-    np.savez(path, **arrays) if make == "npz" else scipy.io.savemat(path, arrays)
+    if make == "npz":
+        np.savez(path, allow_pickle=False, **arrays)
+    else:
+        scipy.io.savemat(path, arrays)
     with pytest.raises(DataError, match="columns"):
         read_channels(path)
 

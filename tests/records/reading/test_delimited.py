@@ -329,12 +329,13 @@ def test_pandas_reads_the_same(tmp_path):
 
     frame = pd.DataFrame({"t": np.arange(50) * 0.1, "x": np.sin(np.arange(50.0)), "n": range(50)})
     frame.loc[7, "x"] = np.nan
-    for options in (
-        {"sep": ","},
-        {"sep": ";", "decimal": ","},
-        {"sep": "\t", "encoding": "utf-16"},
+    for sep, decimal, encoding in (
+        (",", ".", "utf-8"),
+        (";", ",", "latin-1"),
+        ("\t", ".", "utf-16"),
     ):
-        frame.to_csv(tmp_path / "a.csv", index=False, **options)
+        path = tmp_path / "a.csv"
+        frame.to_csv(path, index=False, sep=sep, decimal=decimal, encoding=encoding)
         found = read_channels(tmp_path / "a.csv").columns
         for name in frame:
             np.testing.assert_array_equal(found[str(name)], frame[name].to_numpy(float))

@@ -179,7 +179,9 @@ def tables(draw: st.DrawFn) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
 @given(tables())
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
+)
 def test_tables_with_odd_numbers_rows_and_columns(tmp_path_factory, ending, columns):
     path = tmp_path_factory.getbasetemp() / f"odd{ending}"
     try:

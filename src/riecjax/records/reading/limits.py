@@ -13,6 +13,9 @@ MOST_COLUMNS = 10_000
 HIGHEST_PACKING = 1100
 """Bytes that one byte of a deflated file can hold (1032), with its headers."""
 
+LONGEST_REASON = 200
+"""Characters of a library's error that are passed on; some quote the whole file."""
+
 
 def check_unpacked(size: int, packed: int | None = None) -> None:
     """Refuse a file that declares to unpack to `size` bytes from `packed` ones.
@@ -49,5 +52,5 @@ def foreign_reader(kind: str) -> Iterator[None]:
 
 
 def first_sentence(error: BaseException) -> str:
-    """The first line of an exception's text, or its type where it has none."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+    """The start of an exception's first line, or its type where it has none."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:LONGEST_REASON]

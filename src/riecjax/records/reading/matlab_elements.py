@@ -7,11 +7,13 @@ each element must have room in the file for what it declares.
 import io
 import struct
 import zlib
+from collections.abc import Iterator
 
 from riecjax.records.reading.limits import LARGEST_FILE, check_unpacked
 
 HEADER = 128
 MATRIX, COMPRESSED = 14, 15
+NUMERIC = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
 CELL, STRUCTURE, OBJECT, SPARSE = 1, 2, 3, 5
 OPAQUE, FUNCTION = 17, 16
 DEEPEST = 32
@@ -41,8 +43,9 @@ def inflated(content: bytes) -> io.BytesIO:
         if whole is None:
             whole = struct.pack(order + "II", kind, len(body)) + body
         inner, inside, _ = _element(whole, 0, order, len(whole))
-        if inner == MATRIX:
-            _check_matrix(inside, order, 0)
+        if inner != MATRIX:
+            raise ValueError(f"a variable has the unknown type {inner}.")
+        _check_matrix(inside, order, 0)
         parts.append(whole)
         size += len(whole)
         check_unpacked(size)
@@ -75,38 +78,60 @@ def _element(content: bytes, place: int, order: str, end: int) -> tuple[int, byt
     return kind, content[place + 8 : stop], padded
 
 
+def _elements(body: bytes, place: int, order: str) -> Iterator[tuple[int, bytes]]:
+    while place < len(body):
+        kind, inside, place = _element(body, place, order, len(body))
+        yield kind, inside
+
+
 def _check_matrix(body: bytes, order: str, depth: int) -> None:
-    """Refuse a matrix that declares more elements than it has bytes for."""
+    """Refuse a matrix that declares other elements than it has, or of a type that there is not.
+
+    SciPy takes an element's type for an index into a table.
+    """
     if not body:
         return
     if depth > DEEPEST:
         raise ValueError("its structures lie too deep.")
-    _, flags, place = _element(body, 0, order, len(body))
+    elements = list(_elements(body, 0, order))
+    for kind, inside in elements:
+        if kind == MATRIX:
+            _check_matrix(inside, order, depth + 1)
+        elif kind not in NUMERIC:
+            raise ValueError(f"an element has the unknown type {kind}.")
+    flags = elements[0][1]
     kind = struct.unpack_from(order + "I", flags.ljust(4, b"\0"))[0] & 0xFF
     if kind in (OPAQUE, FUNCTION):
         return
-    _, sides, place = _element(body, place, order, len(body))
+    if len(elements) < 3:
+        raise ValueError("an array has no size or no name.")
+    count = _count(elements[1][1], order)
+    inner = sum(each == MATRIX for each, _ in elements)
+    if kind == CELL and inner != count:
+        raise ValueError(f"a cell array of {count} elements holds {inner}.")
+    if kind in (STRUCTURE, OBJECT):
+        _check_fields(elements, inner, count, order, 3 if kind == STRUCTURE else 4)
+    elif kind not in (CELL, SPARSE) and count > len(body):
+        raise ValueError("an array declares more elements than it holds.")
+
+
+def _count(sides: bytes, order: str) -> int:
     count = 1
     for side in struct.unpack(order + f"{len(sides) // 4}i", sides[: len(sides) // 4 * 4]):
         if side < 0:
             raise ValueError("an array has a negative size.")
         count *= side
-    if kind == SPARSE:
-        return
-    if count > len(body):
-        raise ValueError("an array declares more elements than it holds.")
-    if kind not in (CELL, STRUCTURE, OBJECT):
-        return
-    _, _, place = _element(body, place, order, len(body))  # the name
-    if kind == OBJECT:
-        _, _, place = _element(body, place, order, len(body))  # the name of its class
-    if kind in (STRUCTURE, OBJECT):
-        _, _, place = _element(body, place, order, len(body))  # the longest field name
-        _, _, place = _element(body, place, order, len(body))  # the field names
-    while place < len(body):
-        inner, inside, place = _element(body, place, order, len(body))
-        if inner == MATRIX:
-            _check_matrix(inside, order, depth + 1)
+    return count
+
+
+def _check_fields(
+    elements: list[tuple[int, bytes]], inner: int, count: int, order: str, place: int
+) -> None:
+    """Refuse a structure whose fields are not those that it names."""
+    longest, names = (inside for _, inside in elements[place : place + 2])
+    width = struct.unpack_from(order + "i", longest)[0]
+    if width <= 0 or inner != count * (len(names) // width):
+        raise ValueError(f"an array of {count} structures holds {inner} fields.")
 
 
 def _check_version_4(content: bytes) -> None:

@@ -1,5 +1,6 @@
 """Reading measurement files in ASAM MDF (.mf4, .mdf), with the extra `mdf`."""
 
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,27 @@ def read_mdf(file: Path) -> Channels:
         raise DataError(
             "to read MDF files, install the package's extra: pip install 'riecjax[mdf]'."
         ) from None
-    with foreign_reader("MDF"), asammdf.MDF(str(file)) as source:
-        _check_size(source)
-        return _channels(source)
+    with foreign_reader("MDF"), file.open("rb") as stream:
+        try:
+            with asammdf.MDF(stream) as source:
+                _check_size(source)
+                return _channels(source)
+        except Exception as error:
+            _mark_closed(error)
+            raise
+
+
+def _mark_closed(error: Exception) -> None:
+    """Keep the library from closing, once more and with a complaint, a file it never opened.
+
+    Its reader, left half made by a damaged file, is reached through the error alone.
+    """
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        reader = frame.f_locals.get("self")
+        if reader is not None and hasattr(reader, "_tempfile") and not reader._closed:
+            reader._closed = True
+            if reader._tempfile is not None:
+                reader._tempfile.close()
 
 
 def _check_size(source: Any) -> None:

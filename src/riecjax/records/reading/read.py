@@ -4,6 +4,8 @@ import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.records.reading.arrays import read_npz
 from riecjax.records.reading.assembly import Selection, record_from_channels
@@ -25,6 +27,9 @@ READERS: dict[str, Callable[[Path], Channels]] = {
     ".mdf": read_mdf,
 }
 """How a file is read, by its name's ending."""
+
+LONGEST_MESSAGE = 2000
+"""Characters of a message; names in a damaged file can be of any length."""
 
 
 def read_record(
@@ -68,7 +73,9 @@ def read_record(
     channels = read_channels(path, delimiter=delimiter, decimal=decimal)
     selection = Selection(rename or {}, scale or {}, units or {}, derive or {}, time_step, resample)
     try:
-        return record_from_channels(channels, selection)
+        # Damaged numbers overflow; what is not finite is found and named.
+        with np.errstate(all="ignore"):
+            return record_from_channels(channels, selection)
     except RiecjaxError as error:
         raise _about(Path(path), error) from None
 
@@ -120,4 +127,4 @@ def _check_dialect(file: Path, delimiter: str | None, decimal: str | None) -> No
 def _about(file: Path, error: RiecjaxError) -> RiecjaxError:
     """The same error in one line that begins with the file's name."""
     kind = type(error) if type(error).__init__ is RiecjaxError.__init__ else DataError
-    return kind(" ".join(f"{file.name}: {error}".split()))
+    return kind(" ".join(f"{file.name}: {error}".split())[:LONGEST_MESSAGE])
