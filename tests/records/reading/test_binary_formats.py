@@ -202,6 +202,27 @@ def test_a_matlab_element_of_an_unknown_type(tmp_path):
         read_channels(tmp_path / "a.mat")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        # Tags and sizes of the text 'ab': its sides are two 4-byte integers, 1 and 2.
+        ([5, 8, 1, 2], [5, 0, 1, 2], "not a readable MAT file"),
+        ([5, 8, 1, 2], [5, 8, 1, 2000], "an array of 2000 elements holds 2"),
+        ([5, 8, 1, 40], [5, 8, 1, 39], "an array of 39 elements holds 40"),
+        ([5, 8, 1, 40], [5, 8, -1, 40], "negative size"),
+        ([5, 8, 1, 40], [5, 9000, 1, 40], "larger than its file"),
+    ],
+)
+def test_matlab_sizes_that_do_not_fit(tmp_path, old, new, words):
+    scipy.io.savemat(tmp_path / "a.mat", {"x": TIME[None, :], "name": "ab"})
+    content = (tmp_path / "a.mat").read_bytes()
+    before, after = (np.array(each, np.int32).tobytes() for each in (old, new))
+    assert content.count(before) == 1
+    (tmp_path / "a.mat").write_bytes(content.replace(before, after))
+    with pytest.raises(DataError, match=words):
+        read_channels(tmp_path / "a.mat")
+
+
 def test_v73_links_to_other_files_are_not_followed(tmp_path):
     with h5py.File(tmp_path / "other.h5", "w") as other:
         other["x"] = X

@@ -13,8 +13,9 @@ from riecjax.records.reading.limits import LARGEST_FILE, check_unpacked
 
 HEADER = 128
 MATRIX, COMPRESSED = 14, 15
-NUMERIC = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
-CELL, STRUCTURE, OBJECT, SPARSE = 1, 2, 3, 5
+WIDTHS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
+"""Bytes of a number by the type of an element."""
+CELL, STRUCTURE, OBJECT, TEXT, SPARSE = 1, 2, 3, 4, 5
 OPAQUE, FUNCTION = 17, 16
 DEEPEST = 32
 
@@ -97,7 +98,7 @@ def _check_matrix(body: bytes, order: str, depth: int) -> None:
     for kind, inside in elements:
         if kind == MATRIX:
             _check_matrix(inside, order, depth + 1)
-        elif kind not in NUMERIC:
+        elif kind not in WIDTHS:
             raise ValueError(f"an element has the unknown type {kind}.")
     flags = elements[0][1]
     kind = struct.unpack_from(order + "I", flags.ljust(4, b"\0"))[0] & 0xFF
@@ -111,11 +112,26 @@ def _check_matrix(body: bytes, order: str, depth: int) -> None:
         raise ValueError(f"a cell array of {count} elements holds {inner}.")
     if kind in (STRUCTURE, OBJECT):
         _check_fields(elements, inner, count, order, 3 if kind == STRUCTURE else 4)
-    elif kind not in (CELL, SPARSE) and count > len(body):
-        raise ValueError("an array declares more elements than it holds.")
+    elif kind not in (CELL, SPARSE):
+        _check_numbers(elements[3:], count, exactly=kind != TEXT)
+
+
+def _check_numbers(parts: list[tuple[int, bytes]], count: int, exactly: bool) -> None:
+    """Refuse an array whose real or imaginary part has not as many numbers as it declares.
+
+    Of texts there may be more bytes than letters.
+    """
+    if not parts:
+        raise ValueError("an array has no numbers.")
+    for kind, data in parts:
+        held = len(data) // WIDTHS.get(kind, 1)
+        if kind == MATRIX or (held != count if exactly else held < count):
+            raise ValueError(f"an array of {count} elements holds {held}.")
 
 
 def _count(sides: bytes, order: str) -> int:
+    if len(sides) < 8:
+        raise ValueError("an array has no size.")
     count = 1
     for side in struct.unpack(order + f"{len(sides) // 4}i", sides[: len(sides) // 4 * 4]):
         if side < 0:
