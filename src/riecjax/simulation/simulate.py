@@ -75,11 +75,17 @@ def simulate(
         raise ModelError(
             f"unknown state '{unknown[0]}'; the states are: {', '.join(system.state_names)}."
         )
-    levels = jnp.stack([inputs[name] for name in system.input_names], axis=-1)
+    levels = _levels(system, inputs)
     first = jnp.stack(
         [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]
     )
     return _simulate(system, levels, inputs, first, FixedStep() if method is None else method)
+
+
+def _levels(system: AbstractSystem, inputs: Record) -> Float[Array, "n inputs"]:
+    columns = [inputs[name] for name in system.input_names]
+    # A free motion has no input; the record still gives its sampling.
+    return jnp.stack(columns, axis=-1) if columns else jnp.zeros((inputs.sample_count, 0))
 
 
 @eqx.filter_jit
@@ -99,5 +105,13 @@ def _simulate(
         **outputs,
     }
     units = dict(system.states) | dict(system.outputs)
-    record = inputs.select(*system.input_names).with_signals(signals, units)
+    driving = {name: inputs[name] for name in system.input_names}
+    record = Record(
+        driving | signals,
+        inputs.time_step,
+        inputs.start_time,
+        dict(inputs.units) | units,
+        {name: mask for name, mask in inputs.missing.items() if name in driving},
+        inputs.stamps,
+    )
     return Simulation(record, status, reached)
