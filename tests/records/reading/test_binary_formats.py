@@ -207,13 +207,14 @@ def test_a_matlab_element_of_an_unknown_type(tmp_path):
     [
         # Tags and sizes of the text 'ab': its sides are two 4-byte integers, 1 and 2.
         ([5, 8, 1, 2], [5, 0, 1, 2], "not a readable MAT file"),
+        ([6, 8, 6, 0], [6, 8, 0x806, 0], "an array has 1 parts, not 2"),
         ([5, 8, 1, 2], [5, 8, 1, 2000], "an array of 2000 elements holds 2"),
         ([5, 8, 1, 40], [5, 8, 1, 39], "an array of 39 elements holds 40"),
         ([5, 8, 1, 40], [5, 8, -1, 40], "negative size"),
         ([5, 8, 1, 40], [5, 9000, 1, 40], "larger than its file"),
     ],
 )
-def test_matlab_sizes_that_do_not_fit(tmp_path, old, new, words):
+def test_matlab_arrays_that_do_not_fit(tmp_path, old, new, words):
     scipy.io.savemat(tmp_path / "a.mat", {"x": TIME[None, :], "name": "ab"})
     content = (tmp_path / "a.mat").read_bytes()
     before, after = (np.array(each, np.int32).tobytes() for each in (old, new))

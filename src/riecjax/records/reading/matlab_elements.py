@@ -17,6 +17,8 @@ WIDTHS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 1
 """Bytes of a number by the type of an element."""
 CELL, STRUCTURE, OBJECT, TEXT, SPARSE = 1, 2, 3, 4, 5
 OPAQUE, FUNCTION = 17, 16
+COMPLEX = 0x800
+"""Flag of an array with an imaginary part."""
 DEEPEST = 32
 
 
@@ -101,7 +103,8 @@ def _check_matrix(body: bytes, order: str, depth: int) -> None:
         elif kind not in WIDTHS:
             raise ValueError(f"an element has the unknown type {kind}.")
     flags = elements[0][1]
-    kind = struct.unpack_from(order + "I", flags.ljust(4, b"\0"))[0] & 0xFF
+    word = struct.unpack_from(order + "I", flags.ljust(4, b"\0"))[0]
+    kind, parts = word & 0xFF, 2 if word & COMPLEX else 1
     if kind in (OPAQUE, FUNCTION):
         return
     if len(elements) < 3:
@@ -112,17 +115,23 @@ def _check_matrix(body: bytes, order: str, depth: int) -> None:
         raise ValueError(f"a cell array of {count} elements holds {inner}.")
     if kind in (STRUCTURE, OBJECT):
         _check_fields(elements, inner, count, order, 3 if kind == STRUCTURE else 4)
+    elif kind == SPARSE and len(elements) != 5 + parts:
+        raise ValueError("a sparse array is not complete.")
+    elif kind == TEXT:
+        _check_numbers(elements[3:], count, 1, exactly=False)
     elif kind not in (CELL, SPARSE):
-        _check_numbers(elements[3:], count, exactly=kind != TEXT)
+        _check_numbers(elements[3:], count, parts, exactly=True)
 
 
-def _check_numbers(parts: list[tuple[int, bytes]], count: int, exactly: bool) -> None:
+def _check_numbers(
+    parts: list[tuple[int, bytes]], count: int, expected: int, exactly: bool
+) -> None:
     """Refuse an array whose real or imaginary part has not as many numbers as it declares.
 
     Of texts there may be more bytes than letters.
     """
-    if not parts:
-        raise ValueError("an array has no numbers.")
+    if len(parts) != expected:
+        raise ValueError(f"an array has {len(parts)} parts, not {expected}.")
     for kind, data in parts:
         held = len(data) // WIDTHS.get(kind, 1)
         if kind == MATRIX or (held != count if exactly else held < count):
