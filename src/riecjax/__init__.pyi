@@ -50,11 +50,9 @@ from .records.preparation import resample as resample
 from .records.preparation import split as split
 from .records.preparation import split_at as split_at
 from .records.preparation import upsample as upsample
+from .records.quality import check_signals as check_signals
 from .records.reading.read import read_channels as read_channels
 from .records.reading.read import read_record as read_record
-from .records.frames import from_dataframe as from_dataframe
-from .records.frames import from_dataset as from_dataset
-from .records.quality import check_signals as check_signals
 from .records.record import Record as Record
 from .records.record import stack_records as stack_records
 from .records.writing import write_record as write_record

@@ -16,8 +16,6 @@ from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
-from riecjax.models.catalogue import MODELS
-from riecjax.models.preparation import Preparation
 from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.records.record import Record
@@ -107,6 +105,7 @@ def test_wheel_variant_with_other_windows(from_file, drive_record):
         "beta": 0.3,
         "windows": 2000,
         "test_function": "boxcar",
+        "quadrature": 2,
     }
 
 
@@ -165,6 +164,9 @@ def check_schema(document: dict) -> None:
         "condition_number",
         "rank",
         "residual",
+        "excitation",
+        "window_sweep",
+        "validation",
         "warnings",
         "provenance",
     }
@@ -215,14 +217,8 @@ def test_table_on_a_terminal(capsys, drive_file):
     assert result.status == 0
     for word in (*PARAMETERS, *set(UNITS), "known", "condition number", "95 %", "RIEC", "0.05"):
         assert word in result.out
-    assert "low-pass at 80 Hz" in result.out
+    assert "low-pass: x2 at 80 Hz" in result.out
     assert max(map(len, result.out.splitlines())) <= 80
-
-
-@pytest.mark.parametrize(("count", "ordinal"), [(2, "2nd"), (3, "3rd"), (10, "10th")])
-def test_thinning_is_described_in_english(count, ordinal):
-    steps = Preparation({}, count).describe(MODELS["duffing"])
-    assert steps[-1] == f"every {ordinal} sample"
 
 
 def test_several_records(capsys, drive_file, tmp_path):
@@ -267,7 +263,12 @@ def test_out_folder(capsys, drive_file, tmp_path):
     arguments = ("identify", drive_file, "--model", "quarter-car", "--out", out, "--json")
     result = call(capsys, *arguments)
     assert result.status == 0
-    assert sorted(path.name for path in out.iterdir()) == ["fit.png", "report.html", "results.json"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "fit.png",
+        "report.html",
+        "results.json",
+        "window_sweep.png",
+    ]
     assert [path.name for path in out.parent.iterdir()] == ["results"]
     assert json.loads((out / "results.json").read_text()) == result.document
     assert (out / "fit.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
@@ -292,6 +293,7 @@ def test_out_into_an_existing_folder_replaces_its_own_files_only(capsys, drive_f
         "notes.txt",
         "report.html",
         "results.json",
+        "window_sweep.png",
     ]
 
 

@@ -169,8 +169,8 @@ FAILING = {
         IMPORTS + "thing = Equation(Term('m', lambda s: s['a'][:-1]), -Term(1.0, 'f'))\n",
         ("3999", "4000"),
     ),
-    "expression that is a number": (
-        IMPORTS + "thing = Equation(Term('m', lambda s: 1.0), -Term(1.0, 'f'))\n",
+    "expression that is a sum": (
+        IMPORTS + "thing = Equation(Term('m', lambda s: s['a'].sum()), -Term(1.0, 'f'))\n",
         ("4000",),
     ),
     "expression that is not finite": (

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from riecjax.errors import DataError
 from riecjax.models.model import Model
 from riecjax.models.preparation import Preparation, prepare
 from riecjax.records.record import Record
@@ -24,7 +25,7 @@ def butterworth(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
 def test_prepare_filters_then_differentiates_then_thins_out():
     rng = np.random.default_rng(2)
     q = np.sin(9 * TIME) + 1e-3 * rng.normal(size=4000)
-    prepared = prepare(record(q=q), AXIS, Preparation({"q": 100.0}, 10))
+    prepared, _ = prepare(record(q=q), AXIS, Preparation(cutoffs={"q": 100.0}, every=10))
     smooth = scipy.signal.filtfilt(*butterworth(100.0), q)[50:-50]
     velocity = np.gradient(smooth, 1 / RATE, edge_order=2)
     acceleration = np.gradient(velocity, 1 / RATE, edge_order=2)
@@ -37,19 +38,53 @@ def test_prepare_filters_then_differentiates_then_thins_out():
 
 def test_prepare_keeps_a_recorded_derivative():
     recorded = np.cos(3 * TIME)
-    prepared = prepare(record(q=TIME**3, dq=recorded), AXIS, Preparation({}))
+    prepared, _ = prepare(record(q=TIME**3, dq=recorded), AXIS, Preparation())
     np.testing.assert_array_equal(prepared["dq"], recorded)
     np.testing.assert_allclose(
         prepared["ddq"], np.gradient(recorded, 1 / RATE, edge_order=2), atol=1e-9
     )
 
 
-def test_steps_in_words():
-    steps = Preparation({"q": 100.0}, 10).describe(AXIS)
-    assert steps == [
-        "q: zero-phase 4th-order Butterworth low-pass at 100 Hz",
-        "dq: central differences of q, if not recorded",
-        "ddq: central differences of dq, if not recorded",
+def test_the_steps_that_were_taken_in_words():
+    asked = Preparation(cutoffs={"q": 100.0}, every=10)
+    _, words = prepare(record(q=TIME**3), AXIS, asked)
+    assert words == [
+        "zero-phase 4th-order Butterworth low-pass: q at 100 Hz",
+        "dq: central differences of q",
+        "ddq: central differences of dq",
         "every 10th sample",
     ]
-    assert Preparation({}).describe(Model("none", "")) == []
+    assert prepare(record(q=TIME), Model("none", ""), Preparation())[1] == []
+
+
+@pytest.mark.parametrize(("count", "ending"), [(2, "2nd"), (3, "3rd"), (11, "11th"), (21, "21st")])
+def test_thinning_is_described_in_english(count, ending):
+    _, words = prepare(record(q=TIME), Model("none", ""), Preparation(every=count))
+    assert words == [f"every {ending} sample"]
+
+
+def test_every_step_of_a_preparation_is_taken_in_order():
+    asked = Preparation(
+        start=1.0,
+        stop=3.0,
+        offsets=("q",),
+        drifts=("p",),
+        upsample=2,
+        derivatives={"v": "q"},
+        every=4,
+    )
+    prepared, words = prepare(record(q=5 + np.sin(9 * TIME), p=TIME), Model("none", ""), asked)
+    assert [word.split()[0] for word in words] == ["cut", "q:", "p:", "band-limited", "v:", "every"]
+    assert float(prepared.time_step) == pytest.approx(2 / RATE)
+    # 44 samples are lost at either end of the cut record to the interpolation.
+    assert float(prepared.time[0]) == pytest.approx(1.044)
+    mean = 5 + np.sin(9 * TIME[1000:3001]).mean()
+    expected = 5 + np.sin(9 * np.asarray(prepared.time)) - mean
+    np.testing.assert_allclose(prepared["q"], expected, atol=1e-6)
+    np.testing.assert_allclose(prepared["p"], 0, atol=1e-9)
+    np.testing.assert_allclose(prepared["v"][1:-1], 9 * np.cos(9 * prepared.time)[1:-1], atol=1e-3)
+
+
+def test_a_cut_outside_the_record_is_refused_with_its_times():
+    with pytest.raises(DataError, match=r"lasts from 0 to 3\.999 s"):
+        prepare(record(q=TIME), AXIS, Preparation(start=7.0))

@@ -133,7 +133,7 @@ def test_missing_samples():
     values = white(0)
     values[[100, 101, 3000]] = np.nan
     said = message(record(x=values, y=white(1)), "missing_samples")
-    assert said.startswith("x: 0.06 % of the samples (3 of 5000) are missing in 2 gap(s), first")
+    assert said.startswith("x: 0.06 % of the samples (3 of 5000) are missing in 2 gaps, first")
     assert "first at 0.1 s" in said
     assert "longest unbroken stretch lasts 2.897 s" in said
     assert check_signals(record(x=values, y=white(1)), ["y"]) == []
@@ -148,7 +148,7 @@ def test_a_signal_of_which_nothing_is_left():
 def test_a_pause_is_a_gap():
     time = np.concatenate([TIME, 60 + TIME])
     paused = Record.from_samples({"x": np.tile(white(0), 2)}, time=time)
-    assert "(1 of 10001) are missing in 1 gap(s)" in message(paused, "missing_samples")
+    assert "(1 of 10001) are missing in 1 gap" in message(paused, "missing_samples")
 
 
 @pytest.mark.parametrize("offset", [0.0, np.pi, -1e3])

@@ -165,7 +165,7 @@ def refusal(path: Path, record: Record) -> str | None:
         "",
         "m",
         "7",
-        "F (N)",
+        "F (left)",
         "#1",
         "-",
     ],
@@ -179,6 +179,13 @@ def test_signal_names_survive_or_are_refused(tmp_path, ending, name):
     else:
         assert name in message
         no_temporaries(tmp_path)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
+def test_a_unit_in_a_name_is_read_as_a_unit(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    write_record(path, Record({"F (N)": TIME}, 0.1))
+    assert set(read_record(path).arrays) == {"F"}
 
 
 @pytest.mark.parametrize("ending", ENDINGS)

@@ -15,14 +15,16 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
+from riecjax.estimation.check import Check
 from riecjax.estimation.identify import identify
 from riecjax.estimation.procedure import staged
 from riecjax.records.record import Record
 from riecjax.reporting.identification import (
+    Identification,
     identification_document,
-    identification_figures,
     print_identification,
 )
+from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import emit, require_plots, versions, write_folder
 
 DOCUMENT = {
@@ -167,12 +169,27 @@ def identified(record):
     return identify(EQUATION, record, DOLS(), known={"c": 3.0})
 
 
+def result_of(estimate, procedure, record, **changes) -> Identification:
+    given = dict(
+        model="cart",
+        procedure=procedure,
+        files=["a.csv"],
+        records=[record],
+        steps=["filtered"],
+        doubts=[],
+        estimate=estimate,
+        checked=Check([], [], ()),
+        sweep=None,
+        validations=[],
+        key=jax.random.key(0),
+        seed=5,
+    )
+    return Identification(**{**given, **changes})
+
+
 @pytest.fixture(scope="module")
 def document(identified, record):
-    files = [Path("a.csv")]
-    return identification_document(
-        identified, "cart", files=files, records=[record], seed=5, steps=["filtered"]
-    )
+    return identification_document(result_of(identified, staged(EQUATION), record))
 
 
 def test_identification_document(document, identified, record):
@@ -206,9 +223,7 @@ def test_numbers_that_are_not_finite_become_null(identified, record):
     import equinox as eqx
 
     lost = eqx.tree_at(lambda e: e.covariance, identified, np.full((1, 1), np.nan))
-    document = identification_document(
-        lost, "cart", files=[Path("a.csv")], records=[record], seed=0, steps=[]
-    )
+    document = identification_document(result_of(lost, staged(EQUATION), record))
     assert document["parameters"]["m"]["std_error"] is None
     assert document["parameters"]["m"]["interval95"] == [None, None]
     json.dumps(document, allow_nan=False)
@@ -223,7 +238,7 @@ def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion
     procedure = staged(equation)
     key = jax.random.key(0)
     estimate = identify(procedure, record, criterion, key=key)
-    figure = identification_figures(estimate, procedure, [record], key)["fit"]
+    figure = identification_figures(result_of(estimate, procedure, record))["fit"]
     fit, residual = figure.axes
     explained, measured = (np.asarray(data) for data in fit.lines[-1].get_data())
     scatter = np.asarray(residual.lines[-1].get_ydata())
@@ -243,6 +258,6 @@ def test_figures_are_closed_when_written(record, tmp_path):
     estimate = identify(procedure, record, DOLS())
     emitted(
         tmp_path / "out",
-        figures=lambda: identification_figures(estimate, procedure, [record], jax.random.key(0)),
+        figures=lambda: identification_figures(result_of(estimate, procedure, record)),
     )
     assert plt.get_fignums() == []

@@ -54,6 +54,8 @@ def command(
         known=known,
         own=own,
     )
+    doubts = [finding for recording in loaded for finding in recording.findings]
+    checked = checked._replace(findings=[*doubts, *checked.findings])
     emit(
         check_document(
             checked,

@@ -123,6 +123,7 @@ def command(
         files=[str(recording.file) for recording in loaded],
         records=records,
         steps=common_steps(loaded),
+        doubts=[finding for r in (*loaded, *further) for finding in r.findings],
         estimate=estimate,
         checked=checked,
         sweep=_sweep(procedure, records, criterion, settings) if sweep else None,

@@ -10,6 +10,7 @@ import click
 
 from riecjax.cli.options import FINITE, POSITIVE, assignments
 from riecjax.errors import DataError, MissingSignalError
+from riecjax.findings import Finding
 
 if TYPE_CHECKING:
     from riecjax.criteria.criterion import AbstractCriterion
@@ -154,11 +155,12 @@ class RecordingOptions:
 
 
 class Recording(NamedTuple):
-    """A prepared record, its file, and how it came about, in words."""
+    """A prepared record, its file, how it came about in words, and what seems amiss with it."""
 
     file: Path
     record: "Record"
     steps: list[str]
+    findings: list[Finding]
 
 
 def load(
@@ -180,12 +182,42 @@ def load(
             channels = read_channels(file, delimiter=options.delimiter, decimal=options.decimal)
             record = record_from_channels(channels, options.selection())
             notes = [*channels.notes, *_reading_steps(options)]
+            record, mismatched = with_model_units(record, model, options)
             record, steps = prepare(record, model, options.preparation())
             read = signals_read(procedure, record, criterion)
             unread = [name for name in record.arrays if name not in read]
             steps = [step for step in steps if step.partition(":")[0] not in unread]
-            loaded.append(Recording(file, record, [*notes, *steps]))
+            doubts = [
+                Finding("unit_mismatch", f"{file.name}: {message}")
+                for name, message in mismatched.items()
+                if name in read
+            ]
+            loaded.append(Recording(file, record, [*notes, *steps], doubts))
     return loaded
+
+
+def with_model_units(
+    record: "Record", model: "Model", options: RecordingOptions
+) -> tuple["Record", dict[str, str]]:
+    """The record in the model's units, and what the file says against them, by signal."""
+    stated = dict(record.units)
+    units = {quantity.name: quantity.unit for quantity in model.signals if quantity.unit}
+    mismatched = {}
+    for name, unit in units.items():
+        column = options.rename.get(name, name)
+        scaled = column in options.scale or name in options.scale or name in options.derive
+        if name in stated and not scaled and _plain(stated[name]) != _plain(unit):
+            mismatched[name] = (
+                f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}; "
+                f"convert it by --scale {name}=FACTOR."
+            )
+    return record.with_signals({}, units), mismatched
+
+
+def _plain(unit: str) -> str:
+    """A unit without what is only spelling: m/s2, m/s^2 and m/s² are one."""
+    plain = unit.replace("²", "2").replace("³", "3").replace("·", " ")
+    return "".join(plain.replace("^", "").replace("*", " ").split()).replace("sec", "s")
 
 
 def common_steps(loaded: list[Recording]) -> list[str]:

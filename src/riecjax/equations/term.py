@@ -16,7 +16,7 @@ from riecjax.records.record import Record, Signals
 Expression = str | Callable[[Signals], Array]
 """A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
 
-A function returns one number for each sample, or one for all of them.
+A function returns one number for each sample, or one for all if it reads no signal.
 Write functions once, at module level: a new function object each time compiles anew.
 """
 
@@ -42,7 +42,8 @@ def evaluate(
     name = getattr(expression, "__name__", "an expression")
     with users_code(f"the expression {name}"):
         samples = jnp.asarray(expression(signals))
-    if samples.shape == ():
+    # One number of the signals, such as their sum, is a slip; one of no signal is a constant.
+    if samples.shape == () and not signals.read:
         samples = jnp.broadcast_to(samples, (record.sample_count,))
     if samples.shape != (record.sample_count,):
         raise ModelError(

@@ -142,7 +142,8 @@ def _quadrature(
     ):
         error = jnp.sum((rows.columns - better.columns) ** 2, axis=1)
         size = jnp.sum(better.columns**2, axis=1)
-        shares = np.sqrt(np.asarray(error) / np.maximum(np.asarray(size), 1e-300))
+        # Terms that are not finite are for the fit to refuse.
+        shares = np.asarray(jnp.nan_to_num(jnp.sqrt(error / jnp.maximum(size, 1e-300)), posinf=0))
         at = int(np.argmax(shares))
         if shares[at] > share:
             worst, share = ("the known terms", *rows.parameters)[at], float(shares[at])

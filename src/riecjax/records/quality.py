@@ -55,6 +55,8 @@ COARSE = 0.01
 """Share of a signal's rms past which its resolution matters."""
 
 
+# Values too large to be squared are for the fit to refuse; here they only compare as infinite.
+@np.errstate(over="ignore", invalid="ignore")
 def check_signals(record: Record, names: Iterable[str]) -> list[Finding]:
     """Look at these signals for what sensors, converters and loggers do wrong.
 
@@ -66,9 +68,8 @@ def check_signals(record: Record, names: Iterable[str]) -> list[Finding]:
     """
     signals = {name: _signal(record, name) for name in dict.fromkeys(names)}
     others = {name: _signal(record, name) for name in record.arrays if name not in signals}
-    found = []
+    found = _missing_samples(record, signals.values())
     for name, signal in signals.items():
-        found += _missing_samples(record, signal)
         if signal.is_constant:
             found += _constant(signal)
         elif signal.present >= FEWEST_SAMPLES:
@@ -158,22 +159,31 @@ def _resolution(levels: np.ndarray) -> float:
     return quantum if np.mean(near[multiples < 100]) > 0.99 else 0.0
 
 
-def _missing_samples(record: Record, signal: _Signal) -> list[Finding]:
-    mask = np.isnan(signal.values)
-    if not mask.any():
-        return []
-    starts = np.flatnonzero(np.diff(np.concatenate([[False], mask]).astype(np.int8)) == 1)
-    longest = max((s.stop - s.start for s in record.segments([signal.name])), default=0)
-    seconds = max(longest - 1, 0) * float(record.time_step)
-    return [
-        Finding(
-            "missing_samples",
-            f"{signal.name}: {_share(mask.sum(), mask.size)} of the samples ({mask.sum()} of "
-            f"{mask.size}) are missing in {starts.size} gap(s), first at "
-            f"{signal.time[starts[0]]:.4g} s, and the longest unbroken stretch lasts "
-            f"{seconds:.4g} s; choose windows and filters that are short against it.",
+def _missing_samples(record: Record, signals: Iterable[_Signal]) -> list[Finding]:
+    """One finding for all signals that lack the same samples, as they do in a logger's pause."""
+    alike: dict[bytes, list[_Signal]] = {}
+    for signal in signals:
+        mask = np.isnan(signal.values)
+        if mask.any():
+            alike.setdefault(mask.tobytes(), []).append(signal)
+    found = []
+    for group in alike.values():
+        mask = np.isnan(group[0].values)
+        starts = np.flatnonzero(np.diff(np.concatenate([[False], mask]).astype(np.int8)) == 1)
+        longest = max((s.stop - s.start for s in record.segments([group[0].name])), default=0)
+        seconds = max(longest - 1, 0) * float(record.time_step)
+        gaps = "gap" if starts.size == 1 else "gaps"
+        found.append(
+            Finding(
+                "missing_samples",
+                f"{', '.join(signal.name for signal in group)}: "
+                f"{_share(mask.sum(), mask.size)} of the samples ({mask.sum()} of {mask.size}) are "
+                f"missing in {starts.size} {gaps}, first at {group[0].time[starts[0]]:.4g} s, and "
+                f"the longest unbroken stretch lasts {seconds:.4g} s; choose windows and filters "
+                f"that are short against it.",
+            )
         )
-    ]
+    return found
 
 
 def _constant(signal: _Signal) -> list[Finding]:

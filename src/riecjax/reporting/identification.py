@@ -33,8 +33,8 @@ class Identification:
     """Everything that one `riecjax identify` found.
 
     **Fields:** `model`'s name; its `procedure`; `files` and the prepared `records`; `steps` of
-    reading and preparation in words; `estimate`; what was `checked` before it; window `sweep`, if
-    any; `validations`; `key` and `seed` of the windows.
+    reading and preparation in words; `doubts` about the files; `estimate`; what was `checked`
+    before it; window `sweep`, if any; `validations`; `key` and `seed` of the windows.
     """
 
     model: str
@@ -42,6 +42,7 @@ class Identification:
     files: Sequence[str]
     records: Sequence[Record]
     steps: Sequence[str]
+    doubts: Sequence[Finding]
     estimate: Estimate
     checked: Check
     sweep: WindowSweep | None
@@ -51,7 +52,7 @@ class Identification:
 
     def findings(self) -> list[Finding]:
         """What a user should know, each thing once."""
-        before = self.checked.findings
+        before = [*self.doubts, *self.checked.findings]
         codes = {finding.code for finding in before}
         after = [
             f for f in self.estimate.findings() if f.code != "short_record" or f.code not in codes

@@ -151,7 +151,8 @@ class EquationSystem(AbstractSystem):
         states = {name: signals[name] for name in self.state_names}
 
         def level(states: dict[str, Array]) -> Array:
-            return jnp.asarray(of(Signals({**available, **states})))
+            # A constant may be one number for all samples.
+            return jnp.atleast_1d(jnp.asarray(of(Signals({**available, **states}))))
 
         def rate(function: Callable[[dict[str, Array]], Array]):
             def along_motion(states: dict[str, Array]) -> Array:
@@ -177,7 +178,7 @@ class EquationSystem(AbstractSystem):
             flow[name] = (
                 available[expression]
                 if isinstance(expression, str)
-                else jnp.asarray(expression(Signals(available)))
+                else jnp.atleast_1d(jnp.asarray(expression(Signals(available))))
             )
         return flow
 
@@ -444,7 +445,7 @@ def _reads(expression: Expression) -> tuple[str, ...]:
     signals = _Listening()
     with users_code(f"the expression {_label(expression)}"):
         shape = jax.eval_shape(lambda: jnp.asarray(expression(signals))).shape
-    if shape != (1,):
+    if shape != (1,) and (shape != () or signals.order):
         raise ModelError(
             f"the expression {_label(expression)} must return one number for each sample; for one "
             f"sample it returned shape {shape}."

@@ -92,7 +92,7 @@ def _first_reason(channels: Channels) -> str:
 
 def _renamed(channels: Channels, rename: Mapping[str, str]) -> _Signals:
     taken = set(rename.values())
-    column = {name: name for name in channels.columns if name not in taken}
+    column = {_short_name(channels, name): name for name in channels.columns if name not in taken}
     # A new name takes the place of a column that is called so.
     column |= rename
     values = {name: channels.columns[source] for name, source in column.items()}
@@ -100,6 +100,13 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> _Signals:
     empty = [name for name in values if name not in rename and np.isnan(values[name]).all()]
     values = {name: array for name, array in values.items() if name not in empty}
     return _Signals(values, column, units)
+
+
+def _short_name(channels: Channels, column: str) -> str:
+    """A column's name without its unit in brackets, unless another column is called that."""
+    short = split_unit(column)[0]
+    alike = [other for other in channels.columns if split_unit(other)[0] == short]
+    return short if alike == [column] else column
 
 
 def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -> _Signals:

@@ -1,0 +1,221 @@
+"""A machine and a logger of one's own: check, preparation, several recordings, validation."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.integrate
+from command_line import call, write_csv
+
+MODEL = """
+import riecjax as rx
+
+axis = rx.Equation(
+    rx.Term("M", "q", derivative=2, measured=("dq", "ddq"), unit="kg"),
+    rx.Term("c", "q", derivative=1, measured=("dq",), unit="N s/m"),
+    rx.Term("k", "q", unit="N/m"),
+    rx.Term("offset", rx.constant, unit="N"),
+    -rx.Term(1.0, "F"),
+    name="axis",
+    unit="N",
+)
+"""
+TRUTH = {"M": 2.0, "c": 3.0, "k": 80.0}
+RATE, COUNT = 200, 6000
+
+
+def force(t, phase):
+    tones = [(3.1, 0.0), (5.7, 1.0), (8.3, 2.0), (13.0, 0.5)]
+    return sum(10 * np.sin(w * t + p + phase) for w, p in tones)
+
+
+def motion(offset=0.0, phase=0.0, count=COUNT):
+    """A mass on a spring and damper, by SciPy at tight tolerance; the sensor adds an offset."""
+    t = np.arange(count) / RATE
+    m, c, k = TRUTH.values()
+    run = scipy.integrate.solve_ivp(
+        lambda t, s: [s[1], (force(t, phase) - c * s[1] - k * s[0]) / m],
+        (0, t[-1]),
+        [0.0, 0.0],
+        t_eval=t,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    return {"t": t, "q": run.y[0], "F": force(t, phase) + offset}
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("machine.py").write_text(MODEL)
+
+
+IDENTIFY = ("--model", "machine.py:axis", "--test-function", "hat", "--quadrature", "6")
+IDENTIFY += ("--alpha", "0.1", "--beta", "1")
+
+
+def values(document):
+    return {name: entry["value"] for name, entry in document["parameters"].items()}
+
+
+def codes(document):
+    return [warning["code"] for warning in document["warnings"]]
+
+
+def test_position_and_force_in_a_loggers_own_dialect(capsys):
+    data = motion(offset=4.0)
+    rows = [f"{t:.3f};{1000 * q:.9f};{F:.9f}".replace(".", ",") for t, q, F in zip(*data.values())]
+    preamble = ["# rig 7, run 12", "Zeit;Weg;Kraft", "s;mm;N"]
+    Path("log.csv").write_text("\n".join([*preamble, *rows]), encoding="latin-1")
+    names = ("--map", "t=Zeit", "--map", "q=Weg", "--map", "F=Kraft", "--scale", "q=0.001")
+    document = call(capsys, "identify", "log.csv", *IDENTIFY, *names, "--json").document
+    for name, value in TRUTH.items():
+        assert values(document)[name] == pytest.approx(value, rel=1e-4)
+    assert values(document)["offset"] == pytest.approx(4.0, rel=1e-3)
+    assert codes(document) == []
+    assert any("decimal comma" in step for step in document["provenance"]["preparation"])
+    assert "q: column scaled by 0.001" in document["provenance"]["preparation"]
+
+
+def test_recordings_with_offsets_of_their_own(capsys):
+    for i, offset in enumerate((4.0, -7.0)):
+        write_csv(Path(f"run{i}.csv"), motion(offset, phase=i, count=COUNT - 1000 * i))
+    files = ("run0.csv", "run1.csv")
+    together = call(capsys, "identify", *files, *IDENTIFY, "--own", "offset", "--json").document
+    assert list(values(together)) == ["M", "c", "k", "offset[1]", "offset[2]"]
+    assert values(together)["offset[1]"] == pytest.approx(4.0, rel=1e-3)
+    assert values(together)["offset[2]"] == pytest.approx(-7.0, rel=1e-3)
+    assert values(together)["k"] == pytest.approx(80.0, rel=1e-4)
+    shared = call(capsys, "identify", *files, *IDENTIFY, "--json").document
+    assert "records_disagree" in codes(shared)
+
+
+def test_held_out_part_is_simulated_from_the_users_own_equation(capsys):
+    write_csv(Path("run.csv"), motion(offset=4.0))
+    run = call(
+        capsys, "identify", "run.csv", *IDENTIFY, "--hold-out", "0.3", "--json", "--out", "result"
+    )
+    (validation,) = run.document["validation"]
+    assert validation["ran"] is True
+    assert validation["predicts"] is True
+    assert validation["signals"]["q"]["fit_percent"] > 99
+    assert run.document["provenance"]["records"][0]["samples"] == pytest.approx(0.7 * COUNT, abs=1)
+    assert Path("result/validation_1.png").stat().st_size > 1000
+    assert Path("result/window_sweep.png").stat().st_size > 1000
+
+
+def test_a_model_that_does_not_predict_is_called_so(capsys):
+    write_csv(Path("run.csv"), motion())
+    document = call(
+        capsys, "identify", "run.csv", *IDENTIFY, "--set", "k=20", "--hold-out", "0.3", "--json"
+    ).document
+    assert document["validation"][0]["ran"] is True
+    assert document["validation"][0]["predicts"] is False
+    assert {"does_not_predict", "window_sensitive"} <= set(codes(document))
+
+
+def test_another_recording_validates(capsys):
+    write_csv(Path("one.csv"), motion())
+    write_csv(Path("two.csv"), motion(phase=2.0))
+    document = call(
+        capsys, "identify", "one.csv", *IDENTIFY, "--validate", "two.csv", "--json"
+    ).document
+    assert [run["on"] for run in document["validation"]] == ["two.csv"]
+    assert document["validation"][0]["predicts"] is True
+
+
+def test_an_exact_model_is_not_window_sensitive_under_noise(capsys):
+    rng = np.random.default_rng(3)
+    data = motion(offset=4.0)
+    data["F"] = data["F"] + rng.normal(size=COUNT)
+    write_csv(Path("run.csv"), data)
+    document = call(capsys, "identify", "run.csv", *IDENTIFY, "--json").document
+    assert codes(document) == []
+    assert len(document["window_sweep"]["alpha"]) == len(
+        document["window_sweep"]["parameters"]["M"]["value"]
+    )
+    low, high = document["parameters"]["k"]["interval95"]
+    assert low < 80.0 < high
+
+
+def test_a_file_in_other_units_than_the_model_is_pointed_out(capsys):
+    data = motion()
+    table = "\n".join(f"{t:.3f},{1000 * q:.9f},{F:.9f}" for t, q, F in zip(*data.values()))
+    Path("log.csv").write_text("t [s],y [mm],u [N]\n" + table)
+    options = ("--model", "duffing", "--test-function", "hat", "--no-sweep", "--json")
+    document = call(capsys, "identify", "log.csv", *options).document
+    (found,) = [w["message"] for w in document["warnings"] if w["code"] == "unit_mismatch"]
+    assert "in mm, the model reads y in m" in found
+    scaled = call(capsys, "identify", "log.csv", *options, "--scale", "y=0.001").document
+    assert "unit_mismatch" not in codes(scaled)
+
+
+def test_check_says_what_a_record_can_answer(capsys):
+    write_csv(Path("run.csv"), motion(offset=4.0))
+    result = call(capsys, "check", "run.csv", *IDENTIFY)
+    assert result.status == 0
+    for word in ("6000 samples at 200 Hz", "own share", "M", "offset", "can answer what the model"):
+        assert word in result.out
+    document = call(capsys, "check", "run.csv", *IDENTIFY, "--json").document
+    assert document["answerable"] is True
+    assert document["signals"] == ["q", "F"]
+    assert document["warnings"] == []
+
+
+def test_check_refuses_a_step_with_an_offset_and_names_the_direction(capsys):
+    rng = np.random.default_rng(0)
+    t = np.arange(COUNT) / RATE
+    still = {"t": t, "q": 0.5 + 1e-6 * rng.normal(size=COUNT), "F": np.full(COUNT, 40.0)}
+    write_csv(Path("step.csv"), still)
+    options = (*IDENTIFY, "--set", "M=2", "--set", "c=3")
+    result = call(capsys, "check", "step.csv", *options)
+    assert result.status == 1
+    assert "cannot answer" in result.out
+    assert "0.71 k - 0.71 offset" in result.err
+    document = call(capsys, "check", "step.csv", *options, "--json").document
+    assert document["answerable"] is False
+    assert "unidentifiable" in codes(document)
+    # The fit goes ahead, for the noise makes it possible in numbers, but not in silence.
+    fit = call(capsys, "identify", "step.csv", *options, "--json").document
+    assert "unidentifiable" in codes(fit)
+
+
+def test_check_names_a_silent_parameter(capsys):
+    data = motion()
+    data["q"] = np.zeros(COUNT)
+    write_csv(Path("run.csv"), data)
+    document = call(capsys, "check", "run.csv", *IDENTIFY, "--json").document
+    assert {"constant_signal", "not_excited"} <= set(codes(document))
+    assert any("nothing in the record tells of M" in w["message"] for w in document["warnings"])
+
+
+def test_gaps_are_reported_and_do_not_spoil_the_answer(capsys):
+    data = motion(offset=4.0)
+    data["q"][3000:3050] = np.nan
+    kept = np.r_[0:1000, 1200:COUNT]
+    write_csv(Path("run.csv"), {name: column[kept] for name, column in data.items()})
+    document = call(capsys, "identify", "run.csv", *IDENTIFY, "--json").document
+    assert {"missing_samples", "rows_left_out"} <= set(codes(document))
+    for name, value in TRUTH.items():
+        assert values(document)[name] == pytest.approx(value, rel=1e-4)
+
+
+def test_a_formula_makes_the_signal_that_was_not_recorded(capsys):
+    data = motion()
+    write_csv(Path("run.csv"), {"t": data["t"], "q": data["q"], "volt": data["F"] / 35.0})
+    document = call(
+        capsys, "identify", "run.csv", *IDENTIFY, "--derive", "F=35*volt", "--json"
+    ).document
+    assert values(document)["M"] == pytest.approx(2.0, rel=1e-4)
+    assert "F: 35*volt" in document["provenance"]["preparation"]
+
+
+def test_the_report_holds_everything_that_was_found(capsys):
+    write_csv(Path("run.csv"), motion(offset=4.0))
+    call(capsys, "identify", "run.csv", *IDENTIFY, "--hold-out", "0.2", "--out", "result")
+    page = Path("result/report.html").read_text(encoding="utf-8")
+    for word in ("axis", "validated on run.csv", "window_sweep", "validation_1", "provenance"):
+        assert word in page or word == "provenance"
+    stored = json.loads(Path("result/results.json").read_text())
+    assert stored["excitation"]["M"]["own_share"] > 0.3
