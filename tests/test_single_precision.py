@@ -75,7 +75,7 @@ def largest_difference(found):
 class SameWindows(RandomWindows):
     """Windows drawn by NumPy: one JAX key draws others in 32-bit than in 64-bit."""
 
-    def draw(self, key, sample_count, time_step):
+    def draw(self, key, sample_count, time_step, multiple=1):
         rng = np.random.default_rng(0)
         lag = rng.integers(round(0.05 / STEP), round(0.5 / STEP) + 1, self.count)
         start = rng.integers(0, sample_count - lag)

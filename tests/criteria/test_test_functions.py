@@ -68,7 +68,9 @@ def test_every_column_is_the_weighted_integral_of_its_own_derivative(name):
     test_function, weight = WEIGHTS[name]
     record = record_of(1601)
     start, stop = np.array([0, 13, 700, 1240]), np.array([60, 133, 820, 1600])
-    columns, whole = test_function.integrals(EQUATION, record, WindowSet(start, stop))
+    columns, whole = test_function.integrals(
+        EQUATION, record, WindowSet(jnp.asarray(start), jnp.asarray(stop))
+    )
     assert whole is None
     step = float(record.time_step)
     for j, (a, b) in enumerate(zip(start, stop)):
@@ -132,7 +134,7 @@ def test_the_boxcar_still_needs_the_velocity():
 @pytest.mark.parametrize("test_function", [Hat(), Bump()], ids=str)
 def test_a_large_offset_costs_no_more_than_its_own_rounding(test_function, offset):
     record = record_of(801, offset)
-    windows = WindowSet(np.arange(0, 600), np.arange(0, 600) + 80)
+    windows = WindowSet(jnp.arange(0, 600), jnp.arange(0, 600) + 80)
     with_offset, _ = test_function.integrals(EQUATION, record, windows)
     without, _ = test_function.integrals(EQUATION, record_of(801), windows)
     scale = np.abs(np.asarray(without)).max(1)
@@ -195,7 +197,7 @@ def test_a_gap_filled_with_nonsense_does_not_move_the_estimate(criterion):
 def test_a_mask_leaves_out_the_windows_that_touch_it():
     masked = Equation(*EQUATION.terms, where=faster_than("dx", 0.5))
     record = record_of(801)
-    windows = WindowSet(np.arange(0, 780), np.arange(0, 780) + 20)
+    windows = WindowSet(jnp.arange(0, 780), jnp.arange(0, 780) + 20)
     _, whole = Boxcar().integrals(masked, record, windows)
     slow = np.abs(np.asarray(record["dx"])) <= 0.5
     expected = [not slow[a : a + 21].any() for a in range(780)]

@@ -58,7 +58,9 @@ def test_what_the_curve_leaves_is_hysteresis(record):
     """The residual goes with the acceleration's sign: up the stroke and down differ."""
     equation = curve(record)
     estimate = identify(equation, record, CRITERION, key=KEY)
-    basis = equation.terms[0].basis
+    curve_term = equation.terms[0]
+    assert isinstance(curve_term, Terms)
+    basis = curve_term.basis
     explained = estimate.theta @ basis(record["v"])
     residual = np.asarray(record["F"] - explained)
     velocity, acceleration = np.asarray(record["v"]), np.gradient(np.asarray(record["v"]))

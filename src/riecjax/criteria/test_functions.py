@@ -9,6 +9,7 @@ so that a position suffices where DOLS needs an acceleration. How many derivativ
 the weight's smoothness: one for the boxcar, two for the hat and for bumps.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -51,6 +52,10 @@ class AbstractTestFunction(eqx.Module):
     def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
         """Integral of every column of the equation over every window."""
         raise NotImplementedError
+
+    def finest(self) -> "AbstractTestFunction":
+        """The same weight with the most accurate integrals there are."""
+        return self
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
@@ -111,6 +116,10 @@ class _Differences(AbstractTestFunction):
             raise ModelError(
                 f"the order of quadrature must be one of {ORDERS}; got {self.quadrature}."
             )
+
+    def finest(self) -> "AbstractTestFunction":
+        """The same weight with quadrature of the highest order."""
+        return dataclasses.replace(self, quadrature=max(ORDERS))
 
     @property
     def length_multiple(self) -> int:

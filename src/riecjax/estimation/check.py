@@ -3,14 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
-from riecjax.criteria.quadrature import ORDERS
-from riecjax.criteria.test_functions import Bump
 from riecjax.equations.equation import Equation
 from riecjax.estimation.estimate import FEWEST_BLOCKS
 from riecjax.estimation.excitation import Excitation, excitation
@@ -126,13 +123,11 @@ def _quadrature(
     key: Key[Array, ""] | None,
 ) -> list[Finding]:
     """Compare the integrals with those of the highest order: how far the sampling carries."""
-    if not isinstance(criterion, RIEC) or isinstance(criterion.test_function, Bump):
+    if not isinstance(criterion, RIEC) or criterion.windows.between_samples:
         return []
-    if criterion.windows.between_samples:
+    finer = RIEC(criterion.windows, criterion.test_function.finest())
+    if finer.test_function == criterion.test_function:
         return []
-    finer = eqx.tree_at(
-        lambda c: c.test_function, criterion, type(criterion.test_function)(max(ORDERS))
-    )
     sharing = Sharing(procedure.parameters, (), len(records))
     keys = record_keys(key, len(records))
     worst, share = "", 0.0

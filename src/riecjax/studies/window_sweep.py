@@ -214,7 +214,7 @@ def _estimates(
     sharing: Sharing,
     records: list[Record],
     criterion: RIEC,
-    keys: list[Key[Array, ""]],
+    keys: list[Key[Array, ""] | None],
     given: Mapping[str, Array],
     used: list[Int[Array, ""]],
     lengths: tuple[Float[Array, " bands"], Float[Array, " bands"]],

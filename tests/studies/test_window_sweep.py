@@ -1,0 +1,100 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant
+from riecjax.equations.term import Term
+from riecjax.errors import DataError
+from riecjax.estimation.identify import identify
+from riecjax.models.oscillators import DragOscillator, drag_oscillator_equation
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.simulate import simulate
+from riecjax.studies.window_sweep import window_sweep
+
+KEY = jax.random.key(0)
+CRITERION = RIEC(RandomWindows(0.05, 0.5, 3000), Hat(6))
+
+
+def oscillator(seed=0, noise=0.0, count=8000) -> Record:
+    """A drag oscillator under noise up to 8 Hz, with measurement noise on force and position."""
+    force = band_limited_noise(jax.random.key(seed), count, 0.005, bandwidth=8.0, rms=5.0)
+    system = DragOscillator(*(jnp.asarray(v) for v in (1.5, 0.8, 0.5, 20.0)))
+    run = simulate(system, Record({"u": force}, 0.005)).record
+    rng = np.random.default_rng(seed)
+    return run.with_signals({"u": run["u"] + noise * rng.normal(size=count)}).select("x", "dx", "u")
+
+
+def test_an_exact_model_finds_the_same_at_every_length():
+    sweep = window_sweep(drag_oscillator_equation(), oscillator(), CRITERION, key=KEY)
+    assert sweep.parameters == ("m", "r", "r2", "k")
+    np.testing.assert_allclose(
+        sweep.theta, np.broadcast_to([1.5, 0.8, 0.5, 20.0], sweep.theta.shape), rtol=5e-3
+    )
+    assert sweep.findings() == []
+
+
+def test_noise_alone_seldom_makes_an_exact_model_window_sensitive():
+    alarms = 0
+    for seed in range(12):
+        record = oscillator(seed, noise=1.0)
+        sweep = window_sweep(drag_oscillator_equation(), record, CRITERION, key=KEY)
+        alarms += bool(sweep.findings())
+    assert alarms <= 2
+
+
+def test_a_term_left_out_shows():
+    linear = Equation(
+        Term("m", "x", derivative=2, measured=("dx",)),
+        Term("r", "x", derivative=1),
+        -Term(1.0, "u"),
+    )
+    sweep = window_sweep(linear, oscillator(), CRITERION, key=KEY)
+    (finding, *_) = [f for f in sweep.findings() if f.message.startswith("m goes from")]
+    assert finding.code == "window_sensitive"
+    first, last, difference, error = sweep.drift("m")
+    assert abs(difference) > 3 * error
+    assert first < last
+
+
+def test_a_band_of_the_sweep_is_what_identify_finds_with_those_windows():
+    record = oscillator(noise=1.0)
+    sweep = window_sweep(drag_oscillator_equation(), record, CRITERION, key=KEY, bands=4)
+    for i in range(4):
+        windows = RandomWindows(float(sweep.alpha[i]), float(sweep.beta[i]), 3000)
+        alone = identify(drag_oscillator_equation(), record, RIEC(windows, Hat(6)), key=KEY)
+        np.testing.assert_allclose(sweep.theta[i], alone.theta, rtol=1e-9)
+        assert float(sweep.relative_rms[i, 0]) == pytest.approx(float(alone.stages[0].relative_rms))
+        # At the longest band the blocks are the same as well.
+        if i == 3:
+            np.testing.assert_allclose(sweep.standard_errors[i], alone.standard_errors, rtol=1e-6)
+
+
+def test_the_sweep_reaches_from_a_tenth_of_alpha_to_twice_beta():
+    sweep = window_sweep(drag_oscillator_equation(), oscillator(), CRITERION, key=KEY)
+    assert float(sweep.alpha[0]) == pytest.approx(8 * 0.005)  # four samples to each half of a hat
+    assert float(sweep.beta[-1]) == pytest.approx(1.0)
+    np.testing.assert_allclose(sweep.beta, 2 * sweep.alpha)
+    given = window_sweep(
+        drag_oscillator_equation(), oscillator(), CRITERION, key=KEY, shortest=0.1, longest=0.8
+    )
+    assert (float(given.alpha[0]), float(given.beta[-1])) == pytest.approx((0.1, 0.8))
+
+
+def test_several_records_with_offsets_of_their_own():
+    one, two = oscillator(0), oscillator(1, count=6000)
+    two = two.with_signals({"u": two["u"] + 3.0})
+    model = Equation(*drag_oscillator_equation().terms, Term("offset", constant))
+    sweep = window_sweep(model, [one, two], CRITERION, key=KEY, own=["offset"], bands=3)
+    assert sweep.parameters[-2:] == ("offset[1]", "offset[2]")
+    np.testing.assert_allclose(sweep.theta[:, -1], 3.0, rtol=1e-2)
+
+
+def test_a_record_too_short_for_two_bands_is_refused():
+    with pytest.raises(DataError, match="too short for a sweep"):
+        window_sweep(drag_oscillator_equation(), oscillator().part(0, 120), CRITERION, key=KEY)
