@@ -130,6 +130,7 @@ def excitation(
     ]
 
 
+@eqx.filter_jit
 def with_noise(record: Record, key: Key[Array, ""]) -> Record:
     """The record with as much white noise again on every signal as it seems to have."""
     keys = jax.random.split(key, len(record.arrays))

@@ -229,6 +229,7 @@ def _solve(
     return solutions, small_sample_factor(jnp.sum(blocks_used)) * grown.T @ grown, inflation
 
 
+@eqx.filter_jit
 def all_rows(
     procedure: Procedure,
     sharing: Sharing,
