@@ -114,10 +114,9 @@ class WindowSweep(eqx.Module):
                         "window_sensitive",
                         f"{name} goes from {float(self.theta[low, j]):.4g} with windows of "
                         f"{self._band(low)} to {float(self.theta[high, j]):.4g}{unit} with "
-                        f"{self._band(high)}; between {self._band(first)} and {self._band(last)} "
-                        f"it changes by {abs(difference) / error:.1f} standard errors of the "
-                        f"change. The model leaves out something that matters at one of these "
-                        f"lengths, or short windows show the sensors' noise.",
+                        f"{self._band(high)}, a drift of up to {abs(difference) / error:.0f} standard "
+                        f"errors: the model leaves something out, or short windows show the "
+                        f"sensors' noise.",
                     )
                 )
         return found
