@@ -264,6 +264,7 @@ def test_out_folder(capsys, drive_file, tmp_path):
     result = call(capsys, *arguments)
     assert result.status == 0
     assert sorted(path.name for path in out.iterdir()) == [
+        "curves.png",
         "fit.png",
         "report.html",
         "results.json",
@@ -289,6 +290,7 @@ def test_out_into_an_existing_folder_replaces_its_own_files_only(capsys, drive_f
     assert (out / "notes.txt").read_text() == "mine"
     assert json.loads((out / "results.json").read_text())["known"]["M_s"]["value"] == 300
     assert sorted(p.name for p in out.iterdir()) == [
+        "curves.png",
         "fit.png",
         "notes.txt",
         "report.html",

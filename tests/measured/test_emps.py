@@ -1,3 +1,4 @@
+import itertools
 import json
 from pathlib import Path
 
@@ -166,7 +167,7 @@ def test_the_mass_falls_with_window_length_and_the_command_warns(document):
     assert (sweep["alpha"][0], sweep["beta"][-1]) == pytest.approx((0.005, 1.0))
     assert masses[0] == pytest.approx(95.0, abs=0.4)
     assert masses[-1] == pytest.approx(91.5, abs=0.4)
-    assert all(later < earlier + 0.1 for earlier, later in zip(masses, masses[1:]))
+    assert all(later < earlier + 0.1 for earlier, later in itertools.pairwise(masses))
     (warning,) = [w["message"] for w in found["warnings"] if w["code"] == "window_sensitive"]
     assert warning.startswith("M goes from 95.")
     assert " to 91.5" in warning

@@ -6,107 +6,31 @@ signals at multiples of the 10th sampling interval, 0.99998396 ms, as a look at 
 tells: by the end of the record it is 0.4 ms late, and that is the published position error.
 """
 
-from typing import NamedTuple
-
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.io
-import scipy.signal
+from benchmarks.measured.emps_closed_loop import (
+    PUBLISHED,
+    STEP,
+    Rig,
+    errors,
+    identified_axes,
+    load_rig,
+    sampled,
+)
 
 from conftest import measured_data
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import RandomWindows
-from riecjax.estimation.identify import identify
-from riecjax.models.emps import (
-    Axis,
-    ControlledAxis,
-    emps_asymmetric_equation,
-    emps_asymmetric_system,
-    emps_equation,
-    emps_system,
-    simulate_sampled_control,
-)
-from riecjax.records.preparation import differentiate
-from riecjax.records.record import Record
+from riecjax.models.emps import Axis, ControlledAxis
 from riecjax.simulation.simulate import simulate
-
-STEP = 1e-3
-EDGE = 49
-SYMMETRIC = {"M": 95.1089, "Fv": 203.5034, "Fc": 20.3935, "offset": -3.1648}
-ASYMMETRIC = {
-    "M": 95.1540,
-    "Fv_pos": 166.7061,
-    "Fc_pos": 20.1440,
-    "Fv_neg": 240.4236,
-    "Fc_neg": 20.6277,
-}
-PUBLISHED = {"q": 0.0138, "dq": 0.229, "ddq": 8.60, "force": 5.85}
-"""Relative errors in percent."""
-
-
-class Rig(NamedTuple):
-    time: np.ndarray
-    measured: dict[str, np.ndarray]
-    reference: Record
-    gain: float
-    voltage: np.ndarray
-    position: np.ndarray
-
-
-def difference(y: np.ndarray) -> np.ndarray:
-    return np.concatenate([[y[1] - y[0]], (y[2:] - y[:-2]) / 2, [y[-1] - y[-2]]]) / STEP
 
 
 @pytest.fixture(scope="module")
 def rig() -> Rig:
-    file = scipy.io.loadmat(measured_data("emps") / "DATA_EMPS.mat")
-    v = {name: np.asarray(file[name]).squeeze() for name in ("t", "qm", "qg", "vir", "gtau")}
-    coefficients = scipy.signal.butter(4, 100, fs=1 / STEP)
-    assert coefficients is not None
-    q = scipy.signal.filtfilt(coefficients[0], coefficients[1], v["qm"])
-    dq, gain = difference(q), float(v["gtau"])
-    measured = {"q": q, "dq": dq, "ddq": difference(dq), "force": gain * v["vir"]}
-    return Rig(v["t"], measured, Record({"qg": v["qg"]}, STEP), gain, v["vir"], v["qm"])
+    return load_rig(measured_data("emps"))
 
 
 @pytest.fixture(scope="module")
 def axes(rig) -> dict[str, Axis]:
-    """Published values by pointwise least squares, and RIEC's on the raw record."""
-    raw = Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
-    raw = differentiate(raw, "q", "dq")
-    criterion = RIEC(RandomWindows(0.05, 0.5, 20_000))
-    found = {}
-    for name, equation, system, published in (
-        ("symmetric", emps_equation(), emps_system, SYMMETRIC),
-        ("asymmetric", emps_asymmetric_equation(), emps_asymmetric_system, ASYMMETRIC),
-    ):
-        found[f"published {name}"] = system({k: jnp.asarray(v) for k, v in published.items()})
-        estimate = identify(equation, raw, criterion, key=jax.random.key(0))
-        found[f"RIEC {name}"] = system({k: estimate[k] for k in published})
-    return found
-
-
-def errors(rig: Rig, record: Record, clock: float = STEP) -> dict[str, float]:
-    """Relative errors in percent of a simulation read every `clock` seconds, as if every ms."""
-    read = np.arange(rig.time.size) * clock
-    found = {}
-    for name, measured in rig.measured.items():
-        simulated = np.interp(read, np.arange(rig.time.size) * STEP, np.asarray(record[name]))
-        error = np.linalg.norm((simulated - measured)[EDGE:])
-        found[name] = float(100 * error / np.linalg.norm(measured[EDGE:]))
-    return found
-
-
-def sampled(rig: Rig, axis: Axis, delay: int) -> Record:
-    system = ControlledAxis(axis, gtau=rig.gain)
-    start = {"q": rig.position[0]}
-    return (
-        simulate_sampled_control(system, rig.reference, delay=delay, initial_state=start)
-        .checked()
-        .record
-    )
+    return identified_axes(rig)
 
 
 def test_logged_voltage_is_the_controllers_law_of_the_logged_positions(rig):

@@ -12,13 +12,15 @@ from rich.console import Console
 
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term
+from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError
 from riecjax.estimation.check import Check
 from riecjax.estimation.identify import identify
 from riecjax.estimation.procedure import staged
 from riecjax.records.record import Record
+from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import (
     Identification,
     identification_document,
@@ -261,3 +263,52 @@ def test_figures_are_closed_when_written(record, tmp_path):
         figures=lambda: identification_figures(result_of(estimate, procedure, record)),
     )
     assert plt.get_fignums() == []
+
+
+def damper(t):
+    v = np.cos(3 * t) + 0.5 * np.sin(7 * t)
+    return v, np.interp(v, [-2.0, -0.5, 0.5, 2.0], [-9.0, -5.0, 4.0, 7.0])
+
+
+def test_curves_pass_through_their_break_points_and_leave_the_hysteresis():
+    t = np.arange(3000) * 0.01
+    v, force = damper(t)
+    lag = 0.8 * np.sign(np.gradient(v))
+    record = Record({"v": v, "F": force + lag}, 0.01, units={"v": "m/s"})
+    points = [-2.0, -0.5, 0.5, 2.0]
+    equation = Equation(-Terms("F_d", roof(points), "v", unit="N"), Term(1.0, "F"), unit="N")
+    procedure = staged(equation)
+    estimate = identify(procedure, record, DOLS())
+    (curve,) = identified_curves(result_of(estimate, procedure, record))
+    inner = (np.array(points) > v.min()) & (np.array(points) < v.max())
+    at_points = np.interp(np.array(points)[inner], curve.x, curve.y)
+    np.testing.assert_allclose(at_points, np.asarray(estimate.theta)[inner], atol=0.02)
+    assert curve.samples is not None
+    x, y = curve.samples
+    np.testing.assert_allclose(x, v)
+    np.testing.assert_allclose(y, force + lag, atol=1e-12)
+    figure = curves_figure([curve])
+    assert figure.axes[1].get_xlabel() == "v / (m/s)"
+    assert figure.axes[0].get_ylabel() == "F_d / (N)"
+    require_plots().close(figure)
+
+
+def test_a_curve_beside_an_acceleration_that_is_not_recorded_has_no_samples():
+    t = np.arange(3000) * 0.01
+    v, force = damper(t)
+    # m v' = F - F_d(v), with F made from the exact derivative.
+    slope = -3 * np.sin(3 * t) + 3.5 * np.cos(7 * t)
+    record = Record({"v": v, "F": force + 2.0 * slope}, 0.01)
+    equation = Equation(
+        Term("m", "v", derivative=1),
+        Terms("F_d", roof([-2.0, -0.5, 0.5, 2.0]), "v"),
+        -Term(1.0, "F"),
+    )
+    procedure = staged(equation)
+    criterion = RIEC(RandomWindows(0.05, 0.5, 500))
+    estimate = identify(procedure, record, criterion, key=jax.random.key(0))
+    (curve,) = identified_curves(result_of(estimate, procedure, record))
+    assert curve.samples is None
+    np.testing.assert_allclose(
+        curve.y, np.interp(curve.x, [-2, -0.5, 0.5, 2], [-9, -5, 4, 7]), atol=0.05
+    )

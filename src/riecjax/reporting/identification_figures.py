@@ -9,6 +9,7 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import record_keys
 from riecjax.records.record import Record
+from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import Identification, ValidationRun
 from riecjax.reporting.output import require_plots
 from riecjax.studies.window_sweep import WindowSweep
@@ -18,8 +19,10 @@ BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
 
 
 def identification_figures(result: Identification) -> dict[str, Any]:
-    """`fit`; `window_sweep` if there is one; `validation_1`, ... for each validation."""
+    """`fit`; `curves` if the model has some; `window_sweep`; `validation_1`, ... for each."""
     figures = {"fit": _fit_figure(result)}
+    if curves := identified_curves(result):
+        figures["curves"] = curves_figure(curves)
     if result.sweep is not None:
         figures["window_sweep"] = sweep_figure(result.sweep, result.estimate)
     for i, run in enumerate(result.validations):

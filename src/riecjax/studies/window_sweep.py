@@ -104,7 +104,7 @@ class WindowSweep(eqx.Module):
         units = dict(self.units)
         found = []
         for j, name in enumerate(self.parameters):
-            first, last, difference, error = self.drift(name)
+            _, _, difference, error = self.drift(name)
             if abs(difference) > limit * error and error > 0:
                 low, high = int(jnp.argmin(self.theta[:, j])), int(jnp.argmax(self.theta[:, j]))
                 low, high = sorted((low, high))
@@ -114,9 +114,9 @@ class WindowSweep(eqx.Module):
                         "window_sensitive",
                         f"{name} goes from {float(self.theta[low, j]):.4g} with windows of "
                         f"{self._band(low)} to {float(self.theta[high, j]):.4g}{unit} with "
-                        f"{self._band(high)}, a drift of up to {abs(difference) / error:.0f} standard "
-                        f"errors: the model leaves something out, or short windows show the "
-                        f"sensors' noise.",
+                        f"{self._band(high)}, a drift of up to {abs(difference) / error:.0f} "
+                        f"standard errors: the model leaves something out, or short windows show "
+                        f"the sensors' noise.",
                     )
                 )
         return found

@@ -1,0 +1,1 @@
+"""Figures on measured recordings, which the README and tests quote."""

@@ -1,0 +1,144 @@
+"""Curves that were identified function by function, such as a damper's force over velocity."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from riecjax.criteria.criterion import DOLS
+from riecjax.equations.bases import AbstractBasis
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import AbstractTerm, Terms, evaluate
+from riecjax.errors import DataError
+from riecjax.estimation.estimate import Estimate
+from riecjax.records.record import Record
+from riecjax.reporting.identification import Identification
+from riecjax.reporting.output import require_plots
+
+MOST_POINTS = 4000
+GRID = 400
+BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
+
+
+class IdentifiedCurve(NamedTuple):
+    """A curve, its standard error, and the samples that it was drawn through.
+
+    **Fields:** `name`, `unit` of its values and `of`, its variable; `x`, `y` and `error` of the
+    curve; `samples`, where the equation can be looked at sample by sample, else `None`: the
+    variable, and what the equation leaves for the curve there.
+    """
+
+    name: str
+    unit: str
+    of: str
+    x: Float[np.ndarray, " grid"]
+    y: Float[np.ndarray, " grid"]
+    error: Float[np.ndarray, " grid"]
+    samples: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]] | None
+
+
+def identified_curves(result: Identification) -> list[IdentifiedCurve]:
+    """The curves of a model that has terms in a basis, from the first record."""
+    found: dict[str, IdentifiedCurve] = {}
+    for stage in result.estimate.stages:
+        for equation in result.procedure.stages[stage.stage]:
+            for term in equation.terms:
+                shared = all(name in result.estimate for name in term.parameters)
+                if isinstance(term, Terms) and shared and term.prefix not in found:
+                    found[term.prefix] = _curve(result.estimate, equation, term, result.records[0])
+    return list(found.values())
+
+
+def curves_figure(curves: list[IdentifiedCurve]) -> Any:
+    """Each curve with its interval over the samples, and beneath it what it leaves of them."""
+    plt = require_plots()
+    figure, axes = plt.subplots(
+        2,
+        len(curves),
+        figsize=(4.2 * len(curves) + 0.6, 6.0),
+        squeeze=False,
+        sharex="col",
+        height_ratios=(3, 2),
+        layout="constrained",
+    )
+    for (top, bottom), curve in zip(axes.T, curves):
+        unit = f" / ({curve.unit})" if curve.unit else ""
+        if curve.samples is None:
+            bottom.set_visible(False)
+        else:
+            x, y = curve.samples
+            left = y - np.interp(x, curve.x, curve.y)
+            top.plot(x, y, "-", color=GREY, linewidth=0.5, label="what the equation leaves for it")
+            bottom.axhline(0, color=GREY, linewidth=0.8)
+            bottom.plot(x, left, "-", color=RUST, linewidth=0.5)
+            bottom.set_ylabel(f"residual{unit}")
+            bottom.set_xlabel(curve.of)
+        reach = 1.96 * curve.error
+        top.fill_between(curve.x, curve.y - reach, curve.y + reach, color=BLUE, alpha=0.25)
+        top.plot(curve.x, curve.y, color=BLUE, linewidth=1.8, label="identified, 95 %")
+        top.set_ylabel(f"{curve.name}{unit}")
+        top.tick_params(labelbottom=True)
+        top.legend(fontsize="small", frameon=False)
+    return figure
+
+
+def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) -> IdentifiedCurve:
+    variable, present = evaluate(term.of, record)
+    x = np.asarray(variable) if present is None else np.asarray(variable)[np.asarray(present)]
+    grid = np.linspace(x.min(), x.max(), GRID)
+    functions = np.asarray(_functions(term.basis, grid))
+    values = np.array([float(estimate[name]) for name in term.parameters])
+    label = term.of if isinstance(term.of, str) else getattr(term.of, "__name__", "variable")
+    return IdentifiedCurve(
+        name=term.prefix,
+        # Coefficients of a roof or a step are values of the curve, whose unit is the equation's.
+        unit=equation.unit,
+        of=_with_unit(label.strip("_").replace("_", " "), record),
+        x=grid,
+        y=values @ functions,
+        error=_error(estimate, term, functions),
+        samples=_samples(estimate, equation, term, record, np.asarray(variable)),
+    )
+
+
+def _functions(basis: AbstractBasis, x: np.ndarray) -> np.ndarray:
+    import jax.numpy as jnp
+
+    return np.asarray(basis(jnp.asarray(x)))
+
+
+def _error(estimate: Estimate, term: Terms, functions: np.ndarray) -> np.ndarray:
+    covariance = np.zeros((len(term.parameters), len(term.parameters)))
+    place = {name: i for i, name in enumerate(estimate.parameters)}
+    known = [i for i, name in enumerate(term.parameters) if name in place]
+    rows = [place[term.parameters[i]] for i in known]
+    covariance[np.ix_(known, known)] = np.asarray(estimate.covariance)[np.ix_(rows, rows)]
+    return np.sqrt(np.maximum(np.einsum("ig,ij,jg->g", functions, covariance, functions), 0))
+
+
+def _samples(
+    estimate: Estimate, equation: Equation, term: Terms, record: Record, variable: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The equation at every sample without this term, which is what the curve should give."""
+    rest = [other for other in equation.terms if other is not term]
+    try:
+        total = sum(_contribution(estimate, other, record) for other in rest)
+    except DataError:
+        return None  # a derivative that is not recorded
+    rows = DOLS().rows(equation, record)
+    kept = np.ones(variable.size, bool) if rows.kept is None else np.asarray(rows.kept)
+    sign = float(term.sign)
+    x, y = variable[kept], -np.asarray(total)[kept] / sign
+    last = min(x.size, MOST_POINTS)
+    return x[:last], y[:last]
+
+
+def _contribution(estimate: Estimate, term: AbstractTerm, record: Record) -> np.ndarray:
+    values = np.asarray(term.samples(record, term.derivative).values)
+    factors = np.array([float(estimate[name]) for name in term.parameters] or [1.0])
+    return factors @ values
+
+
+def _with_unit(name: str, record: Record) -> str:
+    unit = dict(record.units).get(name)
+    return f"{name} / ({unit})" if unit else name
