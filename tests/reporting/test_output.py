@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
@@ -233,7 +234,12 @@ def test_numbers_that_are_not_finite_become_null(identified, record):
 
 
 @pytest.mark.parametrize(
-    ("criterion", "unit"), [(DOLS(), "N"), (RIEC(RandomWindows(0.05, 0.2, 300)), "N s")]
+    ("criterion", "unit"),
+    [
+        (DOLS(), "N"),
+        (RIEC(RandomWindows(0.05, 0.2, 300)), "N s"),
+        (RIEC(RandomWindows(0.05, 0.2, 300), Hat()), "N s^2"),
+    ],
 )
 def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion, unit):
     equation = Equation(*EQUATION.terms[:2], -Term(1.0, "f", unit="N"), unit="N")

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
+from riecjax.criteria.test_functions import Hat
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import record_keys
 from riecjax.records.record import Record
@@ -116,9 +117,12 @@ def _fit_figure(result: Identification) -> Any:
         unit = _row_unit(equations[0].unit, estimate.criterion)
         rows = Rows.concatenate(
             [
-                _explained(
-                    estimate,
-                    _named(estimate.criterion.rows(equation, record, record_key), own, i),
+                _in_seconds(
+                    _explained(
+                        estimate,
+                        _named(estimate.criterion.rows(equation, record, record_key), own, i),
+                    ),
+                    record,
                 )
                 for i, (record, record_key) in enumerate(
                     zip(records, record_keys(result.key, len(records)))
@@ -128,7 +132,7 @@ def _fit_figure(result: Identification) -> Any:
         )
         kept = slice(None) if rows.kept is None else np.asarray(rows.kept)
         measured, explained = np.asarray(rows.target)[kept], np.asarray(rows.columns[1])[kept]
-        start = np.asarray(rows.position)[kept] * float(records[0].time_step)
+        start = np.asarray(rows.position)[kept]
         chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
         _draw_fit(axes[0, column], explained[chosen], measured[chosen], name, unit)
         _draw_residual(
@@ -144,6 +148,13 @@ def _named(rows: Rows, own: frozenset[str], index: int) -> Rows:
     """The rows of one record, with the names of the parameters that are its own."""
     names = (f"{name}[{index + 1}]" if name in own else name for name in rows.parameters)
     return rows.rename(tuple(names))
+
+
+def _in_seconds(rows: Rows, record: Record) -> Rows:
+    """The rows with the times at which they start in place of samples."""
+    return Rows(
+        rows.columns, record.time[jnp.floor(rows.position).astype(int)], rows.parameters, rows.kept
+    )
 
 
 def _explained(estimate: Estimate, rows: Rows) -> Rows:
@@ -176,7 +187,9 @@ def _draw_residual(axes: Any, time: np.ndarray, residual: np.ndarray, unit: str)
 
 
 def _row_unit(unit: str, criterion: AbstractCriterion) -> str:
-    """Axis label's unit: an integral criterion's rows are the equation's unit times seconds."""
+    """Axis label's unit: the equation's, times seconds for each integration."""
     if not unit:
         return ""
-    return f" / ({unit} s)" if isinstance(criterion, RIEC) else f" / ({unit})"
+    if not isinstance(criterion, RIEC):
+        return f" / ({unit})"
+    return f" / ({unit} s^2)" if isinstance(criterion.test_function, Hat) else f" / ({unit} s)"
