@@ -104,6 +104,17 @@ def test_a_frozen_sensor(seed):
         assert "stuck_sensor" in codes(frozen(values))
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_logger_that_repeats_one_row(seed):
+    signals = {"x": frozen(smooth(seed)), "y": frozen(sine(3.1, seed) + 0.01 * white(seed))}
+    said = message(record("", **signals), "stuck_sensor")
+    assert "for 250 samples from 1 s on while the rest of the record stands as still" in said
+    # A sensor that goes on while the other one is quiet speaks for rest, not for a fault.
+    quiet = sine(3.1, seed)
+    quiet[1000:1250] = quiet[1000] + 1e-6 * white(seed, 250)
+    assert "stuck_sensor" not in codes(frozen(smooth(seed)), other=quiet)
+
+
 def test_a_sensor_that_drops_to_zero():
     values = 5 + smooth(0) / np.ptp(smooth(0))
     values[2000:2300] = 0.0

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from riecjax.models.model import Model
     from riecjax.models.preparation import Preparation
     from riecjax.records.reading.assembly import Selection
+    from riecjax.records.reading.channels import Channels
     from riecjax.records.record import Record
 
 RECORD_OPTIONS = (
@@ -170,6 +171,8 @@ def load(
 
     **Raises:** `DataError` naming the file.
     """
+    import numpy as np
+
     from riecjax.estimation.identify import signals_read
     from riecjax.models.preparation import prepare
     from riecjax.records.reading.assembly import record_from_channels
@@ -178,13 +181,16 @@ def load(
     procedure = model.build_procedure()
     loaded = []
     for file in files:
-        with about(file, options.rename):
+        # Damaged numbers overflow; what is not finite is found and named.
+        with about(file, options.rename), np.errstate(all="ignore"):
             channels = read_channels(file, delimiter=options.delimiter, decimal=options.decimal)
-            record = record_from_channels(channels, options.selection())
-            notes = [*channels.notes, *_reading_steps(options)]
-            record, mismatched = with_model_units(record, model, options)
-            record, steps = prepare(record, model, options.preparation())
-            read = signals_read(procedure, record, criterion)
+            with _saying_why(channels, options.rename):
+                record = record_from_channels(channels, options.selection())
+                notes = [*channels.notes, *_reading_steps(options)]
+                given = tuple(record.arrays)
+                record, mismatched = with_model_units(record, model, options)
+                record, steps = prepare(record, model, options.preparation())
+                read = signals_read(procedure, record, criterion)
             unread = [name for name in record.arrays if name not in read]
             steps = [step for step in steps if step.partition(":")[0] not in unread]
             doubts = [
@@ -192,8 +198,48 @@ def load(
                 for name, message in mismatched.items()
                 if name in read
             ]
+            doubts += [
+                Finding(
+                    "column_left_out",
+                    f"{file.name}: {why}, and {name} is computed from other signals instead.",
+                )
+                for name in read
+                if name not in given and (why := _why_missing(channels, name))
+            ]
             loaded.append(Recording(file, record, [*notes, *steps], doubts))
     return loaded
+
+
+@contextlib.contextmanager
+def _saying_why(channels: "Channels", rename: Mapping[str, str]) -> Iterator[None]:
+    """Add to what is said about a missing signal why the column of that name is none."""
+    try:
+        yield
+    except MissingSignalError as error:
+        why = "" if error.signal in rename.values() else _why_missing(channels, error.signal)
+        if not why:
+            raise
+        listed = ", ".join(error.available) or "none"
+        raise DataError(
+            f"{why}, so that the record has no signal '{error.signal}'; it has: {listed}."
+        ) from None
+
+
+def _why_missing(channels: "Channels", signal: str) -> str:
+    """Why the column of this name, perhaps with its unit behind it, is no signal; empty if none."""
+    import numpy as np
+
+    from riecjax.records.reading.unit_names import split_unit
+
+    for column, why in channels.left_out.items():
+        if signal in (column, split_unit(column)[0]):
+            return f"column '{column}' was left out: {why}"
+    for column, values in channels.columns.items():
+        if signal in (column, split_unit(column)[0]):
+            if np.isnan(values).all():
+                return f"column '{column}' was left out: it holds no number at all"
+            return f"column '{column}' was left out: it has not the length of the time"
+    return ""
 
 
 def with_model_units(

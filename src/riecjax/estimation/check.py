@@ -1,6 +1,6 @@
 """Before a fit: whether these records can answer the question that a model asks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
 from riecjax.estimation.estimate import FEWEST_BLOCKS
 from riecjax.estimation.excitation import Excitation, excitation
 from riecjax.estimation.identify import (
@@ -21,6 +22,7 @@ from riecjax.estimation.identify import (
 from riecjax.estimation.procedure import Procedure, staged
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
+from riecjax.records.consistency import check_derivatives
 from riecjax.records.quality import check_signals
 from riecjax.records.record import Record
 
@@ -68,7 +70,7 @@ def check(
     read = [signals_read(procedure, record, criterion) for record in recordings]
     excitations = excitation(procedure, recordings, criterion, key=key, known=known, own=own)
     findings = [
-        *_sensors(recordings, read),
+        *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),
         *_quadrature(procedure, recordings, criterion, key),
         *(finding for stage in excitations for finding in stage.findings()),
@@ -76,15 +78,27 @@ def check(
     return Check(findings, excitations, tuple(dict.fromkeys(n for names in read for n in names)))
 
 
-def _sensors(records: list[Record], read: list[tuple[str, ...]]) -> list[Finding]:
+def _sensors(
+    procedure: Procedure, records: list[Record], read: list[tuple[str, ...]]
+) -> list[Finding]:
     findings = []
     for i, (record, names) in enumerate(zip(records, read)):
         prefix = f"record {i + 1}: " if len(records) > 1 else ""
+        pairs = [pair for pair in _derivatives(procedure) if set(pair) <= set(names)]
         findings += [
             Finding(finding.code, prefix + finding.message)
-            for finding in check_signals(record, names)
+            for finding in (*check_signals(record, names), *check_derivatives(record, pairs))
         ]
     return findings
+
+
+def _derivatives(procedure: Procedure) -> Iterator[tuple[str, str]]:
+    """Signals with those that the equations call their derivatives."""
+    for stage in procedure.stages:
+        for equation in stage:
+            for term in equation.terms:
+                if isinstance(term, Term) and isinstance(term.of, str):
+                    yield from zip((term.of, *term.measured), term.measured)
 
 
 def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Finding]:

@@ -18,6 +18,13 @@ FEWEST_BLOCKS = 10
 NOTABLE_INFLATION = 1.1
 LARGE_RESIDUAL = 0.5
 """Share of the target past which a model is called wrong."""
+_NO_MASS = "no mass is"
+_NO_DAMPING = "damping that feeds energy into the motion"
+NEVER_NEGATIVE = {
+    **dict.fromkeys(("kg", "kgm2", "kgm2/rad", "Nms2/rad"), _NO_MASS),
+    **dict.fromkeys(("Ns/m", "Nms/rad", "Nms"), _NO_DAMPING),
+}
+"""What it means that a parameter in this unit (without its blanks and signs) is below zero."""
 
 
 class Estimate(eqx.Module):
@@ -101,6 +108,7 @@ class Estimate(eqx.Module):
         return [
             *self._conditioning(),
             *self._wide_intervals(),
+            *self._signs(),
             *self._residuals(),
             *self._disagreement(),
             *self._coverage(),
@@ -124,6 +132,21 @@ class Estimate(eqx.Module):
                     "interval_wider_than_estimate",
                     f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
                     f"hardly determine it.",
+                )
+
+    def _signs(self) -> Iterator[Finding]:
+        for name, unit in self.units:
+            what = NEVER_NEGATIVE.get(
+                "".join(c for c in unit if c not in " ·*^()").replace("²", "2")
+            )
+            if what is None or name not in self.parameters:
+                continue
+            low, high = self.interval(name)
+            if high < 0:
+                yield Finding(
+                    "negative_value",
+                    f"{name} is below zero, from {low:.4g} to {high:.4g} {unit}: {what}. Check the "
+                    f"signs of the signals against the equation's, and the direction of time.",
                 )
 
     def _residuals(self) -> Iterator[Finding]:

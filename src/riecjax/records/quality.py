@@ -293,20 +293,21 @@ def _stuck(signal: _Signal, others: list[_Signal]) -> list[Finding]:
         for run in long
         if np.sum(runs.values[long] == runs.values[run]) == 1
         and _is_abrupt(steps, runs.starts[run], runs.lengths[run], least)
-        and _others_move(others, runs.starts[run], runs.lengths[run])
+        and _meanwhile(others, runs.starts[run], runs.lengths[run])
     ]
     if not stuck:
         return []
     samples = int(runs.lengths[stuck].sum())
     first = stuck[0]
+    meanwhile = _meanwhile(others, runs.starts[first], runs.lengths[first])
     return [
         Finding(
             "stuck_sensor",
             f"{signal.name}: stays at exactly {signal.says(runs.values[first])} for "
             f"{runs.lengths[first]} samples from {signal.time[runs.starts[first]]:.4g} s on while "
-            f"the rest of the record moves ({samples} samples in {len(stuck)} place(s), "
-            f"{_share(samples, signal.present)}); leave that stretch out and check the sensor and "
-            f"its cable.",
+            f"the rest of the record {meanwhile} ({samples} samples in {len(stuck)} place(s), "
+            f"{_share(samples, signal.present)}); leave that stretch out and check the sensor, "
+            f"its cable and the logger.",
         )
     ]
 
@@ -317,19 +318,25 @@ def _is_abrupt(steps: np.ndarray, start: int, length: int, least: float) -> bool
     return bool(np.nanmax([0.0, *edges]) > least)
 
 
-def _others_move(others: list[_Signal], start: int, length: int) -> bool:
-    """Whether some signal changes from sample to sample meanwhile; True where there is none."""
+def _meanwhile(others: list[_Signal], start: int, length: int) -> str:
+    """What the other sensors do meanwhile, if that speaks against a signal that does not move.
+
+    Either one of them changes from sample to sample, or every one shows one value to the last
+    digit, as when a logger writes one row again and again. Empty where they are just quiet.
+    """
     sensors = [s for s in others if s.levels.size > FEW_LEVELS]
-    if not sensors:
-        return True
+    still = []
     for other in sensors:
         steps = np.diff(other.values)
         meanwhile = steps[start : start + length - 1]
         if np.isnan(meanwhile).all():
             continue
         if np.nanstd(meanwhile) > MOVES * np.nanstd(steps):
-            return True
-    return False
+            return "moves"
+        still.append(not np.nanmax(np.abs(meanwhile)))
+    if not sensors:
+        return "moves"
+    return "stands as still" if still and all(still) else ""
 
 
 def _outliers(signal: _Signal) -> list[Finding]:

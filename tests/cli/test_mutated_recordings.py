@@ -1,0 +1,73 @@
+"""Damaged recordings through the whole command: a right answer, a warning, or one line."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2]))  # for whoever runs `pytest` and not `python -m`
+
+from benchmarks.fuzz import judged, outcome
+from benchmarks.mutations import NAMES, TRUTH, WRITERS, Case, mutated, rigs
+
+RIGS = rigs()
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("rig", RIGS, ids=("velocity recorded", "position only"))
+@pytest.mark.parametrize("file", WRITERS)
+def test_sound_recordings_are_answered_to_half_a_percent_without_a_warning(capsys, rig, file):
+    # A tenth of what is asked of a damaged one, so that what is found there is the damage's.
+    from riecjax.cli.main import run
+
+    Path(file).write_bytes(WRITERS[file](list(rig.columns.items())))
+    assert run(["identify", file, *rig.options]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["warnings"] == []
+    for name, value in TRUTH.items():
+        assert document["parameters"][name]["value"] == pytest.approx(value, rel=0.005)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "clean"])
+def test_no_wrong_number_without_a_warning(name):
+    for number in range(2):
+        case = mutated(name, RIGS, np.random.default_rng([20240501, NAMES.index(name), number]))
+        found = outcome(case)
+        assert found.verdict != "WRONG", f"case {number}, {case.file}: {found.why}"
+
+
+def document(values: dict[str, float], *warnings: str, error: float = 0.01) -> str:
+    parameters = {name: {"value": value, "std_error": error} for name, value in values.items()}
+    found = [{"code": code, "message": ""} for code in warnings]
+    return json.dumps({"parameters": parameters, "warnings": found})
+
+
+def test_the_verdicts():
+    good, bad = document(TRUTH), document({**TRUTH, "k": 22.0})
+    assert judged(0, good, "")[0] == "right"
+    assert judged(0, bad, "") == ("WRONG", "k = 22 +- 0.01, not 20")
+    assert judged(0, document({**TRUTH, "k": 22.0}, error=0.5), "")[0] == "right"
+    assert judged(0, document({**TRUTH, "k": 22.0}, "clipped"), "")[0] == "warned"
+    assert judged(0, good, "Traceback")[0] == "WRONG"
+    assert judged(1, "", "riecjax: a.csv: no.\n")[0] == "refused"
+    assert judged(1, "", "riecjax: a.csv: no.\nmore\n")[0] == "WRONG"
+    assert judged(1, good, "riecjax: a.csv: no.\n")[0] == "WRONG"
+    assert judged(3, "", "riecjax: a.csv: no.\n")[0] == "WRONG"
+    with pytest.raises(ValueError, match="NaN"):
+        judged(0, document({**TRUTH, "k": float("nan")}), "")
+
+
+def test_what_crashes_is_not_taken_for_an_answer(monkeypatch):
+    def crash(arguments: list[str]) -> int:
+        raise KeyError("x")
+
+    monkeypatch.setattr("benchmarks.fuzz.run", crash)
+    found = outcome(Case("none", "a.csv", b"", ()))
+    assert found.verdict == "WRONG"
+    assert "KeyError" in found.why

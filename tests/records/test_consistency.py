@@ -1,0 +1,94 @@
+"""Recorded derivatives against their signals; the truth is a sum of sines with its exact slope."""
+
+import re
+
+import numpy as np
+import pytest
+
+from riecjax.errors import MissingSignalError
+from riecjax.records.consistency import check_derivatives
+from riecjax.records.record import Record
+
+STEP = 0.005
+TIME = np.arange(4000) * STEP
+SEEDS = range(10)
+
+
+def motion(seed: int = 0, offset: float = 3.0) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    frequencies, phases = rng.uniform(1, 30, 6), rng.uniform(0, 6, 6)
+    waves = np.outer(frequencies, TIME) + phases[:, None]
+    return {"x": offset + np.sin(waves).sum(0), "v": (frequencies[:, None] * np.cos(waves)).sum(0)}
+
+
+def found(signals: dict[str, np.ndarray], step: float = STEP) -> list[str]:
+    record = Record.from_samples(signals, time_step=step)
+    findings = check_derivatives(record, [("x", "v")])
+    assert {finding.code for finding in findings} <= {"not_its_derivative"}
+    return [finding.message for finding in findings]
+
+
+def sound() -> dict[str, dict[str, np.ndarray]]:
+    whole = motion()
+    noise = np.random.default_rng(9).normal(size=(2, TIME.size))
+    spiked = motion()
+    spiked["x"][[500, 1700]] += 1e9
+    spiked["v"][900] = -1e12
+    gaps = motion()
+    gaps["x"][::97] = np.nan
+    gaps["v"][1000:1300] = np.nan
+    resting = {"x": np.where(TIME < 15, 0, np.sin(TIME - 15)), "v": np.cos(TIME - 15) * (TIME > 15)}
+    return {
+        "exact": whole,
+        "coarse position": {**whole, "x": np.round(whole["x"], 1)},
+        "noisy position": {**whole, "x": whole["x"] + 0.3 * noise[0]},
+        "noisy velocity": {**whole, "v": whole["v"] + 10 * noise[1]},
+        "velocity with an offset": {**whole, "v": whole["v"] + 50},
+        "velocity that drifts": {**whole, "v": whole["v"] + 2 * TIME},
+        "gain 5 % off": {**whole, "v": 1.05 * whole["v"]},
+        "10 ms late": {"x": whole["x"][2:], "v": whole["v"][:-2]},
+        "spikes": spiked,
+        "gaps": gaps,
+        "mostly at rest": resting,
+        "still": {"x": np.ones(4000), "v": np.zeros(4000)},
+        "huge": {"x": 1e300 * whole["x"], "v": 1e300 * whole["v"]},
+        "few samples": {"x": whole["x"][:30], "v": -whole["v"][:30]},
+    }
+
+
+@pytest.mark.parametrize("case", sound())
+def test_derivatives_that_fit_raise_no_alarm(case):
+    assert found(sound()[case]) == []
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "factor"), [("x", 1e3), ("v", 57.29578), ("x", -1), ("v", 1.2)])
+def test_units_and_signs(seed, name, factor):
+    signals = motion(seed)
+    signals[name] = factor * signals[name]
+    (said,) = found(signals)
+    stated = re.search(r"x changes by (\S+) times the integral of v", said)
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(factor if name == "x" else 1 / factor, rel=0.01)
+    assert "--scale" in said
+
+
+def test_time_in_another_unit():
+    (said,) = found(motion(), step=1e3 * STEP)
+    assert "time is in seconds" in said
+    assert re.search(r"by 0\.00(1|0999)", said)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_channels_mixed_up(seed):
+    signals = motion(seed)
+    (said,) = found({"x": signals["x"], "v": motion(seed + 100)["v"]})
+    assert "does not move with x" in said
+    (swapped,) = found({"x": signals["v"], "v": signals["x"]})
+    assert "v, which is read as the derivative of x" in swapped
+
+
+def test_a_missing_signal():
+    record = Record.from_samples({"x": TIME}, time_step=STEP)
+    with pytest.raises(MissingSignalError):
+        check_derivatives(record, [("x", "v")])
