@@ -42,6 +42,8 @@ FEWEST_STRETCHES = 10
 """Longest windows that the records hold at least, end to end."""
 SMALLEST_DRIFT = 0.005
 """Share of a parameter below which a drift is nobody's concern."""
+SHARE_OF_BLOCKS = 0.5
+"""Share of the blocks of time with windows at some length below which another has no estimate."""
 LEVEL = 0.05
 
 
@@ -51,7 +53,8 @@ class WindowSweep(eqx.Module):
     **Fields:**
 
     - `alpha`, `beta`: shortest and longest window of each band in seconds, shape `(bands,)`.
-    - `theta`: estimates, shape `(bands, p)`.
+    - `theta`: estimates, shape `(bands, p)`; NaN at lengths that hardly fit between the record's
+      gaps.
     - `influence`: how far each block of time moves each estimate, shape `(bands, blocks, p)`; the
       blocks are the same at every length, so that estimates can be compared pairwise.
     - `relative_rms`: residual of each stage, shape `(bands, stages)`.
@@ -77,6 +80,8 @@ class WindowSweep(eqx.Module):
     def drift(self, name: str) -> tuple[int, int, float, float]:
         """The two lengths between which a parameter differs most significantly (not under jit).
 
+        Lengths without an estimate are skipped.
+
         **Returns:** their indices, the difference of the estimates, and its standard error, in
         which what is common to both lengths cancels.
         """
@@ -86,7 +91,8 @@ class WindowSweep(eqx.Module):
         apart = influence[None, :, :] - influence[:, None, :]
         error = np.sqrt(float(small_sample_factor(self.block_count)) * np.sum(apart**2, axis=-1))
         significance = np.where(error > 0, np.abs(difference) / np.where(error > 0, error, 1), 0)
-        relevant = np.abs(difference) > SMALLEST_DRIFT * np.abs(theta).max()
+        largest = np.max(np.abs(theta), where=np.isfinite(theta), initial=0.0)
+        relevant = np.abs(difference) > SMALLEST_DRIFT * largest
         first, last = np.unravel_index(np.argmax(significance * relevant), difference.shape)
         first, last = sorted((int(first), int(last)))
         return first, last, float(difference[first, last]), float(error[first, last])
@@ -106,7 +112,8 @@ class WindowSweep(eqx.Module):
         for j, name in enumerate(self.parameters):
             _, _, difference, error = self.drift(name)
             if abs(difference) > limit * error and error > 0:
-                low, high = int(jnp.argmin(self.theta[:, j])), int(jnp.argmax(self.theta[:, j]))
+                theta = np.asarray(self.theta[:, j])
+                low, high = int(np.nanargmin(theta)), int(np.nanargmax(theta))
                 low, high = sorted((low, high))
                 unit = f" {units[name]}" if units.get(name) else ""
                 found.append(
@@ -218,7 +225,7 @@ def _estimates(
     used: list[Int[Array, ""]],
     lengths: tuple[Float[Array, " bands"], Float[Array, " bands"]],
 ) -> tuple[Float[Array, "bands p"], Float[Array, "bands blocks p"], Float[Array, "bands stages"]]:
-    def at_length(length: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    def at_length(length: tuple[Array, Array]) -> tuple[Array, Array, Array, Array]:
         stages = all_normal_equations(
             procedure, sharing, records, _with_windows(criterion, *length), keys, used
         )
@@ -227,7 +234,14 @@ def _estimates(
             jnp.concatenate([stage.solution.theta for stage in solutions]),
             block_influence(stages, solutions, given),
             jnp.stack([stage.relative_rms for stage in solutions]),
+            jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
         )
 
     # One length after the other: rows of all of them at once would need ten times the memory.
-    return jax.lax.map(at_length, lengths)
+    theta, influence, residual, held = jax.lax.map(at_length, lengths)
+    known = (held >= SHARE_OF_BLOCKS * jnp.max(held)) & (held > 0)
+    return (
+        jnp.where(known[:, None], theta, jnp.nan),
+        jnp.where(known[:, None, None], influence, jnp.nan),
+        jnp.where(known[:, None], residual, jnp.nan),
+    )
