@@ -1,0 +1,146 @@
+"""The RIEC over every window at once, in closed form.
+
+The sum over all windows of the outer products of their rows is what normal equations need. With
+phi the primitive of the equation's columns, a boxcar's row is phi[t + k] - phi[t], and
+
+    sum_{t, k} (phi[t + k] - phi[t]) (phi[t + k] - phi[t])^T
+        = sum_u (n[u] + m[u]) phi[u] phi[u]^T - X - X^T,    X = sum_t phi[t] (sum_k phi[t + k])^T
+
+where n[u] windows start at u and m[u] end there. The inner sum is one difference of a running sum of
+phi, so the cost is O(N p^2) however many windows there are. A hat's row, phi[t] - 2 phi[t + L] +
+phi[t + 2 L], has three such cross terms; its last one sums every second sample.
+
+Terms of the sum are as large as phi, which wanders far over a record, and their difference is as
+small as a window's change. Starts are therefore taken in blocks, and phi is referred to each block.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+
+class Starts(NamedTuple):
+    """Where windows may start and how long they may be, in samples of a slice of the record.
+
+    **Fields:** `first` and `stop`, the range of starts; `shortest` and `longest` lag, which is the
+    window's length for the boxcar and half of it for the hat.
+    """
+
+    first: Int[Array, ""]
+    stop: Int[Array, ""]
+    shortest: Int[Array, ""]
+    longest: Int[Array, ""]
+
+
+class _Runs(NamedTuple):
+    """For each sample, the first and last sample of the unbroken run it lies in."""
+
+    first: Int[Array, " n"]
+    last: Int[Array, " n"]
+
+
+def boxcar_moments(
+    phi: Float[Array, "columns n"], present: Bool[Array, " n"], starts: Starts
+) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
+    """Sum of the outer products of all boxcar rows, and their number."""
+    at, runs, begins = _places(present, starts)
+    last = jnp.minimum(at + starts.longest, runs.last)
+    first = at + starts.shortest
+    count = jnp.where(begins, jnp.maximum(last - first + 1, 0), 0)
+    inner = jnp.where((count > 0)[None, :], _between(phi, first, last), 0.0)
+    cross = phi @ inner.T
+    ending = _starts_between(
+        begins, jnp.maximum(at - starts.longest, runs.first), at - starts.shortest
+    )
+    weight = (count + jnp.where(present, ending, 0)).astype(phi.dtype)
+    moments = (phi * weight[None, :]) @ phi.T - cross - cross.T
+    return moments, jnp.sum(count).astype(phi.dtype)
+
+
+def hat_moments(
+    phi: Float[Array, "columns n"], present: Bool[Array, " n"], starts: Starts
+) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
+    """Sum of the outer products of all hat rows, and their number."""
+    at, runs, begins = _places(present, starts)
+    # From the start: L up to the longest, with the end at t + 2 L inside the run.
+    reach = jnp.minimum(starts.longest, (runs.last - at) // 2)
+    count = jnp.where(begins, jnp.maximum(reach - starts.shortest + 1, 0), 0)
+    some = (count > 0)[None, :]
+    middles = jnp.where(some, _between(phi, at + starts.shortest, at + reach), 0.0)
+    ends = jnp.where(some, _every_second(phi, at + 2 * starts.shortest, at + 2 * reach), 0.0)
+    # From the middle u: the start u - L and the end u + L in the run, the start in the range.
+    low = jnp.maximum(starts.shortest, at - starts.stop + 1)
+    high = jnp.minimum(starts.longest, runs.last - at)
+    high = jnp.minimum(high, at - jnp.maximum(runs.first, starts.first))
+    held = present & (high >= low)
+    middle_count = jnp.where(held, high - low + 1, 0)
+    beyond = jnp.where(held[None, :], _between(phi, at + low, at + high), 0.0)
+    # From the end v: starts v - 2 L of the run and the range.
+    ending = _every_second_start(
+        begins, jnp.maximum(at - 2 * starts.longest, runs.first), at - 2 * starts.shortest
+    )
+    weight = count + 4 * middle_count + jnp.where(present, ending, 0)
+    cross = phi @ (ends - 2 * middles).T - 2 * (phi @ beyond.T)
+    moments = (phi * weight.astype(phi.dtype)[None, :]) @ phi.T + cross + cross.T
+    return moments, jnp.sum(count).astype(phi.dtype)
+
+
+def _places(
+    present: Bool[Array, " n"], starts: Starts
+) -> tuple[Int[Array, " n"], _Runs, Bool[Array, " n"]]:
+    """Every sample, the run it lies in, and whether windows may start there."""
+    n = present.shape[0]
+    at = jnp.arange(n)
+    gap_before = jax.lax.cummax(jnp.where(present, -1, at))
+    gap_after = jax.lax.cummin(jnp.where(present, n, at), reverse=True)
+    begins = present & (at >= starts.first) & (at < starts.stop)
+    return at, _Runs(gap_before + 1, gap_after - 1), begins
+
+
+def _between(
+    phi: Float[Array, "columns n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> Float[Array, "columns n"]:
+    """Sum of phi from the sample `first` to the sample `last`, both included."""
+    n = phi.shape[1]
+    running = jnp.pad(jnp.cumsum(phi, axis=1), ((0, 0), (1, 0)))
+    return running[:, jnp.clip(last + 1, 0, n)] - running[:, jnp.clip(first, 0, n)]
+
+
+def _every_second(
+    phi: Float[Array, "columns n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> Float[Array, "columns n"]:
+    """Sum of phi over `first`, `first + 2`, ... `last`, which are of one parity."""
+    running = _running_every_second(phi)
+    end = phi.shape[1] + 1
+    return running[:, jnp.clip(last + 2, 0, end)] - running[:, jnp.clip(first, 0, end)]
+
+
+def _running_every_second(values: Float[Array, "columns n"]) -> Float[Array, "columns n+2"]:
+    """At i + 2, the sum of values at i, i - 2, i - 4, ..."""
+    columns, n = values.shape
+    padded = jnp.pad(values, ((0, 0), (2, n % 2)))
+    return jnp.cumsum(padded.reshape(columns, -1, 2), axis=1).reshape(columns, -1)[:, : n + 2]
+
+
+def _starts_between(
+    begins: Bool[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> Int[Array, " n"]:
+    """How many starts lie from `first` to `last`."""
+    n = begins.shape[0]
+    running = jnp.pad(jnp.cumsum(begins), (1, 0))
+    number = running[jnp.clip(last + 1, 0, n)] - running[jnp.clip(first, 0, n)]
+    return jnp.where(last >= first, number, 0)
+
+
+def _every_second_start(
+    begins: Bool[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> Int[Array, " n"]:
+    """How many starts lie at `last`, `last - 2`, ... down to `first` at least."""
+    n = begins.shape[0]
+    running = _running_every_second(begins.astype(jnp.int32)[None, :])[0]
+    # The lowest sample of last's parity that is not below first.
+    lowest = first + (last - first) % 2
+    number = running[jnp.clip(last + 2, 0, n + 1)] - running[jnp.clip(lowest, 0, n + 1)]
+    return jnp.where(last >= lowest, number, 0)
