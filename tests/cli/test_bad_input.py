@@ -320,6 +320,35 @@ def test_a_column_that_was_renamed_away_is_gone(capsys):
     assert "no signal 'x1'" in refused(capsys, 1, "good.csv", "--map", "x2=x1")
 
 
+LEFT_OUT = {
+    "text": (np.full(400, "on"), "column 'x2' was left out: it holds "),
+    "nothing": (np.full(400, np.nan), "column 'x2' was left out: it holds no number at all"),
+    "other length": (np.zeros(399), "column 'x2' was left out: it has not the length of the time"),
+}
+
+
+@pytest.mark.parametrize("case", LEFT_OUT)
+def test_a_signal_whose_column_was_left_out_says_why(capsys, case):
+    values, words = LEFT_OUT[case]
+    Path("bad.npz").write_bytes(npz({**quarter_car_columns(), "x2": values}))
+    Path("whole.npz").unlink()
+    message = refused(capsys, 1, "bad.npz")
+    assert words in message
+    assert "so that the record has no signal 'x2'; it has: x1, x3" in message
+    assert "--map" not in message
+
+
+def test_a_signal_that_is_computed_because_its_column_was_left_out(capsys):
+    columns = axis_columns(quarter_car_columns())
+    time = columns["t"]
+    columns |= {"q": np.sin(9 * time) + np.sin(23 * time), "dq": np.full(400, "on")}
+    Path("axis.npz").write_bytes(npz(columns))
+    result = call(capsys, "identify", "axis.npz", "--model", "emps", "--no-sweep", "--json")
+    (said,) = [w["message"] for w in result.document["warnings"] if w["code"] == "column_left_out"]
+    assert "axis.npz: column 'dq' was left out: it holds no real numbers" in said
+    assert "dq is computed from other signals instead" in said
+
+
 def test_a_filter_on_a_column_s_old_name_says_which_name_to_use(capsys):
     write_csv(
         Path("raw.csv"), {"load" if k == "F_t" else k: v for k, v in quarter_car_columns().items()}

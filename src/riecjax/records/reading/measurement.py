@@ -1,6 +1,16 @@
-"""Reading measurement files in ASAM MDF (.mf4, .mdf), with the extra `mdf`."""
+"""Reading measurement files in ASAM MDF (.mf4, .mdf), with the extra `mdf`.
 
-import traceback
+On some damaged files the library ends the whole process instead of raising an error. So it runs in
+a process of its own, which is this module as a program: `python -m <this> FILE OUT.npz`.
+"""
+
+import contextlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +18,21 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import Channels
-from riecjax.records.reading.limits import check_column_count, check_unpacked, foreign_reader
+from riecjax.records.reading.limits import (
+    LARGEST_FILE,
+    check_column_count,
+    check_unpacked,
+    foreign_reader,
+)
+
+PATIENCE = 60.0
+"""Seconds that reading may take, beside the time that its size explains."""
+SLOWEST_READING = 5e6
+"""Bytes a second."""
+MEMORY = 4 * LARGEST_FILE
+"""Bytes that the reading process may ask for."""
+OUT_OF_MEMORY = 3
+"""Exit status of the reading process."""
 
 
 def read_mdf(file: Path) -> Channels:
@@ -17,35 +41,81 @@ def read_mdf(file: Path) -> Channels:
     A channel keeps its name; one whose name stands in several groups becomes `name (group 2)`,
     groups counted from 1. The times are called `time`, or `time (group 2)`.
 
-    **Raises:** `DataError` for a damaged file, or where asammdf is not installed.
+    **Raises:** `DataError` for a damaged file, or where asammdf is not installed; `MemoryError`.
     """
-    try:
-        import asammdf
-    except ImportError:
+    if importlib.util.find_spec("asammdf") is None:
         raise DataError(
             "to read MDF files, install the package's extra: pip install 'riecjax[mdf]'."
-        ) from None
-    with foreign_reader("MDF"), file.open("rb") as stream:
+        )
+    limit = PATIENCE + file.stat().st_size / SLOWEST_READING
+    # What the library leaves behind when it crashes goes with this folder.
+    with tempfile.TemporaryDirectory(prefix="riecjax-", ignore_cleanup_errors=True) as folder:
+        out = Path(folder) / "channels.npz"
         try:
-            with asammdf.MDF(stream) as source:
-                _check_size(source)
-                return _channels(source)
-        except Exception as error:
-            _mark_closed(error)
-            raise
+            status = _read_apart(file, out, limit)
+        except subprocess.TimeoutExpired:
+            raise DataError(
+                f"not a readable MDF file: reading it took longer than {limit:.0f} s."
+            ) from None
+        if status == OUT_OF_MEMORY:
+            raise MemoryError
+        if status != 0 or not out.is_file():
+            raise DataError(
+                "not a readable MDF file: its reader broke off, as it does on damaged files."
+            )
+        return _unpacked(out)
 
 
-def _mark_closed(error: Exception) -> None:
-    """Keep the library from closing, once more and with a complaint, a file it never opened.
+def _read_apart(file: Path, out: Path, limit: float) -> int:
+    """Exit status of the reading process."""
+    paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
+    places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(out.parent))
+    return subprocess.run(
+        # -P: it finds its modules where this process does, and not in the working folder.
+        [sys.executable, "-P", "-m", __spec__.name, str(file.absolute()), str(out)],
+        env={**os.environ, **places, "PYTHONPATH": paths},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        timeout=limit,
+        check=False,
+    ).returncode
 
-    Its reader, left half made by a damaged file, is reached through the error alone.
-    """
-    for frame, _ in traceback.walk_tb(error.__traceback__):
-        reader = frame.f_locals.get("self")
-        if reader is not None and hasattr(reader, "_tempfile") and not reader._closed:
-            reader._closed = True
-            if reader._tempfile is not None:
-                reader._tempfile.close()
+
+def _unpacked(out: Path) -> Channels:
+    with np.load(out) as archive:
+        said = json.loads(archive["said"].tobytes())
+        if "error" in said:
+            raise DataError(said["error"])
+        names = said.pop("names")
+        return Channels({name: archive[str(i)] for i, name in enumerate(names)}, **said)
+
+
+def _pack(file: Path, out: Path) -> None:
+    """Read a file and write what it holds, or what is wrong with it."""
+    columns: dict[str, np.ndarray] = {}
+    try:
+        found = _read(file)
+        columns = found.columns
+        said = {
+            "names": list(columns),
+            "units": found.units,
+            "time_of": found.time_of,
+            "left_out": found.left_out,
+            "notes": found.notes,
+        }
+    except DataError as error:
+        said = {"error": str(error)}
+    arrays: dict[str, Any] = {str(i): values for i, values in enumerate(columns.values())}
+    np.savez(out, said=np.frombuffer(json.dumps(said).encode(), np.uint8), **arrays)
+
+
+def _read(file: Path) -> Channels:
+    import asammdf
+
+    with foreign_reader("MDF"), file.open("rb") as stream, asammdf.MDF(stream) as source:
+        _check_size(source)
+        return _channels(source)
 
 
 def _check_size(source: Any) -> None:
@@ -91,3 +161,20 @@ def _masked(signal: Any, samples: np.ndarray) -> np.ndarray:
     if invalid is not None:
         values[np.asarray(invalid, bool)] = np.nan
     return values
+
+
+def _limit_resources() -> None:
+    """Damaged sizes must not take the machine's memory, nor crashes its disk."""
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+
+
+if __name__ == "__main__":
+    _limit_resources()
+    try:
+        _pack(Path(sys.argv[1]), Path(sys.argv[2]))
+    except MemoryError:
+        sys.exit(OUT_OF_MEMORY)
