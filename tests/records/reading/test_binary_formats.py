@@ -1,6 +1,7 @@
 """MAT, NPZ, Parquet and MDF files, made by the libraries that others make them with."""
 
 import sys
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -381,3 +382,31 @@ def test_damaged_mdf(tmp_path):
         (tmp_path / "a.mf4").write_bytes(content)
         with pytest.raises(DataError, match=r"^a\.mf4: "):
             read_channels(tmp_path / "a.mf4")
+
+
+def test_two_arrays_of_one_name_are_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for values in (TIME, X):
+            with archive.open("x.npy", "w") as member:
+                np.save(member, values)
+    with pytest.raises(DataError, match=r"^a\.npz: two columns are called 'x'\.$"):
+        read_channels(tmp_path / "a.npz")
+    for compressed in (False, True):
+        files = []
+        for name in ("one.mat", "two.mat"):
+            scipy.io.savemat(tmp_path / name, {"x": TIME}, do_compression=compressed)
+            files.append((tmp_path / name).read_bytes())
+        # After the header of 128 bytes come the variables, one behind the other.
+        (tmp_path / "a.mat").write_bytes(files[0] + files[1][128:])
+        with pytest.raises(DataError, match=r"^a\.mat: two columns are called 'x'\.$"):
+            read_channels(tmp_path / "a.mat")
+
+
+def test_text_in_mat_files_is_left_out_with_the_reason(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"t": ["on"] * N, "x": X, "log": {"who": "me"}})
+    channels = read_channels(tmp_path / "a.mat")
+    assert set(channels.columns) == {"x"}
+    assert channels.left_out == dict.fromkeys(("t", "log.who"), "it holds no real numbers")
+    with pytest.raises(DataError, match=r"no time column.*; column 't' is none: it holds no real"):
+        read_record(tmp_path / "a.mat")

@@ -6,7 +6,7 @@ from typing import IO
 
 import numpy as np
 
-from riecjax.records.reading.channels import Channels, vectors
+from riecjax.records.reading.channels import Channels, check_names, vectors
 from riecjax.records.reading.limits import check_column_count, check_unpacked, foreign_reader
 
 
@@ -20,6 +20,7 @@ def read_npz(file: Path) -> Channels:
         members = archive.infolist()
         check_column_count(len(members))
         check_unpacked(sum(member.file_size for member in members), file.stat().st_size)
+        check_names(member.filename.removesuffix(".npy") for member in members)
         arrays = {}
         for member in members:
             with archive.open(member) as stream:

@@ -84,10 +84,9 @@ def column_named(channels: Channels, name: str) -> str:
 
 
 def _first_reason(channels: Channels) -> str:
-    """Why the first column that was left out is none, for a message."""
-    for name, why in channels.left_out.items():
-        return f"; column '{name}' is none: {why}"
-    return ""
+    """Why a column that was left out is none, for a message: the one named as time first."""
+    named = sorted(channels.left_out, key=lambda name: split_unit(name)[0] not in TIME_COLUMNS)
+    return f"; column '{named[0]}' is none: {channels.left_out[named[0]]}" if named else ""
 
 
 def _renamed(channels: Channels, rename: Mapping[str, str]) -> _Signals:

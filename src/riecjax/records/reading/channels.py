@@ -44,6 +44,15 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(every[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
+def check_names(names: Iterable[str]) -> None:
+    """Refuse a file in which two columns have one name, with a `DataError`."""
+    seen = set()
+    for name in names:
+        if name in seen:
+            raise DataError(f"two columns are called '{name}'.")
+        seen.add(name)
+
+
 def vectors(arrays: Mapping[str, object]) -> Channels:
     """Numeric arrays as columns: vectors by their name, matrices as `name[0]`, `name[1]`, ...
 

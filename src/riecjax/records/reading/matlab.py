@@ -6,7 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.records.reading.channels import Channels, vectors, with_structure_times
+from riecjax.records.reading.channels import (
+    Channels,
+    check_names,
+    vectors,
+    with_structure_times,
+)
 from riecjax.records.reading.limits import check_column_count, check_unpacked, foreign_reader
 from riecjax.records.reading.matlab_elements import inflated
 
@@ -37,6 +42,8 @@ def _read_v5(file: Path) -> dict[str, np.ndarray]:
         import scipy.io
 
         source = inflated(file.read_bytes())
+        check_names(name for name, _, _ in scipy.io.whosmat(source) if name)
+        source.seek(0)
         variables = scipy.io.loadmat(source, verify_compressed_data_integrity=True)
         arrays: dict[str, np.ndarray] = {}
         for name, value in variables.items():
@@ -61,7 +68,7 @@ def _parts(name: str, value: object, depth: int = 0) -> Iterator[tuple[str, np.n
     elif array.dtype.kind == "O":
         for place, element in enumerate(elements, start=1):
             yield from _parts(f"{name}{{{place}}}", element, depth + 1)
-    elif array.dtype.kind in "fiubc":
+    elif array.dtype.kind in "fiubcU":
         yield name, array
 
 

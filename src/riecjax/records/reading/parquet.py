@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.errors import DataError
 from riecjax.records.reading.arrow import compute
-from riecjax.records.reading.channels import TIME_COLUMNS, Channels
+from riecjax.records.reading.channels import TIME_COLUMNS, Channels, check_names
 from riecjax.records.reading.limits import check_column_count, check_unpacked, foreign_reader
 from riecjax.records.reading.numerals import unwrapped
 
@@ -39,7 +38,8 @@ def read_parquet(file: Path) -> Channels:
                 for place, field in enumerate(schema)
                 if place not in set(wanted)
             }
-            names = _unique([schema.field(place).name for place in wanted])
+            names = [schema.field(place).name for place in wanted]
+            check_names(names)
             table = source.read(columns=names, use_threads=True)
             columns = {name: _numbers(table.column(name)) for name in names}
             units = {name: unit for name in names if (unit := _unit(schema.field(name)))}
@@ -58,13 +58,6 @@ def _check_size(source: Any, columns: int) -> None:
     check_unpacked(sum(metadata.row_group(place).total_byte_size for place in groups))
     # Run-length coding packs without bound: what counts is the table that is made of it.
     check_unpacked(8 * metadata.num_rows * max(columns, 1))
-
-
-def _unique(names: list[str]) -> list[str]:
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise DataError(f"two columns are called '{twice}'.")
-    return names
 
 
 def _is_numeric(kind: Any) -> bool:
