@@ -6,14 +6,15 @@ phi the primitive of the equation's columns, a boxcar's row is phi[t + k] - phi[
     sum_{t, k} (phi[t + k] - phi[t]) (phi[t + k] - phi[t])^T
         = sum_u (n[u] + m[u]) phi[u] phi[u]^T - X - X^T,    X = sum_t phi[t] (sum_k phi[t + k])^T
 
-where n[u] windows start at u and m[u] end there. The inner sum is one difference of a running sum of
-phi, so the cost is O(N p^2) however many windows there are. A hat's row, phi[t] - 2 phi[t + L] +
+where n[u] windows start at u and m[u] end there. The inner sum is one difference of a running sum
+of phi, so the cost is O(N p^2) however many windows there are. A hat's row, phi[t] - 2 phi[t + L] +
 phi[t + 2 L], has three such cross terms; its last one sums every second sample.
 
 Terms of the sum are as large as phi, which wanders far over a record, and their difference is as
 small as a window's change. Starts are therefore taken in blocks, and phi is referred to each block.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -39,6 +40,87 @@ class _Runs(NamedTuple):
 
     first: Int[Array, " n"]
     last: Int[Array, " n"]
+
+
+Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
+"""Sums of outer products of rows, and numbers of rows, for blocks of starts."""
+
+
+def moments_in_blocks(
+    values: Float[Array, "columns n"],
+    mean: Float[Array, " columns"],
+    present: Bool[Array, " n"],
+    lags: tuple[Int[Array, ""], Int[Array, ""]],
+    *,
+    order: int,
+    block: int,
+    reach: int,
+) -> Moments:
+    """Moments of all windows, for each block of `block` starts.
+
+    **Arguments:** `values` and `mean` of the columns' primitives, whose differences of order
+    `order` (1 for the boxcar, 2 for the hat) are the rows; `lags`, shortest and longest; `reach`,
+    no window is longer in samples.
+    """
+    n = values.shape[1]
+    count = -(-n // block)
+    width = min(block + reach, n)
+    moments = boxcar_moments if order == 1 else hat_moments
+
+    def of_block(index: Int[Array, ""]) -> tuple[Array, Array]:
+        # The last slices would reach beyond the record: they begin earlier instead.
+        begin = jnp.minimum(index * block, n - width)
+        part = jax.lax.dynamic_slice_in_dim(values, begin, width, axis=1)
+        there = jax.lax.dynamic_slice_in_dim(present, begin, width)
+        first = index * block - begin
+        starts = Starts(first, first + block, *lags)
+        return moments(_referred(part, mean, order), there, starts)
+
+    return jax.lax.map(of_block, jnp.arange(count))
+
+
+def _referred(
+    values: Float[Array, "columns n"], mean: Float[Array, " columns"], order: int
+) -> Float[Array, "columns n"]:
+    """Primitives with their polynomial put back, less what their differences do not see.
+
+    That is a constant for first differences and a straight line for second ones.
+    """
+    n = values.shape[1]
+    place = jnp.arange(n) - (n - 1) / 2
+    whole = values + mean[:, None] * (place**order / order)[None, :]
+    whole = whole - jnp.mean(whole, axis=1, keepdims=True)
+    if order == 1:
+        return whole
+    slope = (whole @ place) / jnp.maximum(jnp.sum(place**2), 1.0)
+    return whole - slope[:, None] * place[None, :]
+
+
+def moments_of_rows(
+    rows_of_length: Callable[[Int[Array, ""]], tuple[Float[Array, "columns n"], Array]],
+    lengths: Int[Array, " lengths"],
+    n: int,
+    block: int,
+) -> Moments:
+    """Moments of rows that start at every sample, summed over some window lengths.
+
+    **Arguments:** `rows_of_length` gives rows at every start, zero where there is no whole window,
+    and where there is one.
+    """
+    count = -(-n // block)
+    pad = count * block - n
+
+    def of_length(total: tuple[Array, Array], length: Array) -> tuple[tuple[Array, Array], None]:
+        rows, whole = rows_of_length(length)
+        parts = jnp.pad(rows, ((0, 0), (0, pad))).reshape(rows.shape[0], count, block)
+        held = jnp.pad(whole, (0, pad)).reshape(count, block).sum(1)
+        moments = jnp.einsum("ibs,jbs->bij", parts, parts)
+        return (total[0] + moments, total[1] + held), None
+
+    columns = jax.eval_shape(rows_of_length, lengths[0])[0]
+    empty = jnp.zeros((count, columns.shape[0], columns.shape[0]), columns.dtype)
+    total, _ = jax.lax.scan(of_length, (empty, jnp.zeros(count, columns.dtype)), lengths)
+    return total
 
 
 def boxcar_moments(

@@ -10,6 +10,7 @@ the weight's smoothness: one for the boxcar, two for the hat and for bumps.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,8 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from riecjax.criteria.all_windows import Moments, moments_in_blocks, moments_of_rows
 from riecjax.criteria.quadrature import ORDERS, running_integral
-from riecjax.criteria.windows import WindowSet
+from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, Sampled, both_present, sum_columns
 from riecjax.errors import ModelError
@@ -51,6 +53,15 @@ class AbstractTestFunction(eqx.Module):
 
     def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
         """Integral of every column of the equation over every window."""
+        raise NotImplementedError
+
+    def moments(
+        self, equation: Equation, record: Record, windows: AllWindows, block: int
+    ) -> Moments:
+        """Sums over all windows of the outer products of their rows, for blocks of starts.
+
+        **Arguments:** `block`: samples in whose span the windows of a block start.
+        """
         raise NotImplementedError
 
     def finest(self) -> "AbstractTestFunction":
@@ -173,6 +184,23 @@ class _Differences(AbstractTestFunction):
             )
         return self.primitives(equation, record).integrals(windows)
 
+    def moments(
+        self, equation: Equation, record: Record, windows: AllWindows, block: int
+    ) -> Moments:
+        """Sums over all windows of the outer products of their rows, for blocks of starts."""
+        primitives = self.primitives(equation, record)
+        n = record.sample_count
+        present = jnp.ones(n, bool) if primitives.present is None else primitives.present
+        return moments_in_blocks(
+            primitives.values,
+            primitives.mean,
+            present,
+            windows.lags(n, record.time_step, self.length_multiple),
+            order=self.smoothness,
+            block=block,
+            reach=n if windows.longest_samples is None else windows.longest_samples,
+        )
+
 
 class Boxcar(_Differences):
     """Weight 1 inside the window, 0 outside: RIEC as published.
@@ -268,22 +296,55 @@ class Bump(AbstractTestFunction):
         """
         if not jnp.issubdtype(windows.start.dtype, jnp.integer):
             raise ModelError("bumps need windows on samples (between_samples=False).")
-        columns, present = self._columns(equation, record)
+        everywhere, present = self._at_every_start(equation, record)
         windows, lengths = self.rounded(windows, record.sample_count)
+
+        def of_length(total: Array, length: Array) -> tuple[Array, None]:
+            mine = (windows.stop - windows.start == length)[None, :]
+            return jnp.where(mine, everywhere(length)[:, windows.start], total), None
+
+        columns = 1 + len(equation.parameters)
+        empty = jnp.zeros((columns, windows.start.shape[0]), record.time_step.dtype)
+        total, _ = jax.lax.scan(of_length, empty, lengths)
+        return Integrals(total, whole(windows, present))
+
+    def moments(
+        self, equation: Equation, record: Record, windows: AllWindows, block: int
+    ) -> Moments:
+        """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
+        everywhere, present = self._at_every_start(equation, record)
+        n = record.sample_count
+        shortest, longest = windows.lags(n, record.time_step)
+        start = jnp.arange(n)
+
+        def rows_of_length(length: Array) -> tuple[Array, Array]:
+            inside = start + length < n
+            window = WindowSet(start, jnp.minimum(start + length, n - 1))
+            unbroken = whole(window, present)
+            held = inside if unbroken is None else inside & unbroken
+            return jnp.where(held[None, :], everywhere(length), 0.0), held
+
+        return moments_of_rows(rows_of_length, self._lengths(shortest, longest), n, block)
+
+    def _at_every_start(
+        self, equation: Equation, record: Record
+    ) -> tuple[Callable[[Array], Float[Array, "columns n"]], Bool[Array, " n"] | None]:
+        """A function of window length: integrals of every column over the windows at each start."""
+        columns, present = self._columns(equation, record)
         size = 2 * record.sample_count
         spectrum = jnp.fft.rfft(columns, size, axis=-1)
 
-        def of_length(total: Array, length: Array) -> tuple[Array, None]:
+        def everywhere(length: Array) -> Float[Array, "columns n"]:
             weights = jnp.fft.rfft(self.weights(length, record), size, axis=-1)
             # Summed over the order of derivative: correlation of each column with its weight.
             product = jnp.sum(spectrum * jnp.conj(weights)[:, None, :], axis=0)
-            everywhere = jnp.fft.irfft(product, size, axis=-1)
-            mine = (windows.stop - windows.start == length)[None, :]
-            return jnp.where(mine, everywhere[:, windows.start], total), None
+            return jnp.fft.irfft(product, size, axis=-1)[:, : record.sample_count]
 
-        empty = jnp.zeros((columns.shape[1], windows.start.shape[0]), columns.dtype)
-        total, _ = jax.lax.scan(of_length, empty, lengths)
-        return Integrals(total, whole(windows, present))
+        return everywhere, present
+
+    def _lengths(self, shortest: Int[Array, ""], longest: Int[Array, ""]) -> Int[Array, " lengths"]:
+        spacing = (longest - shortest) / max(self.lengths - 1, 1)
+        return jnp.round(shortest + spacing * jnp.arange(self.lengths)).astype(shortest.dtype)
 
     def rounded(
         self, windows: WindowSet, sample_count: int
@@ -292,7 +353,7 @@ class Bump(AbstractTestFunction):
         drawn = windows.stop - windows.start
         shortest, longest = jnp.min(drawn), jnp.max(drawn)
         spacing = (longest - shortest) / max(self.lengths - 1, 1)
-        lengths = jnp.round(shortest + spacing * jnp.arange(self.lengths)).astype(drawn.dtype)
+        lengths = self._lengths(shortest, longest)
         nearest = jnp.round((drawn - shortest) / jnp.where(spacing > 0, spacing, 1.0))
         length = lengths[jnp.clip(nearest.astype(jnp.int32), 0, self.lengths - 1)]
         start = jnp.minimum(windows.start, sample_count - 1 - length)

@@ -1,14 +1,17 @@
 """Windows in time: where an integral criterion looks, and for how long."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, as_leaf, is_concrete
+from riecjax.records.record import Record
 
 
 class WindowSet(NamedTuple):
@@ -18,7 +21,102 @@ class WindowSet(NamedTuple):
     stop: Int[Array, " windows"] | Float[Array, " windows"]
 
 
-class RandomWindows(eqx.Module):
+class AbstractWindows(eqx.Module):
+    """Windows from alpha to beta seconds long, at any place in a record.
+
+    To see the most of a motion of frequency f, T = 1 / (2 f) (eq. 26), so choose half a period
+    of the fastest (alpha) and of the slowest mode (beta) that the model should have.
+    """
+
+    alpha: eqx.AbstractVar[Leaf]
+    beta: eqx.AbstractVar[Leaf]
+
+    def check(self, sample_count: int, time_step: Array, multiple: int = 1) -> None:
+        """Raise `DataError` if the record is too short or too coarse (not under jit)."""
+        if not is_concrete(self.alpha, self.beta, time_step):
+            return
+        step, beta = float(time_step), float(self.beta)
+        duration = step * (sample_count - 1)
+        if beta > duration * (1 + 1e-12):
+            raise DataError(
+                f"the longest window, beta = {beta:g} s, is longer than the record, "
+                f"{duration:g} s. Choose a smaller beta or record for longer."
+            )
+        if beta < multiple * step:
+            samples = "one sample" if multiple == 1 else f"{multiple} samples"
+            raise DataError(
+                f"the longest window, beta = {beta:g} s, is shorter than {samples}, "
+                f"{multiple * step:g} s. Choose longer windows."
+            )
+
+    def lags(
+        self, sample_count: int, time_step: Float[Array, ""], multiple: int = 1
+    ) -> tuple[Int[Array, ""], Int[Array, ""]]:
+        """Shortest and longest window in multiples of samples, at least 1, within the record."""
+        unit, most = multiple * time_step, (sample_count - 1) // multiple
+        shortest = jnp.clip(jnp.round(self.alpha / unit), 1, most)
+        longest = jnp.clip(jnp.round(self.beta / unit), shortest, most)
+        return shortest.astype(jnp.int32), longest.astype(jnp.int32)
+
+    def describe(self) -> dict[str, object]:
+        """Settings, for tables and JSON."""
+        raise NotImplementedError
+
+
+def _require_order(alpha: Leaf, beta: Leaf) -> None:
+    if is_concrete(alpha, beta) and not 0 < float(alpha) < float(beta):
+        raise ModelError(
+            f"windows need 0 < alpha < beta; got alpha = {float(alpha):g} s and "
+            f"beta = {float(beta):g} s."
+        )
+
+
+class AllWindows(AbstractWindows):
+    """Every window on samples, from alpha to beta, all equally likely.
+
+    What random windows converge to as their number grows: the same estimate without sampling
+    noise, in closed form (see `all_windows`). The cost does not depend on how many there are.
+
+    **Arguments:**
+
+    - `alpha`, `beta`: shortest and longest window in seconds.
+    - `longest_samples`: an upper limit to beta in samples, which sets the size of the blocks that
+      the record is worked through in. Found out where beta is a plain number; under `jit` or
+      `vmap` over beta it should be given, or every block spans the record.
+
+    **Raises:** `ModelError` unless 0 < alpha < beta.
+    """
+
+    alpha: Leaf
+    beta: Leaf
+    longest_samples: int | None = eqx.field(static=True)
+
+    def __init__(
+        self, alpha: float | Array, beta: float | Array, *, longest_samples: int | None = None
+    ):
+        self.alpha = as_leaf(alpha)
+        self.beta = as_leaf(beta)
+        self.longest_samples = longest_samples
+        _require_order(self.alpha, self.beta)
+
+    def fitted(self, records: Sequence[Record]) -> "AllWindows":
+        """The same windows with `longest_samples` found out, if that is possible.
+
+        A power of two, so that other lengths of about this size compile nothing anew.
+        """
+        steps = [record.time_step for record in records]
+        if self.longest_samples is not None or not is_concrete(self.beta, steps):
+            return self
+        samples = max(float(self.beta) / float(step) for step in steps)
+        limit = 2 ** int(np.ceil(np.log2(max(samples + 2, 2))))
+        return AllWindows(self.alpha, self.beta, longest_samples=limit)
+
+    def describe(self) -> dict[str, object]:
+        """Settings, for tables and JSON."""
+        return {"alpha": float(self.alpha), "beta": float(self.beta), "windows": "all"}
+
+
+class RandomWindows(AbstractWindows):
     """The paper's random windows: T ~ U(alpha, beta), t0 ~ U(0, t_max), t0 + T <= t_max.
 
     Rejecting the pairs that reach beyond the record (eqs 14-15) leaves (t0, T) uniform over the
@@ -28,9 +126,7 @@ class RandomWindows(eqx.Module):
 
     **Arguments:**
 
-    - `alpha`, `beta`: shortest and longest window in seconds. To see the most of a motion
-      of frequency f, T = 1 / (2 f) (eq. 26), so choose half a period of the fastest and of the
-      slowest mode that the model should have.
+    - `alpha`, `beta`: shortest and longest window in seconds.
     - `count`: number of windows.
     - `between_samples`: draw start and length from the continuum, and interpolate the record
       between its samples, instead of rounding both to samples. The default, on samples, is
@@ -58,29 +154,15 @@ class RandomWindows(eqx.Module):
         self.between_samples = between_samples
         if count < 1:
             raise ModelError(f"the number of windows must be at least 1; got {count}.")
-        if is_concrete(self.alpha, self.beta) and not 0 < float(self.alpha) < float(self.beta):
-            raise ModelError(
-                f"windows need 0 < alpha < beta; got alpha = {float(self.alpha):g} s and "
-                f"beta = {float(self.beta):g} s."
-            )
+        _require_order(self.alpha, self.beta)
 
-    def check(self, sample_count: int, time_step: Array, multiple: int = 1) -> None:
-        """Raise `DataError` if the record is too short or too coarse (not under jit)."""
-        if not is_concrete(self.alpha, self.beta, time_step):
-            return
-        step, beta = float(time_step), float(self.beta)
-        duration = step * (sample_count - 1)
-        if beta > duration * (1 + 1e-12):
-            raise DataError(
-                f"the longest window, beta = {beta:g} s, is longer than the record, "
-                f"{duration:g} s. Choose a smaller beta or record for longer."
-            )
-        if beta < multiple * step:
-            samples = "one sample" if multiple == 1 else f"{multiple} samples"
-            raise DataError(
-                f"the longest window, beta = {beta:g} s, is shorter than {samples}, "
-                f"{multiple * step:g} s. Choose longer windows."
-            )
+    def describe(self) -> dict[str, object]:
+        """Settings, for tables and JSON."""
+        return {
+            "alpha": float(self.alpha),
+            "beta": float(self.beta),
+            "windows": self.count,
+        }
 
     def draw(
         self,
@@ -96,15 +178,6 @@ class RandomWindows(eqx.Module):
         if self.between_samples:
             return self._draw_between_samples(key, sample_count, time_step)
         return self._draw_on_samples(key, sample_count, time_step, multiple)
-
-    def lags(
-        self, sample_count: int, time_step: Float[Array, ""], multiple: int = 1
-    ) -> tuple[Int[Array, ""], Int[Array, ""]]:
-        """Shortest and longest window in multiples of samples, at least 1, within the record."""
-        unit, most = multiple * time_step, (sample_count - 1) // multiple
-        shortest = jnp.clip(jnp.round(self.alpha / unit), 1, most)
-        longest = jnp.clip(jnp.round(self.beta / unit), shortest, most)
-        return shortest.astype(jnp.int32), longest.astype(jnp.int32)
 
     def _draw_on_samples(
         self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""], multiple: int
