@@ -132,6 +132,14 @@ def test_three_spikes_of_ten_sigma(make):
     assert np.mean([found(seed) for seed in SEEDS]) > 0.9
 
 
+@pytest.mark.parametrize("height", 10.0 ** np.arange(1, 13))
+@pytest.mark.parametrize("make", [white, smooth, walk, lambda seed: sine(3.0, seed)])
+def test_a_spike_of_any_height(make, height):
+    values = make(0)
+    values[2400] += height * np.std(values)
+    assert "outliers" in codes(values)
+
+
 def test_outliers_say_how_many_how_far_and_where():
     values, where = spiked(sine(3.0) + 0.01 * white(0))
     said = message(record("N", x=values), "outliers")

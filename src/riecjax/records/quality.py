@@ -51,6 +51,8 @@ MOST_OUTLIERS = 0.01
 """Share of samples; more of them are how the signal is."""
 ROUNDING = 1e-9
 """Share of a signal's range within which values are one: computed ones differ in last digits."""
+LAST_DIGITS = 1e-13
+"""Share of a signal's range that is rounding for certain."""
 COARSE = 0.01
 """Share of a signal's rms past which its resolution matters."""
 
@@ -101,6 +103,8 @@ class _Signal(NamedTuple):
     """Distinct values, ascending."""
     counts: np.ndarray
     """How often each occurs."""
+    rounding: float
+    """Distance within which values are one."""
     resolution: float
     """Distance of values where they are multiples of one, else 0."""
     runs: _Runs
@@ -121,7 +125,8 @@ def _signal(record: Record, name: str) -> _Signal:
     values = np.array(record[name], float)
     if name in record.missing:
         values[np.asarray(record.missing[name])] = np.nan
-    levels, counts = _levels(values[~np.isnan(values)])
+    rounding = _rounding(values[~np.isnan(values)])
+    levels, counts = _levels(values[~np.isnan(values)], rounding)
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     lengths = np.diff(np.concatenate([starts, [values.size]]))
     runs = _Runs(starts, lengths, values[starts])
@@ -132,17 +137,28 @@ def _signal(record: Record, name: str) -> _Signal:
         np.asarray(record.time),
         levels,
         counts,
+        rounding,
         _resolution(levels),
         runs,
     )
 
 
-def _levels(present: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rounding(present: np.ndarray) -> float:
+    """How far computed values may differ that are one: a share of the range, spikes left out."""
+    if not present.size:
+        return 0.0
+    whole = float(np.ptp(present))
+    usual = float(np.ptp(np.quantile(present, [MOST_OUTLIERS, 1 - MOST_OUTLIERS])))
+    # What is at rest but for its last digits has no range without its few moves.
+    return ROUNDING * (usual if usual > LAST_DIGITS * whole else whole)
+
+
+def _levels(present: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
     """Distinct values, ascending, and how often each occurs."""
     distinct, counts = np.unique(present, return_counts=True)
     if not distinct.size:
         return distinct, counts
-    new = np.concatenate([[True], np.diff(distinct) > ROUNDING * np.ptp(distinct)])
+    new = np.concatenate([[True], np.diff(distinct) > rounding])
     return distinct[new], np.add.reduceat(counts, np.flatnonzero(new))
 
 
@@ -236,10 +252,9 @@ def _visits(signal: _Signal, which: str, sign: float) -> _Visits | None:
     piles_up = samples > ratio * np.mean(signal.counts[order[1:]])
     if not piles_up or samples > LONGEST_REST * signal.present:
         return None
-    rounding = ROUNDING * np.ptp(signal.levels)
-    visits = np.abs(signal.runs.values - extreme) <= rounding
+    visits = np.abs(signal.runs.values - extreme) <= signal.rounding
     starts, lengths = signal.runs.starts[visits], signal.runs.lengths[visits]
-    quantum = max(signal.resolution, rounding)
+    quantum = max(signal.resolution, signal.rounding)
     steep = np.ones(starts.size, bool)
     for edges, outward in ((starts, -1), (starts + lengths - 1, 1)):
         near, far = (_off(signal, edges + k * outward, float(extreme), sign) for k in (2, 4))
@@ -269,7 +284,7 @@ def _is_drawn(signal: _Signal) -> bool:
     bend = np.diff(signal.values, 2)
     extreme = np.isin(signal.values[1:-1], signal.levels[[0, -1]])
     inner = np.abs(bend[~extreme & ~np.isnan(bend)])
-    return not inner.size or bool(np.mean(inner <= ROUNDING * np.ptp(signal.levels)) > 0.5)
+    return not inner.size or bool(np.mean(inner <= signal.rounding) > 0.5)
 
 
 def _stuck(signal: _Signal, others: list[_Signal]) -> list[Finding]:
