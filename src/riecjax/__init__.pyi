@@ -5,6 +5,7 @@ from .criteria.test_functions import AbstractTestFunction as AbstractTestFunctio
 from .criteria.test_functions import Boxcar as Boxcar
 from .criteria.test_functions import Bump as Bump
 from .criteria.test_functions import Hat as Hat
+from .criteria.windows import AllWindows as AllWindows
 from .criteria.windows import RandomWindows as RandomWindows
 from .equations.bases import AbstractBasis as AbstractBasis
 from .equations.bases import Polynomial as Polynomial

@@ -1,7 +1,13 @@
 """Errors that a user can act on: each message says what is wrong and what to do about it."""
 
 import contextlib
+import traceback
 from collections.abc import Iterator
+from pathlib import Path
+
+MOST_WORDS = 300
+NOT_THE_USERS = ("site-packages", "/riecjax/", "\\riecjax\\", "importlib", "<")
+"""What the paths of frames hold that are not of the user's own code."""
 
 
 class RiecjaxError(ValueError):
@@ -44,4 +50,24 @@ def users_code(name: object) -> Iterator[None]:
     except RiecjaxError:
         raise
     except (Exception, SystemExit) as error:
-        raise ModelError(f"{name} failed: {type(error).__name__}: {error}") from error
+        words = " ".join(str(error).split("See https")[0].split())[:MOST_WORDS]
+        raise ModelError(
+            f"{name} failed{_line_of(error)}: {type(error).__name__}: {words}{_hint(error)}"
+        ) from error
+
+
+def _line_of(error: BaseException) -> str:
+    """The last line of a file of the user's that an exception passed through."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if not any(part in frame.filename for part in NOT_THE_USERS)]
+    return f" at line {own[-1].lineno} of {Path(own[-1].filename).name}" if own else ""
+
+
+def _hint(error: BaseException) -> str:
+    """What to write instead, for the slips that JAX's own words explain at length."""
+    kind = type(error).__name__
+    if kind == "TracerArrayConversionError":
+        return " Use functions of jax.numpy, such as jnp.sin, in place of NumPy's."
+    if kind == "TracerBoolConversionError":
+        return " Use jnp.where(condition, a, b) in place of if."
+    return ""

@@ -103,7 +103,7 @@ def test_a_known_value_without_a_name_is_refused():
         (Term("m", "x", derivative=1), ["first time derivative of x", "names no signal"]),
         (
             Term("m", difference, derivative=2, measured=("dx",)),
-            ["second time derivative of an expression", "integral criterion"],
+            ["second time derivative of an expression", "--test-function hat"],
         ),
         (
             Term("m", "x", derivative=1, measured=("velocity",)),

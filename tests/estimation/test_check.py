@@ -7,12 +7,15 @@ import scipy.linalg
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
-from riecjax.equations.term import Term
-from riecjax.errors import MissingSignalError
+from riecjax.equations.term import Term, Terms
+from riecjax.errors import IdentifiabilityError, MissingSignalError
 from riecjax.estimation.check import check
-from riecjax.estimation.excitation import excitation, noise_level
+from riecjax.estimation.excitation import excitation
+from riecjax.estimation.identify import identify
+from riecjax.estimation.noise import noise_level
 from riecjax.records.record import Record
 
 KEY = jax.random.key(0)
@@ -78,6 +81,57 @@ def test_independent_regressors_are_not_complained_of():
     found = check(equation("a", "b"), record, CRITERION, key=KEY)
     assert found.findings == []
     assert found.signals == ("a", "b", "y")
+
+
+def oscillator_under_a_constant_force(noise=0.0):
+    """It rings down to its rest: motion enough to fit, but an offset fits the force alone."""
+    t = np.arange(4000) / 200
+    x = 0.2 - 0.2 * np.exp(-0.4 * t) * np.cos(5 * t)
+    force = 5.0 + noise * np.random.default_rng(0).normal(size=4000)
+    return Record.from_samples({"x": x, "F": force}, time_step=1 / 200)
+
+
+SPRING = Equation(
+    Term("m", "x", derivative=2),
+    Term("k", "x"),
+    Term("offset", constant),
+    -Term(1.0, "F"),
+    name="spring",
+)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_an_offset_beside_a_force_that_never_varies_is_unidentifiable(noise):
+    record = oscillator_under_a_constant_force(noise)
+    criterion = RIEC(CRITERION.windows, Hat(4))
+    found = check(SPRING, record, criterion, key=KEY)
+    assert not found.answerable
+    (message,) = [f.message for f in found.findings if f.code == "unidentifiable"]
+    assert "offset alone explains all of it and leaves m, k at zero" in message
+    with pytest.raises(IdentifiabilityError, match="--set offset=VALUE"):
+        identify(SPRING, record, criterion, key=KEY)
+    held = identify(SPRING, record, criterion, key=KEY, known={"offset": 0.0})
+    assert float(held["k"]) == pytest.approx(25.0, rel=0.05)
+
+
+def test_a_force_that_steps_inside_the_record_is_fine():
+    record = oscillator_under_a_constant_force()
+    stepping = record.with_signals({"F": jnp.where(record.time < 2, 0.0, record["F"])})
+    found = check(SPRING, stepping, RIEC(CRITERION.windows, Hat(4)), key=KEY)
+    assert "unidentifiable" not in [f.code for f in found.findings]
+
+
+@pytest.mark.parametrize(
+    ("points", "expected"), [([-1, -0.3, 0.3, 1], []), ([-1, -0.3, 0.3, 9], ["9"]), ([-9, 9], [])]
+)
+def test_break_points_that_no_sample_comes_near_are_named(points, expected):
+    t = np.arange(4000) / 200
+    v = np.sin(3 * t)
+    record = record_of(a=v, y=np.tanh(v))
+    found = check(Equation(Terms("f", roof(points), "a"), -Term(1.0, "y")), record, DOLS())
+    named = [f.message for f in found.findings if f.code == "break_points_outside"]
+    assert len(named) == len(expected)
+    assert all(f"at {point}" in message for point, message in zip(expected, named))
 
 
 def test_a_silent_regressor_is_named():

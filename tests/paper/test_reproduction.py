@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
@@ -65,6 +66,7 @@ def test_table_2_is_as_printed():
     assert isinstance(riec, RIEC)
     assert isinstance(criteria["DOLS"], DOLS)
     windows = riec.windows
+    assert isinstance(windows, RandomWindows)
     assert (float(windows.alpha), float(windows.beta), windows.count) == (0.05, 0.5, 8000)
 
 

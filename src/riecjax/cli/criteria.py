@@ -15,19 +15,19 @@ DEFAULT_ALPHA, DEFAULT_BETA, DEFAULT_WINDOWS = 0.05, 0.5, 8000
 
 
 class WindowCount(click.ParamType):
-    """A number of random windows."""
+    """A number of random windows, or all of them."""
 
-    name = "N"
+    name = "N|all"
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int:
+    ) -> int | str:
         if value == "all":
-            self.fail("all windows at once are not available yet; give a number.", param, ctx)
+            return "all"
         try:
             count = int(str(value))
         except ValueError:
-            self.fail(f"'{value}' is not a whole number.", param, ctx)
+            self.fail(f"'{value}' is neither a whole number nor 'all'.", param, ctx)
         if not 1 <= count <= 100_000_000:
             self.fail(f"{count} is not between 1 and 100000000.", param, ctx)
         return count
@@ -57,7 +57,8 @@ CRITERION_OPTIONS = (
         "--windows",
         "count",
         type=WindowCount(),
-        help=f"Number of random windows. [default: {DEFAULT_WINDOWS}]",
+        help=f"Number of random windows, or 'all' of them in closed form. "
+        f"[default: {DEFAULT_WINDOWS}]",
     ),
     click.option(
         "--test-function",
@@ -79,7 +80,7 @@ class CriterionOptions:
     criterion: str
     alpha: float | None
     beta: float | None
-    count: int | None
+    count: int | str | None
     test_function: str | None
     quadrature: str | None
 
@@ -98,15 +99,16 @@ class CriterionOptions:
             raise click.UsageError("--quadrature belongs to the boxcar and the hat.")
         from riecjax.criteria.criterion import DOLS, RIEC
         from riecjax.criteria.test_functions import Boxcar, Bump, Hat
-        from riecjax.criteria.windows import RandomWindows
+        from riecjax.criteria.windows import AllWindows, RandomWindows
 
         if self.criterion == "dols":
             return DOLS()
-        windows = RandomWindows(
-            DEFAULT_ALPHA if self.alpha is None else self.alpha,
-            DEFAULT_BETA if self.beta is None else self.beta,
-            DEFAULT_WINDOWS if self.count is None else self.count,
-        )
+        alpha = DEFAULT_ALPHA if self.alpha is None else self.alpha
+        beta = DEFAULT_BETA if self.beta is None else self.beta
+        if self.count == "all":
+            windows = AllWindows(alpha, beta)
+        else:
+            windows = RandomWindows(alpha, beta, int(self.count or DEFAULT_WINDOWS))
         if self.test_function == "bump":
             return RIEC(windows, Bump())
         order = int(self.quadrature or 2)

@@ -17,6 +17,8 @@ from riecjax.cli.options import (
 )
 from riecjax.cli.recordings import Recording, RecordingOptions, common_steps, load, record_options
 from riecjax.cli.runtime import start_jax
+from riecjax.errors import RiecjaxError
+from riecjax.findings import Finding
 
 if TYPE_CHECKING:
     from riecjax.criteria.criterion import AbstractCriterion
@@ -90,7 +92,7 @@ def command(
     """
     if own and validation_files:
         raise click.UsageError(
-            "--own has no value for the recordings of --validate; leave one out."
+            "--own gives a parameter no value on the recordings of --validate: use one of the two."
         )
     criterion = criteria.build()
     start_jax()
@@ -117,17 +119,18 @@ def command(
     settings = {"key": key, "known": known, "own": own}
     checked = check(procedure, records, criterion, **settings)
     estimate = identify(procedure, records, criterion, **settings)
+    validations, failed = validation_runs(model, estimate, own, held, further)
     result = Identification(
         model=model.name,
         procedure=procedure,
         files=[str(recording.file) for recording in loaded],
         records=records,
         steps=common_steps(loaded),
-        doubts=[finding for r in (*loaded, *further) for finding in r.findings],
+        doubts=[*(finding for r in (*loaded, *further) for finding in r.findings), *failed],
         estimate=estimate,
         checked=checked,
         sweep=_sweep(procedure, records, criterion, settings) if sweep else None,
-        validations=validation_runs(model, estimate, own, held, further),
+        validations=validations,
         key=key,
         seed=seed,
     )
@@ -178,21 +181,30 @@ def validation_runs(
     own: tuple[str, ...],
     held: list[Recording],
     further: list[Recording],
-) -> list["ValidationRun"]:
-    """Simulations of the identified model on held-out parts and on further recordings."""
+) -> tuple[list["ValidationRun"], list[Finding]]:
+    """Simulations of the identified model on held-out parts and further recordings.
+
+    **Returns:** those that could be made, and why the others could not.
+    """
     from riecjax.reporting.identification import ValidationRun
     from riecjax.validation.held_out import validate_held_out
 
-    runs = []
-    for i, recording in enumerate(held):
-        values = {
-            name: estimate[f"{name}[{i + 1}]" if name in own else name]
-            for name in model.build_procedure().parameters
-        }
-        result = validate_held_out(model.identified_system(values), recording.record)
-        runs.append(ValidationRun(f"{recording.file.name}, last part", recording.record, result))
-    for recording in further:
-        system = model.identified_system(dict(estimate.values))
-        result = validate_held_out(system, recording.record)
-        runs.append(ValidationRun(recording.file.name, recording.record, result))
-    return runs
+    names = model.build_procedure().parameters
+    parts = [
+        (
+            f"{recording.file.name}, last part",
+            recording.record,
+            {n: estimate[f"{n}[{i + 1}]" if n in own else n] for n in names},
+        )
+        for i, recording in enumerate(held)
+    ]
+    parts += [(r.file.name, r.record, dict(estimate.values)) for r in further]
+    runs, failed = [], []
+    for on, record, values in parts:
+        # A fit is not lost because its model cannot be simulated.
+        try:
+            system = model.identified_system(values, record)
+            runs.append(ValidationRun(on, record, validate_held_out(system, record)))
+        except RiecjaxError as error:
+            failed.append(Finding("not_validated", f"{on}: {error}"))
+    return runs, failed

@@ -246,6 +246,8 @@ def with_model_units(
     record: "Record", model: "Model", options: RecordingOptions
 ) -> tuple["Record", dict[str, str]]:
     """The record in the model's units, and what the file says against them, by signal."""
+    from riecjax.records.reading.unit_names import NOT_SI
+
     stated = dict(record.units)
     units = {quantity.name: quantity.unit for quantity in model.signals if quantity.unit}
     mismatched = {}
@@ -256,6 +258,14 @@ def with_model_units(
             mismatched[name] = (
                 f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}; "
                 f"convert it by --scale {name}=FACTOR."
+            )
+    for name, unit in stated.items():
+        column = options.rename.get(name, name)
+        si, factor = NOT_SI.get(unit.replace("^", ""), ("", 1.0))
+        if si and name not in mismatched and name not in units:
+            mismatched[name] = (
+                f"the file gives {column} in {unit}, and nothing converts it: parameters come out "
+                f"in {unit}, not in {si}. Convert it by --scale {name}={factor:g}."
             )
     return record.with_signals({}, units), mismatched
 

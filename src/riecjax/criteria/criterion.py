@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
-from riecjax.criteria.windows import RandomWindows
+from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import both_present, sum_columns
 from riecjax.errors import ModelError
@@ -97,8 +99,12 @@ class Rows(eqx.Module):
         return Rows(columns, position, parts[0].parameters, kept)
 
 
+ROWS_OF_ALL = 8000
+"""Windows drawn where single rows of all windows are asked for."""
+
+
 class AbstractCriterion(eqx.Module):
-    """Turns an equation and a record into regression rows."""
+    """Turns an equation and a record into regression rows, or at once into their moments."""
 
     @property
     def needs_key(self) -> bool:
@@ -119,9 +125,13 @@ class AbstractCriterion(eqx.Module):
         """Raise `DataError` if the record is too short for this criterion (not under jit)."""
         raise NotImplementedError
 
-    def row_count(self, record: Record) -> int:
-        """How many rows an equation has on this record, before any is left out."""
+    def row_count(self, record: Record) -> int | None:
+        """Rows of an equation on this record before any is left out, if that is known."""
         raise NotImplementedError
+
+    def fitted(self, records: Sequence[Record]) -> "AbstractCriterion":
+        """This criterion with what it can find out of the records before tracing."""
+        return self
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
         """The rows of this criterion; see the classes."""
@@ -156,7 +166,7 @@ class DOLS(AbstractCriterion):
     def check(self, record: Record) -> None:
         """Nothing to check: a record has samples."""
 
-    def row_count(self, record: Record) -> int:
+    def row_count(self, record: Record) -> int | None:
         """One for each sample."""
         return record.sample_count
 
@@ -184,18 +194,19 @@ class RIEC(AbstractCriterion):
     One row for each window: the equation of motion, weighted by a test function and integrated.
     Windows that touch a missing or masked sample are left out.
 
-    **Arguments:** `windows`, such as `RandomWindows(alpha, beta, count)`; `test_function`, such
+    **Arguments:** `windows`, `RandomWindows(alpha, beta, count)` as in the paper, or
+    `AllWindows(alpha, beta)`, which is what those converge to; `test_function`, such
     as `Boxcar()` (RIEC as published), `Hat()` or `Bump(p)`. Alpha and beta are lengths of the
     whole window, for each of them.
     """
 
-    windows: RandomWindows
+    windows: RandomWindows | AllWindows
     test_function: AbstractTestFunction = eqx.field(default_factory=Boxcar)
 
     @property
     def needs_key(self) -> bool:
-        """True: windows are drawn at random."""
-        return True
+        """Whether windows are drawn at random."""
+        return isinstance(self.windows, RandomWindows)
 
     @property
     def smoothness(self) -> int:
@@ -207,35 +218,61 @@ class RIEC(AbstractCriterion):
         """beta: windows that start further apart do not overlap."""
         return self.windows.beta
 
+    @property
+    def sampled(self) -> "RIEC":
+        """This criterion with random windows, for what needs single rows of all of them."""
+        windows = self.windows
+        if isinstance(windows, RandomWindows):
+            return self
+        return RIEC(RandomWindows(windows.alpha, windows.beta, ROWS_OF_ALL), self.test_function)
+
+    def fitted(self, records: Sequence[Record]) -> "RIEC":
+        """This criterion with what it can find out of the records before tracing."""
+        if isinstance(self.windows, RandomWindows):
+            return self
+        return RIEC(self.windows.fitted(records), self.test_function)
+
     def check(self, record: Record) -> None:
         """The record must be longer than the longest window."""
         self.windows.check(
             record.sample_count, record.time_step, self.test_function.length_multiple
         )
 
-    def row_count(self, record: Record) -> int:
-        """One for each window."""
-        return self.windows.count
+    def row_count(self, record: Record) -> int | None:
+        """One for each window; `None` for all of them."""
+        return self.windows.count if isinstance(self.windows, RandomWindows) else None
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
         """One row for each window. The same key draws the same windows for every equation.
 
+        Of all windows, a fixed random sample, for plots and checks.
+
         **Raises:** `DataError` for a missing signal, `ModelError` without a key.
         """
-        if key is None:
+        windows = self.sampled.windows
+        assert isinstance(windows, RandomWindows)
+        if key is None and self.needs_key:
             raise ModelError("random windows need a key: key=jax.random.key(seed).")
-        windows = self.windows.draw(
-            key, record.sample_count, record.time_step, self.test_function.length_multiple
+        drawn = windows.draw(
+            jax.random.key(0) if key is None else key,
+            record.sample_count,
+            record.time_step,
+            self.test_function.length_multiple,
         )
-        columns, kept = self.test_function.integrals(equation, record, windows)
-        return Rows.of(columns, windows.start, equation.parameters, kept)
+        columns, kept = self.test_function.integrals(equation, record, drawn)
+        return Rows.of(columns, drawn.start, equation.parameters, kept)
+
+    def moments(self, equation: Equation, record: Record) -> Moments:
+        """Sums over all windows of the outer products of rows, for blocks of starts.
+
+        **Raises:** `DataError` for a missing signal; `ModelError` for random windows.
+        """
+        windows = self.windows
+        if isinstance(windows, RandomWindows):
+            raise ModelError("random windows have rows, not moments of all of them.")
+        block = windows.block(record.sample_count)
+        return self.test_function.moments(equation, record, windows, block)
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
-        return {
-            "name": "riec",
-            "alpha": float(self.windows.alpha),
-            "beta": float(self.windows.beta),
-            "windows": self.windows.count,
-            **self.test_function.describe(),
-        }
+        return {"name": "riec", **self.windows.describe(), **self.test_function.describe()}

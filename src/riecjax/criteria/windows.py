@@ -13,6 +13,10 @@ from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 from riecjax.records.record import Record
 
+# Fifty blocks give Student's t little more reach than the normal law, and long blocks forgive
+# errors that stay correlated for longer than the windows.
+MOST_BLOCKS = 50
+
 
 class WindowSet(NamedTuple):
     """Start and end of each window, counted in samples: integers on the grid, or real numbers."""
@@ -92,7 +96,7 @@ class AllWindows(AbstractWindows):
     longest_samples: int | None = eqx.field(static=True)
 
     def __init__(
-        self, alpha: float | Array, beta: float | Array, *, longest_samples: int | None = None
+        self, alpha: float | Leaf, beta: float | Leaf, *, longest_samples: int | None = None
     ):
         self.alpha = as_leaf(alpha)
         self.beta = as_leaf(beta)
@@ -110,6 +114,12 @@ class AllWindows(AbstractWindows):
         samples = max(float(self.beta) / float(step) for step in steps)
         limit = 2 ** int(np.ceil(np.log2(max(samples + 2, 2))))
         return AllWindows(self.alpha, self.beta, longest_samples=limit)
+
+    def block(self, sample_count: int) -> int:
+        """Starts to a block: twice the longest window or more, 50 blocks at most, 2 at least."""
+        longest = self.longest_samples or 1
+        wanted = max(2 * longest, 2 ** int(np.ceil(np.log2(max(sample_count / MOST_BLOCKS, 1)))))
+        return min(wanted, -(-sample_count // 2))
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
@@ -142,8 +152,8 @@ class RandomWindows(AbstractWindows):
 
     def __init__(
         self,
-        alpha: float | Array,
-        beta: float | Array,
+        alpha: float | Leaf,
+        beta: float | Leaf,
         count: int,
         *,
         between_samples: bool = False,

@@ -252,15 +252,16 @@ def _derivative_name(term: Term, record: Record, order: int) -> str:
     if order > len(term.measured):
         raise DataError(
             f"this criterion needs the {which} time derivative of {label}, and the equation names "
-            f"no signal that holds it. Differentiate the record first, or use an integral "
-            f"criterion, which needs one derivative less."
+            f"no signal that holds it. Use windows that need no derivative, rx.Hat() (on the "
+            f"command line: --test-function hat), or name the recorded derivative by measured=."
         )
     name = term.measured[order - 1]
     if name not in record.signals:
         raise DataError(
             f"this criterion needs the {which} time derivative of {label}, as signal '{name}'; the "
             f"record has: {', '.join(record.signals)}. Rename a column to it (on the command line: "
-            f"--map {name}=COLUMN), or use an integral criterion, which needs one derivative less."
+            f"--map {name}=COLUMN), or use windows that need no derivative, rx.Hat() (on the "
+            f"command line: --test-function hat)."
         )
     return name
 

@@ -8,8 +8,11 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
+from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term
+from riecjax.equations.term import Term, Terms, evaluate
+from riecjax.estimation.constant_side import constant_side
 from riecjax.estimation.estimate import FEWEST_BLOCKS
 from riecjax.estimation.excitation import Excitation, excitation
 from riecjax.estimation.identify import (
@@ -19,7 +22,7 @@ from riecjax.estimation.identify import (
     record_keys,
     signals_read,
 )
-from riecjax.estimation.procedure import Procedure, staged
+from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
@@ -51,7 +54,7 @@ class Check(NamedTuple):
 
 
 def check(
-    model: Equation | Procedure,
+    model: Equation | Procedure | HasProcedure,
     records: Record | Sequence[Record],
     criterion: AbstractCriterion,
     *,
@@ -65,14 +68,17 @@ def check(
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    procedure = staged(model) if isinstance(model, Equation) else model
+    procedure = as_procedure(model)
     recordings = [records] if isinstance(records, Record) else list(records)
     read = [signals_read(procedure, record, criterion) for record in recordings]
+    criterion = criterion.fitted(recordings)
     excitations = excitation(procedure, recordings, criterion, key=key, known=known, own=own)
     findings = [
         *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),
         *_quadrature(procedure, recordings, criterion, key),
+        *_break_points(procedure, recordings),
+        *_constant_sides(procedure, recordings, known or {}),
         *(finding for stage in excitations for finding in stage.findings()),
     ]
     return Check(findings, excitations, tuple(dict.fromkeys(n for names in read for n in names)))
@@ -99,6 +105,43 @@ def _derivatives(procedure: Procedure) -> Iterator[tuple[str, str]]:
             for term in equation.terms:
                 if isinstance(term, Term) and isinstance(term.of, str):
                     yield from zip((term.of, *term.measured), term.measured)
+
+
+def _break_points(procedure: Procedure, records: list[Record]) -> Iterator[Finding]:
+    """Roof functions past the reach of the data, whose values would be extrapolated."""
+    equations = [equation for stage in procedure.stages for equation in stage]
+    curves = [term for equation in equations for term in equation.terms if isinstance(term, Terms)]
+    for term in curves:
+        if not isinstance(term.basis, RoofFunctions):
+            continue
+        samples = np.concatenate([np.asarray(evaluate(term.of, record)[0]) for record in records])
+        points = np.asarray(term.basis.break_points)
+        # The end segments are continued: what counts is data past the last but one.
+        idle = [points[0]] if samples.min() > points[1] else []
+        idle += [points[-1]] if samples.max() < points[-2] else []
+        if samples.min() > 0.5 * (points[0] + points[1]) and not idle:
+            idle.append(points[0])
+        if samples.max() < 0.5 * (points[-1] + points[-2]) and points[-1] not in idle:
+            idle.append(points[-1])
+        if idle:
+            listed = " and ".join(f"{point:g}" for point in idle)
+            yield Finding(
+                "break_points_outside",
+                f"{term.prefix}: the data reach from {samples.min():.3g} to {samples.max():.3g}, "
+                f"far from the break point at {listed}, whose value is extrapolated. Move it into "
+                f"the reach of the data.",
+            )
+
+
+def _constant_sides(
+    procedure: Procedure, records: list[Record], known: Mapping[str, float | Array]
+) -> Iterator[Finding]:
+    found = {*known, *procedure.known}
+    for stage in procedure.stages:
+        for equation in stage:
+            if message := constant_side(equation, records, found):
+                yield Finding("unidentifiable", message)
+        found |= {name for equation in stage for name in equation.parameters}
 
 
 def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Finding]:
@@ -137,7 +180,10 @@ def _quadrature(
     key: Key[Array, ""] | None,
 ) -> list[Finding]:
     """Compare the integrals with those of the highest order: how far the sampling carries."""
-    if not isinstance(criterion, RIEC) or criterion.windows.between_samples:
+    if not isinstance(criterion, RIEC):
+        return []
+    drawn = criterion.sampled.windows
+    if isinstance(drawn, RandomWindows) and drawn.between_samples:
         return []
     finer = RIEC(criterion.windows, criterion.test_function.finest())
     if finer.test_function == criterion.test_function:

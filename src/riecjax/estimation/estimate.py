@@ -15,6 +15,8 @@ from riecjax.estimation.procedure import StageSolution
 from riecjax.findings import Finding
 
 FEWEST_BLOCKS = 10
+MATTERING_SHARE = 0.02
+"""Share of the target that an uncertain term must reach to be worth a warning."""
 NOTABLE_INFLATION = 1.1
 LARGE_RESIDUAL = 0.5
 """Share of the target past which a model is called wrong."""
@@ -44,7 +46,8 @@ class Estimate(eqx.Module):
     - `known`: parameters that were not estimated, with their values.
     - `criterion`: what was made small.
     - `block_count`: independent blocks of time behind the covariance, scalar.
-    - `rows_offered`: for each stage, how many rows there would be without gaps and masks.
+    - `rows_offered`: for each stage, how many rows there would be without gaps and masks, if
+      that is known.
     """
 
     theta: Float[Array, " p"]
@@ -57,7 +60,7 @@ class Estimate(eqx.Module):
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
-    rows_offered: tuple[int, ...] = eqx.field(static=True)
+    rows_offered: tuple[int | None, ...] = eqx.field(static=True)
 
     def __getitem__(self, name: str) -> Float[Array, ""]:
         if name in self.known:
@@ -125,9 +128,12 @@ class Estimate(eqx.Module):
             )
 
     def _wide_intervals(self) -> Iterator[Finding]:
-        for name in self.parameters:
+        sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
+        for name, size in zip(self.parameters, sizes):
             low, high = self.interval(name)
-            if high - low > 2 * abs(float(self[name])):
+            # A parameter near zero is well determined if its term could not matter.
+            matters = (high - low) / 2 * float(size) > MATTERING_SHARE
+            if high - low > 2 * abs(float(self[name])) and matters:
                 yield Finding(
                     "interval_wider_than_estimate",
                     f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
@@ -170,7 +176,7 @@ class Estimate(eqx.Module):
 
     def _coverage(self) -> Iterator[Finding]:
         for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
-            lost = 1 - float(stage.count) / offered
+            lost = 0.0 if offered is None else 1 - float(stage.count) / offered
             if lost > 0:
                 yield Finding(
                     "rows_left_out",

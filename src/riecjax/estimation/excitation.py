@@ -12,7 +12,8 @@ from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.estimation.estimate import combination
 from riecjax.estimation.identify import all_rows, known_values, plan_stages, record_keys
-from riecjax.estimation.procedure import Procedure, staged
+from riecjax.estimation.noise import noise_level
+from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
 from riecjax.records.record import Record
@@ -23,7 +24,6 @@ NEARLY_COLLINEAR = 0.02
 """Share below which a sensor error of a few percent would turn the estimate over."""
 NOISE_MARGIN = 2.0
 """How many times the noise of the signals the own part of a regressor should be."""
-DIFFERENCE_ORDER = 6
 
 
 class Excitation(eqx.Module):
@@ -99,7 +99,7 @@ class Excitation(eqx.Module):
 
 
 def excitation(
-    model: Equation | Procedure,
+    model: Equation | Procedure | HasProcedure,
     records: Record | Sequence[Record],
     criterion: AbstractCriterion,
     *,
@@ -112,7 +112,7 @@ def excitation(
     The noise of a signal is estimated from its differences of sixth order, which no smooth motion
     survives, and sent through the equation once: rows with that noise less rows without.
     """
-    procedure = staged(model) if isinstance(model, Equation) else model
+    procedure = as_procedure(model)
     recordings = [records] if isinstance(records, Record) else list(records)
     sharing = Sharing(procedure.parameters, own, len(recordings))
     given = known_values(procedure, sharing, known or {})
@@ -139,19 +139,6 @@ def with_noise(record: Record, key: Key[Array, ""]) -> Record:
         for k, (name, values) in zip(keys, record.arrays.items())
     }
     return record.with_signals(disturbed, missing=record.missing)
-
-
-def noise_level(samples: Float[Array, " n"]) -> Float[Array, ""]:
-    """Standard deviation of the white noise on a smooth signal.
-
-    From the median of its differences of sixth order, which steps and spikes do not reach. Content
-    near half the sampling rate counts as noise.
-    """
-    if samples.shape[0] <= DIFFERENCE_ORDER:
-        return jnp.zeros((), samples.dtype)
-    differences = jnp.diff(samples, n=DIFFERENCE_ORDER)
-    gain = np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2))
-    return jnp.median(jnp.abs(differences)) / (0.6745 * gain)
 
 
 @eqx.filter_jit

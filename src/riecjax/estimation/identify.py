@@ -8,32 +8,31 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, Key
 
-from riecjax.criteria.criterion import AbstractCriterion, Rows
+from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
+from riecjax.criteria.windows import MOST_BLOCKS, AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
+from riecjax.estimation.constant_side import raise_if_only_constant
 from riecjax.estimation.estimate import Estimate, combination
 from riecjax.estimation.heterogeneity import record_inflation
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.normal_equations import NormalEquations, normal_equations
 from riecjax.estimation.procedure import (
+    HasProcedure,
     Procedure,
     StageSolution,
+    as_procedure,
     block_influence,
     small_sample_factor,
     solve_stages,
-    staged,
 )
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 
-# Fifty blocks give Student's t little more reach than the normal law, and long blocks forgive
-# errors that stay correlated for longer than the windows.
-MOST_BLOCKS = 50
-
 
 def identify(
-    model: Equation | Procedure,
+    model: Equation | Procedure | HasProcedure,
     records: Record | Sequence[Record],
     criterion: AbstractCriterion,
     *,
@@ -48,7 +47,7 @@ def identify(
 
     **Arguments:**
 
-    - `model`: an `Equation`, or several as `staged(...)` or `simultaneous(...)`.
+    - `model`: an `Equation`, several as `staged(...)` or `simultaneous(...)`, or a `Model`.
     - `records`: one record or several, of any lengths; their normal equations add up.
     - `criterion`: `RIEC(RandomWindows(alpha, beta, count))` or `DOLS()`.
     - `key`: for random windows, `jax.random.key(seed)`. All equations share its windows.
@@ -63,7 +62,7 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    procedure = staged(model) if isinstance(model, Equation) else model
+    procedure = as_procedure(model)
     recordings = [records] if isinstance(records, Record) else list(records)
     if not recordings:
         raise DataError("identification needs at least one record.")
@@ -74,17 +73,20 @@ def identify(
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for record in recordings:
         criterion.check(record)
+    criterion = criterion.fitted(recordings)
 
     keys = record_keys(key, len(recordings))
     stages = all_normal_equations(procedure, sharing, recordings, criterion, keys)
     blocks = jnp.stack([independent_blocks(criterion, r, MOST_BLOCKS) for r in recordings])
-    solutions, covariance, inflation = _solve(stages, given, blocks, None)
+    solutions, covariance, inflation = _solve(stages, given, blocks, sharing, None)
     if is_concrete(solutions):
         _raise_if_empty(stages, plan)
+        raise_if_only_constant(procedure, recordings, given)
         _raise_if_not_finite(stages, plan)
-        if _worst_condition(solutions) > gram_condition_limit(covariance.dtype):
+        past_gram = _worst_condition(solutions) > gram_condition_limit(covariance.dtype)
+        if past_gram and not in_closed_form(criterion):
             rows = all_rows(procedure, sharing, recordings, criterion, keys)
-            solutions, covariance, inflation = _solve(stages, given, blocks, rows)
+            solutions, covariance, inflation = _solve(stages, given, blocks, sharing, rows)
         _raise_if_unidentifiable(solutions, plan)
 
     units = {name: unit for name, unit in sharing.values(procedure.units).items()}
@@ -140,6 +142,11 @@ def stage_normal_equations(
     Of the `block_count` blocks only the first `blocks_used` hold rows, by default
     `independent_blocks(...)`.
     """
+    if in_closed_form(criterion):
+        return [
+            _sum([_moments(criterion, e, record).embed(names) for e in stage])
+            for stage, names in zip(procedure.stages, procedure.stage_parameters)
+        ]
     used = blocks_used
     if used is None and block_count > 1:
         used = independent_blocks(criterion, record, block_count)
@@ -155,15 +162,32 @@ def stage_normal_equations(
             )
             for part in parts
         ]
-        total = summed[0]
-        for further in summed[1:]:
-            total = total + further
-        collected.append(total)
+        collected.append(_sum(summed))
     return collected
+
+
+def in_closed_form(criterion: AbstractCriterion) -> bool:
+    """Whether a criterion sums over all its rows at once, so that there are no single ones."""
+    return isinstance(criterion, RIEC) and isinstance(criterion.windows, AllWindows)
+
+
+def _moments(criterion: AbstractCriterion, equation: Equation, record: Record) -> NormalEquations:
+    assert isinstance(criterion, RIEC)
+    moments, count = criterion.moments(equation, record)
+    return NormalEquations(moments, count, equation.parameters)
+
+
+def _sum(parts: list[NormalEquations]) -> NormalEquations:
+    total = parts[0]
+    for further in parts[1:]:
+        total = total + further
+    return total
 
 
 def independent_blocks(criterion: AbstractCriterion, record: Record, most: int) -> Int[Array, ""]:
     """How many blocks of twice the longest window fit into a record: 2 at least, `most` at most."""
+    if isinstance(criterion, RIEC) and isinstance(criterion.windows, AllWindows):
+        return jnp.asarray(-(-record.sample_count // criterion.windows.block(record.sample_count)))
     length = jnp.maximum(2 * jnp.asarray(criterion.block_length), 2 * record.time_step)
     return jnp.clip(jnp.round(record.duration / length), 2, most).astype(jnp.int32)
 
@@ -205,12 +229,18 @@ def all_normal_equations(
         )
     return [
         NormalEquations(
-            jnp.concatenate([part.moments for part in parts]),
-            jnp.concatenate([part.count for part in parts]),
+            jnp.concatenate([_filled_up(part.moments, parts) for part in parts]),
+            jnp.concatenate([_filled_up(part.count, parts) for part in parts]),
             parts[0].parameters,
         )
         for parts in zip(*per_record)
     ]
+
+
+def _filled_up(blocks: Array, parts: Sequence[NormalEquations]) -> Array:
+    """As many blocks as the record with most of them has; the further ones are empty."""
+    most = max(part.count.shape[0] for part in parts)
+    return jnp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
 
 
 @eqx.filter_jit
@@ -218,13 +248,16 @@ def _solve(
     stages: list[NormalEquations],
     known: Mapping[str, Array],
     blocks_used: Int[Array, " records"],
+    sharing: Sharing,
     rows: list[Rows] | None,
 ) -> tuple[list[StageSolution], Array, Array]:
     """Solutions of the stages, covariance of all parameters, and its inflation by records."""
     solutions = solve_stages(stages, known, rows)
     influence = block_influence(stages, solutions, known)
     per_record = influence.reshape(blocks_used.shape[0], -1, influence.shape[-1])
-    inflation = record_inflation(per_record, blocks_used)
+    # What belongs to one recording cannot differ between recordings.
+    shared = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
+    inflation = jnp.where(shared, record_inflation(per_record, blocks_used), 1.0)
     grown = influence * inflation[None, :]
     return solutions, small_sample_factor(jnp.sum(blocks_used)) * grown.T @ grown, inflation
 
@@ -254,8 +287,10 @@ def all_rows(
 
 def _rows_offered(
     stage: tuple[Equation, ...], records: list[Record], criterion: AbstractCriterion
-) -> int:
-    return len(stage) * sum(criterion.row_count(record) for record in records)
+) -> int | None:
+    counts = [criterion.row_count(record) for record in records]
+    known = [count for count in counts if count is not None]
+    return len(stage) * sum(known) if len(known) == len(counts) else None
 
 
 def known_values(

@@ -6,6 +6,7 @@ equations; its remark that all parameters may be estimated at once is `simultane
 """
 
 from collections.abc import Mapping
+from typing import Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -87,6 +88,21 @@ def _anchored(stage: tuple[Equation, ...], found: set[str]) -> list[bool]:
     return [bool(set(equation.parameters) & reached) for equation in stage]
 
 
+class HasProcedure(Protocol):
+    """Something that builds a procedure, such as a built-in `Model`."""
+
+    def build_procedure(self) -> Procedure:
+        """The procedure."""
+        ...
+
+
+def as_procedure(model: Equation | Procedure | HasProcedure) -> Procedure:
+    """The procedure of an equation, of a model, or itself."""
+    if isinstance(model, Procedure):
+        return model
+    return staged(model) if isinstance(model, Equation) else model.build_procedure()
+
+
 def staged(*equations: Equation) -> Procedure:
     """Solve equations one after the other; each takes what came before as known."""
     return Procedure(tuple((equation,) for equation in equations))
@@ -104,7 +120,8 @@ class StageSolution(eqx.Module):
     """What one stage found.
 
     **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
-    the unit of the rows; `count` of rows; `parameters` found here; `stage` its place in the
+    the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
+    per unit of its parameter; `parameters` found here; `stage` its place in the
     procedure.
     """
 
@@ -112,6 +129,7 @@ class StageSolution(eqx.Module):
     relative_rms: Float[Array, ""]
     residual_rms: Float[Array, ""]
     count: Float[Array, ""]
+    relative_size: Float[Array, " p"]
     parameters: tuple[str, ...] = eqx.field(static=True)
     stage: int = eqx.field(static=True)
 
@@ -141,6 +159,7 @@ def solve_stages(
                 jnp.sqrt(share),
                 jnp.sqrt(residual / jnp.maximum(equations.count, 1)),
                 equations.count,
+                jnp.sqrt(jnp.diagonal(equations.gram) / jnp.where(positive, equations.energy, 1.0)),
                 equations.parameters,
                 i,
             )

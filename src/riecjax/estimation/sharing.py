@@ -25,6 +25,7 @@ class Sharing:
                 f"unknown parameter '{unknown[0]}'; the model has: {', '.join(parameters)}."
             )
         self.parameters = self.everywhere(parameters)
+        self.individual = frozenset(self.everywhere(sorted(self.own)))
 
     # Equal by content, so that a jitted function which takes one is not compiled anew.
     def __eq__(self, other: object) -> bool:

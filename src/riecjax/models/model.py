@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from jaxtyping import Array
 
     from riecjax.estimation.procedure import Procedure
+    from riecjax.records.record import Record
     from riecjax.simulation.system import AbstractSystem
 
 
@@ -99,15 +100,18 @@ class Model:
             )
         return _resolve(self.system)({name: jnp.asarray(v, float) for name, v in values.items()})
 
-    def identified_system(self, values: Mapping[str, Array]) -> AbstractSystem:
-        """The system to validate identified values with: the model's own, or its equations.
+    def identified_system(self, values: Mapping[str, Array], record: Record) -> AbstractSystem:
+        """The system to validate identified values with on a record.
+
+        The model's own if the record holds its inputs, else one made of its equations.
 
         **Raises:** `ModelError` if the equations cannot be simulated.
         """
         from riecjax.simulation.equation_system import equation_system
 
         names = {parameter.name for parameter in self.simulation_parameters}
-        if self.system is not None and names == set(values):
+        driven = all(quantity.name in record.signals for quantity in self.inputs)
+        if self.system is not None and names == set(values) and driven:
             return self.build_system({name: float(value) for name, value in values.items()})
         return equation_system(self.build_procedure(), values)
 

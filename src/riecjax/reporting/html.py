@@ -26,10 +26,10 @@ TEMPLATE = """<!doctype html>
 </head>
 <body>
 <h1>{{ title }}</h1>
+<pre>{{ text }}</pre>
 {% for warning in warnings %}
 <p class="warning"><strong>{{ warning.code }}</strong>: {{ warning.message }}</p>
 {% endfor %}
-<pre>{{ text }}</pre>
 {% for figure in figures %}
 <figure><img alt="{{ figure.name }}" src="data:image/png;base64,{{ figure.data }}"></figure>
 {% endfor %}

@@ -35,6 +35,8 @@ def identification_figures(result: Identification) -> dict[str, Any]:
 def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
     """Each parameter over window length, with its interval, and the estimate of the fit."""
     plt = require_plots()
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     count = len(sweep.parameters)
     columns = min(count, 4)
     rows = -(-count // columns)
@@ -51,7 +53,7 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
     for j, (name, panel) in enumerate(zip(sweep.parameters, axes.flat)):
         values = np.asarray(sweep.theta[:, j])
         low, high = estimate.interval(name)
-        panel.axhspan(low, high, color="0.9", label="the fit's interval")
+        panel.axhspan(low, high, color="0.86", label="the fit's interval")
         panel.errorbar(
             length,
             values,
@@ -64,11 +66,15 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
             label="window length alone",
         )
         panel.set_xscale("log")
+        # Between decades there is room for 2 and 5 only.
+        panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        panel.xaxis.set_minor_locator(NullLocator())
         panel.set_xlabel("window length / s")
         panel.set_ylabel(f"{name} / ({units[name]})" if units.get(name) else name)
     for panel in axes.flat[count:]:
         panel.set_visible(False)
-    axes.flat[0].legend(fontsize="small", frameon=False)
+    axes.flat[0].legend(fontsize="small", framealpha=0.9)
     return figure
 
 
@@ -92,7 +98,7 @@ def validation_figure(run: ValidationRun) -> Any:
             time, _shown(run.held.record, name), color=RUST, linewidth=0.9, label="simulated"
         )
         panel.set_ylabel(f"{name} / ({units[name]})" if units.get(name) else name)
-    axes[0, 0].legend(fontsize="small", frameon=False, loc="upper right")
+    axes[0, 0].legend(fontsize="small", framealpha=0.9, loc="upper right", ncols=2)
     axes[0, 0].set_title(run.on, fontsize="medium")
     axes[-1, 0].set_xlabel("time / s")
     return figure

@@ -14,7 +14,7 @@ import scipy.stats
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import RandomWindows
+from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError
 from riecjax.estimation.identify import (
@@ -26,11 +26,12 @@ from riecjax.estimation.identify import (
     record_keys,
 )
 from riecjax.estimation.procedure import (
+    HasProcedure,
     Procedure,
+    as_procedure,
     block_influence,
     small_sample_factor,
     solve_stages,
-    staged,
 )
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
@@ -133,11 +134,11 @@ class WindowSweep(eqx.Module):
 
 
 def window_sweep(
-    model: Equation | Procedure,
+    model: Equation | Procedure | HasProcedure,
     records: Record | Sequence[Record],
     criterion: RIEC,
     *,
-    key: Key[Array, ""],
+    key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
     own: Sequence[str] = (),
     shortest: float | None = None,
@@ -156,7 +157,7 @@ def window_sweep(
 
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
     """
-    procedure = staged(model) if isinstance(model, Equation) else model
+    procedure = as_procedure(model)
     recordings = [records] if isinstance(records, Record) else list(records)
     sharing = Sharing(procedure.parameters, own, len(recordings))
     given = known_values(procedure, sharing, known or {})
@@ -164,13 +165,14 @@ def window_sweep(
     low, high = _reach(recordings, criterion, shortest, longest)
     alpha = np.geomspace(low, high / 2, bands)
     beta = 2 * alpha
-    lengthy = _with_windows(criterion, alpha[-1], beta[-1])
+    # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
+    lengthy = _with_windows(criterion, alpha[-1], beta[-1]).fitted(recordings)
     used = [independent_blocks(lengthy, record, MOST_BLOCKS) for record in recordings]
     theta, influence, residual = _estimates(
         procedure,
         sharing,
         recordings,
-        criterion,
+        lengthy,
         record_keys(key, len(recordings)),
         given,
         used,
@@ -211,7 +213,11 @@ def _reach(
 
 
 def _with_windows(criterion: RIEC, alpha: Array | float, beta: Array | float) -> RIEC:
-    return RIEC(RandomWindows(alpha, beta, criterion.windows.count), criterion.test_function)
+    windows = criterion.windows
+    if isinstance(windows, RandomWindows):
+        return RIEC(RandomWindows(alpha, beta, windows.count), criterion.test_function)
+    other = AllWindows(alpha, beta, longest_samples=windows.longest_samples)
+    return RIEC(other, criterion.test_function)
 
 
 @eqx.filter_jit

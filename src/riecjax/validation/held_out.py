@@ -416,7 +416,7 @@ def _verdict(
     parts = []
     for grade, phrase in _PHRASES.items():
         if names := [name for name, one in fits.items() if one.grade == grade]:
-            shown = ", ".join(f"{float(fits[name].fit):.1f}" for name in names)
+            shown = ", ".join(f"{max(float(fits[name].fit), -999.0):.1f}" for name in names)
             parts.append(f"{_are(names)} {phrase} (fit {shown} %)")
     if names := [name for name, one in fits.items() if one.grade == "unknown"]:
         parts.append(f"{_are(names)} constant in the record and cannot be judged")

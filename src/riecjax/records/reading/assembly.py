@@ -148,8 +148,8 @@ def _times(
     if not times:
         raise DataError(
             f"there is no time column ('t' or 'time'); there are: {listed(channels.columns)}."
-            f" Name it by renaming it to t (on the command line: --map t=COLUMN)"
-            f"{_first_reason(channels)}."
+            f" Name it by renaming it to t (on the command line: --map t=COLUMN), or give the "
+            f"seconds between samples (--time-step){_first_reason(channels)}."
         )
     return times
 

@@ -1,0 +1,156 @@
+"""Identification from every window at once, against every window one by one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
+from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.estimation.identify import identify
+from riecjax.records.record import Record
+from riecjax.studies.window_sweep import window_sweep
+
+EQUATION = Equation(
+    Term("m", "x", derivative=2, measured=("dx",)),
+    Term("d", "x", derivative=1, measured=("dx",)),
+    Term("k", "x"),
+    -Term(1.0, "u"),
+)
+STEP = 0.01
+
+
+def record_of(n, seed=0, gaps=0, offset=0.0):
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(n)
+    x = offset + np.sin(3 * t) + 0.3 * np.cos(11 * t)
+    dx = 3 * np.cos(3 * t) - 3.3 * np.sin(11 * t)
+    u = rng.normal(size=n) + 20 * x + dx
+    if gaps:
+        u[rng.integers(0, n, gaps)] = np.nan
+    return Record.from_samples({"x": x, "dx": dx, "u": u}, time_step=STEP)
+
+
+def every_window(record, weight, shortest, longest):
+    """Every admissible pair of start and length on samples, one by one."""
+    n, m = record.sample_count, weight.length_multiple
+    pairs = [(t, t + m * lag) for lag in range(shortest, longest + 1) for t in range(n - m * lag)]
+    start, stop = np.array(pairs).T
+    return WindowSet(jnp.asarray(start), jnp.asarray(stop))
+
+
+def least_squares(record, weight, windows):
+    columns, whole = weight.integrals(EQUATION, record, windows)
+    rows = np.asarray(columns) if whole is None else np.asarray(columns)[:, np.asarray(whole)]
+    return np.linalg.lstsq(rows[1:].T, rows[0], rcond=None)[0], rows.shape[1]
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    n=st.sampled_from([120, 333]),
+    seed=st.integers(0, 10**6),
+    gaps=st.integers(0, 5),
+    alpha=st.floats(0.02, 0.1),
+    more=st.floats(0.03, 0.3),
+    weight=st.sampled_from([Boxcar(), Boxcar(4), Hat(), Hat(6)]),
+    offset=st.sampled_from([0.0, 50.0]),
+)
+def test_the_estimate_is_that_of_every_window_one_by_one(
+    n, seed, gaps, alpha, more, weight, offset
+):
+    record = record_of(n, seed, gaps, offset)
+    windows = AllWindows(alpha, alpha + more)
+    shortest, longest = (int(v) for v in windows.lags(n, record.time_step, weight.length_multiple))
+    expected, count = least_squares(record, weight, every_window(record, weight, shortest, longest))
+    estimate = identify(EQUATION, record, RIEC(windows, weight))
+    assert int(estimate.stages[0].count) == count
+    np.testing.assert_allclose(estimate.theta, expected, rtol=1e-8)
+
+
+def test_bumps_are_summed_at_their_lengths_and_every_start():
+    record, weight = record_of(333, gaps=3), Bump(4, lengths=5)
+    estimate = identify(EQUATION, record, RIEC(AllWindows(0.2, 0.6), weight))
+    lengths = [20, 30, 40, 50, 60]
+    pairs = np.array([(t, t + k) for k in lengths for t in range(333 - k)])
+    windows = WindowSet(jnp.asarray(pairs[:, 0]), jnp.asarray(pairs[:, 1]))
+    expected, count = least_squares(record, weight, windows)
+    assert int(estimate.stages[0].count) == count
+    np.testing.assert_allclose(estimate.theta, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("weight", [Boxcar(), Hat()], ids=str)
+def test_random_windows_converge_to_it_at_the_monte_carlo_rate(weight):
+    record = record_of(2000)
+    every = identify(EQUATION, record, RIEC(AllWindows(0.05, 0.4), weight)).theta
+
+    def apart(count, seeds=24):
+        criterion = RIEC(RandomWindows(0.05, 0.4, count), weight)
+        drawn = [identify(EQUATION, record, criterion, key=jax.random.key(s)) for s in range(seeds)]
+        return np.stack([estimate.theta - every for estimate in drawn])
+
+    few, many = apart(500), apart(8000)
+    ratio = few.std(0) / many.std(0)
+    assert np.all((ratio > 2) & (ratio < 8))  # 4 expected for 16 times as many
+    assert np.all(np.abs(many.mean(0)) < 4 * many.std(0) / np.sqrt(24))
+
+
+def test_several_records_of_unequal_length_and_their_sum():
+    records = [record_of(700), record_of(400, seed=1, gaps=2)]
+    together = identify(EQUATION, records, RIEC(AllWindows(0.05, 0.3)))
+    rows = []
+    for record in records:
+        windows = AllWindows(0.05, 0.3)
+        lags = [int(v) for v in windows.lags(record.sample_count, record.time_step)]
+        columns, whole = Boxcar().integrals(EQUATION, record, every_window(record, Boxcar(), *lags))
+        rows.append(np.asarray(columns)[:, slice(None) if whole is None else np.asarray(whole)])
+    stacked = np.concatenate(rows, axis=1)
+    expected = np.linalg.lstsq(stacked[1:].T, stacked[0], rcond=None)[0]
+    np.testing.assert_allclose(together.theta, expected, rtol=1e-9)
+    assert float(together.inflation.max()) >= 1
+
+
+def test_no_key_is_needed_and_the_answer_is_always_the_same():
+    record = record_of(900)
+    first, again = (identify(EQUATION, record, RIEC(AllWindows(0.05, 0.3))) for _ in range(2))
+    np.testing.assert_array_equal(first.theta, again.theta)
+    assert first.criterion.describe()["windows"] == "all"
+
+
+def test_it_differentiates_and_vmaps_over_data():
+    record = record_of(600)
+    criterion = RIEC(AllWindows(0.05, 0.3, longest_samples=64), Hat(4))
+
+    def mass(scale):
+        scaled = record.with_signals({"u": scale * record["u"]})
+        return identify(EQUATION, scaled, criterion)["m"]
+
+    slope = jax.grad(mass)(1.0)
+    assert float(slope) == pytest.approx(float(mass(1.01) - mass(0.99)) / 0.02, rel=1e-6)
+    batch = jax.vmap(mass)(jnp.array([1.0, 2.0]))
+    np.testing.assert_allclose(batch, [mass(1.0), mass(2.0)], rtol=1e-9)
+
+
+def test_intervals_are_those_of_many_random_windows():
+    record = record_of(4000)
+    every = identify(EQUATION, record, RIEC(AllWindows(0.05, 0.3), Hat()))
+    drawn = identify(
+        EQUATION, record, RIEC(RandomWindows(0.05, 0.3, 100_000), Hat()), key=jax.random.key(0)
+    )
+    np.testing.assert_allclose(every.standard_errors, drawn.standard_errors, rtol=0.25)
+
+
+def test_the_sweep_takes_all_windows():
+    record = record_of(3000)
+    sweep = window_sweep(EQUATION, record, RIEC(AllWindows(0.1, 0.5), Hat()), bands=4)
+    for i in range(4):
+        alone = identify(
+            EQUATION,
+            record,
+            RIEC(AllWindows(float(sweep.alpha[i]), float(sweep.beta[i])), Hat()),
+        )
+        np.testing.assert_allclose(sweep.theta[i], alone.theta, rtol=1e-8)
