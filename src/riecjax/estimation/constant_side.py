@@ -77,6 +77,8 @@ def _is_zero(term: AbstractTerm, record: Record) -> bool:
     return bool(np.all(_samples(term, record) == 0))
 
 
+# Values too large to be squared are for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore")
 def _is_constant(term: AbstractTerm, record: Record) -> bool:
     """Whether a term without a derivative does not vary but for noise."""
     if term.derivative > 0:
