@@ -237,7 +237,7 @@ OPTIONS = {
     "--windows 0": (2, "'--windows'"),
     "--windows -5": (2, "'--windows'"),
     "--windows 2.5": (2, "'--windows'"),
-    "--windows all": (2, "not available yet"),
+    "--windows most": (2, "neither a whole number nor 'all'"),
     "--criterion foo": (2, "'riec', 'dols'"),
     "--criterion dols --alpha 0.1": (2, "belong to --criterion riec"),
     "--criterion dols --windows 100": (2, "belong to --criterion riec"),

@@ -30,34 +30,14 @@ def emit(
     """Write the folder first, if one is asked for, then print."""
     if out is not None:
         write_folder(out, document, figures(), title, show)
-    for line in warning_lines(document):
-        click.echo(line, err=True)
+    for warning in document.get("warnings", []):
+        click.echo(f"warning [{warning['code']}]: {warning['message']}", err=True)
     if as_json:
         click.echo(json.dumps(document, indent=2, allow_nan=False))
         return
     show(document, Console())
     if out is not None:
         click.echo(f"wrote {out}/results.json, report.html and figures")
-
-
-def warning_lines(document: Document) -> list[str]:
-    """One line for each warning; what several of one code say alike at the end is said once."""
-    lines = []
-    by_code: dict[str, list[str]] = {}
-    for warning in document.get("warnings", []):
-        by_code.setdefault(warning["code"], []).append(warning["message"])
-    for code, messages in by_code.items():
-        common = _common_ending(messages)
-        for message in messages[:-1]:
-            lines.append(f"warning [{code}]: {message.removesuffix(common)}")
-        lines.append(f"warning [{code}]: {messages[-1]}")
-    return lines
-
-
-def _common_ending(messages: list[str]) -> str:
-    """The explanation after a colon that all messages share; empty if there is none."""
-    endings = {message.rpartition(": ")[2] for message in messages}
-    return f": {endings.pop()}" if len(endings) == 1 and len(messages) > 1 else ""
 
 
 def write_folder(
