@@ -1,12 +1,11 @@
 """Options that make an error criterion."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.options import POSITIVE
+from riecjax.cli.options import POSITIVE, collecting
 
 if TYPE_CHECKING:
     from riecjax.criteria.criterion import AbstractCriterion
@@ -115,15 +114,5 @@ class CriterionOptions:
         return RIEC(windows, Hat(order) if self.test_function == "hat" else Boxcar(order))
 
 
-def criterion_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The criterion's options; they arrive as one `criteria`."""
-
-    def collected(**arguments: Any) -> Any:
-        own = {name: arguments.pop(name) for name in CriterionOptions.__dataclass_fields__}
-        return command(criteria=CriterionOptions(**own), **arguments)
-
-    collected.__doc__ = command.__doc__
-    collected.__click_params__ = getattr(command, "__click_params__", [])  # type: ignore[attr-defined]
-    for option in reversed(CRITERION_OPTIONS):
-        collected = option(collected)
-    return collected
+criterion_options = collecting(CRITERION_OPTIONS, CriterionOptions, "criteria")
+"""The criterion's options; they arrive as one `criteria`."""

@@ -1,7 +1,8 @@
 """Options that several commands share, and their parsing."""
 
+import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -102,27 +103,13 @@ out_option = click.option(
 )
 
 
-class PositiveNumber(click.ParamType):
-    """A finite number greater than zero."""
+class Number(click.ParamType):
+    """A number that satisfies a condition, which `words` name after the number in a refusal."""
 
-    name = "number"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        try:
-            number = float(value)
-        except ValueError:
-            self.fail(f"'{value}' is not a number.", param, ctx)
-        if not (math.isfinite(number) and number > 0):
-            self.fail(f"'{value}' must be a finite number greater than zero.", param, ctx)
-        return number
-
-
-class FiniteNumber(click.ParamType):
-    """A finite number."""
-
-    name = "number"
+    def __init__(self, name: str, condition: Callable[[float], bool], words: str):
+        self.name = name
+        self.condition = condition
+        self.words = words
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -131,28 +118,39 @@ class FiniteNumber(click.ParamType):
             number = float(value)
         except ValueError:
             self.fail(f"'{value}' is not a number.", param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"'{value}' must be a finite number.", param, ctx)
+        if not self.condition(number):
+            self.fail(f"'{value}' must {self.words}.", param, ctx)
         return number
 
 
-class Share(click.ParamType):
-    """A number between 0 and 1, both excluded."""
-
-    name = "share"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        try:
-            number = float(value)
-        except ValueError:
-            self.fail(f"'{value}' is not a number.", param, ctx)
-        if not 0 < number < 1:
-            self.fail(f"'{value}' must lie between 0 and 1.", param, ctx)
-        return number
+POSITIVE = Number(
+    "number",
+    lambda number: math.isfinite(number) and number > 0,
+    "be a finite number greater than zero",
+)
+FINITE = Number("number", math.isfinite, "be a finite number")
+SHARE = Number("share", lambda number: 0 < number < 1, "lie between 0 and 1")
 
 
-POSITIVE = PositiveNumber()
-FINITE = FiniteNumber()
-SHARE = Share()
+def collecting(
+    options: Sequence[Callable[..., Any]], kind: type[Any], name: str
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A decorator that adds options to a command and hands them over as one argument.
+
+    **Arguments:** `kind`, a dataclass with a field for each option; `name` of the argument.
+    """
+    fields = [field.name for field in dataclasses.fields(kind)]
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        def collected(**arguments: Any) -> Any:
+            own = {field: arguments.pop(field) for field in fields}
+            return command(**{name: kind(**own)}, **arguments)
+
+        collected.__doc__ = command.__doc__
+        # Options that stand on the command itself are listed after these.
+        collected.__click_params__ = getattr(command, "__click_params__", [])  # type: ignore[attr-defined]
+        for option in reversed(options):
+            collected = option(collected)
+        return collected
+
+    return decorate

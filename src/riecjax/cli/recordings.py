@@ -1,14 +1,14 @@
 """Options that say how a recording is read and prepared, and the reading itself."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from riecjax.cli.options import FINITE, POSITIVE, assignments
+from riecjax.cli.options import FINITE, POSITIVE, assignments, collecting
 from riecjax.errors import DataError, MissingSignalError
 from riecjax.findings import Finding
 
@@ -93,21 +93,6 @@ RECORD_OPTIONS = (
 )
 
 
-def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The RECORD... argument and its options; they arrive as one `recordings`."""
-
-    def collected(**arguments: Any) -> Any:
-        own = {name: arguments.pop(name) for name in RecordingOptions.__dataclass_fields__}
-        return command(recordings=RecordingOptions(**own), **arguments)
-
-    collected.__doc__ = command.__doc__
-    # Options that stand on the command itself are listed after these.
-    collected.__click_params__ = getattr(command, "__click_params__", [])  # type: ignore[attr-defined]
-    for option in reversed(RECORD_OPTIONS):
-        collected = option(collected)
-    return collected
-
-
 @dataclass(frozen=True)
 class RecordingOptions:
     """What the user said of the recordings."""
@@ -153,6 +138,10 @@ class RecordingOptions:
             derivatives=self.derivatives,
             every=self.every,
         )
+
+
+record_options = collecting(RECORD_OPTIONS, RecordingOptions, "recordings")
+"""The RECORD... argument and its options; they arrive as one `recordings`."""
 
 
 class Recording(NamedTuple):

@@ -12,7 +12,7 @@ from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import both_present, sum_columns
+from riecjax.equations.term import sum_columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
@@ -176,9 +176,7 @@ class DOLS(AbstractCriterion):
         **Raises:** `DataError` for a missing signal or derivative.
         """
         read = [term.samples(record, term.derivative) for term in equation.terms]
-        kept = equation.trusted(record)
-        for sampled in read:
-            kept = both_present(kept, sampled.present)
+        kept = equation.present(record, read)
         blocks = [sampled.values for sampled in read]
         columns = sum_columns(equation.terms, blocks, equation.parameters)
         return Rows.of(columns, jnp.arange(record.sample_count), equation.parameters, kept)

@@ -22,7 +22,7 @@ from riecjax.criteria.all_windows import Moments, moments_in_blocks, moments_of_
 from riecjax.criteria.quadrature import ORDERS, running_integral
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import AbstractTerm, Sampled, both_present, sum_columns
+from riecjax.equations.term import AbstractTerm, Sampled, sum_columns
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 
@@ -143,7 +143,7 @@ class _Differences(AbstractTestFunction):
         read = [
             (term, term.samples(record, max(term.derivative - s, 0))) for term in equation.terms
         ]
-        present = _present(equation, record, [sampled for _, sampled in read])
+        present = equation.present(record, [sampled for _, sampled in read])
         parts = [self._primitive(term, sampled, record, present) for term, sampled in read]
         terms, names = equation.terms, equation.parameters
         return Primitives(
@@ -385,7 +385,7 @@ class Bump(AbstractTestFunction):
                 for term, sampled in zip(equation.terms, read)
             ]
             by_order.append(sum_columns(equation.terms, blocks, equation.parameters))
-        return jnp.stack(by_order), _present(equation, record, read)
+        return jnp.stack(by_order), equation.present(record, read)
 
 
 def _without_mean(values: Float[Array, "columns n"], derivative: int) -> Array:
@@ -401,10 +401,3 @@ def whole(windows: WindowSet, present: Bool[Array, " n"] | None) -> Bool[Array, 
     first = jnp.floor(windows.start).astype(jnp.int32)
     last = jnp.ceil(windows.stop).astype(jnp.int32)
     return absent[last + 1] == absent[first]
-
-
-def _present(equation: Equation, record: Record, read: list[Sampled]) -> Bool[Array, " n"] | None:
-    present = equation.trusted(record)
-    for sampled in read:
-        present = both_present(present, sampled.present)
-    return present

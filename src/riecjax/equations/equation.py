@@ -1,12 +1,13 @@
 """An equation of motion, linear in its parameters."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import equinox as eqx
 from jaxtyping import Array, Bool
 
 from riecjax.equations.term import (
     AbstractTerm,
+    Sampled,
     both_present,
     evaluate,
     merge_known,
@@ -86,6 +87,13 @@ class Equation(eqx.Module):
             return None
         mask, present = evaluate(self.where, record)
         return both_present(mask.astype(bool), present)
+
+    def present(self, record: Record, read: Iterable[Sampled]) -> Bool[Array, " n"] | None:
+        """Where the equation is to be trusted and everything that was read of it is present."""
+        present = self.trusted(record)
+        for sampled in read:
+            present = both_present(present, sampled.present)
+        return present
 
     def signals_read(self, record: Record, smoothness: int) -> set[str]:
         """Names of the signals that a criterion reads which takes `smoothness` derivatives off.

@@ -12,7 +12,7 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms, evaluate
-from riecjax.estimation.constant_side import constant_side
+from riecjax.estimation.constant_side import constant_sides
 from riecjax.estimation.estimate import FEWEST_BLOCKS
 from riecjax.estimation.excitation import Excitation, excitation
 from riecjax.estimation.identify import (
@@ -73,12 +73,13 @@ def check(
     read = [signals_read(procedure, record, criterion) for record in recordings]
     criterion = criterion.fitted(recordings)
     excitations = excitation(procedure, recordings, criterion, key=key, known=known, own=own)
+    held = constant_sides(procedure, recordings, {*(known or {}), *procedure.known})
     findings = [
         *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),
         *_quadrature(procedure, recordings, criterion, key),
         *_break_points(procedure, recordings),
-        *_constant_sides(procedure, recordings, known or {}),
+        *(Finding("unidentifiable", message) for message in held),
         *(finding for stage in excitations for finding in stage.findings()),
     ]
     return Check(findings, excitations, tuple(dict.fromkeys(n for names in read for n in names)))
@@ -131,17 +132,6 @@ def _break_points(procedure: Procedure, records: list[Record]) -> Iterator[Findi
                 f"far from the break point at {listed}, whose value is extrapolated. Move it into "
                 f"the reach of the data.",
             )
-
-
-def _constant_sides(
-    procedure: Procedure, records: list[Record], known: Mapping[str, float | Array]
-) -> Iterator[Finding]:
-    found = {*known, *procedure.known}
-    for stage in procedure.stages:
-        for equation in stage:
-            if message := constant_side(equation, records, found):
-                yield Finding("unidentifiable", message)
-        found |= {name for equation in stage for name in equation.parameters}
 
 
 def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Finding]:

@@ -5,7 +5,7 @@ force's value, every other parameter zero, and the residual vanishes, while the 
 collinear at all. A step that begins before the record does is the usual case.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Array
@@ -28,12 +28,19 @@ def raise_if_only_constant(
 
     **Raises:** `IdentifiabilityError` naming the offset and what it hides.
     """
+    for message in constant_sides(procedure, records, known):
+        raise IdentifiabilityError(message)
+
+
+def constant_sides(
+    procedure: Procedure, records: list[Record], known: Iterable[str]
+) -> Iterator[str]:
+    """In words, each equation whose known terms an unknown offset alone explains."""
     found = set(known)
     for stage in procedure.stages:
         for equation in stage:
-            message = constant_side(equation, records, found)
-            if message:
-                raise IdentifiabilityError(message)
+            if message := constant_side(equation, records, found):
+                yield message
         found |= {name for equation in stage for name in equation.parameters}
 
 
