@@ -1,6 +1,8 @@
 from .criteria.criterion import DOLS as DOLS
 from .criteria.criterion import RIEC as RIEC
 from .criteria.criterion import Rows as Rows
+from .criteria.laws import DensityLaw as DensityLaw
+from .criteria.laws import SteppedLaw as SteppedLaw
 from .criteria.test_functions import AbstractTestFunction as AbstractTestFunction
 from .criteria.test_functions import Boxcar as Boxcar
 from .criteria.test_functions import Bump as Bump
@@ -31,6 +33,9 @@ from .estimation.estimate import Estimate as Estimate
 from .estimation.identify import identify as identify
 from .estimation.identify import signals_read as signals_read
 from .estimation.identify import stage_normal_equations as stage_normal_equations
+from .estimation.intervals import BlockBootstrap as BlockBootstrap
+from .estimation.intervals import Naive as Naive
+from .estimation.intervals import Sandwich as Sandwich
 from .estimation.least_squares import Solution as Solution
 from .estimation.least_squares import solve as solve
 from .estimation.normal_equations import NormalEquations as NormalEquations

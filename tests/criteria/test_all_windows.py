@@ -4,22 +4,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from riecjax.criteria.all_windows import Starts, boxcar_moments, hat_moments
+from riecjax.criteria.laws import LagBins
 
 
-def brute_force(phi, present, first, stop, shortest, longest, hat):
+def brute_force(phi, present, first, stop, shortest, weights, hat):
     """Every row of every window that is whole, one by one."""
     n = phi.shape[1]
-    total, count = np.zeros((phi.shape[0],) * 2), 0
+    total, count = np.zeros((phi.shape[0],) * 2), 0.0
     for t in range(first, min(stop, n)):
-        for lag in range(shortest, longest + 1):
+        for lag, weight in enumerate(weights, shortest):
             end = t + (2 * lag if hat else lag)
             if end >= n or not present[t : end + 1].all():
                 continue
             row = phi[:, end] - phi[:, t]
             if hat:
                 row = phi[:, end] - 2 * phi[:, t + lag] + phi[:, t]
-            total += np.outer(row, row)
-            count += 1
+            total += weight * np.outer(row, row)
+            count += weight
     return total, count
 
 
@@ -31,20 +32,25 @@ def brute_force(phi, present, first, stop, shortest, longest, hat):
     first=st.integers(0, 30),
     width=st.integers(1, 60),
     shortest=st.integers(1, 8),
-    more=st.integers(0, 20),
+    steps=st.lists(st.tuples(st.integers(0, 7), st.floats(0, 3)), min_size=1, max_size=4),
     hat=st.booleans(),
 )
 def test_all_windows_are_the_sum_over_every_single_one(
-    n, seed, gaps, first, width, shortest, more, hat
+    n, seed, gaps, first, width, shortest, steps, hat
 ):
     rng = np.random.default_rng(seed)
     phi = np.cumsum(rng.normal(size=(3, n)), axis=1)
     present = np.ones(n, bool)
     present[rng.integers(0, n, gaps)] = False
-    stop, longest = min(first + width, n), shortest + more
-    expected, count = brute_force(phi, present, first, stop, shortest, longest, hat)
-    starts = Starts(*(jnp.asarray(v) for v in (first, stop, shortest, longest)))
+    stop = min(first + width, n)
+    # Bins of lags that count alike, some of them empty.
+    held, weight = (np.array(values) for values in zip(*steps))
+    last = shortest + np.cumsum(held) - 1
+    bins = LagBins(*(jnp.asarray(v) for v in (last - held + 1, last, weight)))
+    every = np.repeat(weight, held)
+    expected, count = brute_force(phi, present, first, stop, shortest, every, hat)
+    starts = Starts(jnp.asarray(first), jnp.asarray(stop))
     moments = hat_moments if hat else boxcar_moments
-    found, number = moments(jnp.asarray(phi), jnp.asarray(present), starts)
-    assert int(number) == count
+    found, number = moments(jnp.asarray(phi), jnp.asarray(present), starts, bins)
+    np.testing.assert_allclose(number, count, rtol=1e-12)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * max(np.abs(expected).max(), 1))

@@ -1,13 +1,10 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.stats
 
 from riecjax.criteria.criterion import Rows
 from riecjax.errors import ModelError
-from riecjax.estimation.normal_equations import NormalEquations, normal_equations
-from riecjax.estimation.procedure import block_sandwich, solve_stages
+from riecjax.estimation.normal_equations import normal_equations
 
 NAMES = ("a", "b", "c")
 
@@ -98,101 +95,3 @@ def test_residual_energy_is_never_negative():
     equations = normal_equations(exact).total()
     energy = float(equations.residual_energy(theta))
     assert 0 <= energy < 1e-14 * float(equations.energy)
-
-
-# Covariance against Monte Carlo. Regressors and errors are first-order autoregressions, as
-# overlapping windows make them: textbook standard errors are far too small for such data.
-
-REPETITIONS, ROWS, BLOCKS = 1000, 2000, 40
-
-
-def autoregression(key, rho, shape=()):
-    """Unit-variance process of ROWS samples along the last axis."""
-    noise = jax.random.normal(key, (*shape, ROWS)) * jnp.sqrt(1 - rho**2)
-    first = noise[..., 0] / jnp.sqrt(1 - rho**2)
-
-    def step(x, e):
-        return rho * x + e, rho * x + e
-
-    _, rest = jax.lax.scan(step, first, jnp.moveaxis(noise[..., 1:], -1, 0))
-    return jnp.concatenate([first[..., None], jnp.moveaxis(rest, 0, -1)], axis=-1)
-
-
-def in_blocks(columns, names) -> NormalEquations:
-    rows = Rows(columns, jnp.arange(ROWS), names)
-    return normal_equations(
-        rows, block_of_row=jnp.arange(ROWS) * BLOCKS // ROWS, block_count=BLOCKS
-    )
-
-
-def estimate(stages):
-    solutions = solve_stages(stages, {})
-    theta = jnp.concatenate([stage.solution.theta for stage in solutions])
-    covariance = block_sandwich(stages, solutions, {}, BLOCKS)
-    textbook = [
-        stage.residual_rms**2 * jnp.diagonal(jnp.linalg.inv(stages[stage.stage].total().gram))[-1]
-        for stage in solutions
-    ]
-    return theta, covariance, jnp.stack(textbook)
-
-
-TRUTH = jnp.array([2.0, -300.0])
-UNITS = jnp.array([1.0, 1e-3])
-
-
-def one_stage(key):
-    keys = jax.random.split(key)
-    x = autoregression(keys[0], 0.8, (2,))
-    # Correlated regressors of unlike sizes.
-    regressors = jnp.stack([x[0], 0.6 * x[0] + 0.8 * x[1]]) * UNITS[:, None]
-    y = TRUTH @ regressors + autoregression(keys[1], 0.9)
-    return estimate([in_blocks(jnp.stack([y, *regressors]), ("a", "b"))])
-
-
-def two_stages(key):
-    keys = jax.random.split(key, 3)
-    x, w, v = autoregression(keys[0], 0.8, (3,))
-    first = 2.0 * x + autoregression(keys[1], 0.9)
-    # The second stage's own errors are small: b is uncertain because a, found before, is.
-    second = 2.0 * w + 5.0 * (v + 0.7 * w) + 0.1 * autoregression(keys[2], 0.9)
-    return estimate(
-        [
-            in_blocks(jnp.stack([first, x]), ("a",)),
-            in_blocks(jnp.stack([second, w, v + 0.7 * w]), ("a", "b")),
-        ]
-    )
-
-
-@pytest.mark.parametrize("experiment", [one_stage, two_stages])
-def test_block_sandwich_covariance_agrees_with_monte_carlo(experiment):
-    keys = jax.random.split(jax.random.key(0), REPETITIONS)
-    theta, covariance, textbook = jax.jit(jax.vmap(experiment))(keys)
-    actual = np.cov(np.asarray(theta).T)
-    predicted = np.asarray(covariance).mean(0)
-    # The actual variance is itself known to sqrt(2 / 1000) = 4.5 % (one sigma), and 40 blocks of
-    # 50 rows lose a few percent of the correlation at their borders.
-    np.testing.assert_allclose(np.diag(predicted), np.diag(actual), rtol=0.15)
-    correlation, expected = (c[0, 1] / np.sqrt(c[0, 0] * c[1, 1]) for c in (predicted, actual))
-    assert correlation == pytest.approx(expected, abs=0.1)
-    # The textbook formula would not have passed.
-    assert np.asarray(textbook).mean(0)[-1] < 0.4 * actual[-1, -1]
-
-    truth = np.asarray(TRUTH) if experiment is one_stage else np.array([2.0, 5.0])
-    errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    reach = scipy.stats.t.ppf(0.975, BLOCKS - 1)
-    coverage = (np.abs(np.asarray(theta) - truth) < reach * errors).mean(0)
-    assert (coverage > 0.92).all()
-    assert (coverage < 0.975).all()
-
-
-def test_block_sandwich_equals_the_formula_for_one_stage():
-    rows = random_rows(60, 5)
-    block = np.arange(60) // 6
-    stages = [normal_equations(rows, block_of_row=jnp.array(block), block_count=10)]
-    found = block_sandwich(stages, solve_stages(stages, {}), {}, 10)
-    A, y = np.asarray(rows.regressors), np.asarray(rows.target)
-    theta = np.linalg.lstsq(A, y)[0]
-    scores = np.stack([A[block == i].T @ (y - A @ theta)[block == i] for i in range(10)])
-    bread = np.linalg.inv(A.T @ A)
-    expected = 10 / 9 * bread @ (scores.T @ scores) @ bread
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-14)

@@ -91,9 +91,24 @@ def test_a_band_of_the_sweep_is_what_identify_finds_with_those_windows():
         alone = identify(drag_oscillator_equation(), record, RIEC(windows, Hat(6)), key=KEY)
         np.testing.assert_allclose(sweep.theta[i], alone.theta, rtol=1e-9)
         assert float(sweep.relative_rms[i, 0]) == pytest.approx(float(alone.stages[0].relative_rms))
-        # At the longest band the blocks are the same as well.
-        if i == 3:
-            np.testing.assert_allclose(sweep.standard_errors[i], alone.standard_errors, rtol=1e-6)
+
+
+def test_standard_errors_are_those_of_scores_summed_over_blocks_of_time():
+    record = oscillator(noise=1.0)
+    sweep = window_sweep(drag_oscillator_equation(), record, CRITERION, key=KEY, bands=4)
+    windows = RandomWindows(float(sweep.alpha[1]), float(sweep.beta[1]), 3000)
+    rows = RIEC(windows, Hat(6)).rows(drag_oscillator_equation(), record, KEY)
+    a, y = np.asarray(rows.regressors), np.asarray(rows.target)
+    theta = np.linalg.lstsq(a, y)[0]
+    blocks = int(sweep.block_count)
+    # Blocks are made of whole short ones, of which a record has 512 at most.
+    samples = -(-record.sample_count // 512)
+    short = -(-record.sample_count // samples)
+    block = (np.asarray(rows.position) // samples) * blocks // short
+    scores = np.stack([(a * (y - a @ theta)[:, None])[block == b].sum(0) for b in range(blocks)])
+    moved = np.linalg.solve(a.T @ a, scores.T)
+    expected = np.sqrt(blocks / (blocks - 1) * np.sum(moved**2, axis=1))
+    np.testing.assert_allclose(sweep.standard_errors[1], expected, rtol=1e-6)
 
 
 def test_the_sweep_reaches_from_a_tenth_of_alpha_to_twice_beta():

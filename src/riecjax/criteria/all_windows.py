@@ -8,7 +8,8 @@ phi the primitive of the equation's columns, a boxcar's row is phi[t + k] - phi[
 
 where n[u] windows start at u and m[u] end there. The inner sum is one difference of a running sum
 of phi, so the cost is O(N p^2) however many windows there are. A hat's row, phi[t] - 2 phi[t + L] +
-phi[t + 2 L], has three such cross terms; its last one sums every second sample.
+phi[t + 2 L], has three such cross terms; its last one sums every second sample. Where lengths do
+not count alike, there is one such difference for each bin of lengths that do (see `laws`).
 
 Terms of the sum are as large as phi, which wanders far over a record, and their difference is as
 small as a window's change. Starts are therefore taken in blocks, and phi is referred to each block.
@@ -21,18 +22,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from riecjax.criteria.laws import LagBins
+
 
 class Starts(NamedTuple):
-    """Where windows may start and how long they may be, in samples of a slice of the record.
-
-    **Fields:** `first` and `stop`, the range of starts; `shortest` and `longest` lag, which is the
-    window's length for the boxcar and half of it for the hat.
-    """
+    """Range of samples at which windows may start."""
 
     first: Int[Array, ""]
     stop: Int[Array, ""]
-    shortest: Int[Array, ""]
-    longest: Int[Array, ""]
 
 
 class _Runs(NamedTuple):
@@ -40,6 +37,18 @@ class _Runs(NamedTuple):
 
     first: Int[Array, " n"]
     last: Int[Array, " n"]
+
+
+class _Sums(NamedTuple):
+    """What a bin of lags adds to the moments.
+
+    **Fields:** `inner`, what each sample is multiplied with; `squares`, how many times each sample
+    is multiplied with itself; `number` of windows.
+    """
+
+    inner: Float[Array, "columns n"]
+    squares: Float[Array, " n"]
+    number: Float[Array, ""]
 
 
 Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
@@ -50,31 +59,31 @@ def moments_in_blocks(
     values: Float[Array, "columns n"],
     mean: Float[Array, " columns"],
     present: Bool[Array, " n"],
-    lags: tuple[Int[Array, ""], Int[Array, ""]],
+    bins: LagBins,
     *,
     order: int,
+    first: Int[Array, ""] | int,
+    count: int,
     block: int,
     reach: int,
 ) -> Moments:
-    """Moments of all windows, for each block of `block` starts.
+    """Moments of all windows, for `count` blocks of `block` starts each, from `first` on.
 
     **Arguments:** `values` and `mean` of the columns' primitives, whose differences of order
-    `order` (1 for the boxcar, 2 for the hat) are the rows; `lags`, shortest and longest; `reach`,
-    no window is longer in samples.
+    `order` (1 for the boxcar, 2 for the hat) are the rows; `bins` of lags; `reach`, no window is
+    longer in samples.
     """
     n = values.shape[1]
-    count = -(-n // block)
     width = min(block + reach, n)
     moments = boxcar_moments if order == 1 else hat_moments
 
     def of_block(index: Int[Array, ""]) -> tuple[Array, Array]:
         # The last slices would reach beyond the record: they begin earlier instead.
-        begin = jnp.minimum(index * block, n - width)
+        begin = jnp.clip(first + index * block, 0, n - width)
         part = jax.lax.dynamic_slice_in_dim(values, begin, width, axis=1)
         there = jax.lax.dynamic_slice_in_dim(present, begin, width)
-        first = index * block - begin
-        starts = Starts(first, first + block, *lags)
-        return moments(_referred(part, mean, order), there, starts)
+        start = first + index * block - begin
+        return moments(_referred(part, mean, order), there, Starts(start, start + block), bins)
 
     return jax.lax.map(of_block, jnp.arange(count))
 
@@ -99,74 +108,107 @@ def _referred(
 def moments_of_rows(
     rows_of_length: Callable[[Int[Array, ""]], tuple[Float[Array, "columns n"], Array]],
     lengths: Int[Array, " lengths"],
-    n: int,
+    weights: Float[Array, " lengths"],
+    *,
+    first: Int[Array, ""] | int,
+    count: int,
     block: int,
 ) -> Moments:
     """Moments of rows that start at every sample, summed over some window lengths.
 
     **Arguments:** `rows_of_length` gives rows at every start, zero where there is no whole window,
-    and where there is one.
+    and where there is one; `weights` of the lengths; `count` blocks of `block` starts each, from
+    `first` on.
     """
-    count = -(-n // block)
-    pad = count * block - n
 
-    def of_length(total: tuple[Array, Array], length: Array) -> tuple[tuple[Array, Array], None]:
+    def of_length(
+        total: tuple[Array, Array], which: tuple[Array, Array]
+    ) -> tuple[tuple[Array, Array], None]:
+        length, weight = which
         rows, whole = rows_of_length(length)
-        parts = jnp.pad(rows, ((0, 0), (0, pad))).reshape(rows.shape[0], count, block)
-        held = jnp.pad(whole, (0, pad)).reshape(count, block).sum(1)
-        moments = jnp.einsum("ibs,jbs->bij", parts, parts)
-        return (total[0] + moments, total[1] + held), None
+        # Room behind, so that no slice would begin earlier than asked for.
+        padded = jnp.pad(rows, ((0, 0), (0, count * block)))
+        parts = jax.lax.dynamic_slice_in_dim(padded, first, count * block, axis=1)
+        held = jax.lax.dynamic_slice_in_dim(
+            jnp.pad(whole, (0, count * block)), first, count * block
+        )
+        parts = parts.reshape(rows.shape[0], count, block)
+        moments = weight * jnp.einsum("ibs,jbs->bij", parts, parts)
+        return (total[0] + moments, total[1] + weight * held.reshape(count, block).sum(1)), None
 
     columns = jax.eval_shape(rows_of_length, lengths[0])[0]
     empty = jnp.zeros((count, columns.shape[0], columns.shape[0]), columns.dtype)
-    total, _ = jax.lax.scan(of_length, (empty, jnp.zeros(count, columns.dtype)), lengths)
+    none = jnp.zeros(count, columns.dtype)
+    total, _ = jax.lax.scan(of_length, (empty, none), (lengths, weights))
     return total
 
 
 def boxcar_moments(
-    phi: Float[Array, "columns n"], present: Bool[Array, " n"], starts: Starts
+    phi: Float[Array, "columns n"], present: Bool[Array, " n"], starts: Starts, bins: LagBins
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
     """Sum of the outer products of all boxcar rows, and their number."""
     at, runs, begins = _places(present, starts)
-    last = jnp.minimum(at + starts.longest, runs.last)
-    first = at + starts.shortest
-    count = jnp.where(begins, jnp.maximum(last - first + 1, 0), 0)
-    inner = jnp.where((count > 0)[None, :], _between(phi, first, last), 0.0)
-    cross = phi @ inner.T
-    ending = _starts_between(
-        begins, jnp.maximum(at - starts.longest, runs.first), at - starts.shortest
-    )
-    weight = (count + jnp.where(present, ending, 0)).astype(phi.dtype)
-    moments = (phi * weight[None, :]) @ phi.T - cross - cross.T
-    return moments, jnp.sum(count).astype(phi.dtype)
+
+    def of_bin(shortest: Int[Array, ""], longest: Int[Array, ""]) -> _Sums:
+        last = jnp.minimum(at + longest, runs.last)
+        count = jnp.where(begins, jnp.maximum(last - at - shortest + 1, 0), 0)
+        inner = jnp.where((count > 0)[None, :], _between(phi, at + shortest, last), 0.0)
+        ending = _starts_between(begins, jnp.maximum(at - longest, runs.first), at - shortest)
+        return _sums(-inner, count + jnp.where(present, ending, 0), count)
+
+    return _moments(phi, bins, of_bin)
 
 
 def hat_moments(
-    phi: Float[Array, "columns n"], present: Bool[Array, " n"], starts: Starts
+    phi: Float[Array, "columns n"], present: Bool[Array, " n"], starts: Starts, bins: LagBins
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
     """Sum of the outer products of all hat rows, and their number."""
     at, runs, begins = _places(present, starts)
-    # From the start: L up to the longest, with the end at t + 2 L inside the run.
-    reach = jnp.minimum(starts.longest, (runs.last - at) // 2)
-    count = jnp.where(begins, jnp.maximum(reach - starts.shortest + 1, 0), 0)
-    some = (count > 0)[None, :]
-    middles = jnp.where(some, _between(phi, at + starts.shortest, at + reach), 0.0)
-    ends = jnp.where(some, _every_second(phi, at + 2 * starts.shortest, at + 2 * reach), 0.0)
-    # From the middle u: the start u - L and the end u + L in the run, the start in the range.
-    low = jnp.maximum(starts.shortest, at - starts.stop + 1)
-    high = jnp.minimum(starts.longest, runs.last - at)
-    high = jnp.minimum(high, at - jnp.maximum(runs.first, starts.first))
-    held = present & (high >= low)
-    middle_count = jnp.where(held, high - low + 1, 0)
-    beyond = jnp.where(held[None, :], _between(phi, at + low, at + high), 0.0)
-    # From the end v: starts v - 2 L of the run and the range.
-    ending = _every_second_start(
-        begins, jnp.maximum(at - 2 * starts.longest, runs.first), at - 2 * starts.shortest
-    )
-    weight = count + 4 * middle_count + jnp.where(present, ending, 0)
-    cross = phi @ (ends - 2 * middles).T - 2 * (phi @ beyond.T)
-    moments = (phi * weight.astype(phi.dtype)[None, :]) @ phi.T + cross + cross.T
-    return moments, jnp.sum(count).astype(phi.dtype)
+
+    def of_bin(shortest: Int[Array, ""], longest: Int[Array, ""]) -> _Sums:
+        # From the start: L up to the longest, with the end at t + 2 L inside the run.
+        reach = jnp.minimum(longest, (runs.last - at) // 2)
+        count = jnp.where(begins, jnp.maximum(reach - shortest + 1, 0), 0)
+        some = (count > 0)[None, :]
+        middles = jnp.where(some, _between(phi, at + shortest, at + reach), 0.0)
+        ends = jnp.where(some, _every_second(phi, at + 2 * shortest, at + 2 * reach), 0.0)
+        # From the middle u: the start u - L and the end u + L in the run, the start in the range.
+        low = jnp.maximum(shortest, at - starts.stop + 1)
+        high = jnp.minimum(longest, runs.last - at)
+        high = jnp.minimum(high, at - jnp.maximum(runs.first, starts.first))
+        held = present & (high >= low)
+        middle_count = jnp.where(held, high - low + 1, 0)
+        beyond = jnp.where(held[None, :], _between(phi, at + low, at + high), 0.0)
+        # From the end v: starts v - 2 L of the run and the range.
+        ending = _every_second_start(
+            begins, jnp.maximum(at - 2 * longest, runs.first), at - 2 * shortest
+        )
+        squares = count + 4 * middle_count + jnp.where(present, ending, 0)
+        return _sums(ends - 2 * middles - 2 * beyond, squares, count)
+
+    return _moments(phi, bins, of_bin)
+
+
+def _sums(inner: Array, squares: Int[Array, " n"], count: Int[Array, " n"]) -> _Sums:
+    return _Sums(inner, squares.astype(inner.dtype), jnp.sum(count).astype(inner.dtype))
+
+
+def _moments(
+    phi: Float[Array, "columns n"], bins: LagBins, of_bin: Callable[[Array, Array], _Sums]
+) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
+    def weighted(which: LagBins) -> _Sums:
+        return jax.tree.map(lambda leaf: which.weight * leaf, of_bin(which.first, which.last))
+
+    def add(total: _Sums, which: LagBins) -> tuple[_Sums, None]:
+        return jax.tree.map(jnp.add, total, weighted(which)), None
+
+    total = weighted(LagBins(*(values[0] for values in bins)))
+    if bins.first.shape[0] > 1:
+        # Backwards each bin is computed again, rather than all of them kept.
+        rest = LagBins(*(values[1:] for values in bins))
+        total, _ = jax.lax.scan(jax.checkpoint(add), total, rest)
+    cross = phi @ total.inner.T
+    return (phi * total.squares[None, :]) @ phi.T + cross + cross.T, total.number
 
 
 def _places(

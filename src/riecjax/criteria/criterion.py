@@ -268,8 +268,7 @@ class RIEC(AbstractCriterion):
         windows = self.windows
         if isinstance(windows, RandomWindows):
             raise ModelError("random windows have rows, not moments of all of them.")
-        block = windows.block(record.sample_count)
-        return self.test_function.moments(equation, record, windows, block)
+        return self.test_function.moments(equation, record, windows)
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""

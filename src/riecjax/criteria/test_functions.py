@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.all_windows import Moments, moments_in_blocks, moments_of_rows
+from riecjax.criteria.chunks import in_chunks
 from riecjax.criteria.quadrature import ORDERS, running_integral
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.equation import Equation
@@ -55,13 +56,8 @@ class AbstractTestFunction(eqx.Module):
         """Integral of every column of the equation over every window."""
         raise NotImplementedError
 
-    def moments(
-        self, equation: Equation, record: Record, windows: AllWindows, block: int
-    ) -> Moments:
-        """Sums over all windows of the outer products of their rows, for blocks of starts.
-
-        **Arguments:** `block`: samples in whose span the windows of a block start.
-        """
+    def moments(self, equation: Equation, record: Record, windows: AllWindows) -> Moments:
+        """Sums over all windows of the outer products of their rows, for blocks of starts."""
         raise NotImplementedError
 
     def finest(self) -> "AbstractTestFunction":
@@ -184,22 +180,28 @@ class _Differences(AbstractTestFunction):
             )
         return self.primitives(equation, record).integrals(windows)
 
-    def moments(
-        self, equation: Equation, record: Record, windows: AllWindows, block: int
-    ) -> Moments:
+    def moments(self, equation: Equation, record: Record, windows: AllWindows) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts."""
-        primitives = self.primitives(equation, record)
-        n = record.sample_count
-        present = jnp.ones(n, bool) if primitives.present is None else primitives.present
-        return moments_in_blocks(
-            primitives.values,
-            primitives.mean,
-            present,
-            windows.lags(n, record.time_step, self.length_multiple),
-            order=self.smoothness,
-            block=block,
-            reach=n if windows.longest_samples is None else windows.longest_samples,
-        )
+        n, order = record.sample_count, self.smoothness
+        block, reach = windows.block(n), windows.reach(n)
+        bins = windows.bins(n, record.time_step, order)
+
+        def of_chunk(part: Record, first: Int[Array, ""] | int, count: int) -> Moments:
+            primitives = self.primitives(equation, part)
+            present = primitives.present
+            return moments_in_blocks(
+                primitives.values,
+                primitives.mean,
+                jnp.ones(part.sample_count, bool) if present is None else present,
+                bins,
+                order=order,
+                first=first,
+                count=count,
+                block=block,
+                reach=reach,
+            )
+
+        return in_chunks(record, of_chunk, block=block, reach=reach, margin=self.quadrature)
 
 
 class Boxcar(_Differences):
@@ -308,23 +310,29 @@ class Bump(AbstractTestFunction):
         total, _ = jax.lax.scan(of_length, empty, lengths)
         return Integrals(total, whole(windows, present))
 
-    def moments(
-        self, equation: Equation, record: Record, windows: AllWindows, block: int
-    ) -> Moments:
+    def moments(self, equation: Equation, record: Record, windows: AllWindows) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
-        everywhere, present = self._at_every_start(equation, record)
         n = record.sample_count
-        shortest, longest = windows.lags(n, record.time_step)
-        start = jnp.arange(n)
+        block, reach = windows.block(n), windows.reach(n)
+        lengths = self._lengths(*windows.lags(n, record.time_step))
+        weights = windows.weights(n, record.time_step, lengths)
 
-        def rows_of_length(length: Array) -> tuple[Array, Array]:
-            inside = start + length < n
-            window = WindowSet(start, jnp.minimum(start + length, n - 1))
-            unbroken = whole(window, present)
-            held = inside if unbroken is None else inside & unbroken
-            return jnp.where(held[None, :], everywhere(length), 0.0), held
+        def of_chunk(part: Record, first: Int[Array, ""] | int, count: int) -> Moments:
+            everywhere, present = self._at_every_start(equation, part)
+            start = jnp.arange(part.sample_count)
 
-        return moments_of_rows(rows_of_length, self._lengths(shortest, longest), n, block)
+            def rows_of_length(length: Array) -> tuple[Array, Array]:
+                inside = start + length < part.sample_count
+                window = WindowSet(start, jnp.minimum(start + length, part.sample_count - 1))
+                unbroken = whole(window, present)
+                held = inside if unbroken is None else inside & unbroken
+                return jnp.where(held[None, :], everywhere(length), 0.0), held
+
+            return moments_of_rows(
+                rows_of_length, lengths, weights, first=first, count=count, block=block
+            )
+
+        return in_chunks(record, of_chunk, block=block, reach=reach, margin=0)
 
     def _at_every_start(
         self, equation: Equation, record: Record

@@ -1,21 +1,25 @@
 """Windows in time: where an integral criterion looks, and for how long."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
+from numpy.typing import ArrayLike
 
+from riecjax.criteria.laws import AbstractLaw, LagBins, as_law
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 from riecjax.records.record import Record
 
-# Fifty blocks give Student's t little more reach than the normal law, and long blocks forgive
-# errors that stay correlated for longer than the windows.
-MOST_BLOCKS = 50
+MOST_BLOCKS = 4096
+"""Blocks of starts to a record at most: more would only take memory."""
+FEW_BLOCKS = 64
+"""Blocks of starts where each must look at the whole record."""
 
 
 class WindowSet(NamedTuple):
@@ -76,7 +80,7 @@ def _require_order(alpha: Leaf, beta: Leaf) -> None:
 
 
 class AllWindows(AbstractWindows):
-    """Every window on samples, from alpha to beta, all equally likely.
+    """Every window on samples, from alpha to beta: all equally likely, or by a law w(T).
 
     What random windows converge to as their number grows: the same estimate without sampling
     noise, in closed form (see `all_windows`). The cost does not depend on how many there are.
@@ -84,22 +88,32 @@ class AllWindows(AbstractWindows):
     **Arguments:**
 
     - `alpha`, `beta`: shortest and longest window in seconds.
+    - `law`: how much each length counts: an [`AbstractLaw`][], a list of weights for equal parts of
+      the band (differentiable, see [`SteppedLaw`][]), or a function of lengths in seconds (see
+      [`DensityLaw`][]). Uniform by default.
     - `longest_samples`: an upper limit to beta in samples, which sets the size of the blocks that
       the record is worked through in. Found out where beta is a plain number; under `jit` or
       `vmap` over beta it should be given, or every block spans the record.
 
-    **Raises:** `ModelError` unless 0 < alpha < beta.
+    **Raises:** `ModelError` unless 0 < alpha < beta, or for a law that is none.
     """
 
     alpha: Leaf
     beta: Leaf
+    law: AbstractLaw
     longest_samples: int | None = eqx.field(static=True)
 
     def __init__(
-        self, alpha: float | Leaf, beta: float | Leaf, *, longest_samples: int | None = None
+        self,
+        alpha: float | Leaf,
+        beta: float | Leaf,
+        *,
+        law: AbstractLaw | ArrayLike | Callable[[Array], Array] | None = None,
+        longest_samples: int | None = None,
     ):
         self.alpha = as_leaf(alpha)
         self.beta = as_leaf(beta)
+        self.law = as_law(law)
         self.longest_samples = longest_samples
         _require_order(self.alpha, self.beta)
 
@@ -112,18 +126,49 @@ class AllWindows(AbstractWindows):
         if self.longest_samples is not None or not is_concrete(self.beta, steps):
             return self
         samples = max(float(self.beta) / float(step) for step in steps)
-        limit = 2 ** int(np.ceil(np.log2(max(samples + 2, 2))))
-        return AllWindows(self.alpha, self.beta, longest_samples=limit)
+        limit = _power_of_two(samples + 2)
+        return dataclasses.replace(self, longest_samples=limit)
+
+    def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
+        """The same windows with other lengths."""
+        return dataclasses.replace(self, alpha=as_leaf(alpha), beta=as_leaf(beta))
+
+    def reach(self, sample_count: int) -> int:
+        """No window is longer, in samples."""
+        return sample_count if self.longest_samples is None else self.longest_samples
 
     def block(self, sample_count: int) -> int:
-        """Starts to a block: twice the longest window or more, 50 blocks at most, 2 at least."""
-        longest = self.longest_samples or 1
-        wanted = max(2 * longest, 2 ** int(np.ceil(np.log2(max(sample_count / MOST_BLOCKS, 1)))))
+        """Starts to a block: no fewer than the longest window has samples, and a power of two.
+
+        Shorter blocks would have more overlap than starts to work through. Of an unknown longest
+        window every block spans the record, and there are few.
+        """
+        if self.longest_samples is None:
+            wanted = _power_of_two(sample_count / FEW_BLOCKS)
+        else:
+            wanted = max(self.longest_samples, _power_of_two(sample_count / MOST_BLOCKS))
         return min(wanted, -(-sample_count // 2))
+
+    def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
+        """The law of lags, which are multiples of so many samples."""
+        shortest, longest = self.lags(sample_count, time_step, multiple)
+        most = self.reach(sample_count) // multiple
+        return self.law.bins(shortest, longest, multiple * time_step, most)
+
+    def weights(
+        self, sample_count: int, time_step: Float[Array, ""], lengths: Int[Array, " lengths"]
+    ) -> Float[Array, " lengths"]:
+        """The law at some lengths in samples, 1 on average over these."""
+        bins = self.bins(sample_count, time_step, 1)
+        length = lengths[:, None]
+        inside = (bins.first[None, :] <= length) & (length <= bins.last[None, :])
+        weights = jnp.sum(jnp.where(inside, bins.weight[None, :], 0.0), axis=1)
+        return weights / jnp.mean(weights)
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
-        return {"alpha": float(self.alpha), "beta": float(self.beta), "windows": "all"}
+        band = {"alpha": float(self.alpha), "beta": float(self.beta)}
+        return {**band, "windows": "all", **self.law.describe()}
 
 
 class RandomWindows(AbstractWindows):
@@ -165,6 +210,10 @@ class RandomWindows(AbstractWindows):
         if count < 1:
             raise ModelError(f"the number of windows must be at least 1; got {count}.")
         _require_order(self.alpha, self.beta)
+
+    def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
+        """The same windows with other lengths."""
+        return dataclasses.replace(self, alpha=as_leaf(alpha), beta=as_leaf(beta))
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
@@ -218,3 +267,7 @@ class RandomWindows(AbstractWindows):
         length = last - room
         start = v * room
         return WindowSet(start, jnp.minimum(start + length, last))
+
+
+def _power_of_two(value: float) -> int:
+    return 2 ** int(np.ceil(np.log2(max(value, 2))))

@@ -12,14 +12,14 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms, evaluate
+from riecjax.estimation.blocks import FEWEST_WINDOWS, blocks_in_use
 from riecjax.estimation.constant_side import constant_sides
 from riecjax.estimation.estimate import FEWEST_BLOCKS
 from riecjax.estimation.excitation import Excitation, excitation
 from riecjax.estimation.identify import (
-    MOST_BLOCKS,
     all_rows,
-    independent_blocks,
     record_keys,
+    short_blocks,
     signals_read,
 )
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
@@ -149,7 +149,8 @@ def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Findin
                 f"alpha, or sample faster.",
             )
         )
-    blocks = sum(int(independent_blocks(criterion, record, MOST_BLOCKS)) for record in records)
+    used = blocks_in_use(short_blocks(records, criterion), jnp.asarray(FEWEST_WINDOWS * beta))
+    blocks = int(jnp.sum(used))
     if blocks < FEWEST_BLOCKS:
         total = sum(float(record.duration) for record in records)
         findings.append(

@@ -5,16 +5,20 @@ from collections.abc import Iterator, Mapping
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.errors import ModelError
+from riecjax.estimation.intervals import Uncertainty
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import StageSolution
 from riecjax.findings import Finding
 
 FEWEST_BLOCKS = 10
+FEWEST_WINDOWS = 10
+"""Independent windows below which an interval is rough."""
+LOST_SHARE = 0.05
+"""Share of the bootstrap's replicates that may leave a parameter undetermined."""
 MATTERING_SHARE = 0.02
 """Share of the target that an uncertain term must reach to be worth a warning."""
 NOTABLE_INFLATION = 1.1
@@ -38,25 +42,30 @@ class Estimate(eqx.Module):
     **Fields:**
 
     - `theta`: estimated values, in the order of `parameters`.
-    - `covariance`: block sandwich covariance of theta (see `block_sandwich`): valid under
-      overlapping windows and autocorrelated equation errors. It speaks of scatter about the
+    - `uncertainty`: covariance of theta and what makes intervals, valid under overlapping windows
+      and autocorrelated equation errors (see [`BlockBootstrap`][]). It speaks of scatter about the
       value that the criterion converges to, not of that value's distance from the truth.
+    - `naive`: least squares' own standard errors, as if all windows were independent: far too
+      small, and kept to tell the effective number of windows.
     - `inflation`: factor on each standard error because recordings disagree, 1 where they agree.
     - `stages`: solution, conditioning and residual of each stage.
     - `known`: parameters that were not estimated, with their values.
     - `criterion`: what was made small.
-    - `block_count`: independent blocks of time behind the covariance, scalar.
+    - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
+      length in seconds (rule: `block_length` in `estimation.blocks`).
     - `rows_offered`: for each stage, how many rows there would be without gaps and masks, if
       that is known.
     """
 
     theta: Float[Array, " p"]
-    covariance: Float[Array, "p p"]
+    uncertainty: Uncertainty
+    naive: Float[Array, " p"]
     inflation: Float[Array, " p"]
     stages: tuple[StageSolution, ...]
     known: dict[str, Array]
     criterion: AbstractCriterion
     block_count: Int[Array, ""]
+    block_length: Float[Array, ""]
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
@@ -76,6 +85,11 @@ class Estimate(eqx.Module):
         return {name: self[name] for name in self}
 
     @property
+    def covariance(self) -> Float[Array, "p p"]:
+        """Covariance of theta."""
+        return self.uncertainty.covariance
+
+    @property
     def standard_errors(self) -> Float[Array, " p"]:
         """Square roots of the covariance's diagonal."""
         return jnp.sqrt(jnp.diagonal(self.covariance))
@@ -85,16 +99,29 @@ class Estimate(eqx.Module):
         return self.standard_errors[self._index(name)]
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval: Student's t with one degree of freedom less than blocks."""
-        reach = self._quantile(level) * float(self.standard_error(name))
-        value = float(self[name])
-        return value - reach, value + reach
+        """Confidence interval (not under jit); see [`Uncertainty.reach`][]."""
+        index = self._index(name)
+        below, above = self.uncertainty.reach(index, level)
+        value, error = float(self[name]), float(self.standard_error(name))
+        return value - below * error, value + above * error
 
     @property
     def correlation(self) -> Float[Array, "p p"]:
         """Correlation matrix of theta."""
         errors = self.standard_errors
-        return self.covariance / (errors[:, None] * errors[None, :])
+        scale = jnp.where(errors > 0, 1 / jnp.where(errors > 0, errors, 1.0), 0.0)
+        return self.covariance * scale[:, None] * scale[None, :]
+
+    @property
+    def effective_windows(self) -> Float[Array, " p"]:
+        """How many independent windows would tell each parameter as well as all of them do.
+
+        The number of rows, times the ratio of naive to actual variance.
+        """
+        rows = jnp.concatenate([jnp.full(len(s.parameters), s.count) for s in self.stages])
+        variance = self.standard_errors**2
+        ratio = self.naive**2 / jnp.where(variance > 0, variance, 1.0)
+        return jnp.where(variance > 0, rows * ratio, rows)
 
     @property
     def condition_number(self) -> Float[Array, ""]:
@@ -115,6 +142,7 @@ class Estimate(eqx.Module):
             *self._residuals(),
             *self._disagreement(),
             *self._coverage(),
+            *self._few_windows(),
             *self._precision(),
         ]
 
@@ -191,6 +219,32 @@ class Estimate(eqx.Module):
                 f"smaller beta.",
             )
 
+    def _few_windows(self) -> Iterator[Finding]:
+        few = [
+            f"{name} ({float(number):.2g})"
+            for name, number in zip(self.parameters, self.effective_windows)
+            if float(number) < FEWEST_WINDOWS
+        ]
+        if few:
+            yield Finding(
+                "few_effective_windows",
+                f"windows overlap and their errors hang together: what they tell of "
+                f"{', '.join(few)} is worth so many independent ones, and fewer than "
+                f"{FEWEST_WINDOWS} make a rough interval. Record for longer.",
+            )
+        replicates = self.uncertainty.studentized
+        if replicates is None:
+            return
+        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
+        rare = [f"{n} ({100 * s:.2g} %)" for n, s in zip(self.parameters, lost) if s > LOST_SHARE]
+        if rare:
+            yield Finding(
+                "rarely_excited",
+                f"so few stretches of the record tell of {', '.join(rare)} that so large a share "
+                f"of the bootstrap's replicates held none of them: their intervals are rough. "
+                f"Record for longer, or excite them more often.",
+            )
+
     def _precision(self) -> Iterator[Finding]:
         if self.theta.dtype == jnp.float32:
             yield Finding(
@@ -217,9 +271,6 @@ class Estimate(eqx.Module):
         """Relative error that the normal equations' rounding may cause: eps cond^2."""
         eps = float(jnp.finfo(self.theta.dtype).eps)
         return eps * max(float(self.condition_number), 10.0) ** 2
-
-    def _quantile(self, level: float) -> float:
-        return float(scipy.stats.t.ppf(0.5 + level / 2, max(int(self.block_count) - 1, 1)))
 
     def __str__(self) -> str:
         width = max(len(name) for name in self)

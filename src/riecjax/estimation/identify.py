@@ -1,20 +1,37 @@
 """The verb of this library: identify a model's parameters from records."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
-from riecjax.criteria.windows import MOST_BLOCKS, AllWindows
+from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
+from riecjax.estimation.blocks import (
+    MOST_BLOCKS,
+    ShortBlocks,
+    block_length,
+    blocks_in_use,
+    politis_white,
+    put_together,
+)
 from riecjax.estimation.constant_side import raise_if_only_constant
 from riecjax.estimation.estimate import Estimate, combination
 from riecjax.estimation.heterogeneity import record_inflation
+from riecjax.estimation.influence import block_influence, unknowns
+from riecjax.estimation.intervals import (
+    AbstractIntervals,
+    BlockBootstrap,
+    Evidence,
+    Uncertainty,
+    naive_covariance,
+)
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.normal_equations import NormalEquations, normal_equations
 from riecjax.estimation.procedure import (
@@ -22,13 +39,14 @@ from riecjax.estimation.procedure import (
     Procedure,
     StageSolution,
     as_procedure,
-    block_influence,
-    small_sample_factor,
     solve_stages,
 )
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
+
+SHORT_BLOCKS_OF_ROWS = 512
+"""Short blocks of start times to a record where single rows are put into them."""
 
 
 def identify(
@@ -39,6 +57,7 @@ def identify(
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
     own: Sequence[str] = (),
+    intervals: AbstractIntervals | None = None,
 ) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
@@ -54,6 +73,8 @@ def identify(
     - `known`: parameters held at these values instead of being estimated.
     - `own`: parameters with a value of their own in each record, such as a sensor's offset; in
       the result `offset` becomes `offset[1]`, `offset[2]`, ...
+    - `intervals`: how uncertainty is judged, [`BlockBootstrap`][] by default; [`Sandwich`][] is
+      cheaper where thousands of fits are vmapped.
 
     **Returns:** an [`Estimate`][].
 
@@ -76,34 +97,37 @@ def identify(
     criterion = criterion.fitted(recordings)
 
     keys = record_keys(key, len(recordings))
-    stages = all_normal_equations(procedure, sharing, recordings, criterion, keys)
-    blocks = jnp.stack([independent_blocks(criterion, r, MOST_BLOCKS) for r in recordings])
-    solutions, covariance, inflation = _solve(stages, given, blocks, sharing, None)
-    if is_concrete(solutions):
+    stages, short = all_normal_equations(procedure, sharing, recordings, criterion, keys)
+    judge = BlockBootstrap() if intervals is None else intervals
+    window = jnp.asarray(criterion.block_length)
+    solved = _solve(stages, given, short, window, sharing, judge, None)
+    if is_concrete(solved.stages):
         _raise_if_empty(stages, plan)
         raise_if_only_constant(procedure, recordings, given)
         _raise_if_not_finite(stages, plan)
-        past_gram = _worst_condition(solutions) > gram_condition_limit(covariance.dtype)
+        past_gram = _worst_condition(solved.stages) > gram_condition_limit(window.dtype)
         if past_gram and not in_closed_form(criterion):
             rows = all_rows(procedure, sharing, recordings, criterion, keys)
-            solutions, covariance, inflation = _solve(stages, given, blocks, sharing, rows)
-        _raise_if_unidentifiable(solutions, plan)
+            solved = _solve(stages, given, short, window, sharing, judge, rows)
+        _raise_if_unidentifiable(solved.stages, plan)
 
     units = {name: unit for name, unit in sharing.values(procedure.units).items()}
     return Estimate(
-        theta=jnp.concatenate([stage.solution.theta for stage in solutions]),
-        covariance=covariance,
-        inflation=inflation,
-        stages=tuple(solutions),
+        theta=jnp.concatenate([stage.solution.theta for stage in solved.stages]),
+        uncertainty=solved.uncertainty,
+        naive=solved.naive,
+        inflation=solved.inflation,
+        stages=tuple(solved.stages),
         known={name: jnp.asarray(value) for name, value in given.items()},
         criterion=criterion,
-        parameters=tuple(name for stage in solutions for name in stage.parameters),
+        parameters=tuple(name for stage in solved.stages for name in stage.parameters),
         units=tuple(units.items()),
-        stage_names=tuple(plan[stage.stage][0] for stage in solutions),
-        block_count=jnp.sum(blocks),
+        stage_names=tuple(plan[stage.stage][0] for stage in solved.stages),
+        block_count=jnp.sum(solved.used),
+        block_length=solved.length,
         rows_offered=tuple(
             _rows_offered(procedure.stages[stage.stage], recordings, criterion)
-            for stage in solutions
+            for stage in solved.stages
         ),
     )
 
@@ -134,22 +158,21 @@ def stage_normal_equations(
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
     *,
-    block_count: int = 1,
-    blocks_used: Int[Array, ""] | None = None,
+    blocks: bool = False,
 ) -> list[NormalEquations]:
-    """Normal equations of each stage on one record, in blocks of time along the leading axis.
+    """Normal equations of each stage on one record.
 
-    Of the `block_count` blocks only the first `blocks_used` hold rows, by default
-    `independent_blocks(...)`.
+    With `blocks`, the leading axis is one of short blocks of start times, each of
+    `block_samples(criterion, record)` samples; without, and unless all windows are summed, it has
+    length one.
     """
     if in_closed_form(criterion):
         return [
             _sum([_moments(criterion, e, record).embed(names) for e in stage])
             for stage, names in zip(procedure.stages, procedure.stage_parameters)
         ]
-    used = blocks_used
-    if used is None and block_count > 1:
-        used = independent_blocks(criterion, record, block_count)
+    samples = block_samples(criterion, record) if blocks else record.sample_count
+    count = -(-record.sample_count // samples)
     collected = []
     for stage, names in zip(procedure.stages, procedure.stage_parameters):
         parts = [criterion.rows(equation, record, key).embed(names) for equation in stage]
@@ -157,8 +180,8 @@ def stage_normal_equations(
         summed = [
             normal_equations(
                 part,
-                block_of_row=None if used is None else _block_of_row(part, record, used),
-                block_count=block_count,
+                block_of_row=_block_of_row(part, samples, count) if count > 1 else None,
+                block_count=count,
             )
             for part in parts
         ]
@@ -184,17 +207,25 @@ def _sum(parts: list[NormalEquations]) -> NormalEquations:
     return total
 
 
-def independent_blocks(criterion: AbstractCriterion, record: Record, most: int) -> Int[Array, ""]:
-    """How many blocks of twice the longest window fit into a record: 2 at least, `most` at most."""
+def block_samples(criterion: AbstractCriterion, record: Record) -> int:
+    """Samples to a short block of start times."""
+    n = record.sample_count
     if isinstance(criterion, RIEC) and isinstance(criterion.windows, AllWindows):
-        return jnp.asarray(-(-record.sample_count // criterion.windows.block(record.sample_count)))
-    length = jnp.maximum(2 * jnp.asarray(criterion.block_length), 2 * record.time_step)
-    return jnp.clip(jnp.round(record.duration / length), 2, most).astype(jnp.int32)
+        return criterion.windows.block(n)
+    return min(max(-(-n // SHORT_BLOCKS_OF_ROWS), 1), -(-n // 2))
 
 
-def _block_of_row(rows: Rows, record: Record, used: Int[Array, ""]) -> Int[Array, " rows"]:
-    share = rows.position / record.sample_count
-    return jnp.clip((share * used).astype(jnp.int32), 0, used - 1)
+def _block_of_row(rows: Rows, samples: int, count: int) -> Int[Array, " rows"]:
+    return jnp.clip((rows.position / samples).astype(jnp.int32), 0, count - 1)
+
+
+def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> ShortBlocks:
+    """The short blocks of each record that normal equations are kept for."""
+    samples = [block_samples(criterion, record) for record in records]
+    return ShortBlocks(
+        tuple(-(-record.sample_count // k) for record, k in zip(records, samples)),
+        jnp.stack([k * record.time_step for record, k in zip(records, samples)]),
+    )
 
 
 def all_normal_equations(
@@ -203,22 +234,11 @@ def all_normal_equations(
     records: list[Record],
     criterion: AbstractCriterion,
     keys: list[Key[Array, ""] | None],
-    blocks_used: list[Int[Array, ""]] | None = None,
-) -> list[NormalEquations]:
-    """Normal equations of each stage over all records.
-
-    Blocks of all records stand one after the other along the leading axis, never a mixed one.
-    """
+) -> tuple[list[NormalEquations], ShortBlocks]:
+    """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
     per_record = []
     for i, (record, key) in enumerate(zip(records, keys)):
-        stages = stage_normal_equations(
-            procedure,
-            record,
-            criterion,
-            key,
-            block_count=MOST_BLOCKS,
-            blocks_used=None if blocks_used is None else blocks_used[i],
-        )
+        stages = stage_normal_equations(procedure, record, criterion, key, blocks=True)
         per_record.append(
             [
                 stage.rename(sharing.of_record(names, i)).embed(sharing.everywhere(names))
@@ -227,14 +247,15 @@ def all_normal_equations(
                 for stage, names in zip(stages, procedure.stage_parameters)
             ]
         )
-    return [
+    together = [
         NormalEquations(
-            jnp.concatenate([_filled_up(part.moments, parts) for part in parts]),
-            jnp.concatenate([_filled_up(part.count, parts) for part in parts]),
+            jnp.stack([_filled_up(part.moments, parts) for part in parts]),
+            jnp.stack([_filled_up(part.count, parts) for part in parts]),
             parts[0].parameters,
         )
         for parts in zip(*per_record)
     ]
+    return together, short_blocks(records, criterion)
 
 
 def _filled_up(blocks: Array, parts: Sequence[NormalEquations]) -> Array:
@@ -243,23 +264,54 @@ def _filled_up(blocks: Array, parts: Sequence[NormalEquations]) -> Array:
     return jnp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
 
 
+class _Solved(NamedTuple):
+    """Solutions of the stages with their uncertainty, grown by `inflation` where records disagree;
+    `used` blocks of each record, each of `length` seconds."""
+
+    stages: list[StageSolution]
+    uncertainty: Uncertainty
+    naive: Float[Array, " p"]
+    inflation: Float[Array, " p"]
+    used: Int[Array, " records"]
+    length: Float[Array, ""]
+
+
 @eqx.filter_jit
 def _solve(
     stages: list[NormalEquations],
     known: Mapping[str, Array],
-    blocks_used: Int[Array, " records"],
+    short: ShortBlocks,
+    longest_window: Float[Array, ""],
     sharing: Sharing,
+    intervals: AbstractIntervals,
     rows: list[Rows] | None,
-) -> tuple[list[StageSolution], Array, Array]:
-    """Solutions of the stages, covariance of all parameters, and its inflation by records."""
-    solutions = solve_stages(stages, known, rows)
-    influence = block_influence(stages, solutions, known)
-    per_record = influence.reshape(blocks_used.shape[0], -1, influence.shape[-1])
+) -> _Solved:
+    flat = [stage.flattened() for stage in stages]
+    solutions = solve_stages(flat, known, rows)
+    values = {**known}
+    for stage in solutions:
+        values |= dict(zip(stage.parameters, stage.solution.theta))
+    fine = block_influence(flat, known, values)
+    fine = fine.reshape(len(short.number), -1, fine.shape[-1])
+    length = block_length(short, longest_window, politis_white(fine, short))
+    used = blocks_in_use(short, length)
+    blocks = [put_together(stage, short, used) for stage in stages]
+    influence = block_influence(blocks, known, values)
+    evidence = Evidence(
+        blocks, unknowns(blocks, known), dict(known), values, used, influence, fine, short, length
+    )
     # What belongs to one recording cannot differ between recordings.
     shared = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
-    inflation = jnp.where(shared, record_inflation(per_record, blocks_used), 1.0)
-    grown = influence * inflation[None, :]
-    return solutions, small_sample_factor(jnp.sum(blocks_used)) * grown.T @ grown, inflation
+    per_record = influence.reshape(len(short.number), MOST_BLOCKS, -1)
+    inflation = jnp.where(shared, record_inflation(per_record, used), 1.0)
+    return _Solved(
+        solutions,
+        intervals.uncertainty(evidence).grown(inflation),
+        jnp.sqrt(jnp.diagonal(naive_covariance(evidence))),
+        inflation,
+        used,
+        length,
+    )
 
 
 @eqx.filter_jit

@@ -57,6 +57,13 @@ class NormalEquations(eqx.Module):
         """The sum over the axis of blocks."""
         return NormalEquations(self.moments.sum(0), self.count.sum(0), self.parameters)
 
+    def flattened(self) -> "NormalEquations":
+        """The same with one leading axis for all that there are."""
+        shape = self.moments.shape[-2:]
+        return NormalEquations(
+            self.moments.reshape(-1, *shape), self.count.reshape(-1), self.parameters
+        )
+
     def rename(self, parameters: tuple[str, ...]) -> "NormalEquations":
         """The same equations with other names for the regressors."""
         return NormalEquations(self.moments, self.count, parameters)

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.equation import Equation
@@ -166,57 +166,3 @@ def solve_stages(
         )
         found |= dict(zip(equations.parameters, solution.theta))
     return solutions
-
-
-def block_sandwich(
-    stages: list[NormalEquations],
-    solutions: list[StageSolution],
-    known: Mapping[str, Array],
-    block_count: Int[Array, ""] | int,
-) -> Float[Array, "p p"]:
-    """Covariance of all parameters of all stages, from scores summed over blocks of time.
-
-    Windows overlap and equation errors are autocorrelated, so rows are far from independent and
-    the textbook covariance sigma^2 (A^T A)^-1 is far too small. Scores summed over blocks longer
-    than the correlation are nearly independent; their scatter gives the sandwich
-    J^-1 S J^-T.
-
-    **Arguments:** `block_count`: how many of the blocks along the leading axis hold rows.
-    """
-    moved = block_influence(stages, solutions, known)
-    return small_sample_factor(block_count) * moved.T @ moved
-
-
-def small_sample_factor(block_count: Int[Array, ""] | int) -> Array:
-    """n / (n - 1): the scores of n blocks sum to zero at the solution."""
-    return jnp.asarray(block_count / jnp.maximum(block_count - 1, 1))
-
-
-def block_influence(
-    stages: list[NormalEquations], solutions: list[StageSolution], known: Mapping[str, Array]
-) -> Float[Array, "blocks p"]:
-    """How far each block of time moves each parameter of all stages, J^-1 times its score.
-
-    J holds the cross terms between stages, so what is uncertain in the masses reaches the
-    stiffness found with them.
-    """
-    names = tuple(name for stage in solutions for name in stage.parameters)
-    theta = dict(zip(names, jnp.concatenate([stage.solution.theta for stage in solutions])))
-    values = {**known, **theta}
-    scores, jacobian = [], []
-    for stage in solutions:
-        blocks = stages[stage.stage]
-        own = jnp.array([blocks.parameters.index(name) for name in stage.parameters])
-        at = jnp.stack([jnp.asarray(values[name]) for name in blocks.parameters])
-        scores.append(blocks.moment[:, own] - blocks.gram[:, own, :] @ at)
-        held = [name for name in blocks.parameters if name in names]
-        place = jnp.array([names.index(name) for name in held])
-        source = jnp.array([blocks.parameters.index(name) for name in held])
-        rows = jnp.zeros((len(stage.parameters), len(names)))
-        jacobian.append(rows.at[:, place].set(blocks.total().gram[own][:, source]))
-    score, slope = jnp.concatenate(scores, axis=1), jnp.concatenate(jacobian)
-    # Columns and rows scaled alike: parameters may differ by ten powers of ten.
-    diagonal = jnp.abs(jnp.diagonal(slope))
-    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
-    scaled = slope * scale[:, None] * scale[None, :]
-    return (scale[:, None] * jnp.linalg.solve(scaled, scale[:, None] * score.T)).T

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError
@@ -209,6 +209,22 @@ class Record(eqx.Module):
                 f"samples {start} to {stop} do not lie in a record of {self.sample_count} samples."
             )
         return self._sliced(slice(start, stop), 1)
+
+    def stretch(self, first: Int[Array, ""], count: int) -> "Record":
+        """`count` samples from `first` on, which may be traced; both must lie in the record."""
+
+        def cut(values: Array) -> Array:
+            return jax.lax.dynamic_slice_in_dim(values, first, count, axis=-1)
+
+        stamps = None if self.stamps is None else cut(self.stamps)
+        return Record(
+            {name: cut(values) for name, values in self.arrays.items()},
+            self.time_step,
+            self.start_time + first * self.time_step if stamps is None else stamps[0],
+            self.units,
+            {name: cut(mask) for name, mask in self.missing.items()},
+            stamps,
+        )
 
     def every(self, count: int) -> "Record":
         """Every `count`-th sample, without filtering first.

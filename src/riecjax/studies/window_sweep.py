@@ -14,23 +14,21 @@ import scipy.stats
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError
+from riecjax.estimation.blocks import FEWEST_WINDOWS, blocks_in_use, put_together
 from riecjax.estimation.identify import (
-    MOST_BLOCKS,
     all_normal_equations,
-    independent_blocks,
     known_values,
     plan_stages,
     record_keys,
+    short_blocks,
 )
+from riecjax.estimation.influence import block_influence
 from riecjax.estimation.procedure import (
     HasProcedure,
     Procedure,
     as_procedure,
-    block_influence,
-    small_sample_factor,
     solve_stages,
 )
 from riecjax.estimation.sharing import Sharing
@@ -76,7 +74,12 @@ class WindowSweep(eqx.Module):
     @property
     def standard_errors(self) -> Float[Array, "bands p"]:
         """Standard error of each estimate."""
-        return jnp.sqrt(small_sample_factor(self.block_count) * jnp.sum(self.influence**2, axis=1))
+        return jnp.sqrt(self._factor * jnp.sum(self.influence**2, axis=1))
+
+    @property
+    def _factor(self) -> Array:
+        # The scores of n blocks sum to zero at the solution.
+        return jnp.asarray(self.block_count / jnp.maximum(self.block_count - 1, 1))
 
     def drift(self, name: str) -> tuple[int, int, float, float]:
         """The two lengths between which a parameter differs most significantly (not under jit).
@@ -90,7 +93,7 @@ class WindowSweep(eqx.Module):
         theta, influence = np.asarray(self.theta[:, j]), np.asarray(self.influence[:, :, j])
         difference = theta[None, :] - theta[:, None]
         apart = influence[None, :, :] - influence[:, None, :]
-        error = np.sqrt(float(small_sample_factor(self.block_count)) * np.sum(apart**2, axis=-1))
+        error = np.sqrt(float(self._factor) * np.sum(apart**2, axis=-1))
         significance = np.where(error > 0, np.abs(difference) / np.where(error > 0, error, 1), 0)
         largest = np.max(np.abs(theta), where=np.isfinite(theta), initial=0.0)
         relevant = np.abs(difference) > SMALLEST_DRIFT * largest
@@ -167,7 +170,7 @@ def window_sweep(
     beta = 2 * alpha
     # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
     lengthy = _with_windows(criterion, alpha[-1], beta[-1]).fitted(recordings)
-    used = [independent_blocks(lengthy, record, MOST_BLOCKS) for record in recordings]
+    used = blocks_in_use(short_blocks(recordings, lengthy), jnp.asarray(FEWEST_WINDOWS * beta[-1]))
     theta, influence, residual = _estimates(
         procedure,
         sharing,
@@ -186,7 +189,7 @@ def window_sweep(
         theta=theta,
         influence=influence,
         relative_rms=residual,
-        block_count=sum(used, start=jnp.zeros((), jnp.int32)),
+        block_count=jnp.sum(used),
         parameters=tuple(name for _, unknown in stages for name in unknown),
         units=tuple(units.items()),
         stage_names=tuple(label for label, _ in stages),
@@ -213,11 +216,7 @@ def _reach(
 
 
 def _with_windows(criterion: RIEC, alpha: Array | float, beta: Array | float) -> RIEC:
-    windows = criterion.windows
-    if isinstance(windows, RandomWindows):
-        return RIEC(RandomWindows(alpha, beta, windows.count), criterion.test_function)
-    other = AllWindows(alpha, beta, longest_samples=windows.longest_samples)
-    return RIEC(other, criterion.test_function)
+    return RIEC(criterion.windows.between(alpha, beta), criterion.test_function)
 
 
 @eqx.filter_jit
@@ -228,17 +227,21 @@ def _estimates(
     criterion: RIEC,
     keys: list[Key[Array, ""] | None],
     given: Mapping[str, Array],
-    used: list[Int[Array, ""]],
+    used: Int[Array, " records"],
     lengths: tuple[Float[Array, " bands"], Float[Array, " bands"]],
 ) -> tuple[Float[Array, "bands p"], Float[Array, "bands blocks p"], Float[Array, "bands stages"]]:
     def at_length(length: tuple[Array, Array]) -> tuple[Array, Array, Array, Array]:
-        stages = all_normal_equations(
-            procedure, sharing, records, _with_windows(criterion, *length), keys, used
+        fine, short = all_normal_equations(
+            procedure, sharing, records, _with_windows(criterion, *length), keys
         )
+        stages = [put_together(stage, short, used) for stage in fine]
         solutions = solve_stages(stages, given)
+        values = {**given}
+        for stage in solutions:
+            values |= dict(zip(stage.parameters, stage.solution.theta))
         return (
             jnp.concatenate([stage.solution.theta for stage in solutions]),
-            block_influence(stages, solutions, given),
+            block_influence(stages, given, values),
             jnp.stack([stage.relative_rms for stage in solutions]),
             jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
         )

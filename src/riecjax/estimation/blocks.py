@@ -1,0 +1,143 @@
+"""Blocks of time: stretches of a record whose errors may be taken as independent.
+
+Windows overlap and equation errors are autocorrelated, so single rows are far from independent.
+Normal equations are kept for many short blocks of start times, which cost nothing, and put
+together into blocks long enough once that length has been judged from the data.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from riecjax.estimation.normal_equations import NormalEquations
+
+MOST_BLOCKS = 64
+"""Blocks of a record at most: enough for a quantile of Student's t, and long blocks forgive errors
+that stay correlated for long."""
+ENOUGH_BLOCKS = 20
+"""Blocks of all records that long blocks should leave."""
+LONGEST_WINDOWS = 4
+"""Longest windows to a block, where there is room: a quarter of it overlaps the next block."""
+FEWEST_WINDOWS = 2
+"""Longest windows to a block at the least."""
+
+
+class ShortBlocks(NamedTuple):
+    """The blocks of start times that normal equations are kept for.
+
+    **Fields:** `number` of blocks of each record; `seconds` that a block of each record lasts.
+    """
+
+    number: tuple[int, ...]
+    seconds: Float[Array, " records"]
+
+    @property
+    def durations(self) -> Float[Array, " records"]:
+        """Seconds of each record."""
+        return self.seconds * np.array(self.number)
+
+
+def blocks_in_use(short: ShortBlocks, length: Float[Array, ""]) -> Int[Array, " records"]:
+    """How many blocks of about a length in seconds to make of each record: 2 at least.
+
+    Of a whole number of short blocks each, so that they come out even.
+    """
+    number = np.array(short.number)
+    each = jnp.maximum(jnp.round(length / short.seconds), 1)
+    return jnp.clip(number // each, 2, np.minimum(number, MOST_BLOCKS)).astype(jnp.int32)
+
+
+def put_together(
+    equations: NormalEquations, short: ShortBlocks, used: Int[Array, " records"]
+) -> NormalEquations:
+    """Normal equations of longer blocks from those of short ones.
+
+    **Arguments:** `equations` with leading axes `(records, short blocks)`; `used`, into how many
+    each record's are put together.
+
+    **Returns:** normal equations with one leading axis: `MOST_BLOCKS` blocks of each record, of
+    which those beyond `used` are empty. No block holds anything of two records.
+    """
+    most = equations.count.shape[1]
+    held = np.array(short.number)[:, None]
+    place = np.arange(most)[None, :]
+    # What is left over is spread, so that no last block is shorter than the others.
+    group = jnp.where(place < held, place * used[:, None] // held, MOST_BLOCKS)
+
+    def together(values: Array) -> Array:
+        summed = jax.vmap(lambda v, g: jax.ops.segment_sum(v, g, num_segments=MOST_BLOCKS))
+        return summed(values, group).reshape(-1, *values.shape[2:])
+
+    return NormalEquations(
+        together(equations.moments), together(equations.count), equations.parameters
+    )
+
+
+def block_length(
+    short: ShortBlocks, longest_window: Float[Array, ""], correlated: Float[Array, " p"]
+) -> Float[Array, ""]:
+    """Seconds to a block: the rule that intervals rest on.
+
+    The longest that Politis and White's rule finds for any parameter (`correlated`, see
+    [`politis_white`][]), and no less than four times the longest window, so that little of a
+    block's windows reaches into the next. Where the records would be fewer than twenty such blocks
+    it is shortened to that, but never below twice the longest window.
+    """
+    wanted = jnp.maximum(LONGEST_WINDOWS * longest_window, jnp.max(correlated))
+    room = jnp.sum(short.durations) / ENOUGH_BLOCKS
+    shortest = jnp.maximum(FEWEST_WINDOWS * longest_window, jnp.min(short.seconds))
+    return jnp.maximum(jnp.minimum(wanted, room), shortest)
+
+
+def politis_white(
+    influence: Float[Array, "records blocks p"], short: ShortBlocks
+) -> Float[Array, " p"]:
+    """Length of blocks in seconds that gives the least error of a variance, for each parameter.
+
+    Politis and White (2004), with the constant for blocks that do not overlap:
+    `(G^2 / g0^2)^(1/3) N^(1/3)`, where g0 is the spectral density of the series at frequency zero
+    and G = sum |k| R(k); autocovariances R count up to twice the lag from which on they are
+    insignificant, with a flat-top taper.
+
+    **Arguments:** `influence` of each short block on each estimate, zero where there is none.
+    """
+    count = sum(short.number)
+    most = influence.shape[1]
+    silent = max(5, int(np.ceil(np.sqrt(np.log10(max(count, 2))))))
+    lags = min(int(np.ceil(np.sqrt(count))) + silent, most - 1)
+    if lags < silent + 1:
+        return jnp.zeros(influence.shape[-1], influence.dtype)
+    covariances = _autocovariances(influence, lags)
+    positive = covariances[0] > 0
+    scale = jnp.where(positive, covariances[0], 1.0)
+    ratios = covariances / scale[None, :]
+    significant = jnp.abs(ratios[1:]) >= 2 * np.sqrt(np.log10(count) / count)
+    reach = 2 * _last_significant(significant, silent)
+    lag = jnp.arange(1, lags + 1)[:, None]
+    taper = jnp.clip(2 * (1 - lag / reach[None, :]), 0.0, 1.0)
+    slope = 2 * jnp.sum(taper * lag * ratios[1:], axis=0)
+    density = 1 + 2 * jnp.sum(taper * ratios[1:], axis=0)
+    blocks = jnp.abs(slope / jnp.maximum(density, 0.1)) ** (2 / 3) * count ** (1 / 3)
+    return jnp.where(positive, blocks, 0.0) * jnp.mean(short.seconds)
+
+
+def _autocovariances(series: Float[Array, "records n p"], most: int) -> Float[Array, "lags p"]:
+    """Sums of products at lags 0 to `most`, of all records."""
+    n = series.shape[1]
+    spectrum = jnp.fft.rfft(series, 2 * n, axis=1)
+    products = jnp.fft.irfft(jnp.abs(spectrum) ** 2, 2 * n, axis=1)
+    return jnp.sum(products, axis=0)[: most + 1]
+
+
+def _last_significant(significant: Array, silent: int) -> Int[Array, " p"]:
+    """The lag, 1 at least, after which `silent` in a row are insignificant; else the last one."""
+    lags = significant.shape[0]
+    loud = jnp.pad(jnp.cumsum(significant, axis=0), ((1, 0), (0, 0)))
+    starts = lags - silent + 1
+    quiet = loud[silent : silent + starts] == loud[:starts]
+    last = jnp.max(jnp.where(significant, jnp.arange(1, lags + 1)[:, None], 0), axis=0)
+    found = jnp.where(jnp.any(quiet, axis=0), jnp.argmax(quiet, axis=0), last)
+    return jnp.maximum(found, 1)

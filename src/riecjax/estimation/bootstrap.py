@@ -1,0 +1,114 @@
+"""Bootstrap over blocks of time: whole procedures solved again from resampled normal equations."""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from riecjax.estimation.blocks import MOST_BLOCKS
+from riecjax.estimation.influence import (
+    Unknowns,
+    in_order,
+    scores,
+    slope,
+    staged_values,
+    unit_scale,
+)
+from riecjax.estimation.normal_equations import NormalEquations
+
+AT_ONCE = 250
+"""Replicates worked on together: they share vector instructions, and memory stays small."""
+
+
+def studentized_replicates(
+    stages: list[NormalEquations],
+    plan: Unknowns,
+    known: Mapping[str, Array],
+    values: Mapping[str, Array],
+    used: Int[Array, " records"],
+    *,
+    key: Key[Array, ""],
+    replicates: int,
+) -> Float[Array, "replicates p"]:
+    """(estimate - value) / standard error of each replicate, for all parameters of all stages.
+
+    A replicate draws as many blocks as a record has, with replacement, from each record. Its
+    standard error is the sandwich of its own blocks, about the mean of each record: records are
+    not drawn, so what differs between them does not move a replicate. NaN where a replicate leaves
+    a parameter undetermined.
+
+    **Arguments:** `stages` in blocks, `MOST_BLOCKS` of each record, of which `used` hold rows;
+    `values` of all parameters by name, found from all blocks.
+    """
+    found = in_order(plan, values)
+    moments = [stage.moments.reshape(stage.moments.shape[0], -1) for stage in stages]
+
+    def of_key(one: Key[Array, ""]) -> Float[Array, " p"]:
+        weights = drawn_counts(one, used).astype(found.dtype)
+        totals = [
+            NormalEquations(
+                (weights @ m).reshape(s.moments.shape[1:]), weights @ s.count, s.parameters
+            )
+            for m, s in zip(moments, stages)
+        ]
+        again = staged_values(totals, plan, known, solve_definite)
+        error = _standard_errors(
+            scores(stages, plan, again), weights.reshape(used.shape[0], -1), slope(totals, plan)
+        )
+        moved = in_order(plan, again) - found
+        usable = (error > 0) & jnp.isfinite(error) & jnp.isfinite(moved)
+        return jnp.where(usable, moved / jnp.where(usable, error, 1.0), jnp.nan)
+
+    return jax.lax.map(of_key, jax.random.split(key, replicates), batch_size=AT_ONCE)
+
+
+def drawn_counts(key: Key[Array, ""], used: Int[Array, " records"]) -> Int[Array, " blocks"]:
+    """How often each block is drawn, with as many draws from each record as it has blocks."""
+    records = used.shape[0]
+    place = jax.random.uniform(key, (records, MOST_BLOCKS))
+    drawn = jnp.minimum((place * used[:, None]).astype(jnp.int32), used[:, None] - 1)
+    wanted = jnp.arange(MOST_BLOCKS)[None, :] < used[:, None]
+    block = drawn + MOST_BLOCKS * jnp.arange(records)[:, None]
+    empty = jnp.zeros(records * MOST_BLOCKS, jnp.int32)
+    return empty.at[block.ravel()].add(wanted.ravel().astype(jnp.int32))
+
+
+def _standard_errors(
+    scores: Float[Array, "blocks p"],
+    weights: Float[Array, "records blocks_of_record"],
+    slope: Float[Array, "p p"],
+) -> Float[Array, " p"]:
+    scale = unit_scale(jnp.diagonal(slope))
+    identity = jnp.eye(slope.shape[0], dtype=slope.dtype)
+    inverse = eliminate(slope * scale[:, None] * scale[None, :], identity)
+    moved = ((scores * scale[None, :]) @ inverse.T).reshape(*weights.shape, -1)
+    total = jnp.einsum("rb,rbp->rp", weights, moved)
+    squares = jnp.einsum("rb,rbp->rp", weights, moved**2)
+    drawn = jnp.sum(weights, axis=1)[:, None]
+    return scale * jnp.sqrt(jnp.sum(jnp.maximum(squares - total**2 / drawn, 0.0), axis=0))
+
+
+def solve_definite(equations: NormalEquations) -> Float[Array, " p"]:
+    """Solution of normal equations of full rank; see [`eliminate`][]."""
+    scale = unit_scale(jnp.diagonal(equations.gram))
+    gram = equations.gram * scale[:, None] * scale[None, :]
+    return scale * eliminate(gram, (equations.moment * scale)[:, None])[:, 0]
+
+
+def eliminate(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
+    """matrix^-1 right by Gauss and Jordan's elimination, without pivots.
+
+    For matrices whose leading blocks are positive definite, which need none. Plain arithmetic that
+    a compiler turns into vector instructions over thousands of small matrices, where LAPACK is
+    called once for each.
+    """
+    size = matrix.shape[0]
+
+    def step(table: Array, k: Array) -> tuple[Array, None]:
+        row = table[k] / table[k, k]
+        cleared = table - table[:, k][:, None] * row[None, :]
+        return cleared.at[k].set(row), None
+
+    table, _ = jax.lax.scan(step, jnp.concatenate([matrix, right], axis=1), jnp.arange(size))
+    return table[:, size:]

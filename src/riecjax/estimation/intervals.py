@@ -1,0 +1,231 @@
+"""How uncertain estimates are: a block bootstrap, a sandwich, or least squares' own covariance.
+
+All speak of scatter about the value that the criterion converges to on an ever longer record, not
+of that value's distance from the truth.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import scipy.stats
+from jaxtyping import Array, Float, Int
+
+from riecjax.errors import ModelError
+from riecjax.estimation.blocks import MOST_BLOCKS, ShortBlocks
+from riecjax.estimation.bootstrap import studentized_replicates
+from riecjax.estimation.influence import (
+    Unknowns,
+    in_order,
+    staged_values,
+    unit_scale,
+)
+from riecjax.estimation.least_squares import solve
+from riecjax.estimation.normal_equations import NormalEquations
+
+
+class Evidence(NamedTuple):
+    """What uncertainty is judged from.
+
+    **Fields:**
+
+    - `stages`: normal equations of each stage in blocks, `MOST_BLOCKS` of each record.
+    - `plan`, `known`, `values`: what each stage finds, what is given, and everything by name.
+    - `used`: how many of each record's blocks hold rows.
+    - `influence`: of each of these blocks on each estimate, shape `(records * MOST_BLOCKS, p)`.
+    - `fine_influence`: the same for the short blocks, shape `(records, short blocks, p)`.
+    - `short`, `length`: the short blocks, and the seconds that a long one lasts.
+    """
+
+    stages: list[NormalEquations]
+    plan: Unknowns
+    known: dict[str, Array]
+    values: dict[str, Array]
+    used: Int[Array, " records"]
+    influence: Float[Array, "blocks p"]
+    fine_influence: Float[Array, "records short p"]
+    short: ShortBlocks
+    length: Float[Array, ""]
+
+
+class Uncertainty(eqx.Module):
+    """Uncertainty of all parameters of all stages.
+
+    **Fields:**
+
+    - `covariance`: shape `(p, p)`.
+    - `studentized`: replicates of (estimate - value) / standard error, whose quantiles make
+      intervals; `None` where Student's t does. NaN in replicates that leave a parameter
+      undetermined.
+    - `degrees_of_freedom` behind the covariance.
+    - `label`: how it was judged, in words.
+    """
+
+    covariance: Float[Array, "p p"]
+    studentized: Float[Array, "replicates p"] | None
+    degrees_of_freedom: Int[Array, ""] | Float[Array, ""]
+    label: str = eqx.field(static=True)
+
+    def grown(self, inflation: Float[Array, " p"]) -> "Uncertainty":
+        """With standard errors multiplied."""
+        covariance = self.covariance * inflation[:, None] * inflation[None, :]
+        return eqx.tree_at(lambda u: u.covariance, self, covariance)
+
+    def reach(self, index: int, level: float) -> tuple[float, float]:
+        """How many standard errors an interval reaches below and above an estimate.
+
+        Quantiles of the studentized replicates, widened as Student's t is wider than the normal
+        law for so few blocks: replicates of few blocks know too little of the tails.
+        """
+        dof = max(float(self.degrees_of_freedom), 1.0)
+        student = float(scipy.stats.t.isf((1 - level) / 2, dof))
+        # Data that fit to the last digit scatter by nothing that a replicate could be divided by.
+        if self.studentized is None or not jnp.any(jnp.isfinite(self.studentized[:, index])):
+            return student, student
+        tails = jnp.array([(1 - level) / 2, (1 + level) / 2])
+        low, high = jnp.nanquantile(self.studentized[:, index], tails)
+        wider = student / float(scipy.stats.norm.isf((1 - level) / 2))
+        return float(high) * wider, -float(low) * wider
+
+
+class AbstractIntervals(eqx.Module):
+    """A way to judge uncertainty."""
+
+    def uncertainty(self, evidence: Evidence) -> Uncertainty:
+        """The uncertainty of the estimates behind this evidence."""
+        raise NotImplementedError
+
+
+class BlockBootstrap(AbstractIntervals):
+    """Studentized bootstrap over blocks of time (the default).
+
+    Blocks are drawn with replacement within each record, and the whole procedure is solved again:
+    only p x p matrices are added up. Each replicate is divided by its own standard error, which
+    lets the intervals lean to the side that a skewed estimate calls for. Standard errors are the
+    jackknife's: each block is left out once, and everything solved again.
+
+    **Arguments:** `replicates`; `seed` of the draw, which moves the ends of an interval by a
+    percent or two of its width.
+
+    **Raises:** `ModelError` for fewer than 100 replicates.
+
+    References: Efron and Tibshirani (1993), An Introduction to the Bootstrap, ch. 12; Kunsch
+    (1989), The jackknife and the bootstrap for general stationary observations.
+    """
+
+    replicates: int = eqx.field(static=True, default=2000)
+    seed: int = eqx.field(static=True, default=0)
+
+    def __check_init__(self):
+        if self.replicates < 100:
+            raise ModelError(
+                f"an interval needs at least 100 bootstrap replicates; got {self.replicates}."
+            )
+
+    def uncertainty(self, evidence: Evidence) -> Uncertainty:
+        """Jackknife covariance, and studentized replicates."""
+        return Uncertainty(
+            jackknife_covariance(evidence),
+            studentized_replicates(
+                evidence.stages,
+                evidence.plan,
+                evidence.known,
+                evidence.values,
+                evidence.used,
+                key=jax.random.key(self.seed),
+                replicates=self.replicates,
+            ),
+            _freedom(evidence),
+            f"studentized block bootstrap, {self.replicates} replicates",
+        )
+
+
+class Sandwich(AbstractIntervals):
+    """Sandwich covariance with autocorrelated scores (HAC), and Student's t: without resampling."""
+
+    def uncertainty(self, evidence: Evidence) -> Uncertainty:
+        """The sandwich."""
+        return Uncertainty(sandwich_covariance(evidence), None, _freedom(evidence), "HAC sandwich")
+
+
+class Naive(AbstractIntervals):
+    """Least squares' own covariance, as if every window were independent of all others.
+
+    Far too narrow, since windows overlap: for comparison only.
+    """
+
+    def uncertainty(self, evidence: Evidence) -> Uncertainty:
+        """sigma^2 (A^T A)^-1 of each stage, earlier stages taken as exact."""
+        return Uncertainty(
+            naive_covariance(evidence),
+            None,
+            jnp.asarray(1e9),
+            "least squares as if all windows were independent (far too narrow)",
+        )
+
+
+def jackknife_covariance(evidence: Evidence) -> Float[Array, "p p"]:
+    """Covariance from the estimates without each block in turn, all stages solved again."""
+    totals = [stage.total() for stage in evidence.stages]
+    found = in_order(evidence.plan, evidence.values)
+
+    def without(blocks: list[NormalEquations]) -> Float[Array, " p"]:
+        left = [
+            NormalEquations(t.moments - b.moments, t.count - b.count, t.parameters)
+            for t, b in zip(totals, blocks)
+        ]
+        values = staged_values(left, evidence.plan, evidence.known, lambda e: solve(e).theta)
+        return in_order(evidence.plan, values) - found
+
+    moved = jax.vmap(without)(evidence.stages)
+    factor = jnp.repeat((evidence.used - 1) / evidence.used, MOST_BLOCKS)
+    held = jnp.tile(jnp.arange(MOST_BLOCKS), evidence.used.shape[0])
+    inside = held < jnp.repeat(evidence.used, MOST_BLOCKS)
+    moved = jnp.where(inside[:, None], moved, 0.0)
+    return (factor[:, None] * moved).T @ moved
+
+
+def sandwich_covariance(evidence: Evidence) -> Float[Array, "p p"]:
+    """Slope^-1 S slope^-T, with S from scores whose autocorrelation counts.
+
+    Newey and West's (1987) estimate with Bartlett's weights, which are the mean over all blocks of
+    one length, overlapping ones included. That length is the blocks'.
+    """
+    series = evidence.fine_influence
+    lag = jnp.maximum(jnp.round(evidence.length / evidence.short.seconds), 1).astype(jnp.int32)
+    total = jnp.sum(jax.vmap(_overlapping_blocks)(series, lag), axis=0)
+    blocks = jnp.sum(evidence.used)
+    return total * blocks / jnp.maximum(blocks - 1, 1)
+
+
+def _overlapping_blocks(
+    series: Float[Array, "short p"], lag: Int[Array, ""]
+) -> Float[Array, "p p"]:
+    """Sum over k of (1 - |k| / lag) sum_t series[t] series[t + k]^T."""
+    n = series.shape[0]
+    running = jnp.pad(jnp.cumsum(series, axis=0), ((1, 0), (0, 0)))
+    end = jnp.arange(1, 2 * n)
+    block = running[jnp.minimum(end, n)] - running[jnp.clip(end - lag, 0, n)]
+    block = jnp.where((end < n + lag)[:, None], block, 0.0)
+    return block.T @ block / lag
+
+
+def naive_covariance(evidence: Evidence) -> Float[Array, "p p"]:
+    """sigma^2 (A^T A)^-1 of each stage, as if all rows were independent."""
+    parts = []
+    for i, names in evidence.plan:
+        total = evidence.stages[i].total()
+        others = {n: evidence.values[n] for n in total.parameters if n not in names}
+        equations = total.fix(others)
+        theta = jnp.stack([evidence.values[name] for name in names])
+        freedom = jnp.maximum(equations.count - len(names), 1)
+        variance = equations.residual_energy(theta) / freedom
+        scale = unit_scale(jnp.diagonal(equations.gram))
+        inverse = jnp.linalg.inv(equations.gram * scale[:, None] * scale[None, :])
+        parts.append(variance * inverse * scale[:, None] * scale[None, :])
+    return jax.scipy.linalg.block_diag(*parts)
+
+
+def _freedom(evidence: Evidence) -> Int[Array, ""]:
+    return jnp.maximum(jnp.sum(evidence.used) - 1, 1)
