@@ -75,9 +75,14 @@ from .simulation.method import SimulationStatus as SimulationStatus
 from .simulation.simulate import Simulation as Simulation
 from .simulation.simulate import simulate as simulate
 from .simulation.system import AbstractSystem as AbstractSystem
+from .studies.expected_gain import expected_gain as expected_gain
 from .studies.monte_carlo import over_keys as over_keys
+from .studies.window_choice import WindowChoice as WindowChoice
+from .studies.window_choice import window_choice as window_choice
 from .studies.window_sweep import WindowSweep as WindowSweep
 from .studies.window_sweep import window_sweep as window_sweep
+from .validation.equation_error import EquationError as EquationError
+from .validation.equation_error import equation_error as equation_error
 from .validation.goodness_of_fit import nrmse_fit as nrmse_fit
 from .validation.goodness_of_fit import variance_accounted_for as variance_accounted_for
 from .validation.held_out import HeldOut as HeldOut
@@ -85,3 +90,5 @@ from .validation.held_out import validate_held_out as validate_held_out
 from .validation.percentage_error import Validation as Validation
 from .validation.percentage_error import percentage_error as percentage_error
 from .validation.percentage_error import validate as validate
+from .validation.residual_tests import ResidualTests as ResidualTests
+from .validation.residual_tests import residual_tests as residual_tests

@@ -1,0 +1,81 @@
+"""Figures of a choice of windows: what they let in, and the error's share at every length."""
+
+from typing import Any
+
+import numpy as np
+
+from riecjax.reporting.output import require_plots
+from riecjax.reporting.residual_figures import (
+    density_floor,
+    density_label,
+    plain_numbers,
+    positive,
+)
+from riecjax.studies.window_choice import EquationWindows, WindowChoice
+
+BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
+
+
+def window_choice_figures(choice: WindowChoice) -> dict[str, Any]:
+    """`window_choice`: a row of panels for each equation."""
+    plt = require_plots()
+    rows = len(choice.equations)
+    figure, axes = plt.subplots(
+        rows,
+        2,
+        figsize=(10.5, 3.2 * rows + 0.7),
+        squeeze=False,
+        layout="constrained",
+    )
+    for (left, right), equation in zip(axes, choice.equations):
+        _draw_gain(left, equation)
+        _draw_share(right, choice, equation)
+    return {"window_choice": figure}
+
+
+def _draw_gain(axes: Any, equation: EquationWindows) -> None:
+    """Spectra, and over them what the current windows let into an integral."""
+    spectrum = equation.spectrum
+    frequency = spectrum.frequency[1:]
+    lines = [
+        *axes.loglog(frequency, positive(spectrum.target[1:]), color=GREY, label="target"),
+        *axes.loglog(frequency, positive(spectrum.error[1:]), color=RUST, label="error"),
+    ]
+    gain = axes.twinx()
+    largest = np.max(equation.mean_gain)
+    lines += gain.semilogx(
+        frequency, equation.mean_gain[1:] / largest, color=BLUE, label="expected gain"
+    )
+    gain.set_ylim(0, 1.05)
+    gain.set_ylabel("gain against its largest", color=BLUE)
+    gain.tick_params(axis="y", colors=BLUE)
+    axes.set_xlim(frequency[0], frequency[-1])
+    plain_numbers(axes.xaxis)
+    axes.set_title(equation.name, fontsize="medium")
+    axes.set_xlabel("frequency / Hz")
+    axes.set_ylim(bottom=density_floor(spectrum))
+    axes.set_ylabel(density_label(equation.unit))
+    gain.legend(handles=lines, fontsize="small", framealpha=0.9, loc="lower left")
+
+
+def _draw_share(axes: Any, choice: WindowChoice, equation: EquationWindows) -> None:
+    """The error's share at every window length, with the lengths in use and the better ones."""
+    low, high = choice.recommended
+    axes.axvspan(low, high, color=BLUE, alpha=0.15, label=f"recommended, {low:.2g} to {high:.2g} s")
+    axes.axvspan(
+        choice.alpha,
+        choice.beta,
+        facecolor="none",
+        edgecolor="0.4",
+        hatch="///",
+        linewidth=0,
+        label=f"in use, {choice.alpha:.3g} to {choice.beta:.3g} s",
+    )
+    axes.loglog(choice.length, 100 * positive(equation.error_share), color=RUST, linewidth=1.6)
+    axes.set_xlim(choice.length[0], choice.length[-1])
+    plain_numbers(axes.xaxis)
+    plain_numbers(axes.yaxis)
+    axes.set_title(equation.name, fontsize="medium")
+    axes.set_xlabel("window length / s")
+    axes.set_ylabel("error / % of the signal")
+    axes.legend(fontsize="small", framealpha=0.9)

@@ -1,0 +1,230 @@
+"""Which window lengths suit a model: where its error is small against what it explains.
+
+A window's error is the equation error through the gain of eq. (13), its signal the target through
+the same gain. Their spectra therefore tell the share of error at every window length before
+anything is fitted there. Short windows see what differs fast, such as modes that the model
+lacks; long ones see offsets and drift, over which the motion has long returned.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
+from riecjax.criteria.windows import AbstractWindows
+from riecjax.equations.equation import Equation
+from riecjax.errors import ModelError
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.procedure import HasProcedure, Procedure
+from riecjax.records.record import Record
+from riecjax.studies.expected_gain import expected_gain, window_gain
+from riecjax.validation.equation_error import EquationError, errors_over_records, joined
+from riecjax.validation.error_spectrum import ErrorSpectrum, error_spectrum
+
+PARTS = 8
+"""Part of the records that a segment of the spectra is one of: long, for the sake of long windows.
+"""
+LENGTHS = 80
+FEWEST_SAMPLES = 4
+"""Samples of the shortest window that is looked at."""
+WITHIN = 1.5
+"""Factor above its least to which the error's share may rise in the recommended range."""
+NEGLIGIBLE = 0.01
+"""Share of error that is as good as none, so that it does not decide."""
+LEAST_SPREAD = 2.0
+"""Longest over shortest window at least: windows of one length are blind at multiples of 1 / T."""
+
+
+class EquationWindows(eqx.Module):
+    """Window lengths as one equation sees them.
+
+    **Fields:**
+
+    - `name`, `unit` of the equation; `spectrum` of its error and of what it explains.
+    - `error_share`: root mean square error against the target in windows of each length, as the
+      spectra predict it for these parameters, shape `(lengths,)`.
+    - `current_share`: the same for the current law of windows.
+    - `mean_gain`, `mean_square_gain`: expected |H| and |H|^2 of the current law at the spectrum's
+      frequencies, shape `(frequencies,)`.
+    """
+
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    spectrum: ErrorSpectrum
+    error_share: Float[np.ndarray, " lengths"]
+    current_share: float
+    mean_gain: Float[np.ndarray, " frequencies"]
+    mean_square_gain: Float[np.ndarray, " frequencies"]
+
+
+class WindowChoice(eqx.Module):
+    """Which windows suit a model on these records.
+
+    **Fields:**
+
+    - `length`: window lengths in seconds, shape `(lengths,)`.
+    - `equations`: as each equation sees them.
+    - `alpha`, `beta`: shortest and longest window in use, in seconds.
+    - `recommended`: shortest and longest window in seconds of the range around the best length.
+      The best is where the equation that is furthest above its own least share of error is least
+      so; the range reaches to where it is 1.5 times as far. Shares below 1 % count as 1 %, and
+      the range spans an octave at least.
+    - `reason`: one sentence that says why.
+    """
+
+    length: Float[np.ndarray, " lengths"]
+    equations: tuple[EquationWindows, ...]
+    alpha: float
+    beta: float
+    recommended: tuple[float, float]
+    reason: str = eqx.field(static=True)
+
+    @property
+    def seen_best(self) -> tuple[float, float]:
+        """Frequencies in hertz that the current windows see best, by T = 1 / (2 f) of eq. (26)."""
+        return 1 / (2 * self.beta), 1 / (2 * self.alpha)
+
+    def describe(self) -> dict[str, Any]:
+        """Everything but the spectra, as plain data for JSON."""
+        return {
+            "alpha_s": self.alpha,
+            "beta_s": self.beta,
+            "seen_best_hz": list(self.seen_best),
+            "recommended_s": list(self.recommended),
+            "reason": self.reason,
+            "length_s": self.length.tolist(),
+            "equations": {
+                each.name: {
+                    "error_share": each.error_share.tolist(),
+                    "current_error_share": each.current_share,
+                    "least_error_share": float(np.min(each.error_share)),
+                    "best_length_s": float(self.length[np.argmin(each.error_share)]),
+                }
+                for each in self.equations
+            },
+        }
+
+
+def window_choice(
+    model: Equation | Procedure | HasProcedure,
+    records: Record | Sequence[Record],
+    estimate: Estimate | Mapping[str, float | Array],
+    *,
+    windows: AbstractWindows | None = None,
+    test_function: AbstractTestFunction | None = None,
+) -> WindowChoice:
+    """Predict the share of error at every window length, and recommend a range (not under jit).
+
+    From four samples to half a segment of the spectra, a sixteenth of the records. The prediction
+    is for the parameters given: a fit at another length may move them and leave less. A small
+    share of error is not the same as a small bias; [`window_sweep`][] shows how estimates move.
+
+    **Arguments:** `estimate`: or parameter name to value, and then `windows`, whose law is the
+    current one. `test_function`: the estimate's by default, or the boxcar.
+
+    **Raises:** `ModelError` without windows or for a parameter without a value; `DataError` for a
+    missing signal or records of unequal time steps.
+    """
+    recordings = [records] if isinstance(records, Record) else list(records)
+    values = estimate.values if isinstance(estimate, Estimate) else estimate
+    criterion = estimate.criterion if isinstance(estimate, Estimate) else None
+    if isinstance(criterion, RIEC):
+        windows = windows or criterion.windows
+        test_function = test_function or criterion.test_function
+    if windows is None:
+        raise ModelError("a choice of windows needs some to start from: windows=AllWindows(...).")
+    weight = test_function or Boxcar()
+    alpha, beta = float(windows.alpha), float(windows.beta)
+    errors = [joined(parts, 1) for parts in errors_over_records(model, recordings, values)]
+    # Means stay in: an offset is what long windows see most of.
+    spectra = [error_spectrum(error, parts=PARTS, detrend=False) for error in errors]
+    longest = min(0.5 / spectrum.resolution for spectrum in spectra)
+    shortest = FEWEST_SAMPLES * float(recordings[0].time_step)
+    length = np.geomspace(shortest, max(longest, 2 * shortest), LENGTHS)
+    equations = tuple(
+        _of_equation(error, spectrum, length, (alpha, beta), weight)
+        for error, spectrum in zip(errors, spectra)
+    )
+    recommended, reason = _recommend(equations, length)
+    return WindowChoice(length, equations, alpha, beta, recommended, reason)
+
+
+def _of_equation(
+    error: EquationError,
+    spectrum: ErrorSpectrum,
+    length: Float[np.ndarray, " lengths"],
+    law: tuple[float, float],
+    weight: AbstractTestFunction,
+) -> EquationWindows:
+    frequency = spectrum.frequency
+    squares = window_gain(frequency, length, weight) ** 2
+    mean_square = expected_gain(frequency, *law, weight, power=2)
+    return EquationWindows(
+        error.name,
+        error.unit,
+        spectrum,
+        _root_ratio(spectrum.error @ squares, spectrum.target @ squares),
+        float(_root_ratio(spectrum.error @ mean_square, spectrum.target @ mean_square)),
+        expected_gain(frequency, *law, weight),
+        mean_square,
+    )
+
+
+def _root_ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), 0.0))
+
+
+def _recommend(
+    equations: Sequence[EquationWindows], length: Float[np.ndarray, " lengths"]
+) -> tuple[tuple[float, float], str]:
+    """The range around the best length in which no equation is far above its least."""
+    shares = np.stack([np.maximum(each.error_share, NEGLIGIBLE) for each in equations])
+    above = shares / np.min(shares, axis=1, keepdims=True)
+    worst = np.max(above, axis=0)
+    best = int(np.argmin(worst))
+    beyond = np.flatnonzero(worst > WITHIN * worst[best])
+    first = int(np.max(beyond[beyond < best], initial=-1)) + 1
+    last = int(np.min(beyond[beyond > best], initial=length.size)) - 1
+    low, high = float(length[first]), float(length[last])
+    if high < LEAST_SPREAD * low:
+        middle = np.sqrt(low * high * LEAST_SPREAD)
+        low, high = float(middle / LEAST_SPREAD), float(middle)
+    limits = []
+    if first > 0:
+        limits.append(
+            f"shorter ones are ruled out by {_limit(equations, above, length, first - 1, 0)}"
+        )
+    if last < length.size - 1:
+        limits.append(
+            f"longer ones are ruled out by {_limit(equations, above, length, last + 1, -1)}"
+        )
+    return (low, high), _reason((low, high), limits)
+
+
+def _limit(
+    equations: Sequence[EquationWindows],
+    above: Float[np.ndarray, "equations lengths"],
+    length: Float[np.ndarray, " lengths"],
+    edge: int,
+    end: int,
+) -> str:
+    """The equation whose share passes the limit at the index `edge`, and what it comes to."""
+    limiting = equations[int(np.argmax(above[:, edge]))]
+    share = 100 * limiting.error_share
+    return (
+        f"{limiting.name} ({share[end]:.3g} % at {length[end]:.2g} s, {np.min(share):.2g} % at its "
+        f"least)"
+    )
+
+
+def _reason(recommended: tuple[float, float], limits: list[str]) -> str:
+    low, high = recommended
+    ruled = f"; {' and '.join(limits)}" if limits else ", nor at any other length"
+    return (
+        f"In windows of {low:.2g} to {high:.2g} s the error of no equation is far above its least "
+        f"share of the signal{ruled}."
+    )

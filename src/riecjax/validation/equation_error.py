@@ -1,0 +1,199 @@
+"""The equation error over time: what identified equations leave at each sample.
+
+No signal is differentiated numerically. Each value is the mean error over the shortest window
+there is, one sample long, by which a velocity's difference stands for an acceleration; two
+samples under a triangle where only the position of an acceleration is recorded.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Shaped
+
+from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.windows import WindowSet
+from riecjax.equations.equation import Equation
+from riecjax.errors import DataError, ModelError
+from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.records.record import Record
+
+
+class EquationError(eqx.Module):
+    """What one equation leaves over time, in the equation's unit.
+
+    The equation reads `target = explained + error`. Its target is the term without a coefficient,
+    such as a measured force, or else the first coefficient's.
+
+    **Fields:**
+
+    - `error`: mean equation error over each shortest window, shape `(n - span,)`; zero where it
+      is not `present`.
+    - `explained`: mean of what the regressors and their parameters give there, of the same shape.
+    - `present`: False where a window touches a missing or masked sample.
+    - `time_step`: seconds from each value to the next, scalar.
+    - `span`: samples in a window: 1, or 2 where a second derivative had to be moved.
+    - `name`, `unit`: of the equation.
+    """
+
+    error: Float[Array, " values"]
+    explained: Float[Array, " values"]
+    present: Bool[Array, " values"]
+    time_step: Float[Array, ""]
+    span: int = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+
+    @property
+    def target(self) -> Float[Array, " values"]:
+        """What the model was to explain."""
+        return self.explained + self.error
+
+    @property
+    def impulse(self) -> Float[Array, " values"]:
+        """Integral of the error from the first sample to the end of each window, in unit x s.
+
+        Its rise over a window is that window's error in eq. (17); eq. (8) bounds it where modes
+        are all that the model leaves out. Values that are not present add nothing.
+        """
+        return jnp.cumsum(self.error) * self.time_step
+
+    @property
+    def relative_rms(self) -> Float[Array, ""]:
+        """Root mean square of the error against the target's; zero of a silent target."""
+        energy = jnp.sum(self.target**2)
+        share = jnp.sum(self.error**2) / jnp.where(energy > 0, energy, 1.0)
+        return jnp.sqrt(jnp.where(energy > 0, share, 0.0))
+
+    def centred(self, samples: Float[Array, " n"]) -> Float[Array, " values"]:
+        """A signal at the middle of each window, from its samples."""
+        return 0.5 * (samples[1:] + samples[:-1]) if self.span == 1 else samples[1:-1]
+
+
+def equation_error(
+    model: Equation | Procedure | HasProcedure, record: Record, values: Mapping[str, float | Array]
+) -> tuple[EquationError, ...]:
+    """The equation error of every equation of a model, in the order of its stages.
+
+    Works under `jax.jit` and `jax.vmap`. Integrals inside a window are of the highest order, so
+    that what is left is the model's error, not the quadrature's.
+
+    **Arguments:** `values`: parameter name to value, such as an estimate's `values`.
+
+    **Raises:** `ModelError` for a parameter without a value, `DataError` for a missing signal or
+    a record of fewer than three samples.
+    """
+    return tuple(
+        _error_of(equation, record, values)
+        for stage in as_procedure(model).stages
+        for equation in stage
+    )
+
+
+def errors_over_records(
+    model: Equation | Procedure | HasProcedure,
+    records: Sequence[Record],
+    values: Mapping[str, float | Array],
+) -> list[list[EquationError]]:
+    """For each equation, its error on each of several records (not under jit).
+
+    A parameter with a value of its own in each record, such as `offset[2]`, takes that.
+
+    **Raises:** as [`equation_error`][], and `DataError` for records of unequal time steps.
+    """
+    steps = [float(record.time_step) for record in records]
+    if not np.allclose(steps, steps[0], rtol=1e-6):
+        listed = ", ".join(f"{step:.4g}" for step in dict.fromkeys(steps))
+        raise DataError(
+            f"residuals over several records need one time step; there are {listed} s. Bring the "
+            f"records to one rate first (riecjax.resample)."
+        )
+    procedure = as_procedure(model)
+    parts = [
+        _compiled(procedure, record, _of_record(procedure.parameters, values, i))
+        for i, record in enumerate(records)
+    ]
+    return [list(of_equation) for of_equation in zip(*parts)]
+
+
+def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
+    """One equation's errors on several records, one record after the other.
+
+    Between records stand `pad` values that are not present, so that no two values less than `pad`
+    apart belong to different records.
+    """
+    error, explained, present = (
+        with_pads([np.asarray(getattr(part, field)) for part in errors], pad)
+        for field in ("error", "explained", "present")
+    )
+    first = errors[0]
+    return EquationError(
+        jnp.asarray(error),
+        jnp.asarray(explained),
+        jnp.asarray(present),
+        first.time_step,
+        first.span,
+        first.name,
+        first.unit,
+    )
+
+
+def with_pads(parts: Sequence[Shaped[np.ndarray, " n"]], pad: int) -> Shaped[np.ndarray, " m"]:
+    """Arrays one after the other with `pad` zeros between them."""
+    between = np.zeros(pad, parts[0].dtype)
+    return np.concatenate([piece for part in parts for piece in (between, part)][1:])
+
+
+_compiled = eqx.filter_jit(equation_error)
+
+
+def _of_record(
+    names: Iterable[str], values: Mapping[str, float | Array], index: int
+) -> dict[str, Array]:
+    """Values as the record number `index` (from 0) knows them."""
+    own = ((name, f"{name}[{index + 1}]") for name in names)
+    return {name: _value(values, mine if mine in values else name) for name, mine in own}
+
+
+def _error_of(
+    equation: Equation, record: Record, values: Mapping[str, float | Array]
+) -> EquationError:
+    weight = _shortest_weight(equation, record)
+    span, step = weight.smoothness, record.time_step
+    if record.sample_count <= span + 1:
+        raise DataError(
+            f"{equation.name}: a record of {record.sample_count} samples has no equation error "
+            f"over time."
+        )
+    start = jnp.arange(record.sample_count - span)
+    columns, whole = weight.finest().integrals(equation, record, WindowSet(start, start + span))
+    present = jnp.ones(start.shape, bool) if whole is None else whole
+    target, *regressors = jnp.where(present[None, :], columns / step**span, 0.0)
+    parts = {
+        name: _value(values, name) * column
+        for name, column in zip(equation.parameters, regressors, strict=True)
+    }
+    if not equation.has_target:
+        target = -parts.pop(equation.parameters[0])
+    explained = sum(parts.values(), start=jnp.zeros_like(target))
+    return EquationError(
+        target - explained, explained, present, step, span, equation.name, equation.unit
+    )
+
+
+def _shortest_weight(equation: Equation, record: Record) -> Boxcar | Hat:
+    """The boxcar, if the record holds every derivative that it needs."""
+    boxcar = Boxcar()
+    try:
+        for term in equation.terms:
+            term.expression(record, max(term.derivative - boxcar.smoothness, 0))
+    except DataError:
+        return Hat()
+    return boxcar
+
+
+def _value(values: Mapping[str, float | Array], name: str) -> Array:
+    if name not in values:
+        raise ModelError(f"the equation error needs a value of '{name}'.")
+    return jnp.asarray(values[name])

@@ -1,0 +1,314 @@
+"""What an identified model leaves unexplained, and what that says of the model.
+
+Of a complete model white noise is left, or what sensors make of it. A mode that was left out
+shows as a peak of the error's spectrum, a force as an error that follows a signal, and stretches
+of the record that do not belong together as errors of unequal size. Each is reported only where
+chance does not explain it and it is large enough to matter.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.windows import AbstractWindows
+from riecjax.equations.equation import Equation
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.procedure import HasProcedure, Procedure
+from riecjax.findings import Finding
+from riecjax.records.record import Record
+from riecjax.validation.equation_error import (
+    EquationError,
+    errors_over_records,
+    joined,
+    with_pads,
+)
+from riecjax.validation.error_correlation import (
+    Autocorrelation,
+    CrossCorrelation,
+    autocorrelation,
+    cross_correlation,
+    moving_average,
+)
+from riecjax.validation.error_spectrum import ErrorSpectrum, Peak, error_spectrum
+from riecjax.validation.window_errors import WindowErrors, window_errors
+
+LAGS = 50
+"""Samples of the longest lag, where no windows say how long."""
+MOST_LAGS = 400
+LARGEST_LAG_SHARE = 10
+"""The longest lag is at most this part of the records."""
+NOTABLE_SIZE = 0.02
+"""Share of the target below which an error is nobody's concern."""
+NOTABLE_CORRELATION = 0.3
+"""Correlation below which less than a tenth of the error's power follows a signal."""
+NOTABLE_RATIO = 10.0
+"""Mean square errors of the loudest and the quietest stretch that are uneven: 3.2 in rms."""
+RARE = 0.01
+"""Probability of stretches so uneven by chance, below which they are called so."""
+NOTABLE_SHARED = 0.1
+"""Epsilon that is no longer much smaller than one; chance makes T / t_max, and seldom ten times
+that."""
+
+
+class EquationResidual(NamedTuple):
+    """What one equation leaves.
+
+    **Fields:**
+
+    - `name` and `unit` of the equation; `relative_rms`: its error, sample by sample, against its
+      target.
+    - `error`: over all records, see `joined`.
+    - `autocorrelation` of the error.
+    - `follows`: correlation with each signal that all records hold, strongest first. Error and
+      signals are averaged over half a period of the fastest motion in the model's band, so that
+      differentiated sensor noise does not hide what is left of the motion.
+    - `averaged`: seconds of that average.
+    - `averaged_size`: root mean square of the averaged error against the averaged target.
+    - `spectrum`, and its `peak` if there is a genuine one.
+    - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
+      short for four of the longest.
+    """
+
+    name: str
+    unit: str
+    relative_rms: float
+    error: EquationError
+    autocorrelation: Autocorrelation
+    follows: tuple[CrossCorrelation, ...]
+    averaged: float
+    averaged_size: float
+    spectrum: ErrorSpectrum
+    peak: Peak | None
+    windows: WindowErrors | None
+
+    def findings(self) -> list[Finding]:
+        """`unmodelled_mode`, `residual_follows_signal`, `uneven_errors`."""
+        return [*self._mode(), *self._following(), *self._uneven()]
+
+    def _mode(self) -> Iterator[Finding]:
+        peak = self.peak
+        if peak is not None and peak.size >= NOTABLE_SIZE:
+            yield Finding(
+                "unmodelled_mode",
+                f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
+                f"{100 * peak.share:.0f} % of its power up to {self.spectrum.band:.3g} Hz lies "
+                f"from {peak.low:.3g} to {peak.high:.3g} Hz: the model leaves out a mode there, "
+                f"or gets one wrong. Add the mode, or use windows longer than "
+                f"{1 / peak.frequency:.2g} s, over which it averages out.",
+            )
+
+    def _following(self) -> Iterator[Finding]:
+        if not self.follows:
+            return
+        first = self.follows[0]
+        size = abs(first.largest)
+        notable = size > max(first.bound, NOTABLE_CORRELATION)
+        if notable and size * self.averaged_size >= NOTABLE_SIZE:
+            cause = (
+                "a term in it is missing or has another form, or a sensor is late. Add a term, or "
+                "shift the signal."
+                if self.peak is None
+                else f"as the ringing of a mode near {self.peak.frequency:.3g} Hz does, or of a "
+                f"sensor that is late. Add the mode, or shift the signal."
+            )
+            yield Finding(
+                "residual_follows_signal",
+                f"{self.name}: what the model leaves follows {first.signal}"
+                f"{_later(first.largest_lag)} (correlation {first.largest:.2f}), by "
+                f"{100 * size * self.averaged_size:.3g} % of the target: {cause}",
+            )
+
+    def _uneven(self) -> Iterator[Finding]:
+        errors = self.windows
+        if errors is None or errors.relative_rms < NOTABLE_SIZE:
+            return
+        if errors.p_value < RARE and errors.ratio >= NOTABLE_RATIO:
+            loud = int(np.argmax(errors.mean_square))
+            yield Finding(
+                "uneven_errors",
+                f"{self.name}: errors of windows are {np.sqrt(errors.ratio):.2g} times as large "
+                f"from {errors.start[loud]:.4g} to {errors.stop[loud]:.4g} s as in the quietest "
+                f"stretch (the signal {_times(errors)}), so the estimate hangs on that stretch. "
+                f"See what differs there; leave it out, or identify the stretches one by one.",
+            )
+        if errors.correlation > max(NOTABLE_SHARED, 10 * errors.window_share):
+            yield Finding(
+                "uneven_errors",
+                f"{self.name}: errors of windows share a constant part (correlation "
+                f"{errors.correlation:.2g} between windows drawn at random), which more windows "
+                f"do not average out. Remove the sensors' offsets, or add a term "
+                f"riecjax.Term('offset', riecjax.constant).",
+            )
+
+    def describe(self) -> dict[str, Any]:
+        """Numbers of the tests, without the series, as plain data for JSON."""
+        windows = self.windows
+        return {
+            "relative_rms": self.relative_rms,
+            "correlation_time_s": self.autocorrelation.correlation_time,
+            "integrated_autocorrelation_s": self.autocorrelation.integrated,
+            "follows": [
+                {
+                    "signal": one.signal,
+                    "correlation": one.largest,
+                    "lag_s": one.largest_lag,
+                    "bound": one.bound,
+                }
+                for one in self.follows
+            ],
+            "band_hz": self.spectrum.band,
+            "peak": None if self.peak is None else self.peak._asdict(),
+            "windows": None
+            if windows is None
+            else {
+                "relative_rms": windows.relative_rms,
+                "mean_square_ratio": windows.ratio,
+                "target_mean_square_ratio": windows.target_ratio,
+                "p_value": None if np.isnan(windows.p_value) else windows.p_value,
+                "correlation": windows.correlation,
+                "mean_length_over_record": windows.window_share,
+            },
+        }
+
+
+class ResidualTests(eqx.Module):
+    """What every equation of a model leaves; see [`residual_tests`][].
+
+    **Fields:** `equations`, in the order of the procedure's stages.
+    """
+
+    equations: tuple[EquationResidual, ...]
+
+    def __getitem__(self, name: str) -> EquationResidual:
+        return {equation.name: equation for equation in self.equations}[name]
+
+    def findings(self) -> list[Finding]:
+        """What the errors say against the model."""
+        return [finding for equation in self.equations for finding in equation.findings()]
+
+    def describe(self) -> dict[str, Any]:
+        """Numbers of the tests by equation, as plain data for JSON."""
+        return {equation.name: equation.describe() for equation in self.equations}
+
+
+def residual_tests(
+    model: Equation | Procedure | HasProcedure,
+    records: Record | Sequence[Record],
+    estimate: Estimate | Mapping[str, float | Array],
+    *,
+    windows: AbstractWindows | None = None,
+    lags: int | None = None,
+) -> ResidualTests:
+    """Test what an identified model leaves unexplained (not under jit).
+
+    **Arguments:**
+
+    - `estimate`: of these records or of others; or parameter name to value.
+    - `windows`: whose errors eq. (18) is tested on; by default those of the estimate.
+    - `lags`: longest lag of correlations in samples; by default the longest window or else 50
+      samples, no more than 400 and a tenth of the records.
+
+    **Raises:** `ModelError` for a parameter without a value; `DataError` for a missing signal,
+    records of unequal time steps or too short ones.
+    """
+    recordings = [records] if isinstance(records, Record) else list(records)
+    values = estimate.values if isinstance(estimate, Estimate) else estimate
+    windows = windows_of(estimate) if windows is None else windows
+    errors = errors_over_records(model, recordings, values)
+    if lags is None:
+        samples = sum(record.sample_count for record in recordings)
+        step = float(recordings[0].time_step)
+        wanted = LAGS if windows is None else round(float(windows.beta) / step)
+        lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
+    return ResidualTests(
+        tuple(_residual(of_equation, recordings, windows, lags) for of_equation in errors)
+    )
+
+
+def windows_of(estimate: Estimate | Mapping[str, float | Array]) -> AbstractWindows | None:
+    """The windows of an estimate's criterion, if it has some."""
+    criterion = estimate.criterion if isinstance(estimate, Estimate) else None
+    return criterion.windows if isinstance(criterion, RIEC) else None
+
+
+def _residual(
+    errors: list[EquationError],
+    records: list[Record],
+    windows: AbstractWindows | None,
+    lags: int,
+) -> EquationResidual:
+    error = joined(errors, lags)
+    step = float(error.time_step)
+    present, values = np.asarray(error.present), np.asarray(error.error)
+    spectrum = error_spectrum(error)
+    count = max(round(1 / (2 * spectrum.band * step)), 1) if spectrum.band > 0 else 1
+    count = min(count, lags)
+    averaged = moving_average(values, present, count)
+    target, _ = moving_average(np.asarray(error.target), present, count)
+    energy = np.sum(target**2)
+    return EquationResidual(
+        error.name,
+        error.unit,
+        float(error.relative_rms),
+        error,
+        autocorrelation(values, present, lags, step),
+        _follows(averaged, errors, records, count, lags),
+        count * step,
+        float(np.sqrt(np.sum(averaged[0] ** 2) / energy)) if energy > 0 else 0.0,
+        spectrum,
+        spectrum.peak(),
+        None if windows is None else window_errors(errors, windows),
+    )
+
+
+def _follows(
+    averaged: tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]],
+    errors: list[EquationError],
+    records: list[Record],
+    count: int,
+    lags: int,
+) -> tuple[CrossCorrelation, ...]:
+    """Correlations of the averaged error with the averaged signals, strongest first."""
+    error, present = averaged
+    common = [
+        name for name in records[0].arrays if all(name in record.arrays for record in records)
+    ]
+    found = []
+    for name in common:
+        signal, there = _signal(errors, records, name, lags)
+        signal, there = moving_average(signal, there, count)
+        both = present & there
+        if both.any() and np.ptp(signal[both]) > 0:
+            step = float(errors[0].time_step)
+            found.append(
+                cross_correlation(error, signal, both, lags, step, name=name, signals=len(common))
+            )
+    return tuple(sorted(found, key=lambda one: -abs(one.largest)))
+
+
+def _signal(
+    errors: list[EquationError], records: list[Record], name: str, pad: int
+) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """A signal at the values of the joined errors, and where it is present."""
+    values, there = [], []
+    for error, record in zip(errors, records):
+        missing = record.missing.get(name)
+        values.append(np.asarray(error.centred(record[name])))
+        gone = np.zeros(values[-1].size) if missing is None else error.centred(missing * 1.0)
+        there.append(np.asarray(gone) == 0)
+    return with_pads(values, pad), with_pads(there, pad)
+
+
+def _later(lag: float) -> str:
+    if lag == 0:
+        return ""
+    return f", {abs(lag):.3g} s {'later' if lag > 0 else 'earlier'}"
+
+
+def _times(errors: WindowErrors) -> str:
+    times = np.sqrt(errors.target_ratio)
+    return f"{times:.2g} times" if times < 100 else "more than 100 times"

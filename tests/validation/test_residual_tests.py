@@ -1,0 +1,379 @@
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+import scipy.stats
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.windows import AllWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.estimation.identify import identify
+from riecjax.models.oscillators import Duffing, duffing_equation
+from riecjax.models.quarter_car.equations import quarter_car_by_body
+from riecjax.models.quarter_car.identification import QuarterCar
+from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.two_mass import TwoMass, two_mass_equation
+from riecjax.paper.reproduction import identification_record
+from riecjax.records.record import Record
+from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.simulate import simulate
+from riecjax.validation.equation_error import EquationError
+from riecjax.validation.error_correlation import (
+    autocorrelation,
+    bartlett_variance,
+    cross_correlation,
+    moving_average,
+)
+from riecjax.validation.error_spectrum import error_spectrum
+from riecjax.validation.residual_tests import residual_tests
+from riecjax.validation.window_errors import window_errors
+
+CRITERION = RIEC(AllWindows(0.05, 0.5))
+BY_POSITION = RIEC(AllWindows(0.1, 1.0), Hat())
+STEP = 0.005
+
+
+def series(error, explained=None, present=None, step=STEP) -> EquationError:
+    error = jnp.asarray(error)
+    return EquationError(
+        error=error,
+        explained=jnp.zeros_like(error) if explained is None else jnp.asarray(explained),
+        present=jnp.ones(error.shape, bool) if present is None else jnp.asarray(present),
+        time_step=jnp.asarray(step),
+        span=1,
+        name="force",
+        unit="N",
+    )
+
+
+def filtered(b, a, values) -> np.ndarray:
+    return np.asarray(scipy.signal.lfilter(b, a, values))
+
+
+def low_pass(order, hertz) -> tuple[np.ndarray, np.ndarray]:
+    return scipy.signal.butter(order, 2 * hertz * STEP)  # pyright: ignore[reportReturnType]
+
+
+def two_masses(seed=0, zeta=0.05, omega=100.0) -> Record:
+    """The one-mass model's record of a lightly damped mode that it leaves out."""
+    force = band_limited_noise(jax.random.key(seed), 10_000, 0.002, bandwidth=40.0, rms=100.0)
+    system = TwoMass(*(jnp.asarray(value) for value in (10.0, 1.0, omega, zeta)))
+    return simulate(system, Record({"F": force}, 0.002)).record.select("z", "dz", "F")
+
+
+def quarter_car_of_the_model(seed: int) -> Record:
+    """The identification model itself on the road of Table 2: an exact model."""
+    road = band_limited_noise(jax.random.key(seed), 8000, STEP, bandwidth=30.0, rms=0.55)
+    masses = {"K_t": 180e3, "M_us": 30.0, "M_s": 300.0, "K_s": 20e3}
+    forces = {"F_1": -1200.0, "F_2": -900.0, "F_3": 850.0, "F_4": 1150.0}
+    car = QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in {**masses, **forces}.items()})
+    return simulate(car, Record({"v_r": road}, STEP)).record.select("F_t", "x1", "x2", "x3", "x4")
+
+
+def duffing(seed: int) -> Record:
+    force = band_limited_noise(jax.random.key(seed), 4000, STEP, bandwidth=8.0, rms=5.0)
+    system = Duffing(*(jnp.asarray(value) for value in (1.0, 0.3, 60.0, 20.0, 300.0)))
+    return simulate(system, Record({"u": force}, STEP)).record.select("y", "dy", "u")
+
+
+def with_noise(record: Record, share: float, names, seed: int) -> Record:
+    rng = np.random.default_rng(seed)
+    noise = {n: share * np.std(record[n]) * rng.normal(size=record.sample_count) for n in names}
+    return record.with_signals({name: record[name] + noise[name] for name in names})
+
+
+# Correlations.
+
+
+def test_correlations_are_those_of_a_double_loop_with_gaps():
+    rng = np.random.default_rng(0)
+    n, lags = 60, 7
+    one, other = rng.normal(size=(2, n)) + 3.0
+    there = rng.random(n) > 0.2
+    found = cross_correlation(one, other, there, lags, 0.1, name="other")
+    x, y = one - one[there].mean(), other - other[there].mean()
+    expected = []
+    for lag in range(-lags, lags + 1):
+        pairs = [
+            (x[t + lag], y[t]) for t in range(n) if 0 <= t + lag < n and there[t] and there[t + lag]
+        ]
+        expected.append(np.mean([a * b for a, b in pairs]) / (x[there].std() * y[there].std()))
+    np.testing.assert_allclose(found.values, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.lag, 0.1 * np.arange(-lags, lags + 1))
+    itself = autocorrelation(one, there, lags, 0.1)
+    twice = cross_correlation(one, one, there, lags, 0.1)
+    np.testing.assert_allclose(itself.values, twice.values[lags:], rtol=1e-9)
+
+
+def test_an_error_that_comes_later_has_a_positive_lag():
+    signal = np.random.default_rng(0).normal(size=2000)
+    error = -0.4 * np.roll(signal, 6)
+    found = cross_correlation(error, signal, np.arange(2000) >= 6, 20, STEP)
+    assert found.largest_lag == pytest.approx(6 * STEP)
+    assert found.largest == pytest.approx(-1, abs=0.02)
+
+
+def test_bartletts_variance_is_the_scatter_over_many_independent_pairs():
+    taps = np.exp(-np.arange(60) / 10) * np.cos(np.arange(60) / 2)
+    values, said = [], []
+    for seed in range(400):
+        one, other = filtered(taps, 1, np.random.default_rng(seed).normal(size=(2, 900)))
+        found = cross_correlation(one, other, np.ones(900, bool), 1, 1.0)
+        values.append(found.values[1])
+        said.append(bartlett_variance(one - one.mean(), other - other.mean()))
+    assert np.mean(said) == pytest.approx(np.var(values), rel=0.2)
+    assert np.mean(said) > 3 / 900  # white noise has 1 / n
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.95])
+def test_independent_series_pass_the_bound_about_as_often_as_it_says(pole):
+    passed = 0
+    for seed in range(300):
+        noise = np.random.default_rng(seed).normal(size=(2, 2000))
+        one, other = filtered([1], [1, -pole], noise)
+        found = cross_correlation(one, other, np.ones(2000, bool), 100, STEP)
+        passed += abs(found.largest) > found.bound
+    assert 0.01 < passed / 300 < 0.1
+
+
+def test_correlation_times_of_white_noise_and_of_a_swinging_error():
+    white = np.random.default_rng(0).normal(size=50_000)
+    there = np.ones(50_000, bool)
+    found = autocorrelation(white, there, 50, STEP)
+    assert found.correlation_time == pytest.approx(STEP, rel=0.05)
+    assert found.integrated == pytest.approx(STEP, rel=0.15)
+    assert np.mean(np.abs(found.values[1:]) < found.bound) > 0.85
+    # AR(1) with pole a: r_k = a^k.
+    slow = filtered([1], [1, -0.8], white)
+    found = autocorrelation(slow, there, 200, STEP)
+    assert found.correlation_time == pytest.approx(STEP * (1 + 0.64) / (1 - 0.64), rel=0.1)
+    assert found.integrated == pytest.approx(STEP * 1.8 / 0.2, rel=0.1)
+    # The derivative of something bounded: eq. (8).
+    found = autocorrelation(np.diff(slow), there[1:], 200, STEP)
+    assert abs(found.integrated) < 0.1 * STEP
+
+
+def test_moving_averages_leave_out_what_touches_a_gap():
+    values = np.arange(10.0) ** 2
+    there = np.ones(10, bool)
+    there[4] = False
+    mean, whole = moving_average(values, there, 3)
+    np.testing.assert_array_equal(whole, [1, 1, 0, 0, 0, 1, 1, 1])
+    direct = [values[i : i + 3].mean() if whole[i] else 0 for i in range(8)]
+    np.testing.assert_allclose(mean, direct)
+
+
+# Spectra.
+
+
+def test_spectrum_is_welchs_and_no_segment_reaches_over_a_gap():
+    rng = np.random.default_rng(0)
+    error, explained = rng.normal(size=(2, 4000))
+    found = error_spectrum(series(error, explained), parts=16)
+    for name, values in {"error": error, "explained": explained}.items():
+        frequency, density = scipy.signal.welch(values, 1 / STEP, nperseg=250)
+        np.testing.assert_allclose(getattr(found, name), density, rtol=1e-6)
+        np.testing.assert_allclose(found.frequency, frequency)
+    _, common = scipy.signal.csd(error + explained, explained, 1 / STEP, nperseg=250)
+    np.testing.assert_allclose(found.common, np.real(common), atol=1e-6 * np.max(np.abs(common)))
+
+    there = np.ones(4000, bool)
+    there[2000] = False
+    error[2000] = 1e6
+    broken = error_spectrum(series(error, explained, there), parts=16)
+    parts = [scipy.signal.welch(v, 1 / STEP, nperseg=249)[1] for v in (error[:2000], error[2001:])]
+    np.testing.assert_allclose(broken.error, np.mean(parts, axis=0), rtol=0.02)
+
+
+def test_a_resonance_is_a_peak_with_its_frequency_and_width():
+    noise = np.random.default_rng(1).normal(size=40_000)
+    frequency, zeta = 13.0, 0.06
+    analogue = [1.0], [1.0, 2 * zeta * 82, 82.0**2]
+    b, a = scipy.signal.bilinear(*analogue, 200)
+    mode = filtered(b, a, noise)
+    motion = filtered(*low_pass(4, 40), noise[::-1])
+    found = error_spectrum(series(0.2 * mode / mode.std(), motion / motion.std())).peak()
+    assert found is not None
+    assert found.frequency == pytest.approx(frequency, abs=0.4)
+    assert found.bandwidth == pytest.approx(2 * zeta * frequency, rel=0.25)
+    assert 0.4 < found.share < 0.65
+    assert found.size == pytest.approx(0.2 * np.sqrt(found.share), rel=0.1)
+
+
+@pytest.mark.parametrize("differences", [0, 1, 2])
+def test_differentiated_noise_is_no_peak_even_if_the_motion_stops_before_it(differences):
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        motion = filtered(*low_pass(4, 12), rng.normal(size=3000))
+        noise = np.diff(0.05 * rng.normal(size=3000 + differences), differences)
+        low_passed = filtered(*low_pass(6, 60), noise)
+        assert error_spectrum(series(noise, motion - noise)).peak() is None
+        assert error_spectrum(series(low_passed, motion - low_passed)).peak() is None
+
+
+def test_what_ends_where_the_excitation_ends_is_no_peak():
+    motion = np.asarray(
+        band_limited_noise(jax.random.key(0), 16_000, STEP, bandwidth=30.0, rms=1.0)
+    )
+    late = 0.05 * np.gradient(motion) / np.std(np.gradient(motion))
+    assert error_spectrum(series(late, motion)).peak() is None
+
+
+# Eq. (18).
+
+
+def test_window_errors_are_those_of_every_window_in_every_block():
+    rng = np.random.default_rng(0)
+    error, target = rng.normal(size=(2, 1230)) + 0.3
+    windows = AllWindows(10 * STEP, 40 * STEP)
+    found = window_errors([series(error, target - error)], windows)
+    assert found is not None
+    lags = np.unique(np.round(np.geomspace(10, 40, 4)).astype(int))
+    blocks = []
+    for begin in range(0, 1230 - 79, 80):
+        rows = [
+            (error[t : t + lag].sum() * STEP, target[t : t + lag].sum() * STEP)
+            for lag in lags
+            for t in range(begin, begin + 80 - lag + 1)
+        ]
+        blocks.append(np.array(rows).T)
+    e = np.concatenate([block[0] for block in blocks])
+    y = np.concatenate([block[1] for block in blocks])
+    assert found.relative_rms == pytest.approx(np.sqrt(np.sum(e**2) / np.sum(y**2)))
+    assert found.correlation == pytest.approx(np.mean(e) ** 2 / np.mean(e**2))
+    assert found.window_share == pytest.approx(np.mean(lags) / 1230)
+    squares = [np.mean(block[0] ** 2) for block in blocks]
+    parts = [squares[0:5], squares[5:10], squares[10:15]]
+    between = 5 * np.var(np.mean(np.log(parts), axis=1), ddof=1)
+    within = np.mean(np.var(np.log(parts), axis=1, ddof=1))
+    assert found.p_value == pytest.approx(scipy.stats.f.sf(between / within, 2, 12))
+    np.testing.assert_allclose(found.mean_square, [np.mean(p) / np.mean(e**2) for p in parts])
+    np.testing.assert_allclose(found.start, np.array([0, 400, 800]) * STEP)
+
+
+def test_errors_alike_are_called_uneven_as_seldom_as_the_level_says():
+    windows = AllWindows(5 * STEP, 20 * STEP)
+    p_values = []
+    for seed in range(300):
+        noise = np.random.default_rng(seed).normal(size=2400)
+        error = filtered([1], [1, -0.7], noise)
+        found = window_errors([series(error)], windows)
+        assert found is not None
+        p_values.append(found.p_value)
+    assert 0.02 < np.mean(np.array(p_values) < 0.05) < 0.09
+
+
+def test_records_stay_apart_and_short_ones_say_nothing():
+    windows = AllWindows(5 * STEP, 20 * STEP)
+    noise = np.random.default_rng(0).normal(size=(2, 400))
+    found = window_errors([series(noise[0] + 1), series(noise[1] - 1)], windows)
+    assert found is not None
+    # The two means are of opposite sign: over both records together they would cancel.
+    assert found.correlation > 0.7
+    assert np.isnan(window_errors([series(noise[0])], windows).p_value)  # pyright: ignore
+    assert window_errors([series(noise[0][:60])], windows) is None
+
+
+# Findings.
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_engine_on_its_mount_shows_in_the_quarter_car(seed):
+    record = identification_record(quarter_car_source(reconstructed()), jax.random.key(seed)).record
+    record = record.select("F_t", "x1", "x2", "x3", "x4", "v_r")
+    estimate = identify(quarter_car_by_body(), record, CRITERION)
+    tests = residual_tests(quarter_car_by_body(), record, estimate)
+    for name in ("masses", "body"):
+        peak = tests[name].peak
+        assert peak is not None
+        # An inertia force peaks above the natural frequency, 13.2 Hz, of a mode so damped.
+        assert 12.5 < peak.frequency < 17
+        assert peak.low < 13.3 < peak.high
+        # Momentum swings back: eq. (8).
+        assert tests[name].autocorrelation.integrated < 0.3 * STEP
+    assert tests["tyre"].peak is None
+    codes = [(f.code, f.message.partition(":")[0]) for f in tests.findings()]
+    assert ("unmodelled_mode", "masses") in codes
+    assert ("residual_follows_signal", "body") in codes
+    assert all(name != "tyre" for _, name in codes)
+
+
+@pytest.mark.parametrize("hertz", [10.0, 16.0])
+def test_a_hidden_resonance_is_found_at_its_frequency(hertz):
+    record = two_masses(omega=2 * np.pi * hertz)
+    estimate = identify(two_mass_equation(), record, CRITERION)
+    tests = residual_tests(two_mass_equation(), record, estimate)
+    (mode, *_) = [f for f in tests.findings() if f.code == "unmodelled_mode"]
+    assert "two-mass: the equation error peaks near" in mode.message
+    assert tests["two-mass"].peak.frequency == pytest.approx(hertz, rel=0.05)  # pyright: ignore
+
+
+def test_a_force_left_out_shows_as_the_signal_that_it_follows():
+    keys = jax.random.split(jax.random.key(0))
+    motion, other = (
+        np.asarray(band_limited_noise(key, 6000, STEP, bandwidth=10.0, rms=1.0)) for key in keys
+    )
+    force = 4 * motion + 1.5 * np.roll(other, 3)
+    record = Record({"x": motion, "w": other, "F": force}, STEP)
+    spring = Equation(Term("k", "x"), -Term(1.0, "F"), name="spring")
+    tests = residual_tests(spring, record, identify(spring, record, CRITERION))
+    (finding,) = tests.findings()
+    assert finding.code == "residual_follows_signal"
+    assert finding.message.startswith(
+        "spring: what the model leaves follows w, 0.015 s later (correlation 1.00), by 35"
+    )
+
+
+@pytest.mark.parametrize(
+    ("where", "share"), [("nowhere", 0.0), ("force", 0.05), ("sensors", 0.01), ("sensors", 0.05)]
+)
+def test_an_exact_model_with_noise_gives_no_finding(where, share):
+    found = []
+    for seed in range(4):
+        car, oscillator = quarter_car_of_the_model(seed), duffing(seed)
+        cases = [
+            (quarter_car_by_body(), car, CRITERION, "F_t"),
+            (duffing_equation(), oscillator.select("y", "u"), BY_POSITION, "u"),
+        ]
+        for model, record, criterion, force in cases:
+            disturbed = [force] if where == "force" else list(record.arrays)
+            noisy = with_noise(record, share, disturbed, seed)
+            found += residual_tests(model, noisy, identify(model, noisy, criterion)).findings()
+    assert found == []
+
+
+def test_uneven_and_shared_errors_are_named():
+    rng = np.random.default_rng(0)
+    n = 8000
+    motion = np.asarray(band_limited_noise(jax.random.key(0), n, STEP, bandwidth=10.0, rms=1.0))
+    loud = np.where((np.arange(n) > 3200) & (np.arange(n) < 4400), 1.0, 0.1)
+    spring = Equation(Term("k", "x"), -Term(1.0, "F"), name="spring")
+    for disturbance, words in (
+        (loud * rng.normal(size=n), "from 16 to 22 s as in the quietest"),
+        (0.3 + 0.02 * rng.normal(size=n), "share a constant part"),
+    ):
+        record = Record({"x": motion, "F": 4 * motion + disturbance}, STEP)
+        tests = residual_tests(spring, record, identify(spring, record, CRITERION))
+        (finding,) = [f for f in tests.findings() if f.code == "uneven_errors"]
+        assert words in finding.message, finding.message
+
+
+def test_it_takes_gaps_several_records_and_pointwise_estimates():
+    records = [duffing(0), duffing(1)]
+    gap = jnp.arange(4000) % 900 == 50
+    records[1] = records[1].with_signals({"u": records[1]["u"]}, missing={"u": gap})
+    estimate = identify(duffing_equation(), records, CRITERION)
+    tests = residual_tests(duffing_equation(), records, estimate)
+    assert tests.findings() == []
+    assert len(tests["duffing"].autocorrelation.lag) == 101
+    document = json.loads(json.dumps(tests.describe(), allow_nan=False))
+    assert document["duffing"]["windows"]["correlation"] < 0.1
+    assert {one["signal"] for one in document["duffing"]["follows"]} == {"y", "dy", "u"}
+    pointwise = residual_tests(duffing_equation(), records[0], dict(estimate.values))
+    assert pointwise["duffing"].windows is None
+    assert len(pointwise["duffing"].autocorrelation.lag) == 51
