@@ -216,6 +216,17 @@ def test_differentiated_noise_is_no_peak_even_if_the_motion_stops_before_it(diff
         assert error_spectrum(series(low_passed, motion - low_passed)).peak() is None
 
 
+def test_neither_drift_nor_what_is_damped_past_swinging_is_a_peak():
+    noise = np.random.default_rng(2).normal(size=(2, 16_000))
+    motion = filtered(*low_pass(4, 60), noise[0])
+    for cutoff in (0.1, 0.3, 1.0):
+        drift = filtered(*low_pass(1, cutoff), noise[1])
+        assert error_spectrum(series(drift, 3 * motion)).peak() is None
+    # s / (s^2 + 2 zeta w s + w^2) with zeta = 0.8 is wider than its frequency.
+    b, a = scipy.signal.bilinear([1.0, 0.0], [1.0, 1.6 * 80, 80.0**2], 200)
+    assert error_spectrum(series(filtered(b, a, noise[1]), 3 * motion)).peak() is None
+
+
 def test_what_ends_where_the_excitation_ends_is_no_peak():
     motion = np.asarray(
         band_limited_noise(jax.random.key(0), 16_000, STEP, bandwidth=30.0, rms=1.0)

@@ -124,7 +124,7 @@ def _draw_spectra(axes: Any, residual: EquationResidual) -> None:
     axes.set_xlabel("frequency / Hz")
     axes.set_ylim(bottom=density_floor(spectrum))
     axes.set_ylabel(density_label(residual.unit))
-    axes.legend(fontsize="small", framealpha=0.9, loc="lower left")
+    axes.legend(fontsize="small", framealpha=0.9)
 
 
 def density_label(unit: str) -> str:

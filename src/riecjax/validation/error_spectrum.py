@@ -20,8 +20,6 @@ PROMINENCE = 4.0
 """How many times the spectrum of its surroundings, on either side, a peak is: 6 dB."""
 PEAK_BAND = 0.9
 """Part of the model's band in which a peak is one of its own, and not the excitation's end."""
-WITHOUT_MEAN = 2
-"""First frequencies, at which taking a segment's mean off makes a spectrum fall towards zero."""
 PEAK_SHARE = 0.3
 """Share of the error's power in the model's band that a peak holds between its half-power points;
 a resonance alone holds about a half there."""
@@ -90,9 +88,9 @@ class ErrorSpectrum(NamedTuple):
         if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
             return None
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-        level = np.log(np.maximum(smooth, np.finfo(float).tiny))[WITHOUT_MEAN:]
+        level = np.log(np.maximum(smooth, np.finfo(float).tiny))
         tops, _ = scipy.signal.find_peaks(level, prominence=np.log(PROMINENCE))
-        peaks = [self._at(int(top) + WITHOUT_MEAN, smooth) for top in tops]
+        peaks = [self._at(int(top), smooth) for top in tops]
         held = [
             p
             for p in peaks

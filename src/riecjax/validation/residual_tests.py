@@ -64,8 +64,9 @@ class EquationResidual(NamedTuple):
     - `error`: over all records, see `joined`.
     - `autocorrelation` of the error.
     - `follows`: correlation with each signal that all records hold, strongest first. Error and
-      signals are averaged over half a period of the fastest motion in the model's band, so that
-      differentiated sensor noise does not hide what is left of the motion.
+      signals are averaged over half a period of the fastest motion in the model's band, or half
+      the shortest window if that is longer, so that differentiated sensor noise does not hide what
+      is left of the motion.
     - `averaged`: seconds of that average.
     - `averaged_size`: root mean square of the averaged error against the averaged target.
     - `spectrum`, and its `peak` if there is a genuine one.
@@ -245,8 +246,9 @@ def _residual(
     step = float(error.time_step)
     present, values = np.asarray(error.present), np.asarray(error.error)
     spectrum = error_spectrum(error)
-    count = max(round(1 / (2 * spectrum.band * step)), 1) if spectrum.band > 0 else 1
-    count = min(count, lags)
+    shortest = 0.0 if windows is None else float(windows.alpha)
+    period = 1 / spectrum.band if spectrum.band > 0 else 0.0
+    count = min(max(round(max(period, shortest) / (2 * step)), 1), lags)
     averaged = moving_average(values, present, count)
     target, _ = moving_average(np.asarray(error.target), present, count)
     energy = np.sum(target**2)
