@@ -77,6 +77,7 @@ from .simulation.simulate import simulate as simulate
 from .simulation.system import AbstractSystem as AbstractSystem
 from .studies.expected_gain import expected_gain as expected_gain
 from .studies.monte_carlo import over_keys as over_keys
+from .studies.seed_scatter import seed_scatter as seed_scatter
 from .studies.window_choice import WindowChoice as WindowChoice
 from .studies.window_choice import window_choice as window_choice
 from .studies.window_sweep import WindowSweep as WindowSweep

@@ -35,7 +35,7 @@ def command(
     Looks at sensors (missing samples, clipping, stuck or spiking signals), sampling, length, and
     how each parameter is excited. The exit status is 1 if some parameter cannot be found.
     """
-    criterion = criteria.build()
+    criteria.require_sense()
     start_jax()
     import jax
 
@@ -45,6 +45,7 @@ def command(
     from riecjax.reporting.output import emit
 
     model = find_model(model_name)
+    criterion = criteria.build(model)
     loaded = load(recordings.files, recordings, model, criterion)
     checked = check(
         model.build_procedure(),

@@ -9,8 +9,7 @@ from riecjax.cli.options import POSITIVE, collecting
 
 if TYPE_CHECKING:
     from riecjax.criteria.criterion import AbstractCriterion
-
-DEFAULT_ALPHA, DEFAULT_BETA, DEFAULT_WINDOWS = 0.05, 0.5, 8000
+    from riecjax.models.model import Model
 
 
 class WindowCount(click.ParamType):
@@ -41,23 +40,23 @@ CRITERION_OPTIONS = (
         help="Windowed integrals of the equation of motion, or the equation at every sample.",
     ),
     click.option(
-        "--alpha",
-        type=POSITIVE,
-        help=f"Shortest window in s: half a period of the fastest motion modelled. "
-        f"[default: {DEFAULT_ALPHA}]",
+        "--band",
+        type=(POSITIVE, POSITIVE),
+        metavar="LOW HIGH",
+        help="Frequencies in Hz that the model should explain; windows are half their periods "
+        "long. [default: the model's, else 1 10]",
     ),
     click.option(
-        "--beta",
-        type=POSITIVE,
-        help=f"Longest window in s: half a period of the slowest motion modelled. "
-        f"[default: {DEFAULT_BETA}]",
+        "--alpha", type=POSITIVE, help="Shortest window in s. [default: half a period of HIGH]"
+    ),
+    click.option(
+        "--beta", type=POSITIVE, help="Longest window in s. [default: half a period of LOW]"
     ),
     click.option(
         "--windows",
         "count",
         type=WindowCount(),
-        help=f"Number of random windows, or 'all' of them in closed form. "
-        f"[default: {DEFAULT_WINDOWS}]",
+        help="All windows there are, in closed form, or a number of random ones. [default: all]",
     ),
     click.option(
         "--test-function",
@@ -77,37 +76,51 @@ class CriterionOptions:
     """What the user said of the criterion."""
 
     criterion: str
+    band: tuple[float, float] | None
     alpha: float | None
     beta: float | None
     count: int | str | None
     test_function: str | None
     quadrature: str | None
 
-    def build(self) -> "AbstractCriterion":
-        """The criterion.
-
-        **Raises:** `click.UsageError` for options that do not go together.
-        """
-        own = (self.alpha, self.beta, self.count, self.test_function, self.quadrature)
+    def require_sense(self) -> None:
+        """Raise `click.UsageError` for options that do not go together."""
+        own = (
+            *(self.band, self.alpha, self.beta, self.count),
+            *(self.test_function, self.quadrature),
+        )
         if self.criterion == "dols" and any(value is not None for value in own):
             raise click.UsageError(
-                "--alpha, --beta, --windows, --test-function and --quadrature belong to "
+                "--band, --alpha, --beta, --windows, --test-function and --quadrature belong to "
                 "--criterion riec."
             )
         if self.test_function == "bump" and self.quadrature is not None:
             raise click.UsageError("--quadrature belongs to the boxcar and the hat.")
+        if self.band is not None and self.alpha is not None and self.beta is not None:
+            raise click.UsageError(
+                "--band says what --alpha and --beta say: leave out one of them."
+            )
+
+    def build(self, model: "Model") -> "AbstractCriterion":
+        """The criterion, for a model's band unless another is asked for."""
         from riecjax.criteria.criterion import DOLS, RIEC
         from riecjax.criteria.test_functions import Boxcar, Bump, Hat
-        from riecjax.criteria.windows import AllWindows, RandomWindows
+        from riecjax.criteria.windows import (
+            DEFAULT_BAND,
+            AllWindows,
+            RandomWindows,
+            half_periods,
+        )
 
         if self.criterion == "dols":
             return DOLS()
-        alpha = DEFAULT_ALPHA if self.alpha is None else self.alpha
-        beta = DEFAULT_BETA if self.beta is None else self.beta
-        if self.count == "all":
-            windows = AllWindows(alpha, beta)
+        shortest, longest = half_periods(self.band or model.band or DEFAULT_BAND)
+        alpha = shortest if self.alpha is None else self.alpha
+        beta = longest if self.beta is None else self.beta
+        if isinstance(self.count, int):
+            windows = RandomWindows(alpha, beta, self.count)
         else:
-            windows = RandomWindows(alpha, beta, int(self.count or DEFAULT_WINDOWS))
+            windows = AllWindows(alpha, beta)
         if self.test_function == "bump":
             return RIEC(windows, Bump())
         order = int(self.quadrature or 2)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from riecjax.models.model import Model
     from riecjax.records.record import Record
     from riecjax.reporting.identification import ValidationRun
+    from riecjax.studies.seed_scatter import SeedScatter
+    from riecjax.studies.window_choice import WindowChoice
     from riecjax.studies.window_sweep import WindowSweep
 
 
@@ -48,6 +50,13 @@ if TYPE_CHECKING:
 )
 @set_option
 @own_option
+@click.option(
+    "--intervals",
+    type=click.Choice(["bootstrap", "sandwich", "naive"]),
+    default="bootstrap",
+    show_default=True,
+    help="How uncertainty is judged; naive takes overlapping windows for independent ones.",
+)
 @click.option(
     "--hold-out",
     type=SHARE,
@@ -78,6 +87,7 @@ def command(
     refine: str,
     known: dict[str, float],
     own: tuple[str, ...],
+    intervals: str,
     hold_out: float | None,
     validation_files: tuple[Path, ...],
     sweep: bool,
@@ -94,12 +104,13 @@ def command(
         raise click.UsageError(
             "--own gives a parameter no value on the recordings of --validate: use one of the two."
         )
-    criterion = criteria.build()
+    criteria.require_sense()
     start_jax()
     import jax
 
     from riecjax.estimation.check import check
     from riecjax.estimation.identify import identify
+    from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
     from riecjax.models.resolve import find_model
     from riecjax.reporting.identification import (
         Identification,
@@ -108,8 +119,10 @@ def command(
     )
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.output import emit
+    from riecjax.validation.residual_tests import residual_tests
 
     model = find_model(model_name)
+    criterion = criteria.build(model)
     procedure = model.build_procedure()
     loaded = load(recordings.files, recordings, model, criterion)
     estimating, held = _parts(loaded, hold_out)
@@ -118,7 +131,8 @@ def command(
     key = jax.random.key(seed)
     settings = {"key": key, "known": known, "own": own}
     checked = check(procedure, records, criterion, **settings)
-    estimate = identify(procedure, records, criterion, **settings)
+    kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
+    estimate = identify(procedure, records, criterion, **settings, intervals=kinds[intervals])
     validations, failed = validation_runs(model, estimate, own, held, further)
     result = Identification(
         model=model.name,
@@ -130,6 +144,9 @@ def command(
         estimate=estimate,
         checked=checked,
         sweep=_sweep(procedure, records, criterion, settings) if sweep else None,
+        residuals=residual_tests(procedure, records, estimate),
+        choice=_choice(procedure, records, estimate),
+        seeds=_seeds(procedure, records, criterion, settings),
         validations=validations,
         key=key,
         seed=seed,
@@ -173,6 +190,28 @@ def _sweep(
         return window_sweep(procedure, records, criterion, **settings)
     except DataError:
         return None  # too short a record, which the check has said
+
+
+def _choice(
+    procedure: "Procedure", records: list["Record"], estimate: "Estimate"
+) -> "WindowChoice | None":
+    from riecjax.criteria.criterion import RIEC
+    from riecjax.studies.window_choice import window_choice
+
+    if not isinstance(estimate.criterion, RIEC):
+        return None
+    return window_choice(procedure, records, estimate)
+
+
+def _seeds(
+    procedure: "Procedure",
+    records: list["Record"],
+    criterion: "AbstractCriterion",
+    settings: dict[str, Any],
+) -> "SeedScatter | None":
+    from riecjax.studies.seed_scatter import seed_scatter
+
+    return seed_scatter(procedure, records, criterion, **settings) if criterion.needs_key else None
 
 
 def validation_runs(

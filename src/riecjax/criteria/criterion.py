@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
-from riecjax.criteria.windows import AllWindows, RandomWindows
+from riecjax.criteria.windows import AllWindows, RandomWindows, half_periods
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import sum_columns
 from riecjax.errors import ModelError
@@ -200,6 +200,16 @@ class RIEC(AbstractCriterion):
 
     windows: RandomWindows | AllWindows
     test_function: AbstractTestFunction = eqx.field(default_factory=Boxcar)
+
+    @classmethod
+    def of_band(
+        cls, band: tuple[float, float], test_function: AbstractTestFunction | None = None
+    ) -> "RIEC":
+        """All windows of half the periods of a band, lowest and highest frequency in hertz.
+
+        **Raises:** `ModelError` unless 0 < low < high.
+        """
+        return cls(AllWindows(*half_periods(band)), test_function or Boxcar())
 
     @property
     def needs_key(self) -> bool:

@@ -22,6 +22,21 @@ FEW_BLOCKS = 64
 """Blocks of starts where each must look at the whole record."""
 
 
+DEFAULT_BAND = (1.0, 10.0)
+"""Lowest and highest frequency in hertz of the motion to explain, where nothing is said of it."""
+
+
+def half_periods(band: tuple[float, float]) -> tuple[float, float]:
+    """alpha and beta in seconds for a band in hertz: T = 1 / (2 f), eq. (26).
+
+    **Raises:** `ModelError` unless 0 < low < high.
+    """
+    low, high = band
+    if not 0 < low < high:
+        raise ModelError(f"a band needs 0 < low < high in hertz; got {low:g} to {high:g}.")
+    return 1 / (2 * high), 1 / (2 * low)
+
+
 class WindowSet(NamedTuple):
     """Start and end of each window, counted in samples: integers on the grid, or real numbers."""
 

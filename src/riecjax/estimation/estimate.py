@@ -101,9 +101,9 @@ class Estimate(eqx.Module):
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval (not under jit); see [`Uncertainty.reach`][]."""
         index = self._index(name)
-        below, above = self.uncertainty.reach(index, level)
+        below, above = self.uncertainty.reach(level)
         value, error = float(self[name]), float(self.standard_error(name))
-        return value - below * error, value + above * error
+        return value - float(below[index]) * error, value + float(above[index]) * error
 
     @property
     def correlation(self) -> Float[Array, "p p"]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
-from riecjax.criteria.windows import AllWindows
+from riecjax.criteria.windows import DEFAULT_BAND, AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
 from riecjax.estimation.blocks import (
@@ -52,7 +52,7 @@ SHORT_BLOCKS_OF_ROWS = 512
 def identify(
     model: Equation | Procedure | HasProcedure,
     records: Record | Sequence[Record],
-    criterion: AbstractCriterion,
+    criterion: AbstractCriterion | None = None,
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
@@ -68,7 +68,9 @@ def identify(
 
     - `model`: an `Equation`, several as `staged(...)` or `simultaneous(...)`, or a `Model`.
     - `records`: one record or several, of any lengths; their normal equations add up.
-    - `criterion`: `RIEC(RandomWindows(alpha, beta, count))` or `DOLS()`.
+    - `criterion`: `RIEC(AllWindows(alpha, beta))`, `RIEC(RandomWindows(alpha, beta, count))` or
+      `DOLS()`. By default all windows of half the periods of the model's band (1 to 10 Hz for a
+      model that names none).
     - `key`: for random windows, `jax.random.key(seed)`. All equations share its windows.
     - `known`: parameters held at these values instead of being estimated.
     - `own`: parameters with a value of their own in each record, such as a sensor's offset; in
@@ -84,6 +86,8 @@ def identify(
     combination that cannot be told apart.
     """
     procedure = as_procedure(model)
+    if criterion is None:
+        criterion = RIEC.of_band(getattr(model, "band", None) or DEFAULT_BAND)
     recordings = [records] if isinstance(records, Record) else list(records)
     if not recordings:
         raise DataError("identification needs at least one record.")

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import scipy.stats
 from jaxtyping import Array, Float, Int
 
@@ -72,21 +73,27 @@ class Uncertainty(eqx.Module):
         covariance = self.covariance * inflation[:, None] * inflation[None, :]
         return eqx.tree_at(lambda u: u.covariance, self, covariance)
 
-    def reach(self, index: int, level: float) -> tuple[float, float]:
-        """How many standard errors an interval reaches below and above an estimate.
+    def reach(self, level: float) -> tuple[np.ndarray, np.ndarray]:
+        """How many standard errors intervals reach below and above estimates (not under jit).
 
         Quantiles of the studentized replicates, widened as Student's t is wider than the normal
         law for so few blocks: replicates of few blocks know too little of the tails.
+
+        **Returns:** two arrays of shape `(..., p)`, with the leading axes of a batch.
         """
-        dof = max(float(self.degrees_of_freedom), 1.0)
-        student = float(scipy.stats.t.isf((1 - level) / 2, dof))
-        # Data that fit to the last digit scatter by nothing that a replicate could be divided by.
-        if self.studentized is None or not jnp.any(jnp.isfinite(self.studentized[:, index])):
+        tail = (1 - level) / 2
+        dof = np.maximum(np.asarray(self.degrees_of_freedom), 1)
+        student = np.asarray(scipy.stats.t.isf(tail, dof))[..., None]
+        student = np.broadcast_to(student, self.covariance.shape[:-1])
+        if self.studentized is None:
             return student, student
-        tails = jnp.array([(1 - level) / 2, (1 + level) / 2])
-        low, high = jnp.nanquantile(self.studentized[:, index], tails)
-        wider = student / float(scipy.stats.norm.isf((1 - level) / 2))
-        return float(high) * wider, -float(low) * wider
+        replicates = np.asarray(self.studentized)
+        # Data that fit to the last digit scatter by nothing that a replicate could be divided by.
+        exact = np.asarray(~np.isfinite(replicates).any(axis=-2))
+        replicates = np.where(exact[..., None, :], 0.0, replicates)
+        low, high = np.nanquantile(replicates, [tail, 1 - tail], axis=-2)
+        wider = student / scipy.stats.norm.isf(tail)
+        return np.where(exact, student, high * wider), np.where(exact, student, -low * wider)
 
 
 class AbstractIntervals(eqx.Module):

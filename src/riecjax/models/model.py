@@ -40,6 +40,8 @@ class Model:
     - `parameters`: what it identifies.
     - `system`: builds what is simulated from parameter values, likewise.
     - `own_simulation_parameters`: what that takes, with defaults; the identified ones unless given.
+    - `band`: lowest and highest frequency in hertz that the model should explain. Windows are half
+      its periods long (eq. 26) unless other lengths are asked for.
     - `written`: signals that a simulated recording holds; all by default.
     - `note`: something a user should know before using it.
     """
@@ -53,6 +55,7 @@ class Model:
     system: str | Callable[[Mapping[str, Array]], AbstractSystem] | None = None
     own_simulation_parameters: tuple[Quantity, ...] = ()
     inputs: tuple[Quantity, ...] = ()
+    band: tuple[float, float] | None = None
     written: tuple[str, ...] = ()
     note: str = ""
 

@@ -1,6 +1,6 @@
 """Results of an identification: JSON document and tables on a terminal."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,8 +16,11 @@ from riecjax.findings import Finding
 from riecjax.records.record import Record
 from riecjax.reporting.checking import excitation_entries
 from riecjax.reporting.output import Document, finite, number, versions
+from riecjax.studies.seed_scatter import SeedScatter
+from riecjax.studies.window_choice import WindowChoice
 from riecjax.studies.window_sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
+from riecjax.validation.residual_tests import ResidualTests
 
 
 class ValidationRun(NamedTuple):
@@ -34,7 +37,9 @@ class Identification:
 
     **Fields:** `model`'s name; its `procedure`; `files` and the prepared `records`; `steps` of
     reading and preparation in words; `doubts` about the files; `estimate`; what was `checked`
-    before it; window `sweep`, if any; `validations`; `key` and `seed` of the windows.
+    before it; window `sweep`, if any; `residuals`, tests of what is left; `choice` of windows, for
+    a criterion that has some; scatter over `seeds` of random ones; `validations`; `key` and `seed`
+    of the windows.
     """
 
     model: str
@@ -46,6 +51,9 @@ class Identification:
     estimate: Estimate
     checked: Check
     sweep: WindowSweep | None
+    residuals: ResidualTests
+    choice: WindowChoice | None
+    seeds: SeedScatter | None
     validations: Sequence[ValidationRun]
     key: Key[Array, ""]
     seed: int
@@ -63,7 +71,7 @@ class Identification:
             for run in self.validations
             if not run.held.predicts
         ]
-        return [*before, *after, *swept, *validated]
+        return [*before, *after, *swept, *self.residuals.findings(), *validated]
 
 
 def identification_document(result: Identification) -> Document:
@@ -95,6 +103,10 @@ def identification_document(result: Identification) -> Document:
         "rank": int(estimate.rank),
         "residual": {"relative_rms": stages[-1]["relative_rms"], "stages": stages},
         "excitation": excitation_entries(result.checked),
+        "correlation": _correlation(estimate),
+        "residual_tests": result.residuals.describe(),
+        "window_choice": None if result.choice is None else result.choice.describe(),
+        "seed_scatter": None if result.seeds is None else _seed_entries(result.seeds),
         "window_sweep": None if result.sweep is None else _sweep_entries(result.sweep),
         "validation": [{"on": run.on, **run.held.describe()} for run in result.validations],
         "warnings": [finding._asdict() for finding in result.findings()],
@@ -109,7 +121,11 @@ def identification_document(result: Identification) -> Document:
                 for file, record in zip(result.files, result.records)
             ],
             "preparation": list(result.steps),
-            "intervals": f"block sandwich over {int(estimate.block_count)} blocks of time",
+            "intervals": {
+                "method": estimate.uncertainty.label,
+                "blocks": int(estimate.block_count),
+                "block_seconds": float(estimate.block_length),
+            },
             "versions": versions(),
         },
     }
@@ -118,15 +134,34 @@ def identification_document(result: Identification) -> Document:
 def _parameters(estimate: Estimate) -> dict[str, Any]:
     units = dict(estimate.units)
     parameters = {}
-    for name in estimate.parameters:
+    for i, name in enumerate(estimate.parameters):
         low, high = estimate.interval(name)
         parameters[name] = {
             "value": float(estimate[name]),
             "unit": units.get(name, ""),
             "std_error": finite(float(estimate.standard_error(name))),
             "interval95": [finite(low), finite(high)],
+            "naive_std_error": finite(float(estimate.naive[i])),
+            "effective_windows": finite(float(estimate.effective_windows[i])),
         }
     return parameters
+
+
+def _correlation(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "parameters": list(estimate.parameters),
+        "matrix": [[finite(float(value)) for value in row] for row in estimate.correlation],
+    }
+
+
+def _seed_entries(scatter: SeedScatter) -> dict[str, Any]:
+    return {
+        "means": "scatter of the sampling of windows, not the parameters' uncertainty",
+        "seeds": int(scatter.theta.shape[0]),
+        "spread": {
+            name: finite(float(value)) for name, value in zip(scatter.parameters, scatter.spread)
+        },
+    }
 
 
 def _sweep_entries(sweep: WindowSweep) -> dict[str, Any]:
@@ -161,11 +196,36 @@ def print_identification(document: Document, console: Console) -> None:
             highlight=False,
             markup=False,
         )
+    for line in _windows_in_words(document):
+        console.print(line, highlight=False, markup=False)
     for validation in document["validation"]:
         line = f"validated on {validation['on']}: {validation['verdict']}"
         console.print(line, highlight=False, markup=False)
     for step in document["provenance"]["preparation"]:
         console.print(f"prepared: {step}", highlight=False, markup=False)
+
+
+def _windows_in_words(document: Document) -> Iterator[str]:
+    """Where intervals come from, what the windows see, and which lengths would serve best."""
+    intervals = document["provenance"]["intervals"]
+    yield (
+        f"intervals: {intervals['method']}, {intervals['blocks']} blocks of "
+        f"{intervals['block_seconds']:.3g} s"
+    )
+    if document["seed_scatter"] is not None:
+        spread = document["seed_scatter"]["spread"]
+        moved = ", ".join(f"{name} by {number(value, 2)}" for name, value in spread.items())
+        yield (
+            f"another seed would draw other windows and move {moved} (of the sampling, not of "
+            f"the parameters)"
+        )
+    criterion, choice = document["criterion"], document["window_choice"]
+    if choice is not None:
+        low, high = 0.5 / criterion["beta"], 0.5 / criterion["alpha"]
+        yield (
+            f"windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s: half periods of "
+            f"{high:.3g} to {low:.3g} Hz. {choice['reason']}"
+        )
 
 
 def _parameter_table(document: Document) -> Table:

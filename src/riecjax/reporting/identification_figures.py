@@ -13,6 +13,8 @@ from riecjax.records.record import Record
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import Identification, ValidationRun
 from riecjax.reporting.output import require_plots
+from riecjax.reporting.residual_figures import residual_figures
+from riecjax.reporting.window_choice_figures import window_choice_figures
 from riecjax.studies.window_sweep import WindowSweep
 
 MOST_POINTS = 3000
@@ -20,12 +22,17 @@ BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
 
 
 def identification_figures(result: Identification) -> dict[str, Any]:
-    """`fit`; `curves` if the model has some; `window_sweep`; `validation_1`, ... for each."""
+    """`fit`; `curves` if the model has some; `window_sweep`; `correlation` of the parameters;
+    `residual_1`, ... of each equation; `window_choice`; `validation_1`, ... for each."""
     figures = {"fit": _fit_figure(result)}
     if curves := identified_curves(result):
         figures["curves"] = curves_figure(curves)
     if result.sweep is not None:
         figures["window_sweep"] = sweep_figure(result.sweep, result.estimate)
+    figures["correlation"] = correlation_figure(result.estimate)
+    figures |= residual_figures(result.residuals)
+    if result.choice is not None:
+        figures |= window_choice_figures(result.choice)
     for i, run in enumerate(result.validations):
         if run.held.signals:
             figures[f"validation_{i + 1}"] = validation_figure(run)
@@ -75,6 +82,24 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
     for panel in axes.flat[count:]:
         panel.set_visible(False)
     axes.flat[0].legend(fontsize="small", framealpha=0.9)
+    return figure
+
+
+def correlation_figure(estimate: Estimate) -> Any:
+    """Correlation matrix of the estimates."""
+    plt = require_plots()
+    names, values = estimate.parameters, np.asarray(estimate.correlation)
+    side = 0.55 * len(names) + 2.2
+    figure, axes = plt.subplots(figsize=(side + 0.6, side), layout="constrained")
+    image = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1)
+    axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
+    axes.set_yticks(range(len(names)), names)
+    for (row, column), value in np.ndenumerate(values):
+        shade = "white" if abs(value) > 0.6 else "black"
+        axes.text(
+            column, row, f"{value:.2f}", ha="center", va="center", fontsize="x-small", color=shade
+        )
+    figure.colorbar(image, label="correlation of the estimates", shrink=0.8)
     return figure
 
 
