@@ -12,7 +12,10 @@ from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
+from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
+from riecjax.estimation.procedure import staged
+from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.studies.window_sweep import window_sweep
 
@@ -154,3 +157,34 @@ def test_the_sweep_takes_all_windows():
             RIEC(AllWindows(float(sweep.alpha[i]), float(sweep.beta[i])), Hat()),
         )
         np.testing.assert_allclose(sweep.theta[i], alone.theta, rtol=1e-8)
+
+
+def test_by_default_windows_are_half_periods_of_the_models_band():
+    record = record_of(900)
+    plain = identify(EQUATION, record)
+    assert plain.criterion.describe() == RIEC(AllWindows(0.05, 0.5)).describe()
+    model = Model("mine", "", procedure=lambda: EQUATION, band=(2.0, 5.0))
+    found = identify(model, record)
+    same = identify(EQUATION, record, RIEC(AllWindows(0.1, 0.25)))
+    np.testing.assert_array_equal(found.theta, same.theta)
+
+
+@pytest.mark.parametrize("band", [(0.0, 5.0), (5.0, 5.0), (5.0, 1.0), (-1.0, 2.0)])
+def test_a_band_that_is_none_is_refused(band):
+    with pytest.raises(ModelError, match="0 < low < high"):
+        RIEC.of_band(band)
+
+
+def test_the_whole_procedure_is_resampled_so_a_known_mass_narrows_what_follows_it():
+    rng = np.random.default_rng(4)
+    record = record_of(4000)
+    force = 2.0 * np.gradient(np.asarray(record["dx"]), STEP) + 60 * rng.normal(size=4000)
+    record = record.with_signals({"f": jnp.asarray(force)}, missing={})
+    first = Equation(Term("m", "dx", derivative=1), -Term(1.0, "f"), name="mass")
+    stages = staged(first, EQUATION)
+    criterion = RIEC(AllWindows(0.05, 0.3))
+    free, fixed = (
+        identify(stages, record, criterion),
+        identify(stages, record, criterion, known={"m": 2.0}),
+    )
+    assert float(free.standard_error("k")) > 1.2 * float(fixed.standard_error("k"))

@@ -16,7 +16,8 @@ from riecjax.estimation.blocks import (
     politis_white,
     put_together,
 )
-from riecjax.estimation.bootstrap import drawn_counts, eliminate, studentized_replicates
+from riecjax.estimation.bootstrap import drawn_counts, studentized_replicates
+from riecjax.estimation.elimination import eliminate
 from riecjax.estimation.influence import block_influence, in_order, staged_values, unknowns
 from riecjax.estimation.intervals import (
     BlockBootstrap,

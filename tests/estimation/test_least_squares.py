@@ -11,8 +11,8 @@ from riecjax.equations.term import Term
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation import least_squares
 from riecjax.estimation.identify import identify
-from riecjax.estimation.least_squares import gram_condition_limit
-from riecjax.estimation.normal_equations import normal_equations
+from riecjax.estimation.least_squares import gram_condition_limit, solve
+from riecjax.estimation.normal_equations import NormalEquations, normal_equations
 from riecjax.records.record import Record
 
 NAMES = ("a", "b", "c")
@@ -186,3 +186,24 @@ def test_numbers_that_are_not_finite_pass_through_one_lane_of_a_batch_only():
     theta = jax.vmap(lambda c: by_gram(Rows(c, jnp.arange(40), NAMES)).theta)(batch)
     np.testing.assert_allclose(theta[0], np.linalg.lstsq(A, y)[0], rtol=1e-11)
     assert np.isnan(theta[1]).all()
+
+
+def operands(jaxpr, name):
+    """Shapes of the operands of a primitive, in a jaxpr and everything inside it."""
+    for equation in jaxpr.eqns:
+        if equation.primitive.name == name:
+            yield equation.invars[0].aval.shape
+        for inner in jax.core.jaxprs_in_params(equation.params):
+            yield from operands(inner, name)
+
+
+def test_a_batch_never_calls_lapack_for_several_matrices_at_once():
+    """Two such calls at once wait for each other for ever on a machine of two cores."""
+    moments = jnp.broadcast_to(jnp.eye(4) + 0.1, (30, 4, 4))
+
+    def theta(moments):
+        return solve(NormalEquations(moments, jnp.asarray(9.0), ("a", "b", "c"))).theta
+
+    jaxpr = jax.make_jaxpr(jax.vmap(theta))(moments).jaxpr
+    assert set(operands(jaxpr, "eigh")) == {(3, 3)}
+    np.testing.assert_allclose(jax.vmap(theta)(moments)[4], theta(moments[4]), rtol=1e-12)

@@ -22,6 +22,11 @@ def chunk_length(record: Record, block: int, reach: int) -> int:
     return record.sample_count if record.sample_count <= wanted else -(-wanted // block) * block
 
 
+def is_chunked(record: Record, block: int, reach: int) -> bool:
+    """Whether a record is worked through in several chunks."""
+    return chunk_length(record, block, reach) < record.sample_count
+
+
 def in_chunks(
     record: Record,
     of_chunk: Callable[[Record, Int[Array, ""] | int, int], Any],

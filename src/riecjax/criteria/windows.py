@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
+from riecjax.criteria.chunks import is_chunked
 from riecjax.criteria.laws import AbstractLaw, LagBins, as_law
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, as_leaf, is_concrete
@@ -163,6 +164,11 @@ class AllWindows(AbstractWindows):
         else:
             wanted = max(self.longest_samples, _power_of_two(sample_count / MOST_BLOCKS))
         return min(wanted, -(-sample_count // 2))
+
+    def in_chunks(self, record: Record) -> bool:
+        """Whether a record is so long that it is worked through in chunks."""
+        n = record.sample_count
+        return is_chunked(record, self.block(n), self.reach(n))
 
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
         """The law of lags, which are multiples of so many samples."""

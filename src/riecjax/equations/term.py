@@ -16,7 +16,8 @@ from riecjax.records.record import Record, Signals
 Expression = str | Callable[[Signals], Array]
 """A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
 
-A function returns one number for each sample, or one for all if it reads no signal.
+A function returns one number for each sample, which depends on that sample alone (long records are
+worked through in chunks), or one for all if it reads no signal.
 Write functions once, at module level: a new function object each time compiles anew.
 """
 

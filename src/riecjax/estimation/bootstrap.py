@@ -7,14 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.estimation.blocks import MOST_BLOCKS
-from riecjax.estimation.influence import (
-    Unknowns,
-    in_order,
-    scores,
-    slope,
-    staged_values,
-    unit_scale,
-)
+from riecjax.estimation.elimination import eliminate, unit_scale
+from riecjax.estimation.influence import Unknowns, in_order, scores, slope, staged_values
 from riecjax.estimation.normal_equations import NormalEquations
 
 AT_ONCE = 250
@@ -94,21 +88,3 @@ def solve_definite(equations: NormalEquations) -> Float[Array, " p"]:
     scale = unit_scale(jnp.diagonal(equations.gram))
     gram = equations.gram * scale[:, None] * scale[None, :]
     return scale * eliminate(gram, (equations.moment * scale)[:, None])[:, 0]
-
-
-def eliminate(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
-    """matrix^-1 right by Gauss and Jordan's elimination, without pivots.
-
-    For matrices whose leading blocks are positive definite, which need none. Plain arithmetic that
-    a compiler turns into vector instructions over thousands of small matrices, where LAPACK is
-    called once for each.
-    """
-    size = matrix.shape[0]
-
-    def step(table: Array, k: Array) -> tuple[Array, None]:
-        row = table[k] / table[k, k]
-        cleared = table - table[:, k][:, None] * row[None, :]
-        return cleared.at[k].set(row), None
-
-    table, _ = jax.lax.scan(step, jnp.concatenate([matrix, right], axis=1), jnp.arange(size))
-    return table[:, size:]

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.sample_by_sample import raise_if_samples_mix
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
 from riecjax.estimation.blocks import (
     MOST_BLOCKS,
@@ -100,6 +101,7 @@ def identify(
         criterion.check(record)
     criterion = criterion.fitted(recordings)
 
+    _raise_if_samples_mix(procedure, recordings, criterion)
     keys = record_keys(key, len(recordings))
     stages, short = all_normal_equations(procedure, sharing, recordings, criterion, keys)
     judge = BlockBootstrap() if intervals is None else intervals
@@ -382,6 +384,18 @@ def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] |
     if key is None or count == 1:
         return [key] * count
     return list(jax.random.split(key, count))
+
+
+def _raise_if_samples_mix(
+    procedure: Procedure, records: list[Record], criterion: AbstractCriterion
+) -> None:
+    if not (isinstance(criterion, RIEC) and isinstance(criterion.windows, AllWindows)):
+        return
+    for record in records:
+        if criterion.windows.in_chunks(record) and is_concrete(record):
+            for stage in procedure.stages:
+                for equation in stage:
+                    raise_if_samples_mix(equation, record)
 
 
 def _worst_condition(solutions: list[StageSolution]) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from riecjax.estimation.elimination import eliminate, unit_scale
 from riecjax.estimation.normal_equations import NormalEquations
 
 Unknowns = list[tuple[int, tuple[str, ...]]]
@@ -77,16 +78,10 @@ def slope(totals: list[NormalEquations], plan: Unknowns) -> Float[Array, "p p"]:
 def against(
     slope: Float[Array, "p p"], scores: Float[Array, "blocks p"]
 ) -> Float[Array, "blocks p"]:
-    """Slope^-1 times each score. Scaled first: parameters may differ by ten powers of ten."""
+    """Slope^-1 times each score."""
     scale = unit_scale(jnp.diagonal(slope))
     scaled = slope * scale[:, None] * scale[None, :]
-    return (scale[:, None] * jnp.linalg.solve(scaled, scale[:, None] * scores.T)).T
-
-
-def unit_scale(diagonal: Float[Array, " p"]) -> Float[Array, " p"]:
-    """Factors that bring a matrix with this diagonal to a diagonal of ones, on either side."""
-    size = jnp.abs(diagonal)
-    return jnp.where(size > 0, 1 / jnp.sqrt(jnp.where(size > 0, size, 1.0)), 1.0)
+    return (scale[:, None] * eliminate(scaled, scale[:, None] * scores.T)).T
 
 
 def block_influence(

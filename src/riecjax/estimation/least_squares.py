@@ -7,6 +7,7 @@ import lineax as lx
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import Rows
+from riecjax.estimation.elimination import unit_scale
 from riecjax.estimation.normal_equations import NormalEquations
 
 
@@ -47,11 +48,11 @@ def solve(equations: NormalEquations) -> Solution:
     linear solve rather than lineax's: the latter's derivative raises on numbers that are not
     finite, which optimisers and diverged lanes of a batch may pass through.)
     """
-    scale = _column_scale(jnp.diagonal(equations.gram))
+    scale = unit_scale(jnp.diagonal(equations.gram))
     gram = equations.gram * scale[:, None] * scale[None, :]
     # Rounding of the Gram matrix hides singular values of A below sqrt(eps) of the largest.
     tolerance = float(jnp.finfo(gram.dtype).eps) * gram.shape[0]
-    eigenvalues, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(gram))
+    eigenvalues, vectors = _eigh(jax.lax.stop_gradient(gram))
     kept = eigenvalues > tolerance * eigenvalues[-1]
     inverse = jnp.where(kept, 1 / jnp.where(kept, eigenvalues, 1.0), 0.0)
     theta = jax.lax.custom_linear_solve(
@@ -64,9 +65,16 @@ def solve(equations: NormalEquations) -> Solution:
     return _solution(theta * scale, singular_values, vectors[:, 0], tolerance**0.5)
 
 
+# One matrix at a time, under vmap as well. LAPACK's batched calls wait for threads of the pool that
+# they run on: two at once, on a machine of two cores, wait for each other for ever (jaxlib 0.10.2).
+@jax.custom_batching.sequential_vmap
+def _eigh(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
+    return jnp.linalg.eigh(matrix)
+
+
 def solve_rows(rows: Rows) -> Solution:
     """Solve rows by a singular value decomposition: dearer, accurate to eps times cond."""
-    scale = _column_scale(jnp.sum(rows.regressors**2, axis=0))
+    scale = unit_scale(jnp.sum(rows.regressors**2, axis=0))
     matrix = rows.regressors * scale[None, :]
     tolerance = float(jnp.finfo(matrix.dtype).eps) * max(matrix.shape)
     theta = lx.linear_solve(
@@ -79,11 +87,6 @@ def solve_rows(rows: Rows) -> Solution:
     )
     singular_values = jnp.pad(singular_values, (0, missing))
     return _solution(theta * scale, singular_values[::-1], right[-1], tolerance)
-
-
-def _column_scale(squared_lengths: Float[Array, " p"]) -> Float[Array, " p"]:
-    filled = squared_lengths > 0
-    return jnp.where(filled, 1 / jnp.sqrt(jnp.where(filled, squared_lengths, 1.0)), 1.0)
 
 
 def _solution(

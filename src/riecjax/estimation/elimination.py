@@ -1,0 +1,32 @@
+"""Small linear systems as plain arithmetic, thousands at a time."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def eliminate(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
+    """matrix^-1 right by Gauss and Jordan's elimination, without pivots.
+
+    For matrices whose leading blocks are positive definite, which need none; scale them to a
+    diagonal of ones first (see [`unit_scale`][]). A compiler turns it into vector instructions
+    over thousands of small matrices, where LAPACK is called once for each.
+    """
+    size = matrix.shape[0]
+
+    def step(table: Array, k: Array) -> tuple[Array, None]:
+        row = table[k] / table[k, k]
+        cleared = table - table[:, k][:, None] * row[None, :]
+        return cleared.at[k].set(row), None
+
+    table, _ = jax.lax.scan(step, jnp.concatenate([matrix, right], axis=1), jnp.arange(size))
+    return table[:, size:]
+
+
+def unit_scale(diagonal: Float[Array, " p"]) -> Float[Array, " p"]:
+    """Factors that bring a matrix with this diagonal to a diagonal of ones, on either side.
+
+    Parameters may differ by ten powers of ten. 1 where the diagonal is zero.
+    """
+    size = jnp.abs(diagonal)
+    return jnp.where(size > 0, 1 / jnp.sqrt(jnp.where(size > 0, size, 1.0)), 1.0)

@@ -1,0 +1,111 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.laws import DensityLaw, SteppedLaw
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
+from riecjax.criteria.windows import AllWindows, WindowSet
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.errors import ModelError
+from riecjax.estimation.identify import identify
+from riecjax.records.record import Record
+
+EQUATION = Equation(
+    Term("m", "x", derivative=2, measured=("dx",)),
+    Term("d", "x", derivative=1, measured=("dx",)),
+    Term("k", "x"),
+    -Term(1.0, "u"),
+)
+STEP, ALPHA, BETA = 0.01, 0.06, 0.3
+
+
+def record_of(n=400, gaps=3):
+    rng = np.random.default_rng(0)
+    t = STEP * np.arange(n)
+    x = np.sin(3 * t) + 0.3 * np.cos(11 * t)
+    dx = 3 * np.cos(3 * t) - 3.3 * np.sin(11 * t)
+    u = rng.normal(size=n) + 20 * x + dx
+    u[rng.integers(0, n, gaps)] = np.nan
+    return Record.from_samples({"x": x, "dx": dx, "u": u}, time_step=STEP)
+
+
+def one_by_one(record, weight, length_weights):
+    """Weighted least squares over every window; `length_weights`: samples to weight."""
+    total = 0.0
+    for samples, w in length_weights.items():
+        start = np.arange(record.sample_count - samples)
+        windows = WindowSet(jnp.asarray(start), jnp.asarray(start + samples))
+        columns, whole = weight.integrals(EQUATION, record, windows)
+        rows = np.asarray(columns)[:, np.asarray(whole)]
+        total = total + w * rows @ rows.T
+    return np.linalg.solve(total[1:, 1:], total[1:, 0])
+
+
+@pytest.mark.parametrize("weight", [Boxcar(), Hat(4)], ids=str)
+def test_a_stepped_law_weighs_equal_parts_of_the_band(weight):
+    steps = [1.0, 0.0, 3.0]
+    found = identify(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=steps), weight))
+    multiple = weight.length_multiple
+    lags = np.arange(6 // multiple, 30 // multiple + 1)
+    edges = np.round(np.linspace(0, 1, 4) * lags.size).astype(int)
+    each = {
+        int(multiple * lag): w
+        for w, a, b in zip(steps, edges[:-1], edges[1:])
+        for lag in lags[a:b]
+        if w > 0
+    }
+    np.testing.assert_allclose(found.theta, one_by_one(record_of(), weight, each), rtol=1e-9)
+
+
+@pytest.mark.parametrize("weight", [Boxcar(4), Hat()], ids=str)
+def test_any_function_of_the_length_is_exact(weight):
+    def law(length):
+        return jnp.exp(-5 * length) * length
+
+    found = identify(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=law), weight))
+    multiple = weight.length_multiple
+    lengths = multiple * np.arange(6 // multiple, 30 // multiple + 1)
+    each = {int(k): float(np.exp(-5 * k * STEP) * k * STEP) for k in lengths}
+    np.testing.assert_allclose(found.theta, one_by_one(record_of(), weight, each), rtol=1e-9)
+    assert found.criterion.describe()["law"] == "law"
+
+
+def test_bumps_weigh_their_lengths_by_the_law():
+    bump = Bump(4, lengths=4)
+    criterion = RIEC(AllWindows(ALPHA, BETA, law=lambda length: length**2), bump)
+    each = {k: float(k**2) for k in (6, 14, 22, 30)}
+    found = identify(EQUATION, record_of(), criterion)
+    np.testing.assert_allclose(found.theta, one_by_one(record_of(), bump, each), rtol=1e-8)
+
+
+def test_a_flat_law_is_no_law_whatever_its_size():
+    plain = identify(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA)))
+    for law in (SteppedLaw(7.0 * np.ones(5)), DensityLaw(lambda length: 0.1 + 0 * length)):
+        same = identify(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=law)))
+        np.testing.assert_allclose(same.theta, plain.theta, rtol=1e-9)
+        np.testing.assert_allclose(same.stages[0].count, plain.stages[0].count, rtol=1e-12)
+
+
+def test_estimates_differentiate_in_the_law():
+    record, weights = record_of(), jnp.array([1.0, 2.0, 0.5])
+
+    def mass(weights):
+        windows = AllWindows(ALPHA, BETA, law=weights, longest_samples=32)
+        return identify(EQUATION, record, RIEC(windows))["m"]
+
+    slope = jax.grad(mass)(weights)
+    for i in range(3):
+        step = jnp.zeros(3).at[i].set(1e-4)
+        difference = (mass(weights + step) - mass(weights - step)) / 2e-4
+        assert float(slope[i]) == pytest.approx(float(difference), rel=1e-5)
+    # Only ratios of weights matter.
+    assert float(slope @ weights) == pytest.approx(0.0, abs=1e-9 * float(mass(weights)))
+
+
+@pytest.mark.parametrize("law", [[], [0.0, 0.0], [1.0, -1.0], [1.0, np.nan], [[1.0]]], ids=str)
+def test_weights_that_make_no_law_are_refused(law):
+    with pytest.raises(ModelError, match="law of window lengths"):
+        AllWindows(ALPHA, BETA, law=law)
