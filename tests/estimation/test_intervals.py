@@ -16,7 +16,7 @@ from riecjax.estimation.blocks import (
     politis_white,
     put_together,
 )
-from riecjax.estimation.bootstrap import drawn_counts, studentized_replicates
+from riecjax.estimation.bootstrap import drawn_counts, studentized_replicates, uniform_draws
 from riecjax.estimation.elimination import eliminate
 from riecjax.estimation.influence import block_influence, in_order, staged_values, unknowns
 from riecjax.estimation.intervals import (
@@ -189,13 +189,13 @@ def test_the_sandwich_weighs_lags_as_newey_and_west_do():
 def test_replicates_are_refits_of_drawn_blocks_divided_by_their_sandwich():
     fine = two_stages(jax.random.key(5))
     evidence = evidence_of(fine, 20)
-    key = jax.random.key(7)
+    draws = jnp.asarray(uniform_draws(7, 3, 1))
     found = studentized_replicates(
-        evidence.stages, evidence.plan, {}, evidence.values, evidence.used, key=key, replicates=3
+        evidence.stages, evidence.plan, {}, evidence.values, evidence.used, draws=draws
     )
     middle = np.asarray(in_order(evidence.plan, evidence.values))
-    for one, t in zip(jax.random.split(key, 3), found):
-        drawn = np.asarray(drawn_counts(one, evidence.used)).astype(float)
+    for one, t in zip(draws, found):
+        drawn = np.asarray(drawn_counts(one, evidence.used)).astype(float)[0]
         assert drawn.sum() == 20
         assert not drawn[20:].any()
         first, second = (np.asarray(stage.moments) for stage in evidence.stages)

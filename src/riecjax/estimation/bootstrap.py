@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+import numpy as np
+from jaxtyping import Array, Float, Int
 
 from riecjax.estimation.blocks import MOST_BLOCKS
 from riecjax.estimation.elimination import eliminate, unit_scale
@@ -22,8 +23,7 @@ def studentized_replicates(
     values: Mapping[str, Array],
     used: Int[Array, " records"],
     *,
-    key: Key[Array, ""],
-    replicates: int,
+    draws: Float[Array, "replicates records blocks_of_record"],
 ) -> Float[Array, "replicates p"]:
     """(estimate - value) / standard error of each replicate, for all parameters of all stages.
 
@@ -33,13 +33,13 @@ def studentized_replicates(
     a parameter undetermined.
 
     **Arguments:** `stages` in blocks, `MOST_BLOCKS` of each record, of which `used` hold rows;
-    `values` of all parameters by name, found from all blocks.
+    `values` of all parameters by name, found from all blocks; `draws`, see [`uniform_draws`][].
     """
     found = in_order(plan, values)
     moments = [stage.moments.reshape(stage.moments.shape[0], -1) for stage in stages]
 
-    def of_key(one: Key[Array, ""]) -> Float[Array, " p"]:
-        weights = drawn_counts(one, used).astype(found.dtype)
+    def replicate(drawn: Float[Array, "records blocks_of_record"]) -> Float[Array, " p"]:
+        weights = drawn_counts(drawn, used).astype(found.dtype).ravel()
         totals = [
             NormalEquations(
                 (weights @ m).reshape(s.moments.shape[1:]), weights @ s.count, s.parameters
@@ -54,18 +54,26 @@ def studentized_replicates(
         usable = (error > 0) & jnp.isfinite(error) & jnp.isfinite(moved)
         return jnp.where(usable, moved / jnp.where(usable, error, 1.0), jnp.nan)
 
-    return jax.lax.map(of_key, jax.random.split(key, replicates), batch_size=AT_ONCE)
+    return jax.lax.map(replicate, draws, batch_size=AT_ONCE)
 
 
-def drawn_counts(key: Key[Array, ""], used: Int[Array, " records"]) -> Int[Array, " blocks"]:
+def uniform_draws(seed: int, replicates: int, records: int) -> np.ndarray:
+    """Numbers from 0 to 1, one for each block that each replicate draws of each record.
+
+    NumPy's: the same for every fit, so nothing is gained by compiling how they are made.
+    """
+    shape = (replicates, records, MOST_BLOCKS)
+    return np.random.default_rng(seed).random(shape, np.float32)
+
+
+def drawn_counts(
+    drawn: Float[Array, "records blocks_of_record"], used: Int[Array, " records"]
+) -> Int[Array, "records blocks_of_record"]:
     """How often each block is drawn, with as many draws from each record as it has blocks."""
-    records = used.shape[0]
-    place = jax.random.uniform(key, (records, MOST_BLOCKS))
-    drawn = jnp.minimum((place * used[:, None]).astype(jnp.int32), used[:, None] - 1)
-    wanted = jnp.arange(MOST_BLOCKS)[None, :] < used[:, None]
-    block = drawn + MOST_BLOCKS * jnp.arange(records)[:, None]
-    empty = jnp.zeros(records * MOST_BLOCKS, jnp.int32)
-    return empty.at[block.ravel()].add(wanted.ravel().astype(jnp.int32))
+    block = jnp.minimum((drawn * used[:, None]).astype(jnp.int32), used[:, None] - 1)
+    place = jnp.arange(MOST_BLOCKS)
+    wanted = place[None, :, None] < used[:, None, None]
+    return jnp.sum((block[:, :, None] == place[None, None, :]) & wanted, axis=1)
 
 
 def _standard_errors(

@@ -284,6 +284,10 @@ class Estimate(eqx.Module):
         for name, value in self.known.items():
             unit = units.get(name, "")
             lines.append(f"{name:<{max(width, 9)}}  {float(value):>12.6g}  known {unit}")
+        lines.append(
+            f"intervals: {self.uncertainty.label}, {int(self.block_count)} blocks of "
+            f"{float(self.block_length):.3g} s"
+        )
         lines.append(f"condition number {float(self.condition_number):.3g}")
         lines.extend(
             f"{label}: relative residual {100 * float(stage.relative_rms):.3g} %"

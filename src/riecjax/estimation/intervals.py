@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from riecjax.errors import ModelError
 from riecjax.estimation.blocks import MOST_BLOCKS, ShortBlocks
-from riecjax.estimation.bootstrap import studentized_replicates
+from riecjax.estimation.bootstrap import studentized_replicates, uniform_draws
 from riecjax.estimation.elimination import eliminate, unit_scale
 from riecjax.estimation.influence import Unknowns, in_order, staged_values
 from riecjax.estimation.least_squares import solve
@@ -128,6 +128,7 @@ class BlockBootstrap(AbstractIntervals):
 
     def uncertainty(self, evidence: Evidence) -> Uncertainty:
         """Jackknife covariance, and studentized replicates."""
+        records = evidence.used.shape[0]
         return Uncertainty(
             jackknife_covariance(evidence),
             studentized_replicates(
@@ -136,8 +137,7 @@ class BlockBootstrap(AbstractIntervals):
                 evidence.known,
                 evidence.values,
                 evidence.used,
-                key=jax.random.key(self.seed),
-                replicates=self.replicates,
+                draws=jnp.asarray(uniform_draws(self.seed, self.replicates, records)),
             ),
             _freedom(evidence),
             f"studentized block bootstrap, {self.replicates} replicates",
