@@ -5,6 +5,8 @@ anew. Numbers that users set therefore become arrays at the border; NumPy ones, 
 model at import time makes no JAX array.
 """
 
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -13,6 +15,7 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike
 
 Leaf = Array | np.ndarray
+Tree = TypeVar("Tree")
 
 
 def as_leaf(value: ArrayLike | Array) -> Leaf:
@@ -20,6 +23,14 @@ def as_leaf(value: ArrayLike | Array) -> Leaf:
     if isinstance(value, jax.Array):
         return value
     return np.asarray(value, float)
+
+
+def on_host(tree: Tree) -> Tree:
+    """The tree with NumPy arrays in place of JAX's, from which single numbers are cheap to read.
+
+    JAX compiles a slice for each of them.
+    """
+    return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
 
 
 def is_concrete(*trees: object) -> bool:

@@ -111,6 +111,7 @@ def command(
     from riecjax.estimation.check import check
     from riecjax.estimation.identify import identify
     from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
+    from riecjax.leaves import on_host
     from riecjax.models.resolve import find_model
     from riecjax.reporting.identification import (
         Identification,
@@ -132,7 +133,8 @@ def command(
     settings = {"key": key, "known": known, "own": own}
     checked = check(procedure, records, criterion, **settings)
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
-    estimate = identify(procedure, records, criterion, **settings, intervals=kinds[intervals])
+    judge = kinds[intervals]
+    estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
     validations, failed = validation_runs(model, estimate, own, held, further)
     result = Identification(
         model=model.name,
@@ -182,12 +184,13 @@ def _sweep(
 ) -> "WindowSweep | None":
     from riecjax.criteria.criterion import RIEC
     from riecjax.errors import DataError
+    from riecjax.leaves import on_host
     from riecjax.studies.window_sweep import window_sweep
 
     if not isinstance(criterion, RIEC):
         return None
     try:
-        return window_sweep(procedure, records, criterion, **settings)
+        return on_host(window_sweep(procedure, records, criterion, **settings))
     except DataError:
         return None  # too short a record, which the check has said
 

@@ -1,9 +1,12 @@
 """Curves that were identified function by function, such as a damper's force over velocity."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from riecjax.criteria.criterion import DOLS
 from riecjax.equations.bases import AbstractBasis
@@ -86,7 +89,7 @@ def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) 
     variable, present = evaluate(term.of, record)
     x = np.asarray(variable) if present is None else np.asarray(variable)[np.asarray(present)]
     grid = np.linspace(x.min(), x.max(), GRID)
-    functions = np.asarray(_functions(term.basis, grid))
+    functions = np.asarray(_functions(term.basis, jnp.asarray(grid)))
     values = np.array([float(estimate[name]) for name in term.parameters])
     label = term.of if isinstance(term.of, str) else getattr(term.of, "__name__", "variable")
     return IdentifiedCurve(
@@ -101,10 +104,9 @@ def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) 
     )
 
 
-def _functions(basis: AbstractBasis, x: np.ndarray) -> np.ndarray:
-    import jax.numpy as jnp
-
-    return np.asarray(basis(jnp.asarray(x)))
+@eqx.filter_jit
+def _functions(basis: AbstractBasis, x: Float[Array, " grid"]) -> Float[Array, "functions grid"]:
+    return basis(x)
 
 
 def _error(estimate: Estimate, term: Terms, functions: np.ndarray) -> np.ndarray:
@@ -120,23 +122,39 @@ def _samples(
     estimate: Estimate, equation: Equation, term: Terms, record: Record, variable: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """The equation at every sample without this term, which is what the curve should give."""
-    rest = [other for other in equation.terms if other is not term]
+    rest = tuple(other for other in equation.terms if other is not term)
+    values = {name: estimate[name] for other in rest for name in other.parameters}
     try:
-        total = sum(_contribution(estimate, other, record) for other in rest)
+        total, kept = _at_samples(equation, rest, record, values)
     except DataError:
         return None  # a derivative that is not recorded
-    rows = DOLS().rows(equation, record)
-    kept = np.ones(variable.size, bool) if rows.kept is None else np.asarray(rows.kept)
+    there = slice(None) if kept is None else np.asarray(kept)
     sign = float(term.sign)
-    x, y = variable[kept], -np.asarray(total)[kept] / sign
+    x, y = variable[there], -np.asarray(total)[there] / sign
     last = min(x.size, MOST_POINTS)
     return x[:last], y[:last]
 
 
-def _contribution(estimate: Estimate, term: AbstractTerm, record: Record) -> np.ndarray:
-    values = np.asarray(term.samples(record, term.derivative).values)
-    factors = np.array([float(estimate[name]) for name in term.parameters] or [1.0])
-    return factors @ values
+@eqx.filter_jit
+def _at_samples(
+    equation: Equation,
+    terms: tuple[AbstractTerm, ...],
+    record: Record,
+    values: Mapping[str, Array],
+) -> tuple[Float[Array, " n"], Bool[Array, " n"] | None]:
+    """Sum of some terms at every sample, and where the whole equation is present."""
+    total = sum(
+        (_contribution(values, term, record) for term in terms), jnp.zeros(record.sample_count)
+    )
+    return total, DOLS().rows(equation, record).kept
+
+
+def _contribution(
+    values: Mapping[str, Array], term: AbstractTerm, record: Record
+) -> Float[Array, " n"]:
+    samples = term.samples(record, term.derivative).values
+    factors = jnp.stack([jnp.asarray(values[name]) for name in term.parameters] or [jnp.ones(())])
+    return factors @ samples
 
 
 def _with_unit(name: str, record: Record) -> str:

@@ -1,14 +1,15 @@
 """Figures of an identification: fit, window sweep, validation."""
 
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.criteria.test_functions import Hat
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.identify import record_keys
+from riecjax.estimation.identify import all_rows, record_keys
+from riecjax.estimation.sharing import Sharing
 from riecjax.records.record import Record
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import Identification, ValidationRun
@@ -89,8 +90,8 @@ def correlation_figure(estimate: Estimate) -> Any:
     """Correlation matrix of the estimates."""
     plt = require_plots()
     names, values = estimate.parameters, np.asarray(estimate.correlation)
-    side = 0.55 * len(names) + 2.2
-    figure, axes = plt.subplots(figsize=(side + 0.6, side), layout="constrained")
+    side = 0.55 * len(names) + 1.2
+    figure, axes = plt.subplots(figsize=(side + 1.6, side), layout="constrained")
     image = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1)
     axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
     axes.set_yticks(range(len(names)), names)
@@ -135,70 +136,80 @@ def _shown(record: Record, name: str) -> np.ndarray:
     return np.where(record.missing[name], np.nan, samples) if name in record.missing else samples
 
 
+class _Fit(NamedTuple):
+    """What was measured and what is explained in each row, and when its window starts."""
+
+    measured: np.ndarray
+    explained: np.ndarray
+    start: np.ndarray
+
+
 def _fit_figure(result: Identification) -> Any:
     """Each stage's rows, measured against explained, and what is left of them."""
     plt = require_plots()
-    estimate, procedure, records = result.estimate, result.procedure, result.records
-    own = frozenset(name.partition("[")[0] for name in estimate if "[" in name)
-    stages = [procedure.stages[stage.stage] for stage in estimate.stages]
+    estimate, procedure = result.estimate, result.procedure
+    count = len(estimate.stages)
     figure, axes = plt.subplots(
-        2, len(stages), figsize=(3.6 * len(stages) + 0.8, 6.4), squeeze=False, layout="constrained"
+        2, count, figsize=(3.6 * count + 0.8, 6.4), squeeze=False, layout="constrained"
     )
-    for column, (equations, name) in enumerate(zip(stages, estimate.stage_names)):
-        unit = _row_unit(equations[0].unit, estimate.criterion)
-        rows = Rows.concatenate(
-            [
-                _in_seconds(
-                    _explained(
-                        estimate,
-                        _named(estimate.criterion.rows(equation, record, record_key), own, i),
-                    ),
-                    record,
-                )
-                for i, (record, record_key) in enumerate(
-                    zip(records, record_keys(result.key, len(records)))
-                )
-                for equation in equations
-            ]
-        )
-        kept = slice(None) if rows.kept is None else np.asarray(rows.kept)
-        measured, explained = np.asarray(rows.target)[kept], np.asarray(rows.columns[1])[kept]
-        start = np.asarray(rows.position)[kept]
+    fits = list(_fits(result))
+    for column, (stage, name) in enumerate(zip(estimate.stages, estimate.stage_names)):
+        unit = _row_unit(procedure.stages[stage.stage][0].unit, estimate.criterion)
+        parts = [fit for place, fit in fits if place == stage.stage]
+        measured, explained, start = (np.concatenate(arrays) for arrays in zip(*parts))
         chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
         _draw_fit(axes[0, column], explained[chosen], measured[chosen], name, unit)
-        _draw_residual(
-            axes[1, column],
-            start[chosen],
-            (measured - explained)[chosen],
-            unit,
-        )
+        _draw_residual(axes[1, column], start[chosen], (measured - explained)[chosen], unit)
     return figure
 
 
-def _named(rows: Rows, own: frozenset[str], index: int) -> Rows:
-    """The rows of one record, with the names of the parameters that are its own."""
-    names = (f"{name}[{index + 1}]" if name in own else name for name in rows.parameters)
-    return rows.rename(tuple(names))
+def _fits(result: Identification) -> Iterator[tuple[int, _Fit]]:
+    """Each equation's rows on each record, with the place of its stage."""
+    estimate, procedure, records = result.estimate, result.procedure, result.records
+    single = Sharing(procedure.parameters, (), 1)
+    for i, (record, key) in enumerate(zip(records, record_keys(result.key, len(records)))):
+        known = _of_record(estimate.known, i)
+        estimated = _of_record({name: estimate[name] for name in estimate.parameters}, i)
+        # The check of this record has compiled the same function.
+        for place, rows in enumerate(
+            all_rows(procedure, single, [record], estimate.criterion, [key])
+        ):
+            equations = procedure.stages[place]
+            # On one record every equation has as many rows as the others.
+            parts = np.split(np.arange(rows.columns.shape[1]), len(equations))
+            for equation, part in zip(equations, parts):
+                yield place, _fit(rows, part, equation.parameters, record, known, estimated)
 
 
-def _in_seconds(rows: Rows, record: Record) -> Rows:
-    """The rows with the times at which they start in place of samples."""
-    return Rows(
-        rows.columns, record.time[jnp.floor(rows.position).astype(int)], rows.parameters, rows.kept
-    )
+def _of_record(values: Mapping[str, Any], index: int) -> dict[str, float]:
+    """Values as the record number `index` (from 0) knows them: its own `offset[2]` as `offset`."""
+    found = {name: float(value) for name, value in values.items()}
+    ending = f"[{index + 1}]"
+    own = {n.removesuffix(ending): v for n, v in found.items() if n.endswith(ending)}
+    return found | own
 
 
-def _explained(estimate: Estimate, rows: Rows) -> Rows:
-    """Two columns: what the known terms and parameters give, and what the estimated explain."""
-    left = rows.fix(estimate.known)
+def _fit(
+    rows: Rows,
+    part: np.ndarray,
+    names: tuple[str, ...],
+    record: Record,
+    known: Mapping[str, float],
+    estimated: Mapping[str, float],
+) -> _Fit:
+    """What the known terms and parameters give, and what the estimated ones explain of it."""
+    if rows.kept is not None:
+        part = part[np.asarray(rows.kept)[part]]
+    columns = np.asarray(rows.columns)[:, part]
+    held = {name: columns[1 + rows.parameters.index(name)] for name in names}
+    target = columns[0] - sum(known[name] * held.pop(name) for name in names if name in known)
     # Where no term is known beforehand, an earlier stage found the coefficient that sets the scale.
-    if left.parameters and bool(jnp.all(left.target == 0)):
-        left = left.fix({left.parameters[0]: estimate[left.parameters[0]]})
-    explained = sum(
-        (estimate[name] * column for name, column in zip(left.parameters, left.columns[1:])),
-        start=jnp.zeros_like(left.target),
-    )
-    return Rows(jnp.stack([left.target, explained]), rows.position, ("explained",), rows.kept)
+    if held and not target.any():
+        first = next(iter(held))
+        target = -estimated[first] * held.pop(first)
+    explained = sum((estimated[n] * column for n, column in held.items()), np.zeros(part.size))
+    first_sample = np.floor(np.asarray(rows.position)[part]).astype(int)
+    return _Fit(target, explained, np.asarray(record.time)[first_sample])
 
 
 def _draw_fit(axes: Any, explained: np.ndarray, measured: np.ndarray, name: str, unit: str) -> None:

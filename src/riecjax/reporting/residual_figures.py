@@ -15,6 +15,8 @@ EXCERPT = 400
 """Values of an error that are drawn one by one."""
 LEAST_SHOWN = 1e-8
 """Density against the largest one below which nothing is drawn."""
+DECADE = 12
+"""Ratio of an axis' ends up to which 1, 2, 5 would be too few numbers on it."""
 BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
 
 
@@ -53,6 +55,7 @@ def _draw_excerpt(axes: Any, error: EquationError, unit: str) -> None:
     time = _time(error)[shown]
     axes.plot(time, np.asarray(error.target)[shown], color=GREY, linewidth=1.4, label="target")
     axes.plot(time, np.asarray(error.error)[shown], color=RUST, linewidth=0.9, label="error")
+    axes.margins(y=0.2)  # room for the legend
     axes.set_xlabel("time / s")
     axes.set_ylabel(labelled("target and error", unit))
     axes.legend(fontsize="small", framealpha=0.9, loc="upper right", ncols=2)
@@ -122,18 +125,23 @@ def _draw_spectra(axes: Any, residual: EquationResidual) -> None:
     axes.set_xlim(frequency[0], frequency[-1])
     plain_numbers(axes.xaxis)
     axes.set_xlabel("frequency / Hz")
-    axes.set_ylim(bottom=density_floor(spectrum))
-    axes.set_ylabel(density_label(residual.unit))
+    density_axis(axes, spectrum, residual.unit)
     axes.legend(fontsize="small", framealpha=0.9)
+
+
+def density_axis(axes: Any, spectrum: ErrorSpectrum, unit: str) -> None:
+    """Floor, ticks and label of an axis of power densities, of a quantity in this unit."""
+    from matplotlib.ticker import NullLocator
+
+    axes.set_ylim(bottom=density_floor(spectrum))
+    axes.yaxis.set_minor_locator(NullLocator())  # eight to a decade take a second to draw
+    axes.set_ylabel(density_label(unit))
 
 
 def density_label(unit: str) -> str:
     """Label of an axis of power densities, of a quantity in this unit."""
-    if not unit:
-        return "power density / (1/Hz)"
-    return (
-        f"power density / ({unit}^2/Hz)" if unit.isalnum() else f"power density / (({unit})^2/Hz)"
-    )
+    square = f"{unit}²" if unit.isalnum() else f"({unit})²" if unit else "1"
+    return f"power density / ({square}/Hz)"
 
 
 def density_floor(spectrum: ErrorSpectrum) -> float | None:
@@ -144,10 +152,12 @@ def density_floor(spectrum: ErrorSpectrum) -> float | None:
 
 
 def plain_numbers(axis: Any) -> None:
-    """Frequencies as 1, 2, 5, 10, not as powers of ten."""
+    """Frequencies as 1, 2, 5, 10, not as powers of ten; more of them where they span little."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    low, high = axis.get_view_interval()
+    few = high < DECADE * low
+    axis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 4, 5, 6, 8) if few else (1, 2, 5)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
 

@@ -5,12 +5,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.reporting.output import require_plots
-from riecjax.reporting.residual_figures import (
-    density_floor,
-    density_label,
-    plain_numbers,
-    positive,
-)
+from riecjax.reporting.residual_figures import density_axis, plain_numbers, positive
 from riecjax.studies.window_choice import EquationWindows, WindowChoice
 
 BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
@@ -27,14 +22,18 @@ def window_choice_figures(choice: WindowChoice) -> dict[str, Any]:
         squeeze=False,
         layout="constrained",
     )
+    lines, spans = [], []
     for (left, right), equation in zip(axes, choice.equations):
-        _draw_gain(left, equation)
-        _draw_share(right, choice, equation)
+        lines = _draw_gain(left, equation)
+        spans = _draw_share(right, choice, equation)
+    # Inside the panels they would cover lines.
+    figure.legend(handles=lines, fontsize="small", loc="outside upper left", ncols=len(lines))
+    figure.legend(handles=spans, fontsize="small", loc="outside upper right", ncols=len(spans))
     return {"window_choice": figure}
 
 
-def _draw_gain(axes: Any, equation: EquationWindows) -> None:
-    """Spectra, and over them what the current windows let into an integral."""
+def _draw_gain(axes: Any, equation: EquationWindows) -> list[Any]:
+    """Spectra, and over them what the current windows let into an integral; returns the lines."""
     spectrum = equation.spectrum
     frequency = spectrum.frequency[1:]
     lines = [
@@ -53,16 +52,20 @@ def _draw_gain(axes: Any, equation: EquationWindows) -> None:
     plain_numbers(axes.xaxis)
     axes.set_title(equation.name, fontsize="medium")
     axes.set_xlabel("frequency / Hz")
-    axes.set_ylim(bottom=density_floor(spectrum))
-    axes.set_ylabel(density_label(equation.unit))
-    gain.legend(handles=lines, fontsize="small", framealpha=0.9, loc="lower left")
+    density_axis(axes, spectrum, equation.unit)
+    return lines
 
 
-def _draw_share(axes: Any, choice: WindowChoice, equation: EquationWindows) -> None:
-    """The error's share at every window length, with the lengths in use and the better ones."""
+def _draw_share(axes: Any, choice: WindowChoice, equation: EquationWindows) -> list[Any]:
+    """The error's share at every window length, with the lengths in use and the better ones.
+
+    **Returns:** the two stretches.
+    """
     low, high = choice.recommended
-    axes.axvspan(low, high, color=BLUE, alpha=0.15, label=f"recommended, {low:.2g} to {high:.2g} s")
-    axes.axvspan(
+    recommended = axes.axvspan(
+        low, high, color=BLUE, alpha=0.15, label=f"recommended, {low:.2g} to {high:.2g} s"
+    )
+    in_use = axes.axvspan(
         choice.alpha,
         choice.beta,
         facecolor="none",
@@ -78,4 +81,4 @@ def _draw_share(axes: Any, choice: WindowChoice, equation: EquationWindows) -> N
     axes.set_title(equation.name, fontsize="medium")
     axes.set_xlabel("window length / s")
     axes.set_ylabel("error / % of the signal")
-    axes.legend(fontsize="small", framealpha=0.9)
+    return [recommended, in_use]

@@ -57,7 +57,7 @@ class EquationError(eqx.Module):
         Its rise over a window is that window's error in eq. (17); eq. (8) bounds it where modes
         are all that the model leaves out. Values that are not present add nothing.
         """
-        return jnp.cumsum(self.error) * self.time_step
+        return self.error.cumsum() * self.time_step
 
     @property
     def relative_rms(self) -> Float[Array, ""]:
@@ -121,7 +121,7 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
     """One equation's errors on several records, one record after the other.
 
     Between records stand `pad` values that are not present, so that no two values less than `pad`
-    apart belong to different records.
+    apart belong to different records. Arrays are NumPy's, for tests and figures.
     """
     error, explained, present = (
         with_pads([np.asarray(getattr(part, field)) for part in errors], pad)
@@ -129,10 +129,10 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
     )
     first = errors[0]
     return EquationError(
-        jnp.asarray(error),
-        jnp.asarray(explained),
-        jnp.asarray(present),
-        first.time_step,
+        error,
+        explained,
+        present,
+        np.asarray(first.time_step),
         first.span,
         first.name,
         first.unit,
