@@ -195,10 +195,15 @@ def test_gaps_are_reported_and_do_not_spoil_the_answer(capsys):
     data["q"][3000:3050] = np.nan
     kept = np.r_[0:1000, 1200:COUNT]
     write_csv(Path("run.csv"), {name: column[kept] for name, column in data.items()})
-    document = call(capsys, "identify", "run.csv", *IDENTIFY, "--json").document
-    assert {"missing_samples", "rows_left_out"} <= set(codes(document))
-    for name, value in TRUTH.items():
-        assert values(document)[name] == pytest.approx(value, rel=1e-4)
+    for windows, expected in [
+        ("all", {"missing_samples"}),
+        (8000, {"missing_samples", "rows_left_out"}),
+    ]:
+        options = (*IDENTIFY, "--windows", windows, "--json")
+        document = call(capsys, "identify", "run.csv", *options).document
+        assert expected <= set(codes(document))
+        for name, value in TRUTH.items():
+            assert values(document)[name] == pytest.approx(value, rel=1e-4)
 
 
 def test_a_formula_makes_the_signal_that_was_not_recorded(capsys):

@@ -29,6 +29,8 @@ from riecjax.reporting.identification import (
 )
 from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import emit, require_plots, versions, write_folder
+from riecjax.studies.seed_scatter import SeedScatter
+from riecjax.validation.residual_tests import ResidualTests
 
 DOCUMENT = {
     "answer": 42,
@@ -183,6 +185,9 @@ def result_of(estimate, procedure, record, **changes) -> Identification:
         estimate=estimate,
         checked=Check([], [], ()),
         sweep=None,
+        residuals=ResidualTests(()),
+        choice=None,
+        seeds=None,
         validations=[],
         key=jax.random.key(0),
         seed=5,
@@ -196,13 +201,28 @@ def document(identified, record):
 
 
 def test_identification_document(document, identified, record):
+    a, f = np.asarray(record["a"]), np.asarray(record["f"] - 3 * record["v"])
+    mass = (a @ f) / (a @ a)
+    naive = np.sqrt(np.sum((f - mass * a) ** 2) / 499 / (a @ a))
+    error = float(identified.standard_error("m"))
     assert document["parameters"] == {
         "m": {
             "value": float(identified["m"]),
             "unit": "kg",
-            "std_error": float(identified.standard_error("m")),
+            "std_error": error,
             "interval95": list(identified.interval("m")),
+            "naive_std_error": pytest.approx(naive, rel=1e-9),
+            "effective_windows": pytest.approx(500 * (naive / error) ** 2, rel=1e-9),
         }
+    }
+    assert document["correlation"] == {"parameters": ["m"], "matrix": [[pytest.approx(1.0)]]}
+    assert document["residual_tests"] == {}
+    assert document["window_choice"] is None
+    assert document["seed_scatter"] is None
+    assert document["provenance"]["intervals"] == {
+        "method": "studentized block bootstrap, 2000 replicates",
+        "blocks": int(identified.block_count),
+        "block_seconds": float(identified.block_length),
     }
     assert document["known"] == {"c": {"value": 3.0, "unit": "N s/m"}}
     left = np.asarray(record["f"] - 3 * record["v"])
@@ -222,10 +242,27 @@ def test_identification_table(document):
         assert word in text
 
 
+def test_scatter_over_seeds_is_labelled_as_no_uncertainty(identified, record):
+    theta = np.array([[1.0], [2.0], [6.0]])
+    scatter = SeedScatter(theta, ("m",))
+    document = identification_document(
+        result_of(identified, staged(EQUATION), record, seeds=scatter)
+    )
+    assert document["seed_scatter"] == {
+        "means": "scatter of the sampling of windows, not the parameters' uncertainty",
+        "seeds": 3,
+        "spread": {"m": pytest.approx(np.std(theta, ddof=1))},
+    }
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_identification(document, console)
+    text = " ".join(console.export_text().split())
+    assert "move m by 2.6 (of the sampling, not of the parameters)" in text
+
+
 def test_numbers_that_are_not_finite_become_null(identified, record):
     import equinox as eqx
 
-    lost = eqx.tree_at(lambda e: e.covariance, identified, np.full((1, 1), np.nan))
+    lost = eqx.tree_at(lambda e: e.uncertainty.covariance, identified, np.full((1, 1), np.nan))
     document = identification_document(result_of(lost, staged(EQUATION), record))
     assert document["parameters"]["m"]["std_error"] is None
     assert document["parameters"]["m"]["interval95"] == [None, None]

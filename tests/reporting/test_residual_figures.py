@@ -1,3 +1,5 @@
+import itertools
+
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
@@ -55,8 +57,11 @@ def test_every_axis_is_labelled_with_its_unit_and_inside_the_figure(figures):
             assert box.y0 >= 0
             assert box.x1 <= width + 1
             assert box.y1 <= height + 1
+        boxes = [legend.get_window_extent() for legend in figure.legends]
+        # Legends beside the panels do not touch each other.
+        assert all(a.x1 < b.x0 for a, b in itertools.pairwise(boxes))
     labels = {axes.get_ylabel() for axes in drawn["residual_1"].axes}
-    assert {"impulse of the error / (N s)", "power density / (N^2/Hz)"} <= labels
+    assert {"impulse of the error / (N s)", "power density / (N²/Hz)"} <= labels
 
 
 def test_the_peak_and_the_recommended_range_are_named(figures):
@@ -65,9 +70,9 @@ def test_the_peak_and_the_recommended_range_are_named(figures):
     legends = [
         text.get_text()
         for figure in drawn.values()
-        for axes in figure.axes
-        if axes.get_legend()
-        for text in axes.get_legend().get_texts()
+        for legend in (*figure.legends, *(axes.get_legend() for axes in figure.axes))
+        if legend
+        for text in legend.get_texts()
     ]
     assert any(text.startswith("peak near 1") for text in legends)
     low, high = choice.recommended
@@ -96,7 +101,7 @@ def test_a_criterion_without_windows_and_an_equation_without_unit_are_drawn_too(
     (figure,) = residual_figures(tests).values()
     figure.canvas.draw()
     assert density_label("") == "power density / (1/Hz)"
-    assert density_label("N m") == "power density / ((N m)^2/Hz)"
+    assert density_label("N m") == "power density / ((N m)²/Hz)"
     plt.close(figure)
 
 
@@ -106,6 +111,6 @@ def test_the_windows_of_an_estimate_are_those_in_use():
     model, record = recording()
     estimate = identify(model, record, RIEC(AllWindows(0.1, 0.3)))
     (figure,) = window_choice_figures(window_choice(model, record, estimate)).values()
-    texts = [t.get_text() for t in figure.axes[1].get_legend().get_texts()]
+    texts = [t.get_text() for legend in figure.legends for t in legend.get_texts()]
     assert "in use, 0.1 to 0.3 s" in texts
     plt.close(figure)
