@@ -3,6 +3,9 @@
 import os
 from pathlib import Path
 
+# As the command line does (see `riecjax.cli.runtime`); it must stand before JAX is imported.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+
 import jax
 import pytest
 

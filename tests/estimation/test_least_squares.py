@@ -3,6 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import jaxprs_in_params
 from jax.test_util import check_grads
 
 from riecjax.criteria.criterion import DOLS, Rows
@@ -193,7 +194,7 @@ def operands(jaxpr, name):
     for equation in jaxpr.eqns:
         if equation.primitive.name == name:
             yield equation.invars[0].aval.shape
-        for inner in jax.core.jaxprs_in_params(equation.params):
+        for inner in jaxprs_in_params(equation.params):
             yield from operands(inner, name)
 
 
