@@ -43,8 +43,9 @@ def test_four_pieces_at_once(records):
     assert 63.9 < float(estimate["p1"]) < 64.4
     # The damping of 0.056 1/s that central differences of the angle give.
     assert float(estimate["p2"]) == pytest.approx(0.056, abs=0.002)
-    # Windows of four pieces of 9.2 s, twice 0.5 s to a block.
-    assert 4 * 8 <= estimate.block_count <= 4 * 10
+    # Four pieces of 9.2 s: three times 0.5 s to a block, or longer where errors hang together
+    # longer, and twenty blocks at least.
+    assert 20 <= estimate.block_count <= 4 * 9.2 / 1.5
 
 
 def test_draws_scatter_by_less_than_a_tenth_of_a_permille(records):
@@ -80,6 +81,7 @@ def test_through_files_on_the_command_line(records, tmp_path, capsys):
     for path, record in zip(paths, records):
         write_record(path, record)
     arguments = ["identify", *map(str, paths), "--model", "pendulum", "--json"]
+    arguments += ["--windows", "8000"]
     assert run(arguments) == 0
     parameters = json.loads(capsys.readouterr().out)["parameters"]
     estimate = riec(records)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
@@ -244,7 +245,7 @@ def test_identification_table(document):
 
 def test_scatter_over_seeds_is_labelled_as_no_uncertainty(identified, record):
     theta = np.array([[1.0], [2.0], [6.0]])
-    scatter = SeedScatter(theta, ("m",))
+    scatter = SeedScatter(jnp.asarray(theta), ("m",))
     document = identification_document(
         result_of(identified, staged(EQUATION), record, seeds=scatter)
     )

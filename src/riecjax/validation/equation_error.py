@@ -17,6 +17,7 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 
 
@@ -37,21 +38,21 @@ class EquationError(eqx.Module):
     - `name`, `unit`: of the equation.
     """
 
-    error: Float[Array, " values"]
-    explained: Float[Array, " values"]
-    present: Bool[Array, " values"]
-    time_step: Float[Array, ""]
+    error: Float[Leaf, " values"]
+    explained: Float[Leaf, " values"]
+    present: Bool[Leaf, " values"]
+    time_step: Float[Leaf, ""]
     span: int = eqx.field(static=True)
     name: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
 
     @property
-    def target(self) -> Float[Array, " values"]:
+    def target(self) -> Float[Leaf, " values"]:
         """What the model was to explain."""
         return self.explained + self.error
 
     @property
-    def impulse(self) -> Float[Array, " values"]:
+    def impulse(self) -> Float[Leaf, " values"]:
         """Integral of the error from the first sample to the end of each window, in unit x s.
 
         Its rise over a window is that window's error in eq. (17); eq. (8) bounds it where modes
