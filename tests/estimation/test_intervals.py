@@ -22,6 +22,7 @@ from riecjax.estimation.influence import block_influence, in_order, staged_value
 from riecjax.estimation.intervals import (
     BlockBootstrap,
     Evidence,
+    effective_freedom,
     jackknife_covariance,
     naive_covariance,
     sandwich_covariance,
@@ -262,10 +263,10 @@ def test_correlated_errors_call_for_longer_blocks():
     assert lengths[0] < 0.1 < lengths[1] < lengths[2]
 
 
-def test_blocks_are_three_windows_long_unless_errors_last_longer_or_records_are_short():
+def test_blocks_are_four_windows_long_unless_errors_last_longer_or_records_are_short():
     short = ShortBlocks((400,), jnp.array([0.1]))
     window = jnp.asarray(0.3)
-    assert float(block_length(short, window, jnp.array([0.5]))) == pytest.approx(0.9)
+    assert float(block_length(short, window, jnp.array([0.5]))) == pytest.approx(1.2)
     assert float(block_length(short, window, jnp.array([0.5, 1.7]))) == pytest.approx(1.7)
     # Forty seconds hold twenty blocks of two.
     assert float(block_length(short, window, jnp.array([30.0]))) == pytest.approx(2.0)
@@ -283,3 +284,23 @@ def test_elimination_solves():
 def test_too_few_replicates_are_refused():
     with pytest.raises(ModelError, match="at least 100"):
         BlockBootstrap(replicates=50)
+
+
+def test_a_variance_that_hangs_on_few_blocks_has_few_degrees_of_freedom():
+    fine = one_stage(jax.random.key(2))
+    evidence = evidence_of(fine, 20)
+
+    def freedom(influence):
+        padded = np.zeros((MOST_BLOCKS, influence.shape[1]))
+        padded[:20] = influence
+        return effective_freedom(evidence._replace(influence=jnp.array(padded)))
+
+    rng = np.random.default_rng(0)
+    many = np.mean([freedom(rng.normal(size=(20, 2))) for _ in range(200)])
+    assert 14 < many <= 19  # 19 less what the clip takes of the scatter
+    rare = np.zeros((20, 2))
+    rare[3] = [1.0, -2.0]
+    np.testing.assert_allclose(freedom(rare), [2.0, 2.0])
+    rare[11] = [1.0, 2.0]
+    np.testing.assert_allclose(freedom(rare), [5.0, 5.0])
+    np.testing.assert_allclose(freedom(np.zeros((20, 2))), [19.0, 19.0])

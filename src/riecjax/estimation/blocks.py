@@ -19,8 +19,8 @@ MOST_BLOCKS = 64
 that stay correlated for long."""
 ENOUGH_BLOCKS = 20
 """Blocks of all records that long blocks should leave."""
-LONGEST_WINDOWS = 3
-"""Longest windows to a block, where there is room: a third of it overlaps the next block."""
+LONGEST_WINDOWS = 4
+"""Longest windows to a block, where there is room: a quarter of it overlaps the next block."""
 FEWEST_WINDOWS = 2
 """Longest windows to a block at the least."""
 
@@ -82,7 +82,7 @@ def block_length(
     """Seconds to a block: the rule that intervals rest on.
 
     The longest that Politis and White's rule finds for any parameter (`correlated`, see
-    [`politis_white`][]), and no less than three times the longest window, so that little of a
+    [`politis_white`][]), and no less than four times the longest window, so that little of a
     block's windows reaches into the next. Where the records would be fewer than twenty such blocks
     it is shortened to that, but never below twice the longest window.
     """

@@ -55,13 +55,13 @@ class Uncertainty(eqx.Module):
     - `studentized`: replicates of (estimate - value) / standard error, whose quantiles make
       intervals; `None` where Student's t does. NaN in replicates that leave a parameter
       undetermined.
-    - `degrees_of_freedom` behind the covariance.
+    - `degrees_of_freedom` behind each variance, see [`effective_freedom`][].
     - `label`: how it was judged, in words.
     """
 
     covariance: Float[Array, "p p"]
     studentized: Float[Array, "replicates p"] | None
-    degrees_of_freedom: Int[Array, ""] | Float[Array, ""]
+    degrees_of_freedom: Float[Array, " p"]
     label: str = eqx.field(static=True)
 
     def grown(self, inflation: Float[Array, " p"]) -> "Uncertainty":
@@ -73,14 +73,13 @@ class Uncertainty(eqx.Module):
         """How many standard errors intervals reach below and above estimates (not under jit).
 
         Quantiles of the studentized replicates, widened as Student's t is wider than the normal
-        law for so few blocks: replicates of few blocks know too little of the tails.
+        law for so few degrees of freedom: replicates of few blocks know too little of the tails.
 
         **Returns:** two arrays of shape `(..., p)`, with the leading axes of a batch.
         """
         tail = (1 - level) / 2
         dof = np.maximum(np.asarray(self.degrees_of_freedom), 1)
-        student = np.asarray(scipy.stats.t.isf(tail, dof))[..., None]
-        student = np.broadcast_to(student, self.covariance.shape[:-1])
+        student = np.asarray(scipy.stats.t.isf(tail, dof))
         if self.studentized is None:
             return student, student
         replicates = np.asarray(self.studentized)
@@ -139,7 +138,7 @@ class BlockBootstrap(AbstractIntervals):
                 evidence.used,
                 draws=jnp.asarray(uniform_draws(self.seed, self.replicates, records)),
             ),
-            _freedom(evidence),
+            effective_freedom(evidence),
             f"studentized block bootstrap, {self.replicates} replicates",
         )
 
@@ -149,7 +148,9 @@ class Sandwich(AbstractIntervals):
 
     def uncertainty(self, evidence: Evidence) -> Uncertainty:
         """The sandwich."""
-        return Uncertainty(sandwich_covariance(evidence), None, _freedom(evidence), "HAC sandwich")
+        return Uncertainty(
+            sandwich_covariance(evidence), None, effective_freedom(evidence), "HAC sandwich"
+        )
 
 
 class Naive(AbstractIntervals):
@@ -163,7 +164,7 @@ class Naive(AbstractIntervals):
         return Uncertainty(
             naive_covariance(evidence),
             None,
-            jnp.asarray(1e9),
+            jnp.full(len(in_order(evidence.plan, evidence.values)), 1e9),
             "least squares as if all windows were independent (far too narrow)",
         )
 
@@ -231,5 +232,18 @@ def naive_covariance(evidence: Evidence) -> Float[Array, "p p"]:
     return jax.scipy.linalg.block_diag(*parts)
 
 
-def _freedom(evidence: Evidence) -> Int[Array, ""]:
-    return jnp.maximum(jnp.sum(evidence.used) - 1, 1)
+def effective_freedom(evidence: Evidence) -> Float[Array, " p"]:
+    """Degrees of freedom of each parameter's variance, by Satterthwaite's rule.
+
+    A variance that many blocks share has one for each block but one; a variance that hangs on a
+    few rare ones has few. With block variances s^2 estimated by squares u^2 of influence, of which
+    u^4 / 3 estimates s^4, (sum s^2)^2 / sum s^4 is 3 (sum u^2)^2 / sum u^4; 1 at the least.
+    """
+    largest = jnp.max(jnp.abs(evidence.influence), axis=0)
+    # Of unit size first: fourth powers of small influences would vanish.
+    influence = evidence.influence / jnp.where(largest > 0, largest, 1.0)[None, :]
+    squares = jnp.sum(influence**2, axis=0)
+    fourths = jnp.sum(influence**4, axis=0)
+    most = jnp.maximum(jnp.sum(evidence.used) - 1, 1).astype(squares.dtype)
+    ratio = 3 * squares**2 / jnp.where(fourths > 0, fourths, 1.0) - 1
+    return jnp.where(fourths > 0, jnp.clip(ratio, 1, most), most)
