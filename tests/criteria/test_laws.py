@@ -109,3 +109,16 @@ def test_estimates_differentiate_in_the_law():
 def test_weights_that_make_no_law_are_refused(law):
     with pytest.raises(ModelError, match="law of window lengths"):
         AllWindows(ALPHA, BETA, law=law)
+
+
+@pytest.mark.parametrize("weight", [Boxcar(), Hat(), Bump(4, lengths=5)], ids=str)
+@pytest.mark.parametrize("law", [None, [1.0, 3.0, 0.5]], ids=["uniform", "stepped"])
+def test_windows_that_gaps_leave_out_are_counted(weight, law):
+    criterion = RIEC(AllWindows(ALPHA, BETA, law=law), weight)
+    for record in (record_of(gaps=0), record_of(gaps=3)):
+        estimate = identify(EQUATION, record, criterion)
+        left_out = [f for f in estimate.findings() if f.code == "rows_left_out"]
+        assert bool(left_out) == bool(record.missing)
+    (offered,) = identify(EQUATION, record_of(gaps=0), criterion).rows_offered
+    held = identify(EQUATION, record_of(gaps=0), criterion).stages[0].count
+    assert offered == pytest.approx(float(held), rel=1e-12)

@@ -14,7 +14,7 @@ from riecjax.criteria.windows import AllWindows, RandomWindows, half_periods
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import sum_columns
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 
 
@@ -125,7 +125,7 @@ class AbstractCriterion(eqx.Module):
         """Raise `DataError` if the record is too short for this criterion (not under jit)."""
         raise NotImplementedError
 
-    def row_count(self, record: Record) -> int | None:
+    def row_count(self, record: Record) -> float | None:
         """Rows of an equation on this record before any is left out, if that is known."""
         raise NotImplementedError
 
@@ -166,7 +166,7 @@ class DOLS(AbstractCriterion):
     def check(self, record: Record) -> None:
         """Nothing to check: a record has samples."""
 
-    def row_count(self, record: Record) -> int | None:
+    def row_count(self, record: Record) -> float | None:
         """One for each sample."""
         return record.sample_count
 
@@ -246,9 +246,14 @@ class RIEC(AbstractCriterion):
             record.sample_count, record.time_step, self.test_function.length_multiple
         )
 
-    def row_count(self, record: Record) -> int | None:
-        """One for each window; `None` for all of them."""
-        return self.windows.count if isinstance(self.windows, RandomWindows) else None
+    def row_count(self, record: Record) -> float | None:
+        """One for each window, if that is known (not where windows or the record are traced)."""
+        windows = self.windows
+        if isinstance(windows, RandomWindows):
+            return windows.count
+        if not is_concrete(windows, record.time_step):
+            return None
+        return self.test_function.window_count(windows, record)
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
         """One row for each window. The same key draws the same windows for every equation.

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.all_windows import Moments, moments_in_blocks, moments_of_rows
@@ -58,6 +59,10 @@ class AbstractTestFunction(eqx.Module):
 
     def moments(self, equation: Equation, record: Record, windows: AllWindows) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts."""
+        raise NotImplementedError
+
+    def window_count(self, windows: AllWindows, record: Record) -> float:
+        """Number of all windows of a record without gaps, by the weights of their law."""
         raise NotImplementedError
 
     def finest(self) -> "AbstractTestFunction":
@@ -203,6 +208,15 @@ class _Differences(AbstractTestFunction):
 
         return in_chunks(record, of_chunk, block=block, reach=reach, margin=self.quadrature)
 
+    def window_count(self, windows: AllWindows, record: Record) -> float:
+        """Starts times lengths, as far as windows end in the record."""
+        n, multiple = record.sample_count, self.length_multiple
+        first, last, weight = windows.bins(n, record.time_step, multiple)
+        # In real numbers: windows may be more than 32-bit integers hold.
+        first, last = (np.asarray(edge, float) for edge in (first, last))
+        starts = n - multiple * (first + last) / 2
+        return float(np.sum(np.asarray(weight, float) * (last - first + 1) * starts))
+
 
 class Boxcar(_Differences):
     """Weight 1 inside the window, 0 outside: RIEC as published.
@@ -333,6 +347,13 @@ class Bump(AbstractTestFunction):
             )
 
         return in_chunks(record, of_chunk, block=block, reach=reach, margin=0)
+
+    def window_count(self, windows: AllWindows, record: Record) -> float:
+        """Starts of every length, as far as windows end in the record."""
+        n = record.sample_count
+        lengths = self._lengths(*windows.lags(n, record.time_step))
+        weights = np.asarray(windows.weights(n, record.time_step, lengths), float)
+        return float(np.sum(weights * (n - np.asarray(lengths, float))))
 
     def _at_every_start(
         self, equation: Equation, record: Record

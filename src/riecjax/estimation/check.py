@@ -12,14 +12,11 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms, evaluate
-from riecjax.estimation.blocks import FEWEST_WINDOWS, blocks_in_use
 from riecjax.estimation.constant_side import constant_sides
-from riecjax.estimation.estimate import FEWEST_BLOCKS
 from riecjax.estimation.excitation import Excitation, excitation
 from riecjax.estimation.identify import (
     all_rows,
     record_keys,
-    short_blocks,
     signals_read,
 )
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
@@ -31,6 +28,8 @@ from riecjax.records.record import Record
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window should span."""
+FEWEST_STRETCHES = 10
+"""Stretches of twice the longest window that the records should hold."""
 QUADRATURE_ERROR = 0.01
 """Share of a regressor that the integrals' error may reach."""
 FATAL = ("not_excited", "unidentifiable")
@@ -149,14 +148,13 @@ def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Findin
                 f"alpha, or sample faster.",
             )
         )
-    used = blocks_in_use(short_blocks(records, criterion), jnp.asarray(FEWEST_WINDOWS * beta))
-    blocks = int(jnp.sum(used))
-    if blocks < FEWEST_BLOCKS:
+    stretches = sum(round(float(record.duration) / (2 * beta)) for record in records)
+    if stretches < FEWEST_STRETCHES:
         total = sum(float(record.duration) for record in records)
         findings.append(
             Finding(
                 "short_record",
-                f"{total:.3g} s recorded are only {blocks} stretches of twice the longest "
+                f"{total:.3g} s recorded are only {stretches} stretches of twice the longest "
                 f"window, {beta:g} s; intervals will be rough. Record for longer or choose a "
                 f"smaller beta.",
             )

@@ -14,9 +14,13 @@ from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import StageSolution
 from riecjax.findings import Finding
 
-FEWEST_BLOCKS = 10
+FEWEST_BLOCKS = 7
+"""Blocks of time below which intervals are rough; ten stretches of twice the longest window may
+come out as no more."""
 FEWEST_WINDOWS = 10
 """Independent windows below which an interval is rough."""
+ROUNDING = 1e-9
+"""Share of rows that is missing only because their number was rounded."""
 LOST_SHARE = 0.05
 """Share of the bootstrap's replicates that may leave a parameter undetermined."""
 MATTERING_SHARE = 0.02
@@ -69,7 +73,7 @@ class Estimate(eqx.Module):
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
-    rows_offered: tuple[int | None, ...] = eqx.field(static=True)
+    rows_offered: tuple[float | None, ...] = eqx.field(static=True)
 
     def __getitem__(self, name: str) -> Float[Array, ""]:
         if name in self.known:
@@ -205,7 +209,7 @@ class Estimate(eqx.Module):
     def _coverage(self) -> Iterator[Finding]:
         for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
             lost = 0.0 if offered is None else 1 - float(stage.count) / offered
-            if lost > 0:
+            if lost > ROUNDING:
                 yield Finding(
                     "rows_left_out",
                     f"{label}: {100 * lost:.2g} % of the windows (or samples) touch a missing or "
@@ -214,9 +218,9 @@ class Estimate(eqx.Module):
         if int(self.block_count) < FEWEST_BLOCKS:
             yield Finding(
                 "short_record",
-                f"the record holds only {int(self.block_count)} independent stretches of twice "
-                f"the longest window; intervals are rough. Record for longer or choose a "
-                f"smaller beta.",
+                f"the records hold only {int(self.block_count)} blocks of "
+                f"{float(self.block_length):.3g} s that may be taken as independent; intervals are "
+                f"rough. Record for longer or choose a smaller beta.",
             )
 
     def _few_windows(self) -> Iterator[Finding]:

@@ -272,7 +272,7 @@ def _filled_up(blocks: Array, parts: Sequence[NormalEquations]) -> Array:
 
 class _Solved(NamedTuple):
     """Solutions of the stages with their uncertainty, grown by `inflation` where records disagree;
-    `used` blocks of each record, each of `length` seconds."""
+    `used` blocks of each record, of `length` seconds on average."""
 
     stages: list[StageSolution]
     uncertainty: Uncertainty
@@ -316,7 +316,7 @@ def _solve(
         jnp.sqrt(jnp.diagonal(naive_covariance(evidence))),
         inflation,
         used,
-        length,
+        jnp.sum(short.durations) / jnp.sum(used),
     )
 
 
@@ -345,7 +345,7 @@ def all_rows(
 
 def _rows_offered(
     stage: tuple[Equation, ...], records: list[Record], criterion: AbstractCriterion
-) -> int | None:
+) -> float | None:
     counts = [criterion.row_count(record) for record in records]
     known = [count for count in counts if count is not None]
     return len(stage) * sum(known) if len(known) == len(counts) else None
