@@ -34,12 +34,13 @@ def record_of(n=400, gaps=3):
 
 def one_by_one(record, weight, length_weights):
     """Weighted least squares over every window; `length_weights`: samples to weight."""
-    total = 0.0
+    columns = 1 + len(EQUATION.parameters)
+    total = np.zeros((columns, columns))
     for samples, w in length_weights.items():
         start = np.arange(record.sample_count - samples)
         windows = WindowSet(jnp.asarray(start), jnp.asarray(start + samples))
-        columns, whole = weight.integrals(EQUATION, record, windows)
-        rows = np.asarray(columns)[:, np.asarray(whole)]
+        integrals, whole = weight.integrals(EQUATION, record, windows)
+        rows = np.asarray(integrals)[:, np.asarray(whole)]
         total = total + w * rows @ rows.T
     return np.linalg.solve(total[1:, 1:], total[1:, 0])
 
