@@ -81,6 +81,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--samples", type=int, default=10_000_000)
     parser.add_argument("--test-function", choices=list(WEIGHTS), default="boxcar")
+    parser.add_argument("--out", type=Path, help="write the figures as JSON")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     record = made_record(arguments.samples)
@@ -91,21 +92,20 @@ def main() -> None:
     highest = memory("VmHWM")
     _, again = timed(record, criterion)
     worst = max(abs(float(estimate[name]) / value - 1) for name, value in TRUTH.items())
-    print(
-        json.dumps(
-            {
-                "samples": arguments.samples,
-                "signals": len(record.arrays),
-                "test_function": arguments.test_function,
-                "first_s": round(first, 2),
-                "again_s": round(again, 2),
-                "data_MiB": round(sum(v.nbytes for v in record.arrays.values()) / MEBIBYTE),
-                "peak_above_data_MiB": round(highest - data),
-                "largest_relative_error": float(f"{worst:.2g}"),
-            },
-            indent=1,
-        )
-    )
+    report = {
+        "samples": arguments.samples,
+        "signals": len(record.arrays),
+        "test_function": arguments.test_function,
+        "first_s": round(first, 2),
+        "again_s": round(again, 2),
+        "data_MiB": round(sum(v.nbytes for v in record.arrays.values()) / MEBIBYTE),
+        "peak_above_data_MiB": round(highest - data),
+        "largest_relative_error": float(f"{worst:.2g}"),
+    }
+    text = json.dumps(report, indent=1)
+    print(text)
+    if arguments.out is not None:
+        arguments.out.write_text(text + "\n")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """Settings and data for all tests."""
 
+import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 # As the command line does (see `riecjax.cli.runtime`); it must stand before JAX is imported.
@@ -12,6 +14,20 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+MOST_MAPS = 20_000
+"""Memory maps of a process past which compiled functions are forgotten; Linux allows 65530."""
+
+
+@pytest.fixture(autouse=True)
+def forget_compiled_functions() -> Iterator[None]:
+    """Every function that XLA compiles keeps memory maps; a whole suite of them runs out."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 def measured_data(folder: str) -> Path:
