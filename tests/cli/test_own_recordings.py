@@ -91,6 +91,20 @@ def test_recordings_with_offsets_of_their_own(capsys):
     assert "records_disagree" in codes(shared)
 
 
+def test_recordings_of_two_sampling_rates_lose_only_the_tests_of_the_residual(capsys):
+    data = motion(offset=4.0)
+    write_csv(Path("fast.csv"), data)
+    write_csv(Path("slow.csv"), {name: samples[::2] for name, samples in data.items()})
+    document = call(
+        capsys, "identify", "fast.csv", "slow.csv", *IDENTIFY, "--no-sweep", "--json", "--out", "r"
+    ).document
+    assert values(document)["k"] == pytest.approx(80.0, rel=1e-4)
+    assert document["residual_tests"] is None
+    assert document["window_choice"] is None
+    assert "residuals_not_tested" in codes(document)
+    assert Path("r/report.html").exists()
+
+
 def test_held_out_part_is_simulated_from_the_users_own_equation(capsys):
     write_csv(Path("run.csv"), motion(offset=4.0))
     run = call(

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from riecjax.studies.seed_scatter import SeedScatter
     from riecjax.studies.window_choice import WindowChoice
     from riecjax.studies.window_sweep import WindowSweep
+    from riecjax.validation.residual_tests import ResidualTests
 
 
 @click.command("identify")
@@ -120,7 +121,6 @@ def command(
     )
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.output import emit
-    from riecjax.validation.residual_tests import residual_tests
 
     model = find_model(model_name)
     criterion = criteria.build(model)
@@ -136,18 +136,23 @@ def command(
     judge = kinds[intervals]
     estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
     validations, failed = validation_runs(model, estimate, own, held, further)
+    residuals, choice, untested = _what_is_left(procedure, records, estimate)
     result = Identification(
         model=model.name,
         procedure=procedure,
         files=[str(recording.file) for recording in loaded],
         records=records,
         steps=common_steps(loaded),
-        doubts=[*(finding for r in (*loaded, *further) for finding in r.findings), *failed],
+        doubts=[
+            *(finding for r in (*loaded, *further) for finding in r.findings),
+            *failed,
+            *untested,
+        ],
         estimate=estimate,
         checked=checked,
         sweep=_sweep(procedure, records, criterion, settings) if sweep else None,
-        residuals=residual_tests(procedure, records, estimate),
-        choice=_choice(procedure, records, estimate),
+        residuals=residuals,
+        choice=choice,
         seeds=_seeds(procedure, records, criterion, settings),
         validations=validations,
         key=key,
@@ -195,15 +200,22 @@ def _sweep(
         return None  # too short a record, which the check has said
 
 
-def _choice(
+def _what_is_left(
     procedure: "Procedure", records: list["Record"], estimate: "Estimate"
-) -> "WindowChoice | None":
+) -> tuple["ResidualTests | None", "WindowChoice | None", list[Finding]]:
+    """Tests of the residual and the choice of windows it suggests, or why there are none."""
     from riecjax.criteria.criterion import RIEC
     from riecjax.studies.window_choice import window_choice
+    from riecjax.validation.residual_tests import residual_tests
 
-    if not isinstance(estimate.criterion, RIEC):
-        return None
-    return window_choice(procedure, records, estimate)
+    windowed = isinstance(estimate.criterion, RIEC)
+    # A fit is not lost because what it leaves cannot be tested.
+    try:
+        residuals = residual_tests(procedure, records, estimate)
+        choice = window_choice(procedure, records, estimate) if windowed else None
+    except RiecjaxError as error:
+        return None, None, [Finding("residuals_not_tested", str(error))]
+    return residuals, choice, []
 
 
 def _seeds(

@@ -37,9 +37,9 @@ class Identification:
 
     **Fields:** `model`'s name; its `procedure`; `files` and the prepared `records`; `steps` of
     reading and preparation in words; `doubts` about the files; `estimate`; what was `checked`
-    before it; window `sweep`, if any; `residuals`, tests of what is left; `choice` of windows, for
-    a criterion that has some; scatter over `seeds` of random ones; `validations`; `key` and `seed`
-    of the windows.
+    before it; window `sweep`, if any; `residuals`, tests of what is left, if they can be made;
+    `choice` of windows, for a criterion that has some; scatter over `seeds` of random ones;
+    `validations`; `key` and `seed` of the windows.
     """
 
     model: str
@@ -51,7 +51,7 @@ class Identification:
     estimate: Estimate
     checked: Check
     sweep: WindowSweep | None
-    residuals: ResidualTests
+    residuals: ResidualTests | None
     choice: WindowChoice | None
     seeds: SeedScatter | None
     validations: Sequence[ValidationRun]
@@ -71,7 +71,8 @@ class Identification:
             for run in self.validations
             if not run.held.predicts
         ]
-        return [*before, *after, *swept, *self.residuals.findings(), *validated]
+        left = [] if self.residuals is None else self.residuals.findings()
+        return [*before, *after, *swept, *left, *validated]
 
 
 def identification_document(result: Identification) -> Document:
@@ -104,7 +105,7 @@ def identification_document(result: Identification) -> Document:
         "residual": {"relative_rms": stages[-1]["relative_rms"], "stages": stages},
         "excitation": excitation_entries(result.checked),
         "correlation": _correlation(estimate),
-        "residual_tests": result.residuals.describe(),
+        "residual_tests": None if result.residuals is None else result.residuals.describe(),
         "window_choice": None if result.choice is None else result.choice.describe(),
         "seed_scatter": None if result.seeds is None else _seed_entries(result.seeds),
         "window_sweep": None if result.sweep is None else _sweep_entries(result.sweep),

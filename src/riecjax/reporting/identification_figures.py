@@ -31,7 +31,8 @@ def identification_figures(result: Identification) -> dict[str, Any]:
     if result.sweep is not None:
         figures["window_sweep"] = sweep_figure(result.sweep, result.estimate)
     figures["correlation"] = correlation_figure(result.estimate)
-    figures |= residual_figures(result.residuals)
+    if result.residuals is not None:
+        figures |= residual_figures(result.residuals)
     if result.choice is not None:
         figures |= window_choice_figures(result.choice)
     for i, run in enumerate(result.validations):
