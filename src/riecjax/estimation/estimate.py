@@ -1,6 +1,6 @@
 """What an identification found, and how far it can be trusted."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.errors import ModelError
+from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import StageSolution
@@ -21,23 +21,14 @@ FEWEST_WINDOWS = 10
 """Independent windows below which an interval is rough."""
 ROUNDING = 1e-9
 """Share of rows that is missing only because their number was rounded."""
-LOST_SHARE = 0.05
-"""Share of the bootstrap's replicates that may leave a parameter undetermined."""
 MATTERING_SHARE = 0.02
 """Share of the target that an uncertain term must reach to be worth a warning."""
 NOTABLE_INFLATION = 1.1
 LARGE_RESIDUAL = 0.5
 """Share of the target past which a model is called wrong."""
-_NO_MASS = "no mass is"
-_NO_DAMPING = "damping that feeds energy into the motion"
-NEVER_NEGATIVE = {
-    **dict.fromkeys(("kg", "kgm2", "kgm2/rad", "Nms2/rad"), _NO_MASS),
-    **dict.fromkeys(("Ns/m", "Nms/rad", "Nms"), _NO_DAMPING),
-}
-"""What it means that a parameter in this unit (without its blanks and signs) is below zero."""
 
 
-class Estimate(eqx.Module):
+class Estimate(AbstractEstimate):
     """Parameters with units and uncertainty, and how they were obtained.
 
     A pytree: `theta` and `covariance` differentiate and vmap. Reading values one by one works as
@@ -75,47 +66,6 @@ class Estimate(eqx.Module):
     stage_names: tuple[str, ...] = eqx.field(static=True)
     rows_offered: tuple[float | None, ...] = eqx.field(static=True)
 
-    def __getitem__(self, name: str) -> Float[Array, ""]:
-        if name in self.known:
-            return self.known[name]
-        return self.theta[self._index(name)]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter((*self.parameters, *self.known))
-
-    @property
-    def values(self) -> Mapping[str, Array]:
-        """Every parameter, estimated or known, by name."""
-        return {name: self[name] for name in self}
-
-    @property
-    def covariance(self) -> Float[Array, "p p"]:
-        """Covariance of theta."""
-        return self.uncertainty.covariance
-
-    @property
-    def standard_errors(self) -> Float[Array, " p"]:
-        """Square roots of the covariance's diagonal."""
-        return jnp.sqrt(jnp.diagonal(self.covariance))
-
-    def standard_error(self, name: str) -> Float[Array, ""]:
-        """Standard error of one estimated parameter."""
-        return self.standard_errors[self._index(name)]
-
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval (not under jit); see [`Uncertainty.reach`][]."""
-        index = self._index(name)
-        below, above = self.uncertainty.reach(level)
-        value, error = float(self[name]), float(self.standard_error(name))
-        return value - float(below[index]) * error, value + float(above[index]) * error
-
-    @property
-    def correlation(self) -> Float[Array, "p p"]:
-        """Correlation matrix of theta."""
-        errors = self.standard_errors
-        scale = jnp.where(errors > 0, 1 / jnp.where(errors > 0, errors, 1.0), 0.0)
-        return self.covariance * scale[:, None] * scale[None, :]
-
     @property
     def effective_windows(self) -> Float[Array, " p"]:
         """How many independent windows would tell each parameter as well as all of them do.
@@ -142,11 +92,12 @@ class Estimate(eqx.Module):
         return [
             *self._conditioning(),
             *self._wide_intervals(),
-            *self._signs(),
+            *self.negative_values(),
             *self._residuals(),
             *self._disagreement(),
             *self._coverage(),
             *self._few_windows(),
+            *self.rarely_excited(),
             *self._precision(),
         ]
 
@@ -170,21 +121,6 @@ class Estimate(eqx.Module):
                     "interval_wider_than_estimate",
                     f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
                     f"hardly determine it.",
-                )
-
-    def _signs(self) -> Iterator[Finding]:
-        for name, unit in self.units:
-            what = NEVER_NEGATIVE.get(
-                "".join(c for c in unit if c not in " ·*^()").replace("²", "2")
-            )
-            if what is None or name not in self.parameters:
-                continue
-            low, high = self.interval(name)
-            if high < 0:
-                yield Finding(
-                    "negative_value",
-                    f"{name} is below zero, from {low:.4g} to {high:.4g} {unit}: {what}. Check the "
-                    f"signs of the signals against the equation's, and the direction of time.",
                 )
 
     def _residuals(self) -> Iterator[Finding]:
@@ -236,18 +172,6 @@ class Estimate(eqx.Module):
                 f"{', '.join(few)} is worth so many independent ones, and fewer than "
                 f"{FEWEST_WINDOWS} make a rough interval. Record for longer.",
             )
-        replicates = self.uncertainty.studentized
-        if replicates is None:
-            return
-        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
-        rare = [f"{n} ({100 * s:.2g} %)" for n, s in zip(self.parameters, lost) if s > LOST_SHARE]
-        if rare:
-            yield Finding(
-                "rarely_excited",
-                f"so few stretches of the record tell of {', '.join(rare)} that so large a share "
-                f"of the bootstrap's replicates held none of them: their intervals are rough. "
-                f"Record for longer, or excite them more often.",
-            )
 
     def _precision(self) -> Iterator[Finding]:
         if self.theta.dtype == jnp.float32:
@@ -262,14 +186,6 @@ class Estimate(eqx.Module):
         """The combination of parameters that the data tells least about, in words."""
         worst = max(self.stages, key=lambda stage: float(stage.solution.condition_number))
         return combination(worst.parameters, np.asarray(worst.solution.weakest_direction))
-
-    def _index(self, name: str) -> int:
-        try:
-            return self.parameters.index(name)
-        except ValueError:
-            raise ModelError(
-                f"no estimated parameter '{name}'; there are: {', '.join(self.parameters)}."
-            ) from None
 
     def _rounding(self) -> float:
         """Relative error that the normal equations' rounding may cause: eps cond^2."""
