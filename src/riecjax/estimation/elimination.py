@@ -5,11 +5,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
+def solve_scaled(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
+    """matrix^-1 right, by elimination once the matrix has a diagonal of ones.
+
+    Rows and columns of a Gram matrix have the units of its parameters, whose sizes would else
+    decide what is rounded away.
+    """
+    scale = unit_scale(jnp.diagonal(matrix))
+    scaled = matrix * scale[:, None] * scale[None, :]
+    return scale[:, None] * eliminate(scaled, scale[:, None] * right)
+
+
 def eliminate(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
     """matrix^-1 right by Gauss and Jordan's elimination, without pivots.
 
     For matrices whose leading blocks are positive definite, which need none; scale them to a
-    diagonal of ones first (see [`unit_scale`][]). A compiler turns it into vector instructions
+    diagonal of ones first (see [`solve_scaled`][]). A compiler turns it into vector instructions
     over thousands of small matrices, where LAPACK is called once for each.
     """
     size = matrix.shape[0]

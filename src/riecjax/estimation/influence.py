@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from riecjax.estimation.elimination import eliminate, unit_scale
+from riecjax.estimation.elimination import solve_scaled
 from riecjax.estimation.normal_equations import NormalEquations
 
 Unknowns = list[tuple[int, tuple[str, ...]]]
@@ -79,9 +79,7 @@ def against(
     slope: Float[Array, "p p"], scores: Float[Array, "blocks p"]
 ) -> Float[Array, "blocks p"]:
     """Slope^-1 times each score."""
-    scale = unit_scale(jnp.diagonal(slope))
-    scaled = slope * scale[:, None] * scale[None, :]
-    return (scale[:, None] * eliminate(scaled, scale[:, None] * scores.T)).T
+    return solve_scaled(slope, scores.T).T
 
 
 def block_influence(

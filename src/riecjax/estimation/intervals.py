@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from riecjax.errors import ModelError
 from riecjax.estimation.blocks import MOST_BLOCKS, ShortBlocks
 from riecjax.estimation.bootstrap import studentized_replicates, uniform_draws
-from riecjax.estimation.elimination import eliminate, unit_scale
+from riecjax.estimation.elimination import solve_scaled
 from riecjax.estimation.influence import Unknowns, in_order, staged_values
 from riecjax.estimation.least_squares import solve
 from riecjax.estimation.normal_equations import NormalEquations
@@ -225,10 +225,8 @@ def naive_covariance(evidence: Evidence) -> Float[Array, "p p"]:
         theta = jnp.stack([evidence.values[name] for name in names])
         freedom = jnp.maximum(equations.count - len(names), 1)
         variance = equations.residual_energy(theta) / freedom
-        scale = unit_scale(jnp.diagonal(equations.gram))
-        identity = jnp.eye(len(names), dtype=scale.dtype)
-        inverse = eliminate(equations.gram * scale[:, None] * scale[None, :], identity)
-        parts.append(variance * inverse * scale[:, None] * scale[None, :])
+        identity = jnp.eye(len(names), dtype=variance.dtype)
+        parts.append(variance * solve_scaled(equations.gram, identity))
     return jax.scipy.linalg.block_diag(*parts)
 
 
