@@ -31,7 +31,7 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.estimation.identify import identify, stage_normal_equations
 from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich, Uncertainty
 from riecjax.estimation.normal_equations import NormalEquations
-from riecjax.estimation.procedure import solve_stages
+from riecjax.estimation.procedure import found_values, solve_stages
 from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
 from riecjax.models.quarter_car.identification import QuarterCar
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
@@ -142,11 +142,8 @@ def limit(side: str, known: dict[str, float], moments: list[Array]) -> dict[str,
         NormalEquations(jnp.sum(m, axis=0)[None], jnp.ones(1), n) for m, n in zip(moments, names)
     ]
     given = {name: jnp.asarray(value) for name, value in known.items()}
-    return {
-        name: float(value)
-        for stage in solve_stages(stages, given)
-        for name, value in zip(stage.parameters, stage.solution.theta)
-    }
+    found = found_values(solve_stages(stages, given), {})
+    return {name: float(value) for name, value in found.items()}
 
 
 def covered(uncertainty: Uncertainty, errors: np.ndarray) -> np.ndarray:

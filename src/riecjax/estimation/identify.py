@@ -40,6 +40,7 @@ from riecjax.estimation.procedure import (
     Procedure,
     StageSolution,
     as_procedure,
+    found_values,
     solve_stages,
 )
 from riecjax.estimation.sharing import Sharing
@@ -294,9 +295,7 @@ def _solve(
 ) -> _Solved:
     flat = [stage.flattened() for stage in stages]
     solutions = solve_stages(flat, known, rows)
-    values = {**known}
-    for stage in solutions:
-        values |= dict(zip(stage.parameters, stage.solution.theta))
+    values = found_values(solutions, known)
     fine = block_influence(flat, known, values)
     fine = fine.reshape(len(short.number), -1, fine.shape[-1])
     length = block_length(short, longest_window, politis_white(fine, short))

@@ -5,7 +5,7 @@ earlier stages found is known to later ones. The paper's three stages are `stage
 equations; its remark that all parameters may be estimated at once is `simultaneous(...)`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Protocol
 
 import equinox as eqx
@@ -132,6 +132,16 @@ class StageSolution(eqx.Module):
     relative_size: Float[Array, " p"]
     parameters: tuple[str, ...] = eqx.field(static=True)
     stage: int = eqx.field(static=True)
+
+
+def found_values(
+    solutions: Iterable[StageSolution], known: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Every parameter by name: what is known, and what the stages found."""
+    values = dict(known)
+    for stage in solutions:
+        values |= dict(zip(stage.parameters, stage.solution.theta))
+    return values
 
 
 def solve_stages(

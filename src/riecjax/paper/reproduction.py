@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import stage_normal_equations
-from riecjax.estimation.procedure import Procedure, solve_stages
+from riecjax.estimation.procedure import Procedure, found_values, solve_stages
 from riecjax.leaves import Leaf
 from riecjax.models.quarter_car.equations import (
     body_equation,
@@ -87,13 +87,8 @@ def identify_variants(
         known = TRUE_MASSES if variant.endswith("true") else {}
         known = {name: jnp.asarray(value) for name, value in known.items()}
         last = wheel if variant.startswith("W") else body
-        solutions = solve_stages([tyre, masses, last], known)
-        found = {
-            name: value
-            for stage in solutions
-            for name, value in zip(stage.parameters, stage.solution.theta)
-        }
-        variants[variant] = {name: {**known, **found}[name] for name in PARAMETERS}
+        values = found_values(solve_stages([tyre, masses, last], known), known)
+        variants[variant] = {name: values[name] for name in PARAMETERS}
     return variants
 
 

@@ -29,6 +29,7 @@ from riecjax.estimation.procedure import (
     HasProcedure,
     Procedure,
     as_procedure,
+    found_values,
     solve_stages,
 )
 from riecjax.estimation.sharing import Sharing
@@ -236,12 +237,9 @@ def _estimates(
         )
         stages = [put_together(stage, short, used) for stage in fine]
         solutions = solve_stages(stages, given)
-        values = {**given}
-        for stage in solutions:
-            values |= dict(zip(stage.parameters, stage.solution.theta))
         return (
             jnp.concatenate([stage.solution.theta for stage in solutions]),
-            block_influence(stages, given, values),
+            block_influence(stages, given, found_values(solutions, given)),
             jnp.stack([stage.relative_rms for stage in solutions]),
             jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
         )
