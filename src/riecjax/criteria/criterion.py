@@ -101,6 +101,8 @@ class Rows(eqx.Module):
 
 ROWS_OF_ALL = 8000
 """Windows drawn where single rows of all windows are asked for."""
+SHORT_BLOCKS_OF_ROWS = 512
+"""Short blocks of start times to a record where single rows are put into them."""
 
 
 class AbstractCriterion(eqx.Module):
@@ -121,6 +123,21 @@ class AbstractCriterion(eqx.Module):
         """Seconds after which two rows share no data: their errors are not locked together."""
         raise NotImplementedError
 
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether all rows are summed at once: there are `moments`, and no single ones."""
+        return False
+
+    def in_chunks(self, record: Record) -> bool:
+        """Whether a record is so long that it is worked through in chunks."""
+        return False
+
+    def block_samples(self, record: Record) -> int:
+        """Samples to one of the short blocks of start times that moments are kept for."""
+        n = record.sample_count
+        # At least two blocks, or nothing could be said of scatter.
+        return min(max(-(-n // SHORT_BLOCKS_OF_ROWS), 1), -(-n // 2))
+
     def check(self, record: Record) -> None:
         """Raise `DataError` if the record is too short for this criterion (not under jit)."""
         raise NotImplementedError
@@ -136,6 +153,13 @@ class AbstractCriterion(eqx.Module):
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
         """The rows of this criterion; see the classes."""
         raise NotImplementedError
+
+    def moments(self, equation: Equation, record: Record) -> Moments:
+        """Sums over all rows of their outer products, for blocks of `block_samples` starts.
+
+        **Raises:** `ModelError` unless they come in closed form.
+        """
+        raise ModelError("this criterion has rows, not moments of all of them.")
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
@@ -225,6 +249,21 @@ class RIEC(AbstractCriterion):
     def block_length(self) -> Leaf:
         """beta: windows that start further apart do not overlap."""
         return self.windows.beta
+
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether all windows are summed."""
+        return isinstance(self.windows, AllWindows)
+
+    def in_chunks(self, record: Record) -> bool:
+        """Whether all windows are summed, chunk by chunk of a long record."""
+        return isinstance(self.windows, AllWindows) and self.windows.in_chunks(record)
+
+    def block_samples(self, record: Record) -> int:
+        """Of all windows, as many starts as they are summed over at once."""
+        if isinstance(self.windows, AllWindows):
+            return self.windows.block(record.sample_count)
+        return super().block_samples(record)
 
     @property
     def sampled(self) -> "RIEC":

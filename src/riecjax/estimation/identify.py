@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
-from riecjax.criteria.windows import DEFAULT_BAND, AllWindows
+from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import raise_if_samples_mix
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
@@ -46,9 +46,6 @@ from riecjax.estimation.procedure import (
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
-
-SHORT_BLOCKS_OF_ROWS = 512
-"""Short blocks of start times to a record where single rows are put into them."""
 
 
 def identify(
@@ -113,7 +110,7 @@ def identify(
         raise_if_only_constant(procedure, recordings, given)
         _raise_if_not_finite(stages, plan)
         past_gram = _worst_condition(solved.stages) > gram_condition_limit(window.dtype)
-        if past_gram and not in_closed_form(criterion):
+        if past_gram and not criterion.in_closed_form:
             rows = all_rows(procedure, sharing, recordings, criterion, keys)
             solved = _solve(stages, given, short, window, sharing, judge, rows)
         _raise_if_unidentifiable(solved.stages, plan)
@@ -170,15 +167,15 @@ def stage_normal_equations(
     """Normal equations of each stage on one record.
 
     With `blocks`, the leading axis is one of short blocks of start times, each of
-    `block_samples(criterion, record)` samples; without, and unless all windows are summed, it has
+    `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
     length one.
     """
-    if in_closed_form(criterion):
+    if criterion.in_closed_form:
         return [
             _sum([_moments(criterion, e, record).embed(names) for e in stage])
             for stage, names in zip(procedure.stages, procedure.stage_parameters)
         ]
-    samples = block_samples(criterion, record) if blocks else record.sample_count
+    samples = criterion.block_samples(record) if blocks else record.sample_count
     count = -(-record.sample_count // samples)
     collected = []
     for stage, names in zip(procedure.stages, procedure.stage_parameters):
@@ -196,13 +193,7 @@ def stage_normal_equations(
     return collected
 
 
-def in_closed_form(criterion: AbstractCriterion) -> bool:
-    """Whether a criterion sums over all its rows at once, so that there are no single ones."""
-    return isinstance(criterion, RIEC) and isinstance(criterion.windows, AllWindows)
-
-
 def _moments(criterion: AbstractCriterion, equation: Equation, record: Record) -> NormalEquations:
-    assert isinstance(criterion, RIEC)
     moments, count = criterion.moments(equation, record)
     return NormalEquations(moments, count, equation.parameters)
 
@@ -214,21 +205,13 @@ def _sum(parts: list[NormalEquations]) -> NormalEquations:
     return total
 
 
-def block_samples(criterion: AbstractCriterion, record: Record) -> int:
-    """Samples to a short block of start times."""
-    n = record.sample_count
-    if isinstance(criterion, RIEC) and isinstance(criterion.windows, AllWindows):
-        return criterion.windows.block(n)
-    return min(max(-(-n // SHORT_BLOCKS_OF_ROWS), 1), -(-n // 2))
-
-
 def _block_of_row(rows: Rows, samples: int, count: int) -> Int[Array, " rows"]:
     return jnp.clip((rows.position / samples).astype(jnp.int32), 0, count - 1)
 
 
 def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> ShortBlocks:
     """The short blocks of each record that normal equations are kept for."""
-    samples = [block_samples(criterion, record) for record in records]
+    samples = [criterion.block_samples(record) for record in records]
     return ShortBlocks(
         tuple(-(-record.sample_count // k) for record, k in zip(records, samples)),
         jnp.stack([k * record.time_step for record, k in zip(records, samples)]),
@@ -388,10 +371,8 @@ def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] |
 def _raise_if_samples_mix(
     procedure: Procedure, records: list[Record], criterion: AbstractCriterion
 ) -> None:
-    if not (isinstance(criterion, RIEC) and isinstance(criterion.windows, AllWindows)):
-        return
     for record in records:
-        if criterion.windows.in_chunks(record) and is_concrete(record):
+        if criterion.in_chunks(record) and is_concrete(record):
             for stage in procedure.stages:
                 for equation in stage:
                     raise_if_samples_mix(equation, record)
