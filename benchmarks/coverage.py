@@ -28,7 +28,8 @@ from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
-from riecjax.estimation.identify import identify, stage_normal_equations
+from riecjax.estimation.assembly import stage_normal_equations
+from riecjax.estimation.identify import identify
 from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich, Uncertainty
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import found_values, solve_stages

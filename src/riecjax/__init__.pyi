@@ -27,12 +27,12 @@ from .errors import IdentifiabilityError as IdentifiabilityError
 from .errors import ModelError as ModelError
 from .errors import RiecjaxError as RiecjaxError
 from .errors import SimulationError as SimulationError
+from .estimation.assembly import stage_normal_equations as stage_normal_equations
 from .estimation.check import Check as Check
 from .estimation.check import check as check
 from .estimation.estimate import Estimate as Estimate
 from .estimation.identify import identify as identify
 from .estimation.identify import signals_read as signals_read
-from .estimation.identify import stage_normal_equations as stage_normal_equations
 from .estimation.intervals import BlockBootstrap as BlockBootstrap
 from .estimation.intervals import Naive as Naive
 from .estimation.intervals import Sandwich as Sandwich

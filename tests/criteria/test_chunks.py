@@ -12,7 +12,8 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
-from riecjax.estimation.identify import identify, stage_normal_equations
+from riecjax.estimation.assembly import stage_normal_equations
+from riecjax.estimation.identify import identify
 from riecjax.estimation.procedure import staged
 from riecjax.records.record import Record
 

@@ -12,13 +12,10 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms, evaluate
+from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.constant_side import constant_sides
 from riecjax.estimation.excitation import Excitation, excitation
-from riecjax.estimation.identify import (
-    all_rows,
-    record_keys,
-    signals_read,
-)
+from riecjax.estimation.identify import record_keys, signals_read
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding

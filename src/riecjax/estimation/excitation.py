@@ -10,8 +10,9 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
+from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import combination
-from riecjax.estimation.identify import all_rows, known_values, plan_stages, record_keys
+from riecjax.estimation.identify import known_values, plan_stages, record_keys
 from riecjax.estimation.noise import noise_level
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import Sharing

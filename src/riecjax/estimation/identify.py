@@ -14,6 +14,7 @@ from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import raise_if_samples_mix
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
+from riecjax.estimation.assembly import all_normal_equations, all_rows
 from riecjax.estimation.blocks import (
     MOST_BLOCKS,
     ShortBlocks,
@@ -34,7 +35,7 @@ from riecjax.estimation.intervals import (
     naive_covariance,
 )
 from riecjax.estimation.least_squares import gram_condition_limit
-from riecjax.estimation.normal_equations import NormalEquations, normal_equations
+from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import (
     HasProcedure,
     Procedure,
@@ -155,105 +156,6 @@ def signals_read(
     return tuple(name for name in record.arrays if name in read)
 
 
-@eqx.filter_jit
-def stage_normal_equations(
-    procedure: Procedure,
-    record: Record,
-    criterion: AbstractCriterion,
-    key: Key[Array, ""] | None,
-    *,
-    blocks: bool = False,
-) -> list[NormalEquations]:
-    """Normal equations of each stage on one record.
-
-    With `blocks`, the leading axis is one of short blocks of start times, each of
-    `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
-    length one.
-    """
-    if criterion.in_closed_form:
-        return [
-            _sum([_moments(criterion, e, record).embed(names) for e in stage])
-            for stage, names in zip(procedure.stages, procedure.stage_parameters)
-        ]
-    samples = criterion.block_samples(record) if blocks else record.sample_count
-    count = -(-record.sample_count // samples)
-    collected = []
-    for stage, names in zip(procedure.stages, procedure.stage_parameters):
-        parts = [criterion.rows(equation, record, key).embed(names) for equation in stage]
-        # Rows of a stage's equations are summed, never interleaved: one Gram matrix per equation.
-        summed = [
-            normal_equations(
-                part,
-                block_of_row=_block_of_row(part, samples, count) if count > 1 else None,
-                block_count=count,
-            )
-            for part in parts
-        ]
-        collected.append(_sum(summed))
-    return collected
-
-
-def _moments(criterion: AbstractCriterion, equation: Equation, record: Record) -> NormalEquations:
-    moments, count = criterion.moments(equation, record)
-    return NormalEquations(moments, count, equation.parameters)
-
-
-def _sum(parts: list[NormalEquations]) -> NormalEquations:
-    total = parts[0]
-    for further in parts[1:]:
-        total = total + further
-    return total
-
-
-def _block_of_row(rows: Rows, samples: int, count: int) -> Int[Array, " rows"]:
-    return jnp.clip((rows.position / samples).astype(jnp.int32), 0, count - 1)
-
-
-def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> ShortBlocks:
-    """The short blocks of each record that normal equations are kept for."""
-    samples = [criterion.block_samples(record) for record in records]
-    return ShortBlocks(
-        tuple(-(-record.sample_count // k) for record, k in zip(records, samples)),
-        jnp.stack([k * record.time_step for record, k in zip(records, samples)]),
-    )
-
-
-def all_normal_equations(
-    procedure: Procedure,
-    sharing: Sharing,
-    records: list[Record],
-    criterion: AbstractCriterion,
-    keys: list[Key[Array, ""] | None],
-) -> tuple[list[NormalEquations], ShortBlocks]:
-    """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
-    per_record = []
-    for i, (record, key) in enumerate(zip(records, keys)):
-        stages = stage_normal_equations(procedure, record, criterion, key, blocks=True)
-        per_record.append(
-            [
-                stage.rename(sharing.of_record(names, i)).embed(sharing.everywhere(names))
-                if sharing.own
-                else stage
-                for stage, names in zip(stages, procedure.stage_parameters)
-            ]
-        )
-    together = [
-        NormalEquations(
-            jnp.stack([_filled_up(part.moments, parts) for part in parts]),
-            jnp.stack([_filled_up(part.count, parts) for part in parts]),
-            parts[0].parameters,
-        )
-        for parts in zip(*per_record)
-    ]
-    return together, short_blocks(records, criterion)
-
-
-def _filled_up(blocks: Array, parts: Sequence[NormalEquations]) -> Array:
-    """As many blocks as the record with most of them has; the further ones are empty."""
-    most = max(part.count.shape[0] for part in parts)
-    return jnp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
-
-
 class _Solved(NamedTuple):
     """Solutions of the stages with their uncertainty, grown by `inflation` where records disagree;
     `used` blocks of each record, of `length` seconds on average."""
@@ -300,29 +202,6 @@ def _solve(
         used,
         jnp.sum(short.durations) / jnp.sum(used),
     )
-
-
-@eqx.filter_jit
-def all_rows(
-    procedure: Procedure,
-    sharing: Sharing,
-    records: list[Record],
-    criterion: AbstractCriterion,
-    keys: list[Key[Array, ""] | None],
-) -> list[Rows]:
-    """Rows of each stage over all records and all its equations."""
-    return [
-        Rows.concatenate(
-            [
-                criterion.rows(equation, record, key)
-                .rename(sharing.of_record(equation.parameters, i))
-                .embed(sharing.everywhere(names))
-                for i, (record, key) in enumerate(zip(records, keys))
-                for equation in stage
-            ]
-        )
-        for stage, names in zip(procedure.stages, procedure.stage_parameters)
-    ]
 
 
 def _rows_offered(

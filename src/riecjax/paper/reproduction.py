@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
 from riecjax.criteria.windows import RandomWindows
-from riecjax.estimation.identify import stage_normal_equations
+from riecjax.estimation.assembly import stage_normal_equations
 from riecjax.estimation.procedure import Procedure, found_values, solve_stages
 from riecjax.leaves import Leaf
 from riecjax.models.quarter_car.equations import (

@@ -7,8 +7,9 @@ import numpy as np
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.criteria.test_functions import Hat
+from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.identify import all_rows, record_keys
+from riecjax.estimation.identify import record_keys
 from riecjax.estimation.sharing import Sharing
 from riecjax.records.record import Record
 from riecjax.reporting.curve_figures import curves_figure, identified_curves

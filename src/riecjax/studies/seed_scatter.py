@@ -14,12 +14,8 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError
-from riecjax.estimation.identify import (
-    all_normal_equations,
-    known_values,
-    plan_stages,
-    record_keys,
-)
+from riecjax.estimation.assembly import all_normal_equations
+from riecjax.estimation.identify import known_values, plan_stages, record_keys
 from riecjax.estimation.influence import in_order, staged_values, unknowns
 from riecjax.estimation.least_squares import solve
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure

@@ -16,14 +16,9 @@ from jaxtyping import Array, Float, Int, Key
 from riecjax.criteria.criterion import RIEC
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError
+from riecjax.estimation.assembly import all_normal_equations, short_blocks
 from riecjax.estimation.blocks import FEWEST_WINDOWS, blocks_in_use, put_together
-from riecjax.estimation.identify import (
-    all_normal_equations,
-    known_values,
-    plan_stages,
-    record_keys,
-    short_blocks,
-)
+from riecjax.estimation.identify import known_values, plan_stages, record_keys
 from riecjax.estimation.influence import block_influence
 from riecjax.estimation.procedure import (
     HasProcedure,
