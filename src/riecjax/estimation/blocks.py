@@ -61,19 +61,23 @@ def put_together(
     **Returns:** normal equations with one leading axis: `MOST_BLOCKS` blocks of each record, of
     which those beyond `used` are empty. No block holds anything of two records.
     """
-    most = equations.count.shape[1]
+    return NormalEquations(
+        gathered(equations.moments, short, used),
+        gathered(equations.count, short, used),
+        equations.parameters,
+    )
+
+
+def gathered(
+    values: Float[Array, "records short *shape"], short: ShortBlocks, used: Int[Array, " records"]
+) -> Float[Array, "blocks *shape"]:
+    """Sums over longer blocks of what is known of short ones; see [`put_together`][]."""
     held = np.array(short.number)[:, None]
-    place = np.arange(most)[None, :]
+    place = np.arange(values.shape[1])[None, :]
     # What is left over is spread, so that no last block is shorter than the others.
     group = jnp.where(place < held, place * used[:, None] // held, MOST_BLOCKS)
-
-    def together(values: Array) -> Array:
-        summed = jax.vmap(lambda v, g: jax.ops.segment_sum(v, g, num_segments=MOST_BLOCKS))
-        return summed(values, group).reshape(-1, *values.shape[2:])
-
-    return NormalEquations(
-        together(equations.moments), together(equations.count), equations.parameters
-    )
+    summed = jax.vmap(lambda v, g: jax.ops.segment_sum(v, g, num_segments=MOST_BLOCKS))
+    return summed(values, group).reshape(-1, *values.shape[2:])
 
 
 def block_length(

@@ -1,0 +1,296 @@
+"""Output-error refinement: the model simulated over windows, and compared with the recording."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.errors import DataError, ModelError
+from riecjax.leaves import is_concrete
+from riecjax.records.record import Record
+from riecjax.refinement.objective import AbstractObjective, Parameters, Setup
+from riecjax.refinement.output_misfit import SHORT_BLOCKS, OutputMisfit, Recorded
+from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
+from riecjax.refinement.shots import AbstractShooting, RandomShots, Shots, WholeRecord
+from riecjax.simulation.measured_states import measured_states, state_sources
+from riecjax.simulation.method import AbstractMethod, FixedStep
+from riecjax.simulation.step_size import suitable_steps
+from riecjax.simulation.system import AbstractSystem
+
+UNTRACED_STEPS = 8
+"""Steps per sample where the model's speed cannot be looked at."""
+
+
+class OutputError(AbstractObjective):
+    """Simulated minus recorded signals, over windows from one sample to the whole record.
+
+    Over one time step this is a fit of the equation error, over windows multiple shooting, over the
+    whole record the output-error fit: one code. Short windows forgive a poor start and what the
+    model leaves out; long ones tell most where the model is right and the sensors are noisy.
+
+    **Arguments:**
+
+    - `shooting`: [`WholeRecord`][], [`Tiles`][] or [`RandomShots`][].
+    - `channels`: signals to compare: states, their derivatives `d<state>`, outputs. By default the
+      recorded states, or if there are none, every output that the record holds.
+    - `sigma`: standard deviation of each channel's error, in its unit, by which it is weighed; by
+      default the channel's own standard deviation, so that relative errors count alike.
+    - `starts`: initial state of each window. `"estimated"`, with the recorded one for a first
+      guess; `"measured"`, taken from the record where it holds the state and estimated where not;
+      or values by name of those states that are known at the start, the others estimated.
+    - `method`: as for [`simulate`][]; by default Runge-Kutta with steps short enough for the
+      model at its start, see [`suitable_steps`][].
+    - `every`: compare one of so many samples. Of a record that was upsampled, the others would tell
+      the same again.
+    """
+
+    shooting: AbstractShooting = eqx.field(default_factory=WholeRecord)
+    channels: tuple[str, ...] | None = eqx.field(static=True, default=None)
+    sigma: Mapping[str, float | Array] | None = None
+    starts: Literal["estimated", "measured"] | Mapping[str, float | Array] = "estimated"
+    method: AbstractMethod | None = None
+    every: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self):
+        if isinstance(self.starts, str) and self.starts not in ("estimated", "measured"):
+            raise ModelError(
+                f"starts are 'estimated', 'measured' or values by name; got '{self.starts}'."
+            )
+        if self.every < 1:
+            raise ModelError(f"every must be 1 or more; got {self.every}.")
+
+    @property
+    def needs_key(self) -> bool:
+        """Whether windows are drawn at random."""
+        return self.shooting.needs_key
+
+    def parametric(self, model: Any, record: Record) -> AbstractParametric:
+        """The system to simulate."""
+        return as_parametric_system(model, record)
+
+    def parameters(self, parametric: AbstractParametric) -> Parameters:
+        """Of the system."""
+        return Parameters(parametric.parameters, parametric.defaults, parametric.units)
+
+    def misfit(self, setup: Setup) -> OutputMisfit:
+        """Over the windows of all records."""
+        system: AbstractSystem = setup.model.build(setup.of_record(0))
+        channels = _channels(system, setup.records, self.channels)
+        for record in setup.records:
+            for name in system.input_names:
+                _ = record.signals[name]
+        given = self.starts if isinstance(self.starts, Mapping) else {}
+        estimated = _estimated(system, setup.records, self.starts)
+        joined = not estimated
+        shots = [
+            self.shooting.shots(record, _drivers(system, record), key, joined=joined)
+            for record, key in zip(setup.records, setup.keys)
+        ]
+        recorded = _cut(
+            system, setup.records, shots, channels, dict(given), self.every, joined, self.shooting.overlap
+        )
+        method = self.method or _method(system, recorded)
+        units = dict(system.states) | dict(system.outputs)
+        sigma, scale, seconds = _sizes(
+            system, recorded, shots, dict(self.sigma or {}), channels, estimated, method
+        )
+        return OutputMisfit(
+            system=setup.model,
+            recorded=recorded,
+            known=setup.fixed,
+            sigma=sigma,
+            scale=scale,
+            window_seconds=seconds if self.shooting.overlap else jnp.zeros_like(seconds),
+            method=method,
+            names=setup.names,
+            local=setup.local,
+            channels=tuple((name, units.get(name, "")) for name in channels),
+            estimated=estimated,
+            state_names=system.state_names,
+            sharing=setup.sharing,
+        )
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings."""
+        starts = self.starts if isinstance(self.starts, str) else "partly known"
+        return {"refine": "output-error", **self.shooting.describe(), "starts": starts}
+
+
+def _channels(
+    system: AbstractSystem, records: Sequence[Record], asked: tuple[str, ...] | None
+) -> tuple[str, ...]:
+    names = system.state_names
+    available = [*names, *(f"d{n}" for n in names), *(n for n, _ in system.outputs)]
+    available = [n for n in dict.fromkeys(available) if n not in system.input_names]
+    if asked is not None:
+        if unknown := [name for name in asked if name not in available]:
+            raise ModelError(
+                f"the simulation has no signal '{unknown[0]}' to compare; it has: "
+                f"{', '.join(available)}."
+            )
+        for record in records:
+            for name in asked:
+                _ = record.signals[name]
+        return asked
+    held = [name for name in available if all(name in record.arrays for record in records)]
+    chosen = [name for name in names if name in held] or held
+    if not chosen:
+        raise DataError(
+            f"the records hold nothing that is simulated, so there is nothing to compare; needed "
+            f"is one of: {', '.join(available)}."
+        )
+    return tuple(chosen)
+
+
+def _drivers(system: AbstractSystem, record: Record) -> tuple[str, ...]:
+    """Signals in which a missing sample breaks the motion: the inputs, or else all."""
+    return system.input_names or tuple(record.arrays)
+
+
+def _estimated(
+    system: AbstractSystem, records: Sequence[Record], starts: str | Mapping[str, Any]
+) -> tuple[int, ...]:
+    """Places of the states whose values at the start of a window are estimated."""
+    if isinstance(starts, Mapping):
+        if unknown := [name for name in starts if name not in system.state_names]:
+            raise ModelError(
+                f"unknown state '{unknown[0]}'; the states are: {', '.join(system.state_names)}."
+            )
+        known = set(starts)
+    elif starts == "measured":
+        sources = [state_sources(system, record) for record in records]
+        known = {n for n in system.state_names if all(s[n] == "measured" for s in sources)}
+    else:
+        known = set()
+    return tuple(i for i, name in enumerate(system.state_names) if name not in known)
+
+
+@eqx.filter_jit
+def _cut(
+    system: AbstractSystem,
+    records: Sequence[Record],
+    shots: Sequence[Shots],
+    channels: tuple[str, ...],
+    given: dict[str, Any],
+    every: int,
+    joined: bool,
+    overlap: bool,
+) -> list[Recorded]:
+    return [
+        _recorded(system, record, cut, channels, given, every, joined, overlap)
+        for record, cut in zip(records, shots)
+    ]
+
+
+def _recorded(
+    system: AbstractSystem,
+    record: Record,
+    shots: Shots,
+    channels: tuple[str, ...],
+    given: dict[str, Any],
+    every: int,
+    joined: bool,
+    overlap: bool,
+) -> Recorded:
+    samples = shots.samples
+    compared = samples[:, ::every]
+    inputs = [record[name][samples] for name in system.input_names]
+    dtype = record.time_step.dtype
+    levels = jnp.stack(inputs, axis=-1) if inputs else jnp.zeros((*samples.shape, 0), dtype)
+    present = [
+        jnp.ones(record.sample_count, bool) if there is None else there
+        for there in (record.present((name,)) for name in channels)
+    ]
+    starts = measured_states(system, record)[shots.first]
+    # A window that overlaps others is judged as a whole, by where it begins.
+    count = compared.shape[1]
+    piece = count if overlap else min(max(-(-record.sample_count // SHORT_BLOCKS) // every, 1), count)
+    for name, value in given.items():
+        starts = starts.at[:, system.state_names.index(name)].set(jnp.asarray(value, dtype))
+    # A start that is taken from the record leaves no error there.
+    counts = shots.inside[:, ::every] & (shots.length > 1)[:, None]
+    counts = counts.at[:, 0].set(counts[:, 0] & (not joined))
+    return Recorded(
+        levels,
+        jnp.stack([record[name][compared] for name in channels], axis=-1),
+        jnp.stack([mask[compared] for mask in present], axis=-1) & counts[:, :, None],
+        starts,
+        compared,
+        record.time_step,
+        record.sample_count,
+        every,
+        piece,
+    )
+
+
+def _method(system: AbstractSystem, recorded: Sequence[Recorded]) -> AbstractMethod:
+    if not is_concrete(system, recorded):
+        return FixedStep(UNTRACED_STEPS)
+    return FixedStep(
+        max(
+            suitable_steps(
+                system,
+                np.asarray(part.starts),
+                np.asarray(part.levels)[:, 0],
+                float(part.time_step),
+            )
+            for part in recorded
+        )
+    )
+
+
+@eqx.filter_jit
+def _sizes(
+    system: AbstractSystem,
+    recorded: Sequence[Recorded],
+    shots: Sequence[Shots],
+    sigma: dict[str, Any],
+    channels: tuple[str, ...],
+    estimated: tuple[int, ...],
+    method: AbstractMethod,
+) -> tuple[Float[Array, " channels"], Float[Array, " s"], Float[Array, ""]]:
+    """What channels are weighed by, the size of estimated states, seconds of the longest window."""
+    seconds = [cut.longest * part.time_step for cut, part in zip(shots, recorded)]
+    return (
+        _sigma(sigma, channels, recorded),
+        _scale(system, recorded[0], estimated, method),
+        jnp.max(jnp.stack(seconds)),
+    )
+
+
+def _sigma(
+    given: Mapping[str, Any], channels: tuple[str, ...], recorded: Sequence[Recorded]
+) -> Float[Array, " channels"]:
+    """Given values, else the standard deviation of each channel over all that is compared."""
+    count = sum(jnp.sum(part.present, axis=(0, 1)) for part in recorded)
+    count = jnp.maximum(count, 1)
+
+    def mean(values: Sequence[Array]) -> Array:
+        held = [jnp.where(part.present, v, 0.0) for part, v in zip(recorded, values)]
+        return sum(jnp.sum(v, axis=(0, 1)) for v in held) / count
+
+    centre = mean([part.measured for part in recorded])
+    variance = mean([(part.measured - centre[None, None, :]) ** 2 for part in recorded])
+    spread = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 1.0)
+    chosen = [
+        jnp.asarray(given.get(name, spread[i]), spread.dtype) for i, name in enumerate(channels)
+    ]
+    return jnp.stack(chosen)
+
+
+def _scale(
+    system: AbstractSystem, part: Recorded, estimated: tuple[int, ...], method: AbstractMethod
+) -> Float[Array, " s"]:
+    """Size of each estimated state over the simulation of a record, 1 of one that rests."""
+    if not estimated:
+        return jnp.ones(0)
+    states, _, _ = jax.vmap(
+        lambda levels, start: method.trajectory(system, levels, part.time_step, start)
+    )(part.levels, part.starts)
+    size = jnp.sqrt(jnp.mean(states**2, axis=(0, 1)))[np.array(estimated)]
+    usable = jnp.isfinite(size) & (size > 0)
+    return jnp.where(usable, jnp.where(usable, size, 1.0), 1.0)

@@ -1,0 +1,275 @@
+"""Output error over windows: the model simulated from a start, compared with what was recorded."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from riecjax.estimation.blocks import ShortBlocks
+from riecjax.estimation.elimination import eliminate, unit_scale
+from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.estimation.sharing import Sharing
+from riecjax.refinement.misfit import AbstractMisfit, Expansion
+from riecjax.refinement.parametric import AbstractParametric
+from riecjax.simulation.method import AbstractMethod
+from riecjax.simulation.system import AbstractSystem
+
+SHORT_BLOCKS = 512
+"""Short blocks of time to a record."""
+RIDGE = 1e-10
+"""What keeps a start that no residual depends on from being divided by zero; relative."""
+
+
+class Recorded(eqx.Module):
+    """What is simulated and compared of one recording.
+
+    **Fields:**
+
+    - `levels`: inputs in each window, shape `(windows, longest, inputs)`.
+    - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
+    - `present`: which of these count.
+    - `starts`: initial state of each window as it was recorded, `(windows, states)`.
+    - `position`: sample at which each compared one stands in the record, `(windows, compared)`.
+    - `time_step` in seconds; `sample_count` of the record; `every`, of how many samples one is
+      compared; `piece`, how many of these make a piece of time.
+    """
+
+    levels: Float[Array, "windows longest inputs"]
+    measured: Float[Array, "windows compared channels"]
+    present: Array
+    starts: Float[Array, "windows states"]
+    position: Int[Array, "windows compared"]
+    time_step: Float[Array, ""]
+    sample_count: int = eqx.field(static=True)
+    every: int = eqx.field(static=True)
+    piece: int = eqx.field(static=True)
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return self.starts.shape[0]
+
+
+class OutputMisfit(AbstractMisfit):
+    """Simulated minus recorded channels, in units of `sigma`, over all windows of all records."""
+
+    system: AbstractParametric
+    recorded: list[Recorded]
+    known: dict[str, Array]
+    sigma: Float[Array, " channels"]
+    scale: Float[Array, " s"]
+    window_seconds: Float[Array, ""]
+    method: AbstractMethod
+    names: tuple[str, ...] = eqx.field(static=True)
+    local: tuple[str, ...] = eqx.field(static=True)
+    channels: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    estimated: tuple[int, ...] = eqx.field(static=True)
+    state_names: tuple[str, ...] = eqx.field(static=True)
+    sharing: Sharing = eqx.field(static=True)
+
+    @property
+    def start_names(self) -> tuple[str, ...]:
+        """Names of the states whose starts are estimated."""
+        return tuple(self.state_names[i] for i in self.estimated)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        return tuple(name for name, _ in self.channels)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the channels."""
+        return tuple(unit for _, unit in self.channels)
+
+    @property
+    def longest_window(self) -> Float[Array, ""]:
+        """Seconds of a window if windows overlap, else 0: no residual then counts twice."""
+        return self.window_seconds
+
+    def first_starts(self) -> Float[Array, "windows s"]:
+        """As recorded."""
+        return jnp.concatenate([part.starts[:, np.array(self.estimated, int)] for part in self.recorded])
+
+    def start_scale(self) -> Float[Array, " s"]:
+        """Size of each estimated state."""
+        return self.scale
+
+    def energy(
+        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+    ) -> Float[Array, " quantities"]:
+        """Of each channel, in units of sigma."""
+        found = jnp.zeros(len(self.channels), theta.dtype)
+        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(starts))):
+
+            def of_window(start: Array, window: Recorded, i: int = i) -> Array:
+                return jnp.sum(self._error(theta, start, window, i) ** 2, axis=0)
+
+            found = found + jnp.sum(_over_windows(of_window, own, part), axis=0)
+        return found
+
+    def expansion(
+        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+    ) -> Expansion:
+        """Of each window of each record, in pieces of time."""
+        pieces, energy = [], jnp.zeros(len(self.channels), theta.dtype)
+        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(starts))):
+
+            def of_window(start: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
+                level, slopes = self._columns(theta, start, window, i)
+                columns = jnp.concatenate([level[:, :, None], slopes], axis=2)
+                cut = _in_pieces(columns, window.piece)
+                return jnp.einsum("prci,prcj->pij", cut, cut), jnp.sum(level**2, axis=0)
+
+            moments, squares = _over_windows(of_window, own, part)
+            pieces.append(moments)
+            energy = energy + jnp.sum(squares, axis=0)
+        return Expansion(pieces, energy)
+
+    def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
+        """Of simulated minus recorded."""
+        count = sum(jnp.sum(part.present, axis=(0, 1)) for part in self.recorded)
+        return self.sigma * jnp.sqrt(energy / jnp.maximum(count, 1))
+
+    def independent_rows(self) -> Float[Array, ""]:
+        """All that are compared."""
+        return jnp.asarray(sum(jnp.sum(part.present) for part in self.recorded), float)
+
+    def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
+        """By blocks of time."""
+        p = len(self.names)
+        sums, counts, numbers, seconds = [], [], [], []
+        for part, pieces in zip(self.recorded, expansion.pieces):
+            samples = max(-(-part.sample_count // SHORT_BLOCKS), 1)
+            number = max(-(-part.sample_count // samples), 2)
+            moments = jax.vmap(lambda m: _without_start(m, p))(pieces)
+            position = part.position[:, :: part.piece]
+            index = jnp.minimum(position // samples, number - 1).reshape(-1)
+            held = jnp.sum(_in_pieces(part.present, part.piece, axis=1), axis=(2, 3))
+            flat = moments.reshape(-1, *moments.shape[2:])
+            sums.append(jax.ops.segment_sum(flat, index, num_segments=number))
+            counts.append(jax.ops.segment_sum(held.reshape(-1), index, num_segments=number))
+            numbers.append(number)
+            seconds.append(samples * part.time_step)
+        most = max(numbers)
+        together = NormalEquations(
+            jnp.stack([_filled_up(part, most) for part in sums]),
+            jnp.stack([_filled_up(part.astype(sums[0].dtype), most) for part in counts]),
+            self.names,
+        )
+        return together, ShortBlocks(tuple(numbers), jnp.stack(seconds))
+
+    def simulated(
+        self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int
+    ) -> Float[Array, "compared channels"]:
+        """The channels at the compared samples of one window of record number `index`."""
+        values = {**self.known, **dict(zip(self.names, theta))}
+        own = {n: values[self.sharing.of_record((n,), index)[0]] for n in self.local}
+        system = self.system.build(own)
+        first = window.starts
+        if self.estimated:
+            first = first.at[np.array(self.estimated)].set(start)
+        states, _, _ = self.method.trajectory(system, window.levels, window.time_step, first)
+        return observed(
+            system, states[:: window.every], window.levels[:: window.every], self.labels
+        )
+
+    def _error(
+        self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int
+    ) -> Float[Array, "compared channels"]:
+        found = self.simulated(theta, start, window, index)
+        return jnp.where(window.present, (found - window.measured) / self.sigma[None, :], 0.0)
+
+    def _columns(
+        self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int
+    ) -> tuple[Float[Array, "compared channels"], Float[Array, "compared channels p+s"]]:
+        """Residuals of one window, and their derivatives by parameters and start."""
+        p = theta.shape[0]
+        unknown = jnp.concatenate([theta, start])
+        return jax.vmap(
+            lambda along: jax.jvp(
+                lambda u: self._error(u[:p], u[p:], window, index), (unknown,), (along,)
+            ),
+            out_axes=(None, 2),
+        )(jnp.eye(unknown.shape[0], dtype=unknown.dtype))
+
+    def _of_records(self, starts: Float[Array, "windows s"]) -> list[Float[Array, "windows s"]]:
+        edges = np.cumsum([part.windows for part in self.recorded])[:-1]
+        return jnp.split(starts, edges)
+
+
+def observed(
+    system: AbstractSystem,
+    states: Float[Array, "n states"],
+    levels: Float[Array, "n inputs"],
+    channels: tuple[str, ...],
+) -> Float[Array, "n channels"]:
+    """Channels of a trajectory: states, their derivatives `d<state>`, and outputs."""
+    names = system.state_names
+    rates = {f"d{name}": i for i, name in enumerate(names)}
+    outputs = dict(system.outputs)
+    flow = made = None
+    columns = []
+    for channel in channels:
+        if channel in names:
+            columns.append(states[:, names.index(channel)])
+        elif channel in outputs:
+            made = jax.vmap(system.output)(states, levels) if made is None else made
+            columns.append(made[channel])
+        else:
+            flow = jax.vmap(system.derivative)(states, levels) if flow is None else flow
+            columns.append(flow[:, rates[channel]])
+    return jnp.stack(columns, axis=-1)
+
+
+def _over_windows(
+    function: Callable[[Array, Recorded], Any], starts: Array, part: Recorded
+) -> Any:
+    """A function of each window's start and recording."""
+    batched = eqx.tree_at(
+        lambda r: (r.levels, r.measured, r.present, r.starts, r.position),
+        jax.tree.map(lambda _: None, part),
+        (0, 0, 0, 0, 0),
+        is_leaf=lambda leaf: leaf is None,
+    )
+    return jax.vmap(function, in_axes=(0, batched))(starts, part)
+
+
+def _in_pieces(values: Array, length: int, axis: int = 0) -> Array:
+    """One axis cut into pieces of a length, the last one filled up with zeros."""
+    n = values.shape[axis]
+    count = -(-n // length)
+    pad = [(0, 0)] * values.ndim
+    pad[axis] = (0, count * length - n)
+    shape = (*values.shape[:axis], count, length, *values.shape[axis + 1 :])
+    return jnp.pad(values, pad).reshape(shape)
+
+
+def _without_start(
+    pieces: Float[Array, "pieces columns columns"], p: int
+) -> Float[Array, "pieces 1+p 1+p"]:
+    """Moments of minus the residual and of its derivatives while the window's start follows.
+
+    As the parameters change, the start takes back what it can of what they do: the derivatives are
+    projected off the start's. That is a linear map of the columns, the same in all pieces.
+    """
+    head = jnp.eye(1 + p, dtype=pieces.dtype).at[0, 0].set(-1.0)
+    if pieces.shape[-1] == 1 + p:
+        return jnp.einsum("ia,pij,jb->pab", head, pieces, head)
+    whole = jnp.sum(pieces, axis=0)
+    gram = whole[1 + p :, 1 + p :]
+    scale = unit_scale(jnp.diagonal(gram))
+    scaled = gram * scale[:, None] * scale[None, :] + RIDGE * jnp.eye(gram.shape[0])
+    following = scale[:, None] * eliminate(scaled, scale[:, None] * whole[1 + p :, 1 : 1 + p])
+    tail = jnp.concatenate([jnp.zeros((gram.shape[0], 1), gram.dtype), -following], axis=1)
+    mix = jnp.concatenate([head, tail])
+    return jnp.einsum("ia,pij,jb->pab", mix, pieces, mix)
+
+
+def _filled_up(values: Array, most: int) -> Array:
+    return jnp.pad(values, [(0, most - values.shape[0])] + [(0, 0)] * (values.ndim - 1))
+

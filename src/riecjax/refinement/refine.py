@@ -1,0 +1,300 @@
+"""The verb of this stage: refine parameters, from a start, of models that need not be linear."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from riecjax.errors import DataError, ModelError
+from riecjax.estimation.identify import record_keys
+from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.elimination import solve_scaled
+from riecjax.estimation.evidence import judge
+from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
+from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.estimation.sharing import Sharing
+from riecjax.leaves import is_concrete
+from riecjax.records.record import Record
+from riecjax.refinement.coordinates import Bounds, Laws, Prior
+from riecjax.refinement.misfit import AbstractMisfit, Expansion
+from riecjax.refinement.objective import AbstractObjective, Setup
+from riecjax.refinement.optimum import Problem, RefinementStatus, Solver, find_optimum
+from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.refined import Refined
+
+ROUNDS_WITH_PRIORS = 3
+"""Fits in turn where priors are weighed against the scatter that the fit before left."""
+
+
+def refine(
+    model: Any,
+    records: Record | Sequence[Record],
+    start: AbstractEstimate | Mapping[str, float | Array],
+    by: AbstractObjective | None = None,
+    *,
+    known: Mapping[str, float | Array] | None = None,
+    bounds: Mapping[str, Bounds] | None = None,
+    priors: Mapping[str, Prior] | None = None,
+    own: Sequence[str] = (),
+    key: Key[Array, ""] | None = None,
+    intervals: AbstractIntervals | None = None,
+    solver: Solver | None = None,
+    max_steps: int = 100,
+    progress: Callable[[float], None] | None = None,
+) -> Refined:
+    """Refine parameters by non-linear least squares, from a start.
+
+    Works eagerly, with every check, and under `jax.jit`, `jax.vmap` and `jax.grad`. The result's
+    `theta` differentiates with respect to records, windows and known values, by the implicit
+    function theorem.
+
+    **Arguments:**
+
+    - `model`: what `by` needs. For [`OutputError`][], something to simulate: an `Equation`,
+      `Procedure` or `Model`, an `AbstractSystem` whose fields are the parameters, or a function of
+      the parameters by name that returns a system. For [`IntegralError`][], equations of motion:
+      `Equation`s, a `Procedure`, `AbstractBalance`s.
+    - `records`: one record or several, of any lengths.
+    - `start`: an estimate, or values by name. What it names is free; of an estimate, what it
+      estimated.
+    - `by`: what is made small, [`OutputError`][] by default.
+    - `known`: values held fixed. Parameters named nowhere keep the model's own values.
+    - `bounds`: (lower, upper) by name, `None` where there is none.
+    - `priors`: normal laws (mean, standard deviation) by name, weighed against the scatter that the
+      fit leaves.
+    - `own`: names of parameters that take a value of their own in each record.
+    - `key`: for random windows.
+    - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
+      resamples the problem linearised at the optimum.
+    - `solver`: an optimistix solver; Levenberg-Marquardt by default.
+    - `max_steps`: steps that the search may take; fewer than it needs is a status of the result.
+    - `progress`: called with the sum of squares after each step.
+
+    **Raises:** `ModelError` for unknown names, values that are missing or out of bounds, a model
+    that cannot be simulated; `DataError` for missing signals or records that are too short. A
+    search that fails raises nothing: see `status` of the result.
+    """
+    recordings = [records] if isinstance(records, Record) else list(records)
+    if not recordings:
+        raise DataError("refinement needs at least one record.")
+    objective = (OutputError() if by is None else by).suited(model)
+    setup = _setup(objective, model, recordings, start, dict(known or {}), tuple(own), key)
+    laws = Laws.of(setup.names, setup.values, dict(bounds or {}), dict(priors or {}))
+    misfit = objective.misfit(setup)
+    theta, starts = _stacked([setup.values[name] for name in setup.names]), misfit.first_starts()
+    begun = _begin(misfit, theta, starts)
+    found, energy = _Found(theta, starts, begun.status, jnp.array(0)), begun.energy
+    for _ in range(ROUNDS_WITH_PRIORS if priors else 1):
+        found, energy, judged = _search(
+            misfit,
+            laws,
+            theta,
+            found,
+            energy,
+            setup.sharing,
+            intervals or Sandwich(),
+            solver,
+            max_steps,
+            progress,
+        )
+    return Refined(
+        theta=found.theta,
+        uncertainty=judged.uncertainty,
+        known=setup.fixed,
+        status=found.status,
+        steps=found.steps,
+        rms_before=begun.rms,
+        rms=judged.rms,
+        cost_before=jnp.sum(begun.energy),
+        cost=jnp.sum(energy),
+        starts=found.starts,
+        at_bound=judged.at_bound,
+        inflation=judged.inflation,
+        block_count=judged.block_count,
+        block_length=judged.block_length,
+        parameters=setup.names,
+        units=tuple(setup.sharing.values(setup.units).items()),
+        quantities=misfit.labels,
+        quantity_units=misfit.units,
+        start_names=misfit.start_names,
+        by=tuple(objective.describe().items()),
+    )
+
+
+def _setup(
+    objective: AbstractObjective,
+    model: Any,
+    records: list[Record],
+    start: AbstractEstimate | Mapping[str, float | Array],
+    known: dict[str, float | Array],
+    own: tuple[str, ...],
+    key: Key[Array, ""] | None,
+) -> Setup:
+    """Every parameter's value, and which are free."""
+    parametric = objective.parametric(model, records[0])
+    if objective.needs_key and key is None:
+        raise ModelError("random windows need a key: key=jax.random.key(seed).")
+    names, defaults, units = objective.parameters(parametric)
+    if isinstance(start, AbstractEstimate):
+        units = {**units, **dict(start.units)} if not names else units
+        known = {**start.known, **known}
+        start = {name: start[name] for name in start.parameters}
+    given = {**start, **known}
+    local = names or tuple(dict.fromkeys(_local(name, own) for name in given))
+    sharing = Sharing(local, own, len(records))
+    if unknown := [n for n in given if n not in (*local, *sharing.parameters)]:
+        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {', '.join(local)}.")
+    values = {**sharing.values(defaults), **sharing.values(start), **sharing.values(known)}
+    if missing := [name for name in sharing.parameters if name not in values]:
+        raise ModelError(
+            f"no value is given for {', '.join(missing)}. Name it in start (to refine it) or in "
+            f"known (to hold it)."
+        )
+    held = set(sharing.values(known))
+    free = tuple(n for n in sharing.parameters if n in sharing.values(start) and n not in held)
+    if not free:
+        raise ModelError("every parameter is known; nothing is left to refine.")
+    dtype = records[0].time_step.dtype
+    return Setup(
+        parametric,
+        records,
+        record_keys(key, len(records)),
+        {name: _number(values[name], dtype) for name in sharing.parameters},
+        free,
+        local,
+        sharing,
+        units,
+    )
+
+
+def _number(value: float | Array, dtype: Any) -> Array:
+    return np.asarray(value, dtype) if is_concrete(value) else jnp.asarray(value, dtype)
+
+
+def _local(name: str, own: tuple[str, ...]) -> str:
+    base = name.partition("[")[0]
+    return base if base in own else name
+
+
+class _Begun(NamedTuple):
+    """What the start leaves, and whether it can be started from."""
+
+    energy: Float[Array, " quantities"]
+    rms: Float[Array, " quantities"]
+    status: RefinementStatus
+
+
+@eqx.filter_jit
+def _begin(
+    misfit: AbstractMisfit, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+) -> _Begun:
+    energy = misfit.energy(theta, starts)
+    status = RefinementStatus.where(
+        jnp.isfinite(jnp.sum(energy)), RefinementStatus.converged, RefinementStatus.not_finite
+    )
+    return _Begun(energy, misfit.rms(energy), status)
+
+
+class _Found(NamedTuple):
+    """Where a search ended."""
+
+    theta: Float[Array, " p"]
+    starts: Float[Array, "windows s"]
+    status: RefinementStatus
+    steps: Int[Array, ""]
+
+
+class _Judged(NamedTuple):
+    """What is said of an optimum."""
+
+    uncertainty: Uncertainty
+    inflation: Float[Array, " p"]
+    rms: Float[Array, " quantities"]
+    at_bound: Bool[Array, " p"]
+    block_count: Int[Array, ""]
+    block_length: Float[Array, ""]
+
+
+@eqx.filter_jit
+def _search(
+    misfit: AbstractMisfit,
+    laws: Laws,
+    start: Float[Array, " p"],
+    found: _Found,
+    energy: Float[Array, " quantities"],
+    sharing: Sharing,
+    intervals: AbstractIntervals,
+    solver: Solver | None,
+    max_steps: int,
+    progress: Callable[[float], None] | None,
+) -> tuple[_Found, Float[Array, " quantities"], _Judged]:
+    """The optimum, searched from `found`, which left `energy`."""
+    scale = jnp.where(start != 0, jnp.abs(start), 1.0)
+    variance = _variance(misfit, energy, start.shape[0])
+    problem = Problem(misfit, laws.coordinates(scale), laws, variance)
+    point, status, steps, expansion = find_optimum(
+        problem, problem.point(found.theta, found.starts), solver, max_steps, progress
+    )
+    theta, starts = problem.values(point)
+    status = RefinementStatus.where(
+        found.status == RefinementStatus.not_finite, RefinementStatus.not_finite, status
+    )
+    at_bound = problem.coordinates.at_bound(theta)
+    judged = _judge(misfit, expansion, at_bound, laws, sharing, intervals)
+    return _Found(theta, starts, status, found.steps + steps), expansion.energy, judged
+
+
+def _variance(
+    misfit: AbstractMisfit, energy: Float[Array, " quantities"], unknown: int
+) -> Float[Array, ""]:
+    """Variance of a residual, of those that may be taken as independent."""
+    return jnp.sum(energy) / jnp.maximum(misfit.independent_rows() - unknown, 1)
+
+
+def _judge(
+    misfit: AbstractMisfit,
+    expansion: Expansion,
+    at_bound: Bool[Array, " p"],
+    laws: Laws,
+    sharing: Sharing,
+    intervals: AbstractIntervals,
+) -> _Judged:
+    """Uncertainty from the problem linearised at the optimum, in the parameters' units.
+
+    A prior counts as one more observation. Its information is spread over all blocks of time, so
+    that resampling them never takes it away, and its own variance is added.
+    """
+    blocks, short = misfit.blocks(expansion)
+    variance = _variance(misfit, expansion.energy, at_bound.shape[0])
+    # Holding a parameter that sits on its bound needs no more than a steep slope against it.
+    stiff = jnp.diagonal(blocks.flattened().total().gram) * 1e12
+    information = variance * jnp.asarray(laws.prior_weight) ** 2
+    information = information + jnp.where(at_bound, jnp.maximum(stiff, 1.0), 0.0)
+    share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
+    spread = jnp.diag(jnp.concatenate([jnp.zeros(1), information]))
+    moments = blocks.moments + share[..., None, None] * spread[None, None]
+    blocks = NormalEquations(moments, blocks.count, blocks.parameters)
+    zero = {name: jnp.zeros(()) for name in misfit.names}
+    shared = np.array([name not in sharing.individual for name in misfit.names])
+    judged = judge([blocks], {}, zero, short, misfit.longest_window, shared, intervals)
+    used = jnp.sum(judged.evidence.used)
+    gram = blocks.flattened().total().gram
+    moved = solve_scaled(gram, jnp.diag(jnp.sqrt(variance) * laws.prior_weight))
+    covariance = judged.uncertainty.covariance + variance * (moved @ moved.T)
+    covariance = jnp.where(at_bound[:, None] | at_bound[None, :], jnp.nan, covariance)
+    return _Judged(
+        eqx.tree_at(lambda u: u.covariance, judged.uncertainty, covariance),
+        judged.inflation,
+        misfit.rms(expansion.energy),
+        at_bound,
+        used,
+        jnp.sum(short.durations) / used,
+    )
+
+
+def _stacked(values: Sequence[Array]) -> Float[Array, " p"]:
+    """In NumPy where nothing is traced: JAX would compile each small step."""
+    return jnp.asarray(np.stack(values)) if is_concrete(values) else jnp.stack(values)

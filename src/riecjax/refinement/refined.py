@@ -1,0 +1,137 @@
+"""What a refinement found, and how far it can be trusted."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.intervals import Uncertainty
+from riecjax.findings import Finding
+from riecjax.refinement.optimum import RefinementStatus
+
+NOTABLE_INFLATION = 1.1
+
+
+class Refined(AbstractEstimate):
+    """Refined parameters with units and uncertainty, and how they were found.
+
+    A pytree that differentiates and vmaps; values are read one by one as from a mapping.
+
+    **Fields:**
+
+    - `theta`, `uncertainty`, `known`, `parameters`, `units`: as of an [`Estimate`][].
+    - `status`: how the search ended; `steps` that it took.
+    - `rms_before`, `rms`: root mean square of what is left of each of `quantities` (channels, or
+      equations), at the start and now, in `quantity_units`.
+    - `cost_before`, `cost`: sums of squared residuals.
+    - `starts`: estimated initial states, one row for each window, columns `start_names`.
+    - `at_bound`: which parameters sit on a bound; nothing is said of their uncertainty.
+    - `inflation`: factor on each standard error because recordings disagree.
+    - `block_count`, `block_length`: independent blocks of time behind the uncertainty.
+    - `by`: what was made small, in plain data.
+    """
+
+    theta: Float[Array, " p"]
+    uncertainty: Uncertainty
+    known: dict[str, Array]
+    status: RefinementStatus
+    steps: Int[Array, ""]
+    rms_before: Float[Array, " quantities"]
+    rms: Float[Array, " quantities"]
+    cost_before: Float[Array, ""]
+    cost: Float[Array, ""]
+    starts: Float[Array, "windows s"]
+    at_bound: Bool[Array, " p"]
+    inflation: Float[Array, " p"]
+    block_count: Int[Array, ""]
+    block_length: Float[Array, ""]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    quantities: tuple[str, ...] = eqx.field(static=True)
+    quantity_units: tuple[str, ...] = eqx.field(static=True)
+    start_names: tuple[str, ...] = eqx.field(static=True)
+    by: tuple[tuple[str, Any], ...] = eqx.field(static=True)
+
+    @property
+    def converged(self) -> Bool[Array, ""]:
+        """Whether the search ended at an optimum."""
+        return self.status == RefinementStatus.converged
+
+    @property
+    def reason(self) -> str:
+        """How the search ended, in words (not under jit)."""
+        return RefinementStatus[self.status]
+
+    def findings(self) -> list[Finding]:
+        """What a user should know before trusting this (not under jit)."""
+        return [
+            *self._not_converged(),
+            *self._bounds(),
+            *self._undetermined(),
+            *self.negative_values(),
+            *self.rarely_excited(),
+            *self._disagreement(),
+        ]
+
+    def _not_converged(self) -> Iterator[Finding]:
+        if not bool(self.converged):
+            yield Finding("refinement_not_converged", f"the refinement {self.reason}")
+
+    def _bounds(self) -> Iterator[Finding]:
+        if names := [n for n, reached in zip(self.parameters, self.at_bound) if bool(reached)]:
+            yield Finding(
+                "at_bound",
+                f"{', '.join(names)} sit(s) on a bound: the data would go further. The intervals "
+                f"of the others take it for known.",
+            )
+
+    def _undetermined(self) -> Iterator[Finding]:
+        for name, reached in zip(self.parameters, self.at_bound):
+            low, high = self.interval(name)
+            if bool(reached):
+                continue
+            if not (np.isfinite(low) and np.isfinite(high)):
+                yield Finding("undetermined", f"these data say nothing about {name}.")
+            elif high - low > 2 * abs(float(self[name])):
+                yield Finding(
+                    "interval_wider_than_estimate",
+                    f"the refined interval of {name} reaches from {low:.4g} to {high:.4g}: these "
+                    f"data hardly determine it.",
+                )
+
+    def _disagreement(self) -> Iterator[Finding]:
+        for name, factor in zip(self.parameters, self.inflation):
+            if float(factor) > NOTABLE_INFLATION:
+                yield Finding(
+                    "records_disagree",
+                    f"the recordings do not agree on the refined {name}: its interval is "
+                    f"{float(factor):.2g} times as wide.",
+                )
+
+    def __str__(self) -> str:
+        width = max(9, *(len(name) for name in self))
+        units = dict(self.units)
+        lines = [f"{'parameter':<{width}}  {'value':>12}  95 % interval"]
+        for name in self.parameters:
+            low, high = self.interval(name)
+            lines.append(
+                f"{name:<{width}}  {float(self[name]):>12.6g}  [{low:.6g}, {high:.6g}] "
+                f"{units.get(name, '')}".rstrip()
+            )
+        for name, value in self.known.items():
+            lines.append(
+                f"{name:<{width}}  {float(value):>12.6g}  known {units.get(name, '')}".rstrip()
+            )
+        lines.append(f"{self.reason} after {int(self.steps)} steps")
+        lines += [
+            f"{name}: {float(before):.4g} -> {float(after):.4g} {unit} r.m.s.".replace("  ", " ")
+            for name, before, after, unit in zip(
+                self.quantities, self.rms_before, self.rms, self.quantity_units
+            )
+        ]
+        lines.extend(f"warning [{code}] {message}" for code, message in self.findings())
+        return "\n".join(lines)
