@@ -10,6 +10,7 @@ from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.identify import identify
+from riecjax.estimation.sharing import values_of_record
 from riecjax.records.record import Record
 
 EQUATION = Equation(
@@ -76,6 +77,11 @@ def test_own_parameters_may_be_known_all_at_once_or_one_by_one():
     one = identify(EQUATION, RECORDS, DOLS(), own=["offset"], known={"offset[2]": OFFSETS[1]})
     assert one.parameters == ("M", "c", "offset[1]", "offset[3]")
     assert float(one["offset[1]"]) == pytest.approx(OFFSETS[0], rel=1e-6)
+
+
+def test_each_record_reads_its_own_values_under_the_models_names():
+    values = {"M": 12.0, "offset[1]": 3.0, "offset[2]": -1.5}
+    assert values_of_record(values, 1) == {**values, "offset": -1.5}
 
 
 def test_own_parameters_survive_the_solve_by_rows():

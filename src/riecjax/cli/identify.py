@@ -135,7 +135,7 @@ def command(
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
     judge = kinds[intervals]
     estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
-    validations, failed = validation_runs(model, estimate, own, held, further)
+    validations, failed = validation_runs(model, estimate, held, further)
     residuals, choice, untested = _what_is_left(procedure, records, estimate)
     result = Identification(
         model=model.name,
@@ -232,7 +232,6 @@ def _seeds(
 def validation_runs(
     model: "Model",
     estimate: "Estimate",
-    own: tuple[str, ...],
     held: list[Recording],
     further: list[Recording],
 ) -> tuple[list["ValidationRun"], list[Finding]]:
@@ -240,17 +239,15 @@ def validation_runs(
 
     **Returns:** those that could be made, and why the others could not.
     """
+    from riecjax.estimation.sharing import values_of_record
     from riecjax.reporting.identification import ValidationRun
     from riecjax.validation.held_out import validate_held_out
 
     names = model.build_procedure().parameters
+    own = [values_of_record(estimate.values, i) for i in range(len(held))]
     parts = [
-        (
-            f"{recording.file.name}, last part",
-            recording.record,
-            {n: estimate[f"{n}[{i + 1}]" if n in own else n] for n in names},
-        )
-        for i, recording in enumerate(held)
+        (f"{recording.file.name}, last part", recording.record, {n: values[n] for n in names})
+        for recording, values in zip(held, own)
     ]
     parts += [(r.file.name, r.record, dict(estimate.values)) for r in further]
     runs, failed = [], []

@@ -62,3 +62,13 @@ class Sharing:
         known = set(names)
         base = {name.partition("[")[0] if name not in self.own else name for name in known} | known
         return {name for name in base if set(self.everywhere([name])) <= known}
+
+
+def values_of_record(values: Mapping[str, Value], index: int) -> dict[str, Value]:
+    """Values as the record number `index` (from 0) knows them: its own `offset[2]` as `offset`.
+
+    Those of other records keep their names.
+    """
+    ending = f"[{index + 1}]"
+    own = {name.removesuffix(ending): v for name, v in values.items() if name.endswith(ending)}
+    return {**values, **own}

@@ -10,7 +10,7 @@ from riecjax.criteria.test_functions import Hat
 from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import record_keys
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.sharing import Sharing, values_of_record
 from riecjax.records.record import Record
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import Identification, ValidationRun
@@ -169,9 +169,10 @@ def _fits(result: Identification) -> Iterator[tuple[int, _Fit]]:
     """Each equation's rows on each record, with the place of its stage."""
     estimate, procedure, records = result.estimate, result.procedure, result.records
     single = Sharing(procedure.parameters, (), 1)
+    given = {name: float(value) for name, value in estimate.known.items()}
+    found = {name: float(estimate[name]) for name in estimate.parameters}
     for i, (record, key) in enumerate(zip(records, record_keys(result.key, len(records)))):
-        known = _of_record(estimate.known, i)
-        estimated = _of_record({name: estimate[name] for name in estimate.parameters}, i)
+        known, estimated = values_of_record(given, i), values_of_record(found, i)
         # The check of this record has compiled the same function.
         for place, rows in enumerate(
             all_rows(procedure, single, [record], estimate.criterion, [key])
@@ -181,14 +182,6 @@ def _fits(result: Identification) -> Iterator[tuple[int, _Fit]]:
             parts = np.split(np.arange(rows.columns.shape[1]), len(equations))
             for equation, part in zip(equations, parts):
                 yield place, _fit(rows, part, equation.parameters, record, known, estimated)
-
-
-def _of_record(values: Mapping[str, Any], index: int) -> dict[str, float]:
-    """Values as the record number `index` (from 0) knows them: its own `offset[2]` as `offset`."""
-    found = {name: float(value) for name, value in values.items()}
-    ending = f"[{index + 1}]"
-    own = {n.removesuffix(ending): v for n, v in found.items() if n.endswith(ending)}
-    return found | own
 
 
 def _fit(

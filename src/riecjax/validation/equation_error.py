@@ -5,7 +5,7 @@ there is, one sample long, by which a velocity's difference stands for an accele
 samples under a triangle where only the position of an acceleration is recorded.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.estimation.sharing import values_of_record
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 
@@ -111,9 +112,11 @@ def errors_over_records(
             f"records to one rate first (riecjax.resample)."
         )
     procedure = as_procedure(model)
+    own = [values_of_record(values, i) for i in range(len(records))]
+    # Only what the equations read: other names would compile them anew.
     parts = [
-        _compiled(procedure, record, _of_record(procedure.parameters, values, i))
-        for i, record in enumerate(records)
+        _compiled(procedure, record, {name: _value(v, name) for name in procedure.parameters})
+        for record, v in zip(records, own)
     ]
     return [list(of_equation) for of_equation in zip(*parts)]
 
@@ -147,14 +150,6 @@ def with_pads(parts: Sequence[Shaped[np.ndarray, " n"]], pad: int) -> Shaped[np.
 
 
 _compiled = eqx.filter_jit(equation_error)
-
-
-def _of_record(
-    names: Iterable[str], values: Mapping[str, float | Array], index: int
-) -> dict[str, Array]:
-    """Values as the record number `index` (from 0) knows them."""
-    own = ((name, f"{name}[{index + 1}]") for name in names)
-    return {name: _value(values, mine if mine in values else name) for name, mine in own}
 
 
 def _error_of(
