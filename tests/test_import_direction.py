@@ -14,6 +14,7 @@ STAGES = (
     "criteria",
     "estimation",
     "simulation",
+    "refinement",
     "validation",
     "studies",
     "models",

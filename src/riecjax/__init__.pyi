@@ -1,3 +1,4 @@
+from .criteria.bump import Bump as Bump
 from .criteria.criterion import DOLS as DOLS
 from .criteria.criterion import RIEC as RIEC
 from .criteria.criterion import Rows as Rows
@@ -5,7 +6,6 @@ from .criteria.laws import DensityLaw as DensityLaw
 from .criteria.laws import SteppedLaw as SteppedLaw
 from .criteria.test_functions import AbstractTestFunction as AbstractTestFunction
 from .criteria.test_functions import Boxcar as Boxcar
-from .criteria.test_functions import Bump as Bump
 from .criteria.test_functions import Hat as Hat
 from .criteria.windows import AllWindows as AllWindows
 from .criteria.windows import RandomWindows as RandomWindows
@@ -62,6 +62,16 @@ from .records.reading.read import read_record as read_record
 from .records.record import Record as Record
 from .records.record import stack_records as stack_records
 from .records.writing import write_record as write_record
+from .refinement.balance import AbstractBalance as AbstractBalance
+from .refinement.coordinates import Prior as Prior
+from .refinement.integral_error import IntegralError as IntegralError
+from .refinement.optimum import RefinementStatus as RefinementStatus
+from .refinement.output_error import OutputError as OutputError
+from .refinement.refine import refine as refine
+from .refinement.refined import Refined as Refined
+from .refinement.shots import RandomShots as RandomShots
+from .refinement.shots import Tiles as Tiles
+from .refinement.shots import WholeRecord as WholeRecord
 from .simulation.equation_system import EquationSystem as EquationSystem
 from .simulation.equation_system import equation_system as equation_system
 from .simulation.excitation import band_limited_noise as band_limited_noise

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from riecjax.estimation.procedure import Procedure
     from riecjax.records.record import Record
+    from riecjax.refinement.parametric import AbstractParametric
     from riecjax.simulation.system import AbstractSystem
 
 
@@ -26,7 +27,8 @@ class Quantity(NamedTuple):
     default: float | None = None
 
 
-@dataclass(frozen=True)
+# Compared by identity, so that a jitted function can take one as static.
+@dataclass(frozen=True, eq=False)
 class Model:
     """A named model that can be identified, simulated, or both.
 
@@ -113,10 +115,33 @@ class Model:
         from riecjax.simulation.equation_system import equation_system
 
         names = {parameter.name for parameter in self.simulation_parameters}
-        driven = all(quantity.name in record.signals for quantity in self.inputs)
-        if self.system is not None and names == set(values) and driven:
+        if self._drives(record) and names == set(values):
             return self.build_system({name: float(value) for name, value in values.items()})
         return equation_system(self.build_procedure(), values)
+
+    def parametric_system(self, record: Record) -> AbstractParametric:
+        """The system for every value of its parameters, to refine them on a record.
+
+        The model's own if the record holds its inputs, else one made of its equations.
+
+        **Raises:** `ModelError` if the equations cannot be simulated.
+        """
+        from riecjax.refinement.parametric import ByCoefficients, ByFunction
+
+        if not self._drives(record):
+            return ByCoefficients.of(self.build_procedure())
+        assert self.system is not None
+        parameters = self.simulation_parameters
+        return ByFunction(
+            _resolve(self.system),
+            tuple(parameter.name for parameter in parameters),
+            tuple((parameter.name, parameter.unit) for parameter in parameters),
+            {p.name: p.default for p in parameters if p.default is not None},
+        )
+
+    def _drives(self, record: Record) -> bool:
+        """Whether a record holds the inputs of the model's own system."""
+        return self.system is not None and all(q.name in record.signals for q in self.inputs)
 
 
 def _resolve(reference: str | Callable[..., Any]) -> Callable[..., Any]:

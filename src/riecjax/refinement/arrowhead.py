@@ -200,9 +200,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         factor = jnp.where(good, jnp.where(state.first | (ratio > AS_FORETOLD), LESS, 1.0), MORE)
         damping = jnp.maximum(state.damping * factor, jnp.finfo(factor.dtype).eps)
         point = jax.tree.map(lambda new, old: jnp.where(good, new, old), state.trial, y)
-        accepted = jax.tree.map(
-            lambda new, old: jnp.where(good, new, old), tried, state.accepted
-        )
+        accepted = jax.tree.map(lambda new, old: jnp.where(good, new, old), tried, state.accepted)
         step, work, damped = accepted.step(damping)
         step = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), step)
         flat = (work <= self.rtol**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)

@@ -129,9 +129,9 @@ class ParametricBalance(eqx.Module):
             terms.append(Term(1.0, f"~{prefix}:{order}", derivative=order))
         for parameter in moving:
             along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
-            slopes = jax.jvp(
-                lambda at: self._levels(record, at, smoothness)[0], (held,), (along,)
-            )[1]
+            slopes = jax.jvp(lambda at: self._levels(record, at, smoothness)[0], (held,), (along,))[
+                1
+            ]
             for order, slope in slopes.items():
                 arrays[f"~{prefix}:{order}/{parameter}"] = slope
                 terms.append(Term(parameter, f"~{prefix}:{order}/{parameter}", derivative=order))
@@ -208,7 +208,12 @@ def _of_balance(
 
 
 Balances = (
-    Equation | Procedure | HasProcedure | AbstractBalance | AbstractParametric | Sequence["Balances"]
+    Equation
+    | Procedure
+    | HasProcedure
+    | AbstractBalance
+    | AbstractParametric
+    | Sequence["Balances"]
 )
 """What equation errors can be formed of: one equation of motion or several."""
 

@@ -93,9 +93,7 @@ class Laws(eqx.Module):
         """
         for what, given in (("bounds are", bounds), ("a prior is", priors)):
             if unknown := [name for name in given if name not in names]:
-                raise ModelError(
-                    f"{what} given for '{unknown[0]}'; free are: {', '.join(names)}."
-                )
+                raise ModelError(f"{what} given for '{unknown[0]}'; free are: {', '.join(names)}.")
         ends = [bounds.get(name, (None, None)) for name in names]
         lower = np.array([-np.inf if low is None else low for low, _ in ends], float)
         upper = np.array([np.inf if high is None else high for _, high in ends], float)

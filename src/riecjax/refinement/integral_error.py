@@ -61,9 +61,7 @@ class IntegralError(AbstractObjective):
         free = {n for n in setup.local if set(setup.sharing.everywhere((n,))) & set(setup.names)}
         # An equation without free parameters would only add a constant.
         chosen = [i for i, b in enumerate(setup.model) if set(b.parameters) & free]
-        rows = [
-            [criterion.row_count(record) or 0.0 for record in setup.records] for _ in chosen
-        ]
+        rows = [[criterion.row_count(record) or 0.0 for record in setup.records] for _ in chosen]
         return IntegralMisfit(
             balances=tuple(setup.model[i] for i in chosen),
             records=setup.records,

@@ -53,16 +53,16 @@ class IntegralMisfit(AbstractMisfit):
         parts = [self._equations(theta, only=i) for i in range(len(self.balances))]
         return jnp.stack([jnp.sum(part.energy) for part in parts])
 
-    def expansion(
-        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
-    ) -> Expansion:
+    def expansion(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
         whole = self._equations(theta)
         # Moments hold minus the residual, as what changes of the parameters are to explain.
         sign = jnp.ones(1 + theta.shape[0]).at[0].set(-1.0)
         pieces = whole.moments.reshape(1, -1, *whole.moments.shape[2:])
         energy = self.energy(theta, starts) if len(self.balances) > 1 else jnp.sum(whole.energy)
-        return Expansion([pieces * (sign[:, None] * sign[None, :])[None, None]], jnp.atleast_1d(energy))
+        return Expansion(
+            [pieces * (sign[:, None] * sign[None, :])[None, None]], jnp.atleast_1d(energy)
+        )
 
     def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
         """Of the impulses of each equation over a window."""
@@ -86,9 +86,7 @@ class IntegralMisfit(AbstractMisfit):
         count = jnp.full(moments.shape[:2], share)
         return NormalEquations(moments, count, self.names), short
 
-    def _equations(
-        self, theta: Float[Array, " p"], only: int | None = None
-    ) -> NormalEquations:
+    def _equations(self, theta: Float[Array, " p"], only: int | None = None) -> NormalEquations:
         values = {**self.known, **dict(zip(self.names, theta))}
         chosen = self.balances if only is None else self.balances[only : only + 1]
         expanded = [

@@ -69,9 +69,7 @@ class AbstractMisfit(eqx.Module):
         """Sum of squared residuals of each of `labels`, without derivatives."""
         raise NotImplementedError
 
-    def expansion(
-        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
-    ) -> Expansion:
+    def expansion(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Expansion:
         """The residuals at a point, to first order."""
         raise NotImplementedError
 

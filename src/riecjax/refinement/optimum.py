@@ -54,9 +54,7 @@ class Problem(eqx.Module):
 
     def point(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Point:
         """The point of parameters and starts in their units."""
-        return Point(
-            self.coordinates.inverse(theta), starts / self.misfit.start_scale()[None, :]
-        )
+        return Point(self.coordinates.inverse(theta), starts / self.misfit.start_scale()[None, :])
 
     def linearised(self, point: Point) -> Linearised:
         """The residuals in coordinates, to first order."""
@@ -142,9 +140,7 @@ def find_optimum(
     return _implicit(found, problem), status, solution.stats["num_steps"], at.aside
 
 
-def default_solver(
-    dtype: Any, report: Callable[[float], None] | None = None
-) -> LevenbergMarquardt:
+def default_solver(dtype: Any, report: Callable[[float], None] | None = None) -> LevenbergMarquardt:
     """Levenberg-Marquardt at the tolerance that the precision allows."""
     return LevenbergMarquardt(1e-7 if dtype == jnp.float64 else 1e-4, report=report)
 

@@ -91,7 +91,14 @@ class OutputError(AbstractObjective):
             for record, key in zip(setup.records, setup.keys)
         ]
         recorded = _cut(
-            system, setup.records, shots, channels, dict(given), self.every, joined, self.shooting.overlap
+            system,
+            setup.records,
+            shots,
+            channels,
+            dict(given),
+            self.every,
+            joined,
+            self.shooting.overlap,
         )
         method = self.method or _method(system, recorded)
         units = dict(system.states) | dict(system.outputs)
@@ -208,7 +215,9 @@ def _recorded(
     starts = measured_states(system, record)[shots.first]
     # A window that overlaps others is judged as a whole, by where it begins.
     count = compared.shape[1]
-    piece = count if overlap else min(max(-(-record.sample_count // SHORT_BLOCKS) // every, 1), count)
+    piece = (
+        count if overlap else min(max(-(-record.sample_count // SHORT_BLOCKS) // every, 1), count)
+    )
     for name, value in given.items():
         starts = starts.at[:, system.state_names.index(name)].set(jnp.asarray(value, dtype))
     # A start that is taken from the record leaves no error there.

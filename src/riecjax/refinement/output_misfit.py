@@ -93,7 +93,9 @@ class OutputMisfit(AbstractMisfit):
 
     def first_starts(self) -> Float[Array, "windows s"]:
         """As recorded."""
-        return jnp.concatenate([part.starts[:, np.array(self.estimated, int)] for part in self.recorded])
+        return jnp.concatenate(
+            [part.starts[:, np.array(self.estimated, int)] for part in self.recorded]
+        )
 
     def start_scale(self) -> Float[Array, " s"]:
         """Size of each estimated state."""
@@ -112,9 +114,7 @@ class OutputMisfit(AbstractMisfit):
             found = found + jnp.sum(_over_windows(of_window, own, part), axis=0)
         return found
 
-    def expansion(
-        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
-    ) -> Expansion:
+    def expansion(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Expansion:
         """Of each window of each record, in pieces of time."""
         pieces, energy = [], jnp.zeros(len(self.channels), theta.dtype)
         for i, (part, own) in enumerate(zip(self.recorded, self._of_records(starts))):
@@ -226,9 +226,7 @@ def observed(
     return jnp.stack(columns, axis=-1)
 
 
-def _over_windows(
-    function: Callable[[Array, Recorded], Any], starts: Array, part: Recorded
-) -> Any:
+def _over_windows(function: Callable[[Array, Recorded], Any], starts: Array, part: Recorded) -> Any:
     """A function of each window's start and recording."""
     batched = eqx.tree_at(
         lambda r: (r.levels, r.measured, r.present, r.starts, r.position),
@@ -272,4 +270,3 @@ def _without_start(
 
 def _filled_up(values: Array, most: int) -> Array:
     return jnp.pad(values, [(0, most - values.shape[0])] + [(0, 0)] * (values.ndim - 1))
-

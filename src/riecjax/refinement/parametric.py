@@ -12,11 +12,12 @@ from jaxtyping import Array
 from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError
 from riecjax.estimation.procedure import Procedure
+from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import EquationSystem, equation_system
 from riecjax.simulation.system import AbstractSystem
 
-Values = Mapping[str, Array]
+Values = Mapping[str, Leaf]
 
 
 class AbstractParametric(eqx.Module):
@@ -58,7 +59,7 @@ class ByFunction(AbstractParametric):
     @property
     def defaults(self) -> Values:
         """Values that were given."""
-        return {name: jnp.asarray(value) for name, value in self.default_values.items()}
+        return {name: as_leaf(value) for name, value in self.default_values.items()}
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -85,7 +86,7 @@ class ByFields(AbstractParametric):
         leaves = jax.tree_util.tree_leaves_with_path(self.module)
         for place, (path, leaf) in enumerate(leaves):
             name = ".".join(_key(part) for part in path)
-            if not eqx.is_array_like(leaf) or not np.issubdtype(np.result_type(leaf), np.floating):
+            if not eqx.is_inexact_array_like(leaf):
                 continue
             for entry in np.ndindex(np.shape(leaf)):
                 label = "".join(f"[{i}]" for i in entry)

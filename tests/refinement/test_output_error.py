@@ -1,0 +1,340 @@
+"""Output-error refinement: against SciPy, over windows of any length, and what it says on the way."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+import scipy.integrate
+import scipy.optimize
+from drag import COUNT, RATE, START, TRUTH, force, motion, oscillator, record, signals
+from jaxtyping import Array
+
+from riecjax.criteria.windows import RandomWindows
+from riecjax.errors import DataError, MissingSignalError, ModelError
+from riecjax.estimation.identify import identify
+from riecjax.models.oscillators import Duffing, drag_oscillator_equation
+from riecjax.records.record import Record
+from riecjax.refinement.coordinates import Prior
+from riecjax.refinement.optimum import RefinementStatus
+from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.refine import refine
+from riecjax.refinement.shots import RandomShots, Tiles, WholeRecord
+from riecjax.simulation.method import FixedStep
+
+
+def values(refined):
+    return {name: float(refined[name]) for name in refined.parameters}
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return record(seed=0)
+
+
+@pytest.fixture(scope="module")
+def whole(noisy):
+    return refine(oscillator(), noisy, START)
+
+
+def scipy_fit(seed):
+    """The same least squares by SciPy, simulated at tight tolerance, with a fair step."""
+    measured = signals(seed)
+    t = np.arange(COUNT) / RATE
+    scale = [measured["x"].std(), measured["dx"].std()]
+
+    def residual(p):
+        m, r, r2, k, x0, v0 = p
+        run = scipy.integrate.solve_ivp(
+            lambda t, s: [
+                s[1],
+                (np.interp(t, grid, u) - r * s[1] - r2 * s[1] * abs(s[1]) - k * s[0]) / m,
+            ],
+            (0, t[-1]),
+            [x0, v0],
+            t_eval=t,
+            method="DOP853",
+            rtol=1e-9,
+            atol=1e-11,
+            max_step=0.05,
+        )
+        error = [(run.y[i] - measured[name]) / scale[i] for i, name in enumerate(("x", "dx"))]
+        return np.concatenate(error)
+
+    grid, u = t, measured["u"]
+    found = scipy.optimize.least_squares(
+        residual, [*TRUTH.values(), 0.0, 0.0], diff_step=1e-4, x_scale=[1, 1, 1, 10, 0.1, 0.1]
+    )
+    return found.x
+
+
+@pytest.mark.slow
+def test_the_optimum_is_scipys(whole):
+    expected = scipy_fit(seed=0)
+    error = np.asarray(whole.standard_errors)
+    # SciPy's own optimum is known to a small part of a standard error.
+    assert np.all(np.abs(np.asarray(whole.theta) - expected[:4]) < 0.02 * error)
+    np.testing.assert_allclose(np.asarray(whole.starts)[0], expected[4:], atol=2e-3)
+
+
+def test_it_says_what_it_did(whole):
+    assert bool(whole.converged)
+    assert 3 < int(whole.steps) < 15
+    assert whole.findings() == []
+    x, v = motion()
+    np.testing.assert_allclose(np.asarray(whole.rms), [0.05 * x.std(), 0.05 * v.std()], rtol=0.03)
+    assert np.all(np.asarray(whole.rms_before) > 5 * np.asarray(whole.rms))
+    assert "m" in str(whole)
+    assert "converged" in str(whole)
+    for name, true in TRUTH.items():
+        low, high = whole.interval(name, 0.999)
+        assert low < true < high
+
+
+@pytest.mark.parametrize(
+    "shooting",
+    [
+        Tiles(samples=1),
+        Tiles(seconds=0.5),
+        Tiles(seconds=5.0),
+        RandomShots(RandomWindows(0.05, 2.0, 60)),
+    ],
+    ids=["one step", "half a second", "five seconds", "random"],
+)
+@pytest.mark.parametrize("starts", ["measured", "estimated"])
+def test_every_length_of_window_finds_the_truth_without_noise(shooting, starts):
+    if starts == "estimated" and shooting == Tiles(samples=1):
+        pytest.skip("two samples do not determine a start and parameters")
+    by = OutputError(shooting, starts=starts)
+    refined = refine(oscillator(), record(), START, by, key=jax.random.key(0))
+    assert bool(refined.converged)
+    for name, true in TRUTH.items():
+        # The input is a straight line between samples in the simulation, not in the truth.
+        assert float(refined[name]) == pytest.approx(true, rel=2e-3)
+
+
+def test_tiles_as_long_as_the_record_are_the_whole_record(noisy, whole):
+    one = refine(oscillator(), noisy, START, OutputError(Tiles(samples=COUNT - 1)))
+    np.testing.assert_allclose(one.theta, whole.theta, rtol=1e-9)
+    np.testing.assert_allclose(one.covariance, whole.covariance, rtol=1e-6)
+
+
+def test_windows_with_starts_of_their_own_cost_little_precision(noisy, whole):
+    tiled = refine(oscillator(), noisy, START, OutputError(Tiles(seconds=5.0)))
+    assert tiled.starts.shape == (5, 2)
+    ratio = np.asarray(tiled.standard_errors / whole.standard_errors)
+    assert np.all((ratio > 0.9) & (ratio < 2))
+    moved = np.asarray(tiled.theta - whole.theta) / np.asarray(tiled.standard_errors)
+    assert np.all(np.abs(moved) < 2)
+
+
+def test_a_state_that_is_not_recorded_is_estimated():
+    held = {name: values for name, values in signals(1).items() if name != "dx"}
+    refined = refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
+    assert refined.quantities == ("x",)
+    assert refined.start_names == ("x", "dx")
+    for name, true in TRUTH.items():
+        low, high = refined.interval(name, 0.999)
+        assert low < true < high
+
+
+def test_an_equation_is_refined_from_its_integral_estimate(noisy, whole):
+    equation = drag_oscillator_equation()
+    estimate = identify(equation, noisy)
+    refined = refine(equation, noisy, estimate)
+    np.testing.assert_allclose(np.asarray(refined.theta), np.asarray(whole.theta), rtol=1e-6)
+    assert dict(refined.units)["r2"] == "N s^2/m^2"
+
+
+def test_known_values_stay_and_others_follow(noisy):
+    refined = refine(oscillator(), noisy, START, known={"k": 20.0})
+    assert refined.parameters == ("m", "r", "r2")
+    assert float(refined["k"]) == 20.0
+    assert float(refined["m"]) == pytest.approx(1.5, rel=0.01)
+
+
+def test_several_records_with_a_value_of_their_own():
+    heavier = 2.5
+
+    def run(mass, seed):
+        _, r, r2, k = TRUTH.values()
+        t = np.arange(1001) / RATE
+        found = scipy.integrate.solve_ivp(
+            lambda t, s: [s[1], (force(t) - r * s[1] - r2 * s[1] * abs(s[1]) - k * s[0]) / mass],
+            (0, 10),
+            [0.1, 0.0],
+            t_eval=t,
+            rtol=1e-9,
+            atol=1e-11,
+        )
+        rng = np.random.default_rng(seed)
+        noise = 0.01 * found.y.std(axis=1)[:, None] * rng.standard_normal(found.y.shape)
+        x, v = found.y + noise
+        count = 1001 - 200 * seed
+        samples = {"u": force(t)[:count], "x": x[:count], "dx": v[:count]}
+        return Record.from_samples(samples, time_step=1 / RATE)
+
+    refined = refine(oscillator(), [run(1.5, 0), run(heavier, 1)], START, own=("m",))
+    assert refined.parameters == ("m[1]", "m[2]", "r", "r2", "k")
+    for name, true in {"m[1]": 1.5, "m[2]": heavier, "r": 0.8, "r2": 0.5, "k": 20.0}.items():
+        low, high = refined.interval(name, 0.999)
+        assert low < true < high
+        assert float(refined[name]) == pytest.approx(true, rel=0.05)
+    assert refined.starts.shape == (2, 2)
+
+
+def test_missing_samples_of_outputs_do_not_count_and_those_of_inputs_cut():
+    held = signals(2)
+    held["x"][300:500] = np.nan
+    held["u"][1000:1003] = np.nan
+    refined = refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
+    assert refined.starts.shape == (2, 2)
+    for name, true in TRUTH.items():
+        low, high = refined.interval(name, 0.999)
+        assert low < true < high
+
+
+def test_a_bound_is_kept_and_said(noisy, whole):
+    refined = refine(oscillator(), noisy, START, bounds={"k": (5.0, 15.0), "m": (0.0, None)})
+    assert 14.99 < float(refined["k"]) <= 15.0
+    assert [finding.code for finding in refined.findings()] == ["at_bound"]
+    held = refine(oscillator(), noisy, START, known={"k": 15.0})
+    np.testing.assert_allclose(refined.theta[:3], held.theta, rtol=1e-5)
+    np.testing.assert_allclose(refined.standard_errors[:3], held.standard_errors, rtol=1e-3)
+    free = refine(oscillator(), noisy, START, bounds={"k": (5.0, 30.0), "m": (0.0, None)})
+    np.testing.assert_allclose(free.theta, whole.theta, rtol=1e-6)
+    np.testing.assert_allclose(free.covariance, whole.covariance, rtol=1e-4)
+
+
+def test_a_prior_pulls_as_one_more_observation(noisy, whole):
+    """In a problem this nearly linear, the posterior is that of two normal laws."""
+    prior = Prior(0.6, 0.01)
+    refined = refine(oscillator(), noisy, START, priors={"r": prior})
+    place = whole.parameters.index("r")
+    # White noise: the inverse covariance is the information.
+    information = np.linalg.inv(np.asarray(whole.covariance))
+    information[place, place] += 1 / prior.std**2
+    posterior = np.linalg.inv(information)
+    pull = np.zeros(4)
+    pull[place] = (prior.mean - float(whole["r"])) / prior.std**2
+    expected = np.asarray(whole.theta) + posterior @ pull
+    error = np.sqrt(np.diag(posterior))
+    assert abs(float(refined["r"]) - float(whole["r"])) > 0.1
+    assert np.all(np.abs(np.asarray(refined.theta) - expected) < 0.3 * error)
+    np.testing.assert_allclose(refined.standard_errors[place], error[place], rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [optx.LevenbergMarquardt(1e-8, 1e-8), optx.Dogleg(1e-8, 1e-8), optx.BFGS(1e-8, 1e-8)],
+    ids=["levenberg-marquardt", "dogleg", "bfgs"],
+)
+def test_other_solvers_of_optimistix_find_the_same(noisy, whole, solver):
+    start = {name: 1.02 * float(value) for name, value in whole.values.items()}
+    refined = refine(oscillator(), noisy, start, solver=solver, max_steps=300)
+    np.testing.assert_allclose(refined.theta, whole.theta, rtol=1e-4)
+
+
+def test_too_few_steps_are_a_status(noisy):
+    refined = refine(oscillator(), noisy, START, max_steps=2)
+    assert not bool(refined.converged)
+    assert refined.status == RefinementStatus.out_of_steps
+    assert [finding.code for finding in refined.findings()][0] == "refinement_not_converged"
+    assert "max_steps" in refined.reason
+
+
+def test_progress_is_reported(noisy):
+    seen: list[float] = []
+    refined = refine(oscillator(), noisy, START, progress=lambda cost: seen.append(float(cost)))
+    jax.effects_barrier()
+    assert len(seen) == int(refined.steps)
+    assert seen == sorted(seen, reverse=True)
+    assert seen[-1] == pytest.approx(float(refined.cost))
+
+
+class Rooted(Duffing):
+    """Has no real motion for a negative stiffness."""
+
+    def derivative(self, state: Array, inputs: Array) -> Array:
+        return super().derivative(state, inputs) + jnp.sqrt(self.k1)
+
+
+def test_a_start_without_a_finite_residual_is_a_status():
+    system = Rooted(*(jnp.asarray(1.0) for _ in range(5)))
+    u = np.sin(np.arange(200) / 10)
+    held = Record.from_samples({"u": u, "y": u}, time_step=0.01)
+    refined = refine(system, held, {"k1": -1.0})
+    assert refined.status == RefinementStatus.not_finite
+    assert refined.findings()[0].code == "refinement_not_converged"
+
+
+def test_weights_are_the_users(noisy, whole):
+    x, v = motion()
+    same = OutputError(sigma={"x": signals(0)["x"].std(), "dx": signals(0)["dx"].std()})
+    np.testing.assert_allclose(
+        refine(oscillator(), noisy, START, same).theta, whole.theta, rtol=1e-7
+    )
+    only = refine(oscillator(), noisy, START, OutputError(channels=("x",)))
+    nearly = refine(oscillator(), noisy, START, OutputError(sigma={"x": 1.0, "dx": 1e6}))
+    np.testing.assert_allclose(nearly.theta, only.theta, rtol=1e-5)
+
+
+def test_starts_that_are_known_are_held(noisy):
+    refined = refine(oscillator(), noisy, START, OutputError(starts={"x": 0.0, "dx": 0.0}))
+    assert refined.starts.shape == (1, 0)
+    assert float(refined["k"]) == pytest.approx(20.0, rel=0.01)
+
+
+def test_every_second_sample_is_the_record_of_every_second_sample(noisy):
+    by = OutputError(every=2, method=FixedStep(1), channels=("x",))
+    every = refine(oscillator(), noisy, START, by)
+    held = signals(0)
+    held["x"][1::2] = np.nan
+    missing = Record.from_samples(held, time_step=1 / RATE)
+    other = refine(oscillator(), missing, START, OutputError(method=FixedStep(1), channels=("x",)))
+    np.testing.assert_allclose(every.theta, other.theta, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ({"start": {"mass": 1.0}}, ModelError, "unknown parameter 'mass'"),
+        ({"bounds": {"k": (15.0, 30.0)}}, ModelError, "k starts at 10, which is not between"),
+        ({"bounds": {"k": (3.0, 2.0)}}, ModelError, "wrong order"),
+        ({"bounds": {"c": (3.0, 4.0)}}, ModelError, "bounds are given for 'c'"),
+        ({"priors": {"k": (20.0, 0.0)}}, ModelError, "positive standard deviation"),
+        ({"known": START}, ModelError, "nothing is left to refine"),
+        ({"by": OutputError(channels=("z",))}, ModelError, "no signal 'z' to compare"),
+        ({"by": OutputError(RandomShots(RandomWindows(0.1, 1.0, 5)))}, ModelError, "need a key"),
+        ({"by": OutputError(starts={"z": 0.0})}, ModelError, "unknown state 'z'"),
+        ({"records": []}, DataError, "at least one record"),
+    ],
+)
+def test_what_cannot_be_done_is_said(noisy, arguments, error, words):
+    settings = {"records": noisy, "start": START, "by": None, **arguments}
+    with pytest.raises(error, match=words):
+        refine(
+            oscillator(),
+            settings.pop("records"),
+            settings.pop("start"),
+            settings.pop("by"),
+            **settings,
+        )
+
+
+def test_a_missing_input_is_named():
+    held = {name: values for name, values in signals().items() if name != "u"}
+    with pytest.raises(MissingSignalError, match="u"):
+        refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
+
+
+def test_a_wrong_kind_of_model_is_refused(noisy):
+    with pytest.raises(ModelError, match="cannot be simulated"):
+        refine(3.0, noisy, START)
+
+
+@pytest.mark.parametrize("length", [{}, {"seconds": 1.0, "samples": 3}, {"samples": 0}])
+def test_tiles_need_one_positive_length(length):
+    with pytest.raises(ModelError, match="tiles need"):
+        Tiles(**length)
