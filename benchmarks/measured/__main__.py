@@ -6,7 +6,8 @@ from pathlib import Path
 import jax
 
 from benchmarks.measured import emps_closed_loop, silverbox
-from riecjax.criteria.test_functions import Bump, Hat
+from riecjax.criteria.bump import Bump
+from riecjax.criteria.test_functions import Hat
 from riecjax.records.preparation import upsample
 
 DATA = Path(os.environ.get("RIECJAX_DATA", Path(__file__).parents[3] / "shared" / "data"))

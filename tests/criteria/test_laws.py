@@ -3,9 +3,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import DensityLaw, SteppedLaw
-from riecjax.criteria.test_functions import Boxcar, Bump, Hat
+from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term

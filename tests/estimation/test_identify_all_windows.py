@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.test_functions import Boxcar, Bump, Hat
+from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term

@@ -103,8 +103,9 @@ class CriterionOptions:
 
     def build(self, model: "Model") -> "AbstractCriterion":
         """The criterion, for a model's band unless another is asked for."""
+        from riecjax.criteria.bump import Bump
         from riecjax.criteria.criterion import DOLS, RIEC
-        from riecjax.criteria.test_functions import Boxcar, Bump, Hat
+        from riecjax.criteria.test_functions import Boxcar, Hat
         from riecjax.criteria.windows import (
             DEFAULT_BAND,
             AllWindows,

@@ -12,7 +12,8 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float
 
-from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Bump, Hat
+from riecjax.criteria.bump import Bump
+from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Hat
 from riecjax.errors import ModelError
 
 NODES = 256
