@@ -15,6 +15,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import raise_if_samples_mix
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
 from riecjax.estimation.assembly import all_normal_equations, all_rows
+from riecjax.estimation.assembly import short_blocks as short_blocks  # for refinement
 from riecjax.estimation.blocks import (
     MOST_BLOCKS,
     ShortBlocks,
