@@ -16,11 +16,10 @@ from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Record
 from riecjax.reporting.identification import Identification
-from riecjax.reporting.output import require_plots
+from riecjax.reporting.style import BLUE, GREY, RUST, labelled, panels
 
 MOST_POINTS = 4000
 GRID = 400
-BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
 
 
 class IdentifiedCurve(NamedTuple):
@@ -54,18 +53,9 @@ def identified_curves(result: Identification) -> list[IdentifiedCurve]:
 
 def curves_figure(curves: list[IdentifiedCurve]) -> Any:
     """Each curve with its interval over the samples, and beneath it what it leaves of them."""
-    plt = require_plots()
-    figure, axes = plt.subplots(
-        2,
-        len(curves),
-        figsize=(4.2 * len(curves) + 0.6, 6.0),
-        squeeze=False,
-        sharex="col",
-        height_ratios=(3, 2),
-        layout="constrained",
-    )
+    size = (4.2 * len(curves) + 0.6, 6.0)
+    figure, axes = panels(2, len(curves), size, sharex="col", height_ratios=(3, 2))
     for (top, bottom), curve in zip(axes.T, curves):
-        unit = f" / ({curve.unit})" if curve.unit else ""
         if curve.samples is None:
             bottom.set_visible(False)
         else:
@@ -74,12 +64,12 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Any:
             top.plot(x, y, "-", color=GREY, linewidth=0.5, label="what the equation leaves for it")
             bottom.axhline(0, color=GREY, linewidth=0.8)
             bottom.plot(x, left, "-", color=RUST, linewidth=0.5)
-            bottom.set_ylabel(f"residual{unit}")
+            bottom.set_ylabel(labelled("residual", curve.unit))
             bottom.set_xlabel(curve.of)
         reach = 1.96 * curve.error
         top.fill_between(curve.x, curve.y - reach, curve.y + reach, color=BLUE, alpha=0.25)
         top.plot(curve.x, curve.y, color=BLUE, linewidth=1.8, label="identified, 95 %")
-        top.set_ylabel(f"{curve.name}{unit}")
+        top.set_ylabel(labelled(curve.name, curve.unit))
         top.tick_params(labelbottom=True)
         top.legend(fontsize="small", frameon=False)
     return figure
@@ -92,11 +82,12 @@ def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) 
     functions = np.asarray(_functions(term.basis, jnp.asarray(grid)))
     values = np.array([float(estimate[name]) for name in term.parameters])
     label = term.of if isinstance(term.of, str) else getattr(term.of, "__name__", "variable")
+    name = label.strip("_").replace("_", " ")
     return IdentifiedCurve(
         name=term.prefix,
         # Coefficients of a roof or a step are values of the curve, whose unit is the equation's.
         unit=equation.unit,
-        of=_with_unit(label.strip("_").replace("_", " "), record),
+        of=labelled(name, dict(record.units).get(name)),
         x=grid,
         y=values @ functions,
         error=_error(estimate, term, functions),
@@ -155,8 +146,3 @@ def _contribution(
     samples = term.samples(record, term.derivative).values
     factors = jnp.stack([jnp.asarray(values[name]) for name in term.parameters] or [jnp.ones(())])
     return factors @ samples
-
-
-def _with_unit(name: str, record: Record) -> str:
-    unit = dict(record.units).get(name)
-    return f"{name} / ({unit})" if unit else name

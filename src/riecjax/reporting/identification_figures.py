@@ -14,13 +14,12 @@ from riecjax.estimation.sharing import Sharing, values_of_record
 from riecjax.records.record import Record
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import Identification, ValidationRun
-from riecjax.reporting.output import require_plots
 from riecjax.reporting.residual_figures import residual_figures
+from riecjax.reporting.style import BLUE, GREY, PALE, RUST, labelled, panels
 from riecjax.reporting.window_choice_figures import window_choice_figures
 from riecjax.studies.window_sweep import WindowSweep
 
 MOST_POINTS = 3000
-BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
 
 
 def identification_figures(result: Identification) -> dict[str, Any]:
@@ -44,26 +43,19 @@ def identification_figures(result: Identification) -> dict[str, Any]:
 
 def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
     """Each parameter over window length, with its interval, and the estimate of the fit."""
-    plt = require_plots()
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
     count = len(sweep.parameters)
     columns = min(count, 4)
     rows = -(-count // columns)
-    figure, axes = plt.subplots(
-        rows,
-        columns,
-        figsize=(3.2 * columns + 0.6, 2.6 * rows + 0.4),
-        squeeze=False,
-        layout="constrained",
-    )
+    figure, axes = panels(rows, columns, (3.2 * columns + 0.6, 2.6 * rows + 0.4))
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     length = np.sqrt(np.asarray(sweep.alpha) * np.asarray(sweep.beta))
     units = dict(sweep.units)
     errors = np.asarray(sweep.standard_errors)
     for j, (name, panel) in enumerate(zip(sweep.parameters, axes.flat)):
         values = np.asarray(sweep.theta[:, j])
         low, high = estimate.interval(name)
-        panel.axhspan(low, high, color="0.86", label="the fit's interval")
+        panel.axhspan(low, high, color=PALE, label="the fit's interval")
         panel.errorbar(
             length,
             values,
@@ -81,7 +73,7 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
         panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         panel.xaxis.set_minor_locator(NullLocator())
         panel.set_xlabel("window length / s")
-        panel.set_ylabel(f"{name} / ({units[name]})" if units.get(name) else name)
+        panel.set_ylabel(labelled(name, units.get(name)))
     for panel in axes.flat[count:]:
         panel.set_visible(False)
     axes.flat[0].legend(fontsize="small", framealpha=0.9)
@@ -90,10 +82,9 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
 
 def correlation_figure(estimate: Estimate) -> Any:
     """Correlation matrix of the estimates."""
-    plt = require_plots()
     names, values = estimate.parameters, np.asarray(estimate.correlation)
     side = 0.55 * len(names) + 1.2
-    figure, axes = plt.subplots(figsize=(side + 1.6, side), layout="constrained")
+    figure, ((axes,),) = panels(1, 1, (side + 1.6, side))
     image = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1)
     axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
     axes.set_yticks(range(len(names)), names)
@@ -108,16 +99,8 @@ def correlation_figure(estimate: Estimate) -> Any:
 
 def validation_figure(run: ValidationRun) -> Any:
     """Measured and simulated signals over time."""
-    plt = require_plots()
     names = list(run.held.signals)
-    figure, axes = plt.subplots(
-        len(names),
-        1,
-        figsize=(8, 2.1 * len(names) + 0.6),
-        squeeze=False,
-        sharex=True,
-        layout="constrained",
-    )
+    figure, axes = panels(len(names), 1, (8, 2.1 * len(names) + 0.6), sharex=True)
     units = dict(run.measured.units)
     time = np.asarray(run.measured.time)
     for panel, name in zip(axes[:, 0], names):
@@ -125,7 +108,7 @@ def validation_figure(run: ValidationRun) -> Any:
         panel.plot(
             time, _shown(run.held.record, name), color=RUST, linewidth=0.9, label="simulated"
         )
-        panel.set_ylabel(f"{name} / ({units[name]})" if units.get(name) else name)
+        panel.set_ylabel(labelled(name, units.get(name)))
     axes[0, 0].legend(fontsize="small", framealpha=0.9, loc="upper right", ncols=2)
     axes[0, 0].set_title(run.on, fontsize="medium")
     axes[-1, 0].set_xlabel("time / s")
@@ -148,12 +131,9 @@ class _Fit(NamedTuple):
 
 def _fit_figure(result: Identification) -> Any:
     """Each stage's rows, measured against explained, and what is left of them."""
-    plt = require_plots()
     estimate, procedure = result.estimate, result.procedure
     count = len(estimate.stages)
-    figure, axes = plt.subplots(
-        2, count, figsize=(3.6 * count + 0.8, 6.4), squeeze=False, layout="constrained"
-    )
+    figure, axes = panels(2, count, (3.6 * count + 0.8, 6.4))
     fits = list(_fits(result))
     for column, (stage, name) in enumerate(zip(estimate.stages, estimate.stage_names)):
         unit = _row_unit(procedure.stages[stage.stage][0].unit, estimate.criterion)

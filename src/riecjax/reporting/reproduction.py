@@ -15,7 +15,8 @@ from riecjax.paper.eigenstructure import ModeComparison, table_1
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS, PublishedMode
 from riecjax.paper.reproduction import RoadResult
 from riecjax.paper.tables import Cell, Table, contact, table_3, table_4, table_5
-from riecjax.reporting.output import Document, require_plots, versions
+from riecjax.reporting.output import Document, versions
+from riecjax.reporting.style import BLUE, RUST, panels
 
 SHOWN = {
     "3": ("Identified tyre stiffness (kN/m) and masses (kg)", {"K_t": 1e3}),
@@ -195,15 +196,14 @@ def _number_table(number: str, scales: dict[str, float], rows: Document) -> Rich
 
 def reproduction_figures(roads: RoadResult, source: QuarterCarSource) -> dict[str, Any]:
     """`tables`, `damper_maps` (Fig. 7) and `curves` (Fig. 5, reconstructed)."""
-    plt = require_plots()
     return {
-        "tables": _ratio_figure(plt, roads),
-        "damper_maps": _damper_figure(plt, roads, source),
-        "curves": _curve_figure(plt, source),
+        "tables": _ratio_figure(roads),
+        "damper_maps": _damper_figure(roads, source),
+        "curves": _curve_figure(source),
     }
 
 
-def _ratio_figure(plt: Any, roads: RoadResult) -> Any:
+def _ratio_figure(roads: RoadResult) -> Any:
     tables = (("", table_3(roads)), ("K_s ", table_4(roads)), ("p ", table_5(roads)))
     cells = {
         f"{prefix}{row}  {criterion}": cell
@@ -211,10 +211,10 @@ def _ratio_figure(plt: Any, roads: RoadResult) -> Any:
         for row, line in table.items()
         for criterion, cell in line.items()
     }
-    figure, axes = plt.subplots(figsize=(7.5, 8.5), layout="constrained")
+    figure, ((axes,),) = panels(1, 1, (7.5, 8.5))
     for i, cell in enumerate(cells.values()):
         low, high = cell.low / cell.published, cell.high / cell.published
-        color = "#1f4e79" if cell.inside else "#9c3d1c"
+        color = BLUE if cell.inside else RUST
         axes.plot([100 * (low - 1), 100 * (high - 1)], [i, i], color=color, linewidth=2)
         axes.plot(100 * cell.deviation, i, "o", color=color, markersize=4)
     axes.axvline(0, color="0.4", linewidth=0.8)
@@ -225,8 +225,8 @@ def _ratio_figure(plt: Any, roads: RoadResult) -> Any:
     return figure
 
 
-def _damper_figure(plt: Any, roads: RoadResult, source: QuarterCarSource) -> Any:
-    figure, axes = plt.subplots(1, 2, figsize=(9, 4), sharey=True, layout="constrained")
+def _damper_figure(roads: RoadResult, source: QuarterCarSource) -> Any:
+    figure, (axes,) = panels(1, 2, (9, 4), sharey=True)
     velocity = np.linspace(-1.2, 1.2, 241)
     styles = dict(zip(VARIANTS, ("-", "--", ":", "-.")))
     for axis, criterion in zip(axes, CRITERIA):
@@ -237,9 +237,7 @@ def _damper_figure(plt: Any, roads: RoadResult, source: QuarterCarSource) -> Any
                 float(np.mean(roads.parameters[criterion][variant][f"F_{i}"])) / 1e3
                 for i in range(1, 5)
             ]
-            axis.plot(
-                BREAK_POINTS, points, styles[variant], color="#1f4e79", marker=".", label=variant
-            )
+            axis.plot(BREAK_POINTS, points, styles[variant], color=BLUE, marker=".", label=variant)
         axis.set_title(criterion)
         axis.set_xlabel("suspension velocity / (m/s)")
         axis.grid(color="0.9")
@@ -248,15 +246,15 @@ def _damper_figure(plt: Any, roads: RoadResult, source: QuarterCarSource) -> Any
     return figure
 
 
-def _curve_figure(plt: Any, source: QuarterCarSource) -> Any:
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
+def _curve_figure(source: QuarterCarSource) -> Any:
+    figure, (axes,) = panels(1, 3, (11, 3.6))
     curves = (
         (source.damper, np.linspace(-1.5, 1.5, 301), 1.0, "damper velocity / (m/s)"),
         (source.spring, np.linspace(-0.08, 0.08, 301), 1e3, "suspension deflection / mm"),
         (source.mount, np.linspace(-0.008, 0.008, 301), 1e3, "engine mount deflection / mm"),
     )
     for axis, (curve, x, factor, label) in zip(axes, curves):
-        axis.plot(factor * x, np.asarray(curve(jnp.asarray(x))) / 1e3, color="#1f4e79")  # pyright: ignore
+        axis.plot(factor * x, np.asarray(curve(jnp.asarray(x))) / 1e3, color=BLUE)  # pyright: ignore
         axis.set_xlabel(label)
         axis.grid(color="0.9")
     axes[0].set_ylabel("force / kN")

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.reporting.output import require_plots
+from riecjax.reporting.style import BLUE, GREY, PALE, RUST, labelled
 from riecjax.validation.equation_error import EquationError
 from riecjax.validation.error_correlation import CrossCorrelation
 from riecjax.validation.error_spectrum import ErrorSpectrum, unbroken
@@ -17,7 +18,6 @@ LEAST_SHOWN = 1e-8
 """Density against the largest one below which nothing is drawn."""
 DECADE = 12
 """Ratio of an axis' ends up to which 1, 2, 5 would be too few numbers on it."""
-BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
 
 
 def residual_figures(tests: ResidualTests) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def _draw_impulse(axes: Any, error: EquationError, unit: str) -> None:
 
 def _draw_autocorrelation(axes: Any, residual: EquationResidual) -> None:
     found = residual.autocorrelation
-    axes.axhspan(-found.bound, found.bound, color="0.86", label="white noise, 95 %")
+    axes.axhspan(-found.bound, found.bound, color=PALE, label="white noise, 95 %")
     axes.vlines(found.lag, 0, found.values, color=BLUE, linewidth=1)
     axes.axhline(0, color=GREY, linewidth=0.8)
     axes.set_ylim(-1.05, 1.05)
@@ -89,7 +89,7 @@ def _draw_following(axes: Any, follows: tuple[CrossCorrelation, ...]) -> None:
 
     strongest = follows[0]
     bound = min(strongest.bound, 1.0)
-    axes.axhspan(-bound, bound, color="0.86", label="unrelated, 95 %")
+    axes.axhspan(-bound, bound, color=PALE, label="unrelated, 95 %")
     axes.axhline(0, color=GREY, linewidth=0.8)
     axes.plot(strongest.lag, strongest.values, color=BLUE, linewidth=1.2)
     axes.plot(
@@ -171,8 +171,3 @@ def _time(error: EquationError) -> Float[np.ndarray, " values"]:
     """Seconds from the first record's start to the middle of each shortest window."""
     step = float(error.time_step)
     return step * (np.arange(error.error.shape[0]) + 0.5 * error.span)
-
-
-def labelled(what: str, unit: str) -> str:
-    """An axis label with its unit, if there is one."""
-    return f"{what} / ({unit})" if unit else what

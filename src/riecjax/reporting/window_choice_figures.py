@@ -4,24 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.reporting.output import require_plots
 from riecjax.reporting.residual_figures import density_axis, plain_numbers, positive
+from riecjax.reporting.style import BLUE, GREY, RUST, panels
 from riecjax.studies.window_choice import EquationWindows, WindowChoice
-
-BLUE, RUST, GREY = "#1f4e79", "#9c3d1c", "0.6"
 
 
 def window_choice_figures(choice: WindowChoice) -> dict[str, Any]:
     """`window_choice`: a row of panels for each equation."""
-    plt = require_plots()
     rows = len(choice.equations)
-    figure, axes = plt.subplots(
-        rows,
-        2,
-        figsize=(10.5, 3.2 * rows + 0.7),
-        squeeze=False,
-        layout="constrained",
-    )
+    figure, axes = panels(rows, 2, (10.5, 3.2 * rows + 0.7))
     lines, spans = [], []
     for (left, right), equation in zip(axes, choice.equations):
         lines = _draw_gain(left, equation)
