@@ -48,13 +48,16 @@ class Linearised(eqx.Module):
     """Least squares at a point, to first order.
 
     **Fields:** `moments`, Gram matrix of residual, its derivatives by the parameters and by the
-    start, of each window; `prior` residuals and their slopes, one for each parameter; `aside`,
-    whatever else is known at the point.
+    start, of each window; `prior` residuals and their slopes, one for each parameter; `lowest` and
+    `highest` values of the parameters that need be tried; `aside`, whatever else is known at the
+    point.
     """
 
     moments: Float[Array, "windows columns columns"]
     prior: Float[Array, " p"]
     prior_slope: Float[Array, " p"]
+    lowest: Float[Array, " p"]
+    highest: Float[Array, " p"]
     aside: Any
 
     @property
@@ -207,7 +210,10 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         stuck = self.norm(step) <= NO_STEP * self.norm(point)
         if self.report is not None:
             jax.debug.callback(self.report, accepted.energy)
-        trial = jax.tree.map(jnp.add, point, step)
+        trial = Point(
+            jnp.clip(point.parameters + step.parameters, accepted.lowest, accepted.highest),
+            point.starts + step.starts,
+        )
         result = optx.RESULTS.where(
             stuck & ~flat & (damped > LITTLE_DAMPING * work),
             optx.RESULTS.nonlinear_divergence,

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -13,6 +14,8 @@ from riecjax.leaves import Leaf, is_concrete
 
 AT_BOUND = 1e-6
 """Distance from a bound, as a share of the parameter's scale, at which it is called reached."""
+FARTHEST = 16.0
+"""Coordinate at which a bound is that near: further out its slope would be nothing."""
 
 Bounds = tuple[float | None, float | None]
 
@@ -28,9 +31,10 @@ class Coordinates(eqx.Module):
     """Smooth maps between parameters and coordinates that may take any value.
 
     A free parameter is its scale times its coordinate z. One that is bounded below is
-    `lower + scale (sqrt(1 + z^2) - 1)`, above likewise, and between two bounds it is
-    `middle + half (upper - lower) sin(z)`: a bound can be reached, with a slope of zero there
-    (James and Roos, 1975, MINUIT).
+    `lower + scale log(1 + e^z)`, above likewise, and between two bounds it is
+    `lower + (upper - lower) / (1 + e^-z)`. Towards a bound the slope falls with the distance, so a
+    Gauss-Newton step only grows in its direction: a bound that the data push against is reached in
+    a few steps, where a map with a turning point (a sine) would have it reached and left in turn.
 
     **Fields:** `scale` of each parameter; `lower` and `upper` bounds, infinite where there is none.
     """
@@ -39,30 +43,44 @@ class Coordinates(eqx.Module):
     lower: Leaf
     upper: Leaf
 
+    def _kinds(self) -> tuple[Array, Array, Array, Array]:
+        """Which have a lower and an upper bound, and these, 0 for none."""
+        below, above = jnp.isfinite(self.lower), jnp.isfinite(self.upper)
+        return below, above, jnp.where(below, self.lower, 0.0), jnp.where(above, self.upper, 0.0)
+
     def values(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """Parameters in their units."""
-        below, above = jnp.isfinite(self.lower), jnp.isfinite(self.upper)
-        low, high = jnp.where(below, self.lower, 0.0), jnp.where(above, self.upper, 0.0)
-        rise = self.scale * (jnp.sqrt(1 + z**2) - 1)
-        between = (low + high) / 2 + (high - low) / 2 * jnp.sin(z)
+        below, above, low, high = self._kinds()
+        rise = self.scale * jax.nn.softplus(z)
+        between = low + (high - low) * jax.nn.sigmoid(z)
         one_sided = jnp.where(below, low + rise, jnp.where(above, high - rise, self.scale * z))
         return jnp.where(below & above, between, one_sided)
 
     def inverse(self, values: Float[Array, " p"]) -> Float[Array, " p"]:
         """Coordinates of parameters strictly within their bounds."""
-        below, above = jnp.isfinite(self.lower), jnp.isfinite(self.upper)
-        low, high = jnp.where(below, self.lower, 0.0), jnp.where(above, self.upper, 0.0)
+        below, above, low, high = self._kinds()
         both = below & above
-        half = jnp.where(both, (high - low) / 2, 1.0)
-        angle = jnp.arcsin(jnp.clip((values - (low + high) / 2) / half, -1.0, 1.0))
+        share = jnp.where(both, (values - low) / jnp.where(both, high - low, 1.0), 0.5)
+        share = jnp.clip(share, jnp.finfo(share.dtype).tiny, 1 - jnp.finfo(share.dtype).epsneg)
         distance = jnp.where(below, values - low, high - values) / self.scale
-        distance = jnp.where(below ^ above, jnp.maximum(distance, 0.0), 1.0)
-        root = jnp.sqrt((distance + 1) ** 2 - 1)
-        return jnp.where(both, angle, jnp.where(below | above, root, values / self.scale))
+        distance = jnp.where(below ^ above, distance, 1.0)
+        distance = jnp.maximum(distance, jnp.finfo(share.dtype).tiny)
+        # log(e^d - 1), without overflow.
+        root = distance + jnp.log(-jnp.expm1(-distance))
+        bounded = jnp.where(both, jnp.log(share) - jnp.log1p(-share), root)
+        free = values / self.scale
+        return jnp.where(below | above, jnp.clip(bounded, -FARTHEST, None), free)
+
+    def limits(self) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+        """Lowest and highest coordinates that need ever be tried."""
+        below, above, _, _ = self._kinds()
+        lowest = jnp.where(below | above, -FARTHEST, -jnp.inf)
+        return lowest, jnp.where(below & above, FARTHEST, jnp.inf)
 
     def at_bound(self, values: Float[Array, " p"]) -> Bool[Array, " p"]:
         """Which parameters sit on one of their bounds."""
-        near = AT_BOUND * self.scale
+        below, above, low, high = self._kinds()
+        near = AT_BOUND * jnp.where(below & above, high - low, self.scale)
         return (values - self.lower < near) | (self.upper - values < near)
 
 

@@ -69,11 +69,22 @@ class Problem(eqx.Module):
         # A trial point that the model cannot stand is a poor one, and nothing else.
         finite = jnp.all(jnp.isfinite(moments), axis=(1, 2), keepdims=True)
         poor = jnp.zeros(moments.shape[1:], moments.dtype).at[0, 0].set(NOT_FINITE)
+        moments = jnp.where(finite, moments, poor[None])
         weight = self.laws.prior_weight * jnp.sqrt(self.variance)
+        prior, prior_slope = weight * (theta - self.laws.prior_mean), weight * slope
+        lowest, highest = self.coordinates.limits()
+        # A parameter that is pushed against its bound is held there.
+        p = theta.shape[0]
+        push = -jnp.sum(moments[:, 1 : 1 + p, 0], axis=0) - prior_slope * prior
+        free = ~((point.parameters <= lowest) & (push < 0))
+        free = (free & ~((point.parameters >= highest) & (push > 0))).astype(moments.dtype)
+        kept = jnp.concatenate([jnp.ones(1), free, jnp.ones(moments.shape[-1] - 1 - p)])
         return Linearised(
-            jnp.where(finite, moments, poor[None]),
-            weight * (theta - self.laws.prior_mean),
-            weight * slope,
+            moments * (kept[:, None] * kept[None, :])[None],
+            prior,
+            prior_slope * free,
+            lowest,
+            highest,
             expansion,
         )
 
@@ -170,5 +181,7 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
 
     hessian = jax.jacfwd(gradient)(flat, moving)
     _, pushed = jax.jvp(lambda leaves: gradient(flat, leaves), (moving,), (change,))
-    step = solve_scaled(hessian, pushed[:, None])[:, 0]
+    # What is held at a bound stays there.
+    held = jnp.diagonal(hessian) == 0
+    step = solve_scaled(hessian + jnp.diag(held.astype(flat.dtype)), pushed[:, None])[:, 0]
     return point, unravel(-step)

@@ -103,7 +103,14 @@ class OutputError(AbstractObjective):
         method = self.method or _method(system, recorded)
         units = dict(system.states) | dict(system.outputs)
         sigma, scale, seconds = _sizes(
-            system, recorded, shots, dict(self.sigma or {}), channels, estimated, method
+            system,
+            setup.records[0],
+            recorded,
+            shots,
+            dict(self.sigma or {}),
+            channels,
+            estimated,
+            method,
         )
         return OutputMisfit(
             system=setup.model,
@@ -255,6 +262,7 @@ def _method(system: AbstractSystem, recorded: Sequence[Recorded]) -> AbstractMet
 @eqx.filter_jit
 def _sizes(
     system: AbstractSystem,
+    record: Record,
     recorded: Sequence[Recorded],
     shots: Sequence[Shots],
     sigma: dict[str, Any],
@@ -266,7 +274,7 @@ def _sizes(
     seconds = [cut.longest * part.time_step for cut, part in zip(shots, recorded)]
     return (
         _sigma(sigma, channels, recorded),
-        _scale(system, recorded[0], estimated, method),
+        _scale(system, record, recorded[0], estimated, method),
         jnp.max(jnp.stack(seconds)),
     )
 
@@ -292,14 +300,28 @@ def _sigma(
 
 
 def _scale(
-    system: AbstractSystem, part: Recorded, estimated: tuple[int, ...], method: AbstractMethod
+    system: AbstractSystem,
+    record: Record,
+    part: Recorded,
+    estimated: tuple[int, ...],
+    method: AbstractMethod,
 ) -> Float[Array, " s"]:
-    """Size of each estimated state over the simulation of a record, 1 of one that rests."""
+    """Root mean square of each estimated state: recorded, else simulated; 1 of one that rests."""
     if not estimated:
         return jnp.ones(0)
-    states, _, _ = jax.vmap(
-        lambda levels, start: method.trajectory(system, levels, part.time_step, start)
-    )(part.levels, part.starts)
-    size = jnp.sqrt(jnp.mean(states**2, axis=(0, 1)))[np.array(estimated)]
+    sources = list(state_sources(system, record).values())
+    states = measured_states(system, record)
+    if any(sources[i] == "zero" for i in estimated):
+        simulated, _, _ = jax.vmap(
+            lambda levels, start: method.trajectory(system, levels, part.time_step, start)
+        )(part.levels, part.starts)
+        simulated = simulated.reshape(-1, simulated.shape[-1])
+        size = jnp.where(
+            np.array([source == "zero" for source in sources]),
+            jnp.mean(simulated**2, axis=0),
+            jnp.mean(states**2, axis=0),
+        )
+    else:
+        size = jnp.mean(states**2, axis=0)
     usable = jnp.isfinite(size) & (size > 0)
-    return jnp.where(usable, jnp.where(usable, size, 1.0), 1.0)
+    return jnp.sqrt(jnp.where(usable, jnp.where(usable, size, 1.0), 1.0))[np.array(estimated)]

@@ -15,7 +15,7 @@ from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.sharing import Sharing
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
-from riecjax.simulation.method import AbstractMethod
+from riecjax.simulation.method import AbstractMethod, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
 
 SHORT_BLOCKS = 512
@@ -173,10 +173,12 @@ class OutputMisfit(AbstractMisfit):
         first = window.starts
         if self.estimated:
             first = first.at[np.array(self.estimated)].set(start)
-        states, _, _ = self.method.trajectory(system, window.levels, window.time_step, first)
-        return observed(
+        states, status, _ = self.method.trajectory(system, window.levels, window.time_step, first)
+        found = observed(
             system, states[:: window.every], window.levels[:: window.every], self.labels
         )
+        # What a lost simulation shows after its loss must not pass for an answer.
+        return jnp.where(status == SimulationStatus.successful, found, jnp.inf)
 
     def _error(
         self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int

@@ -86,7 +86,7 @@ class ByFields(AbstractParametric):
         leaves = jax.tree_util.tree_leaves_with_path(self.module)
         for place, (path, leaf) in enumerate(leaves):
             name = ".".join(_key(part) for part in path)
-            if not eqx.is_inexact_array_like(leaf):
+            if not (eqx.is_inexact_array(leaf) or isinstance(leaf, float)):
                 continue
             for entry in np.ndindex(np.shape(leaf)):
                 label = "".join(f"[{i}]" for i in entry)
