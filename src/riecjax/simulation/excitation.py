@@ -1,4 +1,4 @@
-"""Inputs to excite a system with: band-limited noise, random roads, a pot-hole.
+"""Inputs to excite a system with: band-limited noise, multisines, random roads, a pot-hole.
 
 Velocities are positive downwards, as in eqs (19)-(20) of the paper: a hole starts with a positive
 road velocity.
@@ -6,9 +6,11 @@ road velocity.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.errors import ModelError
+from riecjax.leaves import is_concrete
 
 
 def band_limited_noise(
@@ -36,6 +38,69 @@ def band_limited_noise(
     power = jnp.mean(noise**2)
     # A band that holds no Fourier component is silence, not a division by zero.
     return noise * jnp.where(power > 0, rms / jnp.sqrt(jnp.where(power > 0, power, 1.0)), 0.0)
+
+
+def harmonics(
+    sample_count: int,
+    time_step: float,
+    *,
+    lowest: float,
+    highest: float,
+    count: int | None = None,
+) -> Float[np.ndarray, " k"]:
+    """Frequencies in Hz of which a record holds whole periods: multiples of 1 / (n dt).
+
+    **Arguments:** `lowest` and `highest` frequency in Hz, both included; `count`, about so many of
+    them, in equal ratios, where they are not all wanted.
+
+    **Raises:** `ModelError` for fewer than 4 samples, or a band that holds no such frequency below
+    the Nyquist frequency.
+    """
+    _check_count(sample_count)
+    duration = sample_count * time_step
+    # A millionth of a spacing: ends that rounding puts beside the grid are on it.
+    first = max(int(np.ceil(lowest * duration - 1e-6)), 1)
+    last = min(int(np.floor(highest * duration + 1e-6)), (sample_count - 1) // 2)
+    if first > last:
+        raise ModelError(
+            f"no multiple of {1 / duration:.4g} Hz lies between {lowest:g} and {highest:g} Hz and "
+            f"below {0.5 / time_step:g} Hz."
+        )
+    numbers = np.arange(first, last + 1)
+    if count is not None and count < len(numbers):
+        numbers = np.unique(np.round(np.geomspace(first, last, count)).astype(int))
+    return numbers / duration
+
+
+def multisine(
+    amplitudes: Float[Array, " k"],
+    phases: Float[Array, " k"],
+    frequencies: Float[Array, " k"] | Float[np.ndarray, " k"],
+    sample_count: int,
+    time_step: float | Array,
+) -> Float[Array, " n"]:
+    """Sum of harmonics, a_i cos(2 pi f_i t + phi_i), with t = 0 at the first sample.
+
+    Differentiable in amplitudes and phases. On the grid of [`harmonics`][] its mean is zero and
+    its mean square is half the sum of the squared amplitudes.
+
+    **Arguments:** `amplitudes` in the unit of the input; `phases` in rad; `frequencies` in Hz.
+
+    **Raises:** `ModelError` for fewer than 4 samples, or a frequency that so long a time step does
+    not resolve (where both can be looked at).
+    """
+    _check_count(sample_count)
+    if is_concrete(frequencies, time_step):
+        nyquist = 0.5 / float(time_step)
+        if not np.all((np.asarray(frequencies) >= 0) & (np.asarray(frequencies) < nyquist)):
+            raise ModelError(f"frequencies of a multisine lie between 0 and {nyquist:g} Hz.")
+    # Periods, less the whole ones: the angle of a long record would lose digits.
+    periods = jnp.arange(sample_count)[:, None] * (jnp.asarray(frequencies) * time_step)[None, :]
+    angle = 2 * jnp.pi * (periods - jnp.floor(periods))
+    # Two products with a vector, whose derivatives are products again.
+    return jnp.cos(angle) @ (amplitudes * jnp.cos(phases)) - jnp.sin(angle) @ (
+        amplitudes * jnp.sin(phases)
+    )
 
 
 def robson_road(

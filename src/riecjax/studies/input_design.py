@@ -1,0 +1,309 @@
+"""The multisine that tells most of one parameter, within the travel that a rig allows.
+
+Fisher information through the simulation, differentiated by the input: sensitivities of the
+measured channels forward, since parameters are few, and the gradient of the variance that follows
+from them in reverse, since the amplitudes and phases of a multisine are many.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Key
+
+from riecjax.errors import ModelError
+from riecjax.leaves import is_concrete
+from riecjax.records.record import Record
+from riecjax.refinement.parametric import as_parametric_system
+from riecjax.simulation.excitation import multisine
+from riecjax.simulation.method import AbstractMethod
+from riecjax.studies.output_information import Experiment, inverse, plan_experiment
+
+PENALTIES = (1.0, 1e2, 1e4)
+"""Weights of the excess of travel, in turn. With the last one, a single sample that is 1 % beyond
+costs as much as a variance that is e times as large."""
+MARGIN = 0.005
+"""Share of a limit at which its penalty begins: what is left over stays within the limit."""
+TOLERANCE = 1e-3
+"""Change of a coefficient, the largest being about one, that is not worth another step."""
+
+
+class DesignStatus(eqx.Enumeration):
+    """How the search for an input ended."""
+
+    converged = "converged"
+    out_of_steps = "used up its steps before it converged (max_steps); the input can be used."
+    travel_exceeded = (
+        "found no input of this r.m.s. that keeps the travel. Lower the r.m.s., or allow other "
+        "frequencies."
+    )
+    not_finite = (
+        "the model has no finite sensitivities under these inputs. Lower the r.m.s., or use more "
+        "steps per sample."
+    )
+
+
+class Design(eqx.Module):
+    """An input, and what it promises.
+
+    **Fields:**
+
+    - `record`: the input.
+    - `frequencies` in Hz, with the `amplitudes` (in the input's unit) and `phases` (rad) of the
+      multisine.
+    - `standard_error` of the `parameter` that was asked for, in its unit, with all others and the
+      initial state unknown; `standard_errors` of all that are estimated.
+    - `rms` of the input; `peaks`: largest size of each limited state over the samples.
+    - `starts`: what the search from each start promised, infinite where the travel is exceeded.
+    - `status` of the search.
+    """
+
+    record: Record
+    frequencies: Float[Array, " k"]
+    amplitudes: Float[Array, " k"]
+    phases: Float[Array, " k"]
+    standard_error: Float[Array, ""]
+    standard_errors: dict[str, Float[Array, ""]]
+    rms: Float[Array, ""]
+    peaks: dict[str, Float[Array, ""]]
+    starts: Float[Array, " starts"]
+    status: DesignStatus
+    parameter: str = eqx.field(static=True)
+
+    @property
+    def reason(self) -> str:
+        """How the search ended, in words (not under jit)."""
+        return DesignStatus[self.status]
+
+
+class _Task(eqx.Module):
+    """What is searched for, of coefficients c: cosine and sine part of each harmonic.
+
+    Unlike amplitudes and phases these have no point at which one hangs on nothing. Their common
+    factor is free, for the input is brought to its r.m.s.
+    """
+
+    experiment: Experiment
+    frequencies: Float[Array, " k"]
+    rms: Float[Array, ""]
+    limits: Float[Array, " limited"]
+    sample_count: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    limited: tuple[int, ...] = eqx.field(static=True)
+
+    def polar(self, coefficients: Float[Array, " 2k"]) -> tuple[Array, Array]:
+        """Amplitudes and phases of the input."""
+        cosine, sine = jnp.split(coefficients, 2)
+        factor = self.rms / _rms(self._raw(coefficients))
+        return factor * jnp.hypot(cosine, sine), jnp.arctan2(-sine, cosine)
+
+    def levels(self, coefficients: Float[Array, " 2k"]) -> Float[Array, "n 1"]:
+        """The input, of exactly the r.m.s. that is asked for."""
+        raw = self._raw(coefficients)
+        return (raw * (self.rms / _rms(raw)))[:, None]
+
+    def _raw(self, coefficients: Array) -> Float[Array, " n"]:
+        cosine, sine = jnp.split(coefficients, 2)
+        both = jnp.concatenate([self.frequencies, self.frequencies])
+        quarter = jnp.zeros_like(cosine)
+        phases = jnp.concatenate([quarter, quarter - jnp.pi / 2])
+        return multisine(
+            jnp.concatenate([cosine, sine]),
+            phases,
+            both,
+            self.sample_count,
+            self.experiment.time_step,
+        )
+
+    def peaks(self, states: Float[Array, "n states"]) -> Float[Array, " limited"]:
+        """Largest size of each limited state."""
+        return jnp.max(jnp.abs(states[:, np.array(self.limited, int)]), axis=0)
+
+    def excess(self, states: Float[Array, "n states"]) -> Float[Array, ""]:
+        """Squared travel beyond the limits, as shares of them, over all samples."""
+        share = jnp.abs(states[:, np.array(self.limited, int)]) / self.limits[None, :]
+        return jnp.sum(jnp.maximum(share - (1 - MARGIN), 0.0) ** 2)
+
+    def cost(self, coefficients: Float[Array, " 2k"], penalty: Array) -> Float[Array, ""]:
+        """Logarithm of the parameter's variance, with a penalty on travel."""
+        information, states = self.experiment.information(self.levels(coefficients))
+        variance = inverse(information)[self.place, self.place]
+        return jnp.log(variance) + penalty * self.excess(states)
+
+
+def design_input(
+    model: Any,
+    values: Mapping[str, float | Array],
+    parameter: str,
+    *,
+    frequencies: Sequence[float] | Float[np.ndarray, " k"] | Float[Array, " k"],
+    sample_count: int,
+    time_step: float,
+    rms: float | Array,
+    channels: Sequence[str],
+    sigma: Mapping[str, float | Array],
+    key: Key[Array, ""],
+    travel: Mapping[str, float | Array] | None = None,
+    known: Mapping[str, float | Array] | None = None,
+    initial_state: Mapping[str, float | Array] | None = None,
+    method: AbstractMethod | None = None,
+    starts: int = 4,
+    max_steps: int = 100,
+) -> Design:
+    """The multisine that makes one parameter's interval tightest, all others being unknown too.
+
+    The input has exactly this r.m.s. What it is best for hangs on `values`, which are not known
+    before the recording: design with an estimate, and again when there is a better one.
+
+    **Arguments:**
+
+    - `model`: something to simulate with one input, as for [`refine`][] by output error.
+    - `values`: of the parameters that will be estimated; `parameter`, the one that matters.
+    - `frequencies` in Hz, best on the grid of [`harmonics`][].
+    - `sample_count` and `time_step` (s) of the recording; `rms` in the input's unit.
+    - `channels`, `sigma`, `known`, `initial_state`, `method`: as for
+      [`predicted_standard_errors`][].
+    - `travel`: state name to the size that it must keep at every sample, in its unit.
+    - `starts`: searches from as many draws of phases; `max_steps` of each, in each of three
+      rounds with a rising penalty on travel.
+
+    **Raises:** `ModelError` for unknown names, limits that are not positive, a system that has not
+    one input, or frequencies that the time step does not resolve. A search that fails raises
+    nothing: see `status` of the result.
+    """
+    grid = jnp.asarray(frequencies, float)
+    phases = jax.random.uniform(key, (starts, grid.shape[0]), maxval=2 * jnp.pi)
+    wave = multisine(jnp.ones_like(grid), phases[0], grid, sample_count, time_step)
+    wave = wave * (rms / _rms(wave))
+    name = _input_name(model, {**dict(known or {}), **values}, Record({"": wave}, time_step))
+    experiment = plan_experiment(
+        model,
+        values,
+        Record({name: wave}, time_step),
+        channels=channels,
+        sigma=sigma,
+        known=known,
+        initial_state=initial_state,
+        method=method,
+    )
+    task = _task(experiment, parameter, grid, sample_count, rms, dict(travel or {}))
+    found = jnp.concatenate([jnp.cos(phases), -jnp.sin(phases)], axis=1)
+    settled = jnp.zeros(starts, bool)
+    for penalty in PENALTIES if travel else PENALTIES[:1]:
+        found, settled = _search(task, found, jnp.asarray(penalty), max_steps)
+    return _best(task, found, settled, name, parameter)
+
+
+def _rms(wave: Float[Array, " n"]) -> Float[Array, ""]:
+    return jnp.sqrt(jnp.mean(wave**2))
+
+
+def _input_name(model: Any, values: Mapping[str, Any], record: Record) -> str:
+    family = as_parametric_system(model, record)
+    inputs = family.build({**family.defaults, **values}).input_names
+    if len(inputs) != 1:
+        raise ModelError(
+            f"the input of a system with one input can be designed; this one has {len(inputs)}: "
+            f"{', '.join(inputs)}. Give a system in which the others are known."
+        )
+    return inputs[0]
+
+
+def _task(
+    experiment: Experiment,
+    parameter: str,
+    frequencies: Float[Array, " k"],
+    sample_count: int,
+    rms: float | Array,
+    travel: Mapping[str, float | Array],
+) -> _Task:
+    names = experiment.built().state_names
+    if parameter not in experiment.parameters:
+        raise ModelError(
+            f"'{parameter}' is not estimated; estimated are: {', '.join(experiment.parameters)}."
+        )
+    if unknown := [name for name in travel if name not in names]:
+        raise ModelError(f"unknown state '{unknown[0]}'; the states are: {', '.join(names)}.")
+    if wrong := [n for n, limit in travel.items() if is_concrete(limit) and not limit > 0]:
+        raise ModelError(f"the travel of {wrong[0]} needs a positive limit.")
+    return _Task(
+        experiment,
+        frequencies,
+        jnp.asarray(rms, float),
+        jnp.asarray(list(travel.values()), float),
+        sample_count,
+        experiment.parameters.index(parameter),
+        tuple(names.index(name) for name in travel),
+    )
+
+
+@eqx.filter_jit
+def _search(
+    task: _Task, first: Float[Array, "starts 2k"], penalty: Float[Array, ""], max_steps: int
+) -> tuple[Float[Array, "starts 2k"], Bool[Array, " starts"]]:
+    """Each start's least cost, and whether its search converged."""
+
+    def of_start(coefficients: Float[Array, " 2k"]) -> tuple[Array, Array]:
+        solution = optx.minimise(
+            lambda c, args: args[0].cost(c, args[1]),
+            optx.BFGS(TOLERANCE, TOLERANCE),
+            # One size for all: the cost does not hang on it, but the steps do.
+            coefficients / _rms(coefficients),
+            args=(task, penalty),
+            max_steps=max_steps,
+            throw=False,
+        )
+        return solution.value, solution.result == optx.RESULTS.successful
+
+    return jax.vmap(of_start)(first)
+
+
+@eqx.filter_jit
+def _best(
+    task: _Task,
+    found: Float[Array, "starts 2k"],
+    settled: Bool[Array, " starts"],
+    name: str,
+    parameter: str,
+) -> Design:
+    """The best of those that keep the travel; if none does, the one that comes nearest."""
+
+    def judged(coefficients: Array) -> tuple[Array, ...]:
+        levels = task.levels(coefficients)
+        information, states = task.experiment.information(levels)
+        errors = task.experiment.standard_errors(information)
+        return levels, errors, task.peaks(states), task.excess(states)
+
+    levels, errors, peaks, excess = jax.vmap(judged)(found)
+    finite = jnp.isfinite(errors[:, task.place])
+    kept = jnp.all(peaks <= task.limits[None, :], axis=1) & finite
+    promised = jnp.where(kept, errors[:, task.place], jnp.inf)
+    nearest = jnp.argmin(jnp.where(finite, excess, jnp.inf))
+    best = jnp.where(jnp.any(kept), jnp.argmin(promised), nearest)
+    amplitudes, phases = task.polar(found[best])
+    wave = levels[best, :, 0]
+    experiment = task.experiment
+    states = experiment.built().state_names
+    return Design(
+        record=Record({name: wave}, experiment.time_step, units=experiment.built().inputs),
+        frequencies=task.frequencies,
+        amplitudes=amplitudes,
+        phases=phases,
+        standard_error=errors[best, task.place],
+        standard_errors=dict(zip(experiment.parameters, errors[best])),
+        rms=_rms(wave),
+        peaks={states[i]: peak for i, peak in zip(task.limited, peaks[best])},
+        starts=promised,
+        status=_status(settled[best], jnp.any(kept), jnp.any(finite)),
+        parameter=parameter,
+    )
+
+
+def _status(settled: Array, kept: Array, finite: Array) -> DesignStatus:
+    status = DesignStatus.where(settled, DesignStatus.converged, DesignStatus.out_of_steps)
+    status = DesignStatus.where(kept, status, DesignStatus.travel_exceeded)
+    return DesignStatus.where(finite, status, DesignStatus.not_finite)
