@@ -251,8 +251,14 @@ OPTIONS = {
     "--band 2 5 --alpha 0.3": (1, "0 < alpha < beta"),
     "--intervals jackknife": (2, "'--intervals'"),
     "--criterion dols --windows 100": (2, "belong to --criterion riec"),
-    "--refine output-error": (2, "'output-error' is not available yet"),
-    "--refine integral": (2, "'integral' is not available yet"),
+    "--horizon 1": (2, "--horizon goes with --refine output-error"),
+    "--refine integral --channel x2": (2, "--channel goes with --refine output-error"),
+    "--bound K_t=0:": (2, "--bound goes with --refine"),
+    "--refine output-error --horizon 0": (2, "'--horizon'"),
+    "--refine output-error --bound K_t": (2, "not of the form NAME=LOW:HIGH"),
+    "--refine output-error --bound K_t=a:b": (2, "are not numbers"),
+    "--refine output-error --bound K=0:1": (1, "bounds are given for 'K'"),
+    "--refine output-error --channel z": (1, "no signal 'z' to compare"),
     "--refine foo": (2, "'--refine'"),
     "--test-function foo": (2, "'--test-function'"),
     "--quadrature 3": (2, "'--quadrature'"),
@@ -492,7 +498,7 @@ def run_process(*arguments: str) -> subprocess.CompletedProcess[str]:
     [
         (1, ["identify", "head.csv", "--model", "quarter-car", "--json"]),
         (1, ["identify", "none.csv", "--model", "quarter-car", "--json"]),
-        (2, ["identify", "good.csv", "--model", "quarter-car", "--refine", "output-error"]),
+        (2, ["identify", "good.csv", "--model", "quarter-car", "--refine", "foo"]),
     ],
 )
 def test_process_exits_with_the_status_and_one_line(status, arguments):

@@ -1,6 +1,5 @@
-"""Output-error refinement: against SciPy, over windows of any length, and what it says on the way."""
+"""Output-error refinement: against SciPy, over windows of any length, and what it says of it."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +18,7 @@ from riecjax.refinement.coordinates import Prior
 from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
-from riecjax.refinement.shots import RandomShots, Tiles, WholeRecord
+from riecjax.refinement.shots import RandomShots, Tiles
 from riecjax.simulation.method import FixedStep
 
 
@@ -231,7 +230,7 @@ def test_too_few_steps_are_a_status(noisy):
     refined = refine(oscillator(), noisy, START, max_steps=2)
     assert not bool(refined.converged)
     assert refined.status == RefinementStatus.out_of_steps
-    assert [finding.code for finding in refined.findings()][0] == "refinement_not_converged"
+    assert refined.findings()[0].code == "refinement_not_converged"
     assert "max_steps" in refined.reason
 
 
@@ -261,7 +260,6 @@ def test_a_start_without_a_finite_residual_is_a_status():
 
 
 def test_weights_are_the_users(noisy, whole):
-    x, v = motion()
     same = OutputError(sigma={"x": signals(0)["x"].std(), "dx": signals(0)["dx"].std()})
     np.testing.assert_allclose(
         refine(oscillator(), noisy, START, same).theta, whole.theta, rtol=1e-7

@@ -1,5 +1,6 @@
 """`riecjax identify`: parameters from recordings."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,7 +9,6 @@ import click
 from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
     SHARE,
-    Available,
     json_option,
     out_option,
     own_option,
@@ -16,21 +16,28 @@ from riecjax.cli.options import (
     set_option,
 )
 from riecjax.cli.recordings import Recording, RecordingOptions, common_steps, load, record_options
+from riecjax.cli.refinement import RefinementOptions, refinement_options
 from riecjax.cli.runtime import start_jax
 from riecjax.errors import RiecjaxError
 from riecjax.findings import Finding
 
 if TYPE_CHECKING:
+    from jaxtyping import Array
+
     from riecjax.criteria.criterion import AbstractCriterion
     from riecjax.estimation.estimate import Estimate
     from riecjax.estimation.procedure import Procedure
     from riecjax.models.model import Model
     from riecjax.records.record import Record
+    from riecjax.refinement.refined import Refined
     from riecjax.reporting.identification import ValidationRun
+    from riecjax.reporting.refinement import Refinement
     from riecjax.studies.seed_scatter import SeedScatter
     from riecjax.studies.window_choice import WindowChoice
     from riecjax.studies.window_sweep import WindowSweep
     from riecjax.validation.residual_tests import ResidualTests
+
+LAST_PART = ", last part"
 
 
 @click.command("identify")
@@ -42,13 +49,7 @@ if TYPE_CHECKING:
     help="A built-in model (see 'riecjax models') or path/to/file.py:object.",
 )
 @criterion_options
-@click.option(
-    "--refine",
-    type=Available(["none"], ["integral", "output-error"]),
-    default="none",
-    show_default=True,
-    help="Non-linear refinement after the linear estimate.",
-)
+@refinement_options
 @set_option
 @own_option
 @click.option(
@@ -85,7 +86,7 @@ def command(
     recordings: RecordingOptions,
     model_name: str,
     criteria: CriterionOptions,
-    refine: str,
+    refining: RefinementOptions,
     known: dict[str, float],
     own: tuple[str, ...],
     intervals: str,
@@ -106,6 +107,7 @@ def command(
             "--own gives a parameter no value on the recordings of --validate: use one of the two."
         )
     criteria.require_sense()
+    refining.require_sense()
     start_jax()
     import jax
 
@@ -135,7 +137,9 @@ def command(
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
     judge = kinds[intervals]
     estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
-    validations, failed = validation_runs(model, estimate, held, further)
+    refined = refining.run(model, records, estimate, own=own, key=key, intervals=judge)
+    found = estimate if refined is None else refined
+    validations, failed = validation_runs(model, found.values, held, further)
     residuals, choice, untested = _what_is_left(procedure, records, estimate)
     result = Identification(
         model=model.name,
@@ -155,6 +159,7 @@ def command(
         choice=choice,
         seeds=_seeds(procedure, records, criterion, settings),
         validations=validations,
+        refinement=_before_after(model, estimate, refined, validations, held, further, estimating),
         key=key,
         seed=seed,
     )
@@ -229,9 +234,40 @@ def _seeds(
     return seed_scatter(procedure, records, criterion, **settings) if criterion.needs_key else None
 
 
-def validation_runs(
+def _before_after(
     model: "Model",
     estimate: "Estimate",
+    refined: "Refined | None",
+    after: list["ValidationRun"],
+    held: list[Recording],
+    further: list[Recording],
+    fitted: list[Recording],
+) -> "Refinement | None":
+    """Predictions with the start of the refinement and with its result.
+
+    Without recordings kept for validation, of those that were fitted.
+    """
+    from riecjax.reporting.refinement import BeforeAfter, Refinement
+
+    if refined is None:
+        return None
+    kept = bool(held or further)
+    if not kept:
+        held = fitted
+        after, _ = validation_runs(model, refined.values, held, further)
+    before, _ = validation_runs(model, estimate.values, held, further)
+    earlier = {run.on: run.held for run in before}
+    pairs = [
+        BeforeAfter(run.on if kept else run.on.removesuffix(LAST_PART), earlier[run.on], run.held)
+        for run in after
+        if run.on in earlier
+    ]
+    return Refinement(refined, pairs, not kept)
+
+
+def validation_runs(
+    model: "Model",
+    values: "Mapping[str, Array]",
     held: list[Recording],
     further: list[Recording],
 ) -> tuple[list["ValidationRun"], list[Finding]]:
@@ -244,17 +280,17 @@ def validation_runs(
     from riecjax.validation.held_out import validate_held_out
 
     names = model.build_procedure().parameters
-    own = [values_of_record(estimate.values, i) for i in range(len(held))]
+    own = [values_of_record(values, i) for i in range(len(held))]
     parts = [
-        (f"{recording.file.name}, last part", recording.record, {n: values[n] for n in names})
-        for recording, values in zip(held, own)
+        (f"{recording.file.name}{LAST_PART}", recording.record, {n: known[n] for n in names})
+        for recording, known in zip(held, own)
     ]
-    parts += [(r.file.name, r.record, dict(estimate.values)) for r in further]
+    parts += [(r.file.name, r.record, dict(values)) for r in further]
     runs, failed = [], []
-    for on, record, values in parts:
+    for on, record, known in parts:
         # A fit is not lost because its model cannot be simulated.
         try:
-            system = model.identified_system(values, record)
+            system = model.identified_system(known, record)
             runs.append(ValidationRun(on, record, validate_held_out(system, record)))
         except RiecjaxError as error:
             failed.append(Finding("not_validated", f"{on}: {error}"))

@@ -33,22 +33,6 @@ class Assignment(click.ParamType):
         return name.strip(), number
 
 
-class Available(click.Choice[str]):
-    """A choice of which a part is still to come, and says so."""
-
-    def __init__(self, available: list[str], to_come: list[str]):
-        super().__init__([*available, *to_come])
-        self.to_come = to_come
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> str:
-        chosen = super().convert(value, param, ctx)  # pyright: ignore[reportArgumentType]
-        if chosen in self.to_come:
-            self.fail(f"'{chosen}' is not available yet.", param, ctx)
-        return chosen
-
-
 def pairs_to_dict(
     ctx: click.Context, param: click.Parameter, value: tuple[tuple[str, Any], ...]
 ) -> dict[str, Any]:

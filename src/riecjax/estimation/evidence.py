@@ -42,8 +42,7 @@ def judge(
     """Uncertainty of the solution `values` of all stages.
 
     **Arguments:** `stages`, normal equations with leading axes `(records, short blocks)`;
-    `shared`, which of the parameters found may differ between records: those that belong to one
-    recording cannot.
+    `shared`, which of the parameters found hold for all records: others cannot disagree.
     """
     flat = [stage.flattened() for stage in stages]
     fine = block_influence(flat, known, values)

@@ -15,23 +15,13 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import raise_if_samples_mix
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
 from riecjax.estimation.assembly import all_normal_equations, all_rows
-from riecjax.estimation.assembly import short_blocks as short_blocks  # for refinement
-from riecjax.estimation.blocks import (
-    MOST_BLOCKS,
-    ShortBlocks,
-    block_length,
-    blocks_in_use,
-    politis_white,
-    put_together,
-)
+from riecjax.estimation.blocks import ShortBlocks
 from riecjax.estimation.constant_side import raise_if_only_constant
 from riecjax.estimation.estimate import Estimate, combination
-from riecjax.estimation.heterogeneity import record_inflation
-from riecjax.estimation.influence import block_influence, unknowns
+from riecjax.estimation.evidence import judge
 from riecjax.estimation.intervals import (
     AbstractIntervals,
     BlockBootstrap,
-    Evidence,
     Uncertainty,
     naive_covariance,
 )
@@ -104,9 +94,9 @@ def identify(
     _raise_if_samples_mix(procedure, recordings, criterion)
     keys = record_keys(key, len(recordings))
     stages, short = all_normal_equations(procedure, sharing, recordings, criterion, keys)
-    judge = BlockBootstrap() if intervals is None else intervals
+    intervals = BlockBootstrap() if intervals is None else intervals
     window = jnp.asarray(criterion.block_length)
-    solved = _solve(stages, given, short, window, sharing, judge, None)
+    solved = _solve(stages, given, short, window, sharing, intervals, None)
     if is_concrete(solved.stages):
         _raise_if_empty(stages, plan)
         raise_if_only_constant(procedure, recordings, given)
@@ -114,7 +104,7 @@ def identify(
         past_gram = _worst_condition(solved.stages) > gram_condition_limit(window.dtype)
         if past_gram and not criterion.in_closed_form:
             rows = all_rows(procedure, sharing, recordings, criterion, keys)
-            solved = _solve(stages, given, short, window, sharing, judge, rows)
+            solved = _solve(stages, given, short, window, sharing, intervals, rows)
         _raise_if_unidentifiable(solved.stages, plan)
 
     units = {name: unit for name, unit in sharing.values(procedure.units).items()}
@@ -182,24 +172,15 @@ def _solve(
     flat = [stage.flattened() for stage in stages]
     solutions = solve_stages(flat, known, rows)
     values = found_values(solutions, known)
-    fine = block_influence(flat, known, values)
-    fine = fine.reshape(len(short.number), -1, fine.shape[-1])
-    length = block_length(short, longest_window, politis_white(fine, short))
-    used = blocks_in_use(short, length)
-    blocks = [put_together(stage, short, used) for stage in stages]
-    influence = block_influence(blocks, known, values)
-    evidence = Evidence(
-        blocks, unknowns(blocks, known), dict(known), values, used, influence, fine, short, length
-    )
     # What belongs to one recording cannot differ between recordings.
     shared = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
-    per_record = influence.reshape(len(short.number), MOST_BLOCKS, -1)
-    inflation = jnp.where(shared, record_inflation(per_record, used), 1.0)
+    judged = judge(stages, known, values, short, longest_window, shared, intervals)
+    used = judged.evidence.used
     return _Solved(
         solutions,
-        intervals.uncertainty(evidence).grown(inflation),
-        jnp.sqrt(jnp.diagonal(naive_covariance(evidence))),
-        inflation,
+        judged.uncertainty,
+        jnp.sqrt(jnp.diagonal(naive_covariance(judged.evidence))),
+        judged.inflation,
         used,
         jnp.sum(short.durations) / jnp.sum(used),
     )

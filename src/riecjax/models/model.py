@@ -128,10 +128,12 @@ class Model:
         """
         from riecjax.refinement.parametric import ByCoefficients, ByFunction
 
-        if not self._drives(record):
+        parameters = self.simulation_parameters
+        names = {parameter.name for parameter in parameters}
+        identified = {parameter.name for parameter in self.parameters}
+        if not self._drives(record) or (self.procedure is not None and names != identified):
             return ByCoefficients.of(self.build_procedure())
         assert self.system is not None
-        parameters = self.simulation_parameters
         return ByFunction(
             _resolve(self.system),
             tuple(parameter.name for parameter in parameters),

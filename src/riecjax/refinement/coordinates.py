@@ -100,7 +100,7 @@ class Laws(eqx.Module):
     def of(
         cls,
         names: Sequence[str],
-        start: Mapping[str, Array],
+        start: Mapping[str, Leaf],
         bounds: Mapping[str, Bounds],
         priors: Mapping[str, Prior],
     ) -> "Laws":

@@ -2,15 +2,14 @@
 
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
+from riecjax.records.record import Record
 from riecjax.refinement.balance import ParametricBalance, as_balances
 from riecjax.refinement.integral_misfit import IntegralMisfit
 from riecjax.refinement.objective import AbstractObjective, Parameters, Setup
-from riecjax.records.record import Record
 
 
 class IntegralError(AbstractObjective):

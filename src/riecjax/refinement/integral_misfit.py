@@ -7,11 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.estimation.assembly import all_normal_equations, short_blocks
 from riecjax.estimation.blocks import ShortBlocks
-from riecjax.estimation.identify import all_normal_equations, short_blocks
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sharing import Sharing
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.refinement.balance import ParametricBalance
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
@@ -24,7 +25,7 @@ class IntegralMisfit(AbstractMisfit):
     records: list[Record]
     criterion: AbstractCriterion
     keys: list[Key[Array, ""] | None]
-    known: dict[str, Array]
+    known: dict[str, Leaf]
     count: Float[Array, " equations"]
     names: tuple[str, ...] = eqx.field(static=True)
     local: tuple[str, ...] = eqx.field(static=True)
@@ -102,7 +103,7 @@ class IntegralMisfit(AbstractMisfit):
         return equations.fix(fixed).embed(self.names)
 
     def _expanded(
-        self, record: Record, values: Mapping[str, Array], chosen: tuple[ParametricBalance, ...]
+        self, record: Record, values: Mapping[str, Leaf], chosen: tuple[ParametricBalance, ...]
     ) -> tuple[Procedure, Record]:
         free = [n for n in self.local if set(self.sharing.everywhere((n,))) & set(self.names)]
         equations = []
@@ -113,5 +114,5 @@ class IntegralMisfit(AbstractMisfit):
             equations.append(equation)
         return Procedure((tuple(equations),)), record
 
-    def _of_record(self, values: Mapping[str, Array], index: int) -> dict[str, Array]:
+    def _of_record(self, values: Mapping[str, Leaf], index: int) -> dict[str, Leaf]:
         return {n: values[self.sharing.of_record((n,), index)[0]] for n in self.local}

@@ -7,6 +7,7 @@ import equinox as eqx
 from jaxtyping import Array, Key
 
 from riecjax.estimation.sharing import Sharing
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.refinement.misfit import AbstractMisfit
 from riecjax.refinement.parametric import Values
@@ -27,18 +28,18 @@ class Setup(NamedTuple):
     model: Any
     records: list[Record]
     keys: list[Key[Array, ""] | None]
-    values: dict[str, Array]
+    values: dict[str, Leaf]
     names: tuple[str, ...]
     local: tuple[str, ...]
     sharing: Sharing
     units: Mapping[str, str]
 
     @property
-    def fixed(self) -> dict[str, Array]:
+    def fixed(self) -> dict[str, Leaf]:
         """Values of the parameters that are not free."""
         return {name: value for name, value in self.values.items() if name not in self.names}
 
-    def of_record(self, index: int) -> dict[str, Array]:
+    def of_record(self, index: int) -> dict[str, Leaf]:
         """Values as one record knows them."""
         return {n: self.values[self.sharing.of_record((n,), index)[0]] for n in self.local}
 

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from riecjax.estimation.elimination import solve_scaled
@@ -70,7 +71,7 @@ class Problem(eqx.Module):
         finite = jnp.all(jnp.isfinite(moments), axis=(1, 2), keepdims=True)
         poor = jnp.zeros(moments.shape[1:], moments.dtype).at[0, 0].set(NOT_FINITE)
         moments = jnp.where(finite, moments, poor[None])
-        weight = self.laws.prior_weight * jnp.sqrt(self.variance)
+        weight = jnp.asarray(self.laws.prior_weight) * jnp.sqrt(self.variance)
         prior, prior_slope = weight * (theta - self.laws.prior_mean), weight * slope
         lowest, highest = self.coordinates.limits()
         # A parameter that is pushed against its bound is held there.
@@ -173,11 +174,11 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
         tangents[1],
         is_leaf=lambda leaf: leaf is None,
     )
-    flat, unravel = jax.flatten_util.ravel_pytree(point)
+    flat, unravel = ravel_pytree(point)
 
     def gradient(at: Array, problem_leaves: Any) -> Array:
         problem = eqx.combine(problem_leaves, fixed)
-        return jax.flatten_util.ravel_pytree(problem.linearised(unravel(at)).gradient())[0]
+        return ravel_pytree(problem.linearised(unravel(at)).gradient())[0]
 
     hessian = jax.jacfwd(gradient)(flat, moving)
     _, pushed = jax.jvp(lambda leaves: gradient(flat, leaves), (moving,), (change,))

@@ -15,7 +15,7 @@ from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractObjective, Parameters, Setup
 from riecjax.refinement.output_misfit import SHORT_BLOCKS, OutputMisfit, Recorded
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
-from riecjax.refinement.shots import AbstractShooting, RandomShots, Shots, WholeRecord
+from riecjax.refinement.shots import AbstractShooting, Shots, WholeRecord
 from riecjax.simulation.measured_states import measured_states, state_sources
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.step_size import suitable_steps

@@ -13,6 +13,7 @@ from riecjax.estimation.blocks import ShortBlocks
 from riecjax.estimation.elimination import eliminate, unit_scale
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.sharing import Sharing
+from riecjax.leaves import Leaf
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
 from riecjax.simulation.method import AbstractMethod, SimulationStatus
@@ -59,7 +60,7 @@ class OutputMisfit(AbstractMisfit):
 
     system: AbstractParametric
     recorded: list[Recorded]
-    known: dict[str, Array]
+    known: dict[str, Leaf]
     sigma: Float[Array, " channels"]
     scale: Float[Array, " s"]
     window_seconds: Float[Array, ""]

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError
@@ -138,8 +137,9 @@ class ByCoefficients(AbstractParametric):
         **Raises:** `ModelError` if the equations cannot be simulated.
         """
         procedure = Procedure(((model,),)) if isinstance(model, Equation) else model
-        ones = {name: np.ones(()) for name in procedure.parameters}
-        system = equation_system(procedure, {**ones, **procedure.known})
+        ones = dict.fromkeys(procedure.parameters, 1.0)
+        known = {name: jnp.asarray(value) for name, value in procedure.known.items()}
+        system = equation_system(procedure, {**ones, **known})
         return cls(system, tuple(procedure.units.items()), tuple(procedure.known))
 
     @property

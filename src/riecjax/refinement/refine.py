@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.identify import record_keys
-from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.elimination import solve_scaled
+from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.evidence import judge
+from riecjax.estimation.identify import record_keys
 from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.sharing import Sharing
-from riecjax.leaves import is_concrete
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.refinement.coordinates import Bounds, Laws, Prior
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
@@ -25,8 +25,8 @@ from riecjax.refinement.optimum import Problem, RefinementStatus, Solver, find_o
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refined import Refined
 
-ROUNDS_WITH_PRIORS = 3
-"""Fits in turn where priors are weighed against the scatter that the fit before left."""
+FURTHER_ROUNDS = 2
+"""Fits after the first where there are priors, weighed against the scatter that was left before."""
 
 
 def refine(
@@ -86,24 +86,15 @@ def refine(
     misfit = objective.misfit(setup)
     theta, starts = _stacked([setup.values[name] for name in setup.names]), misfit.first_starts()
     begun = _begin(misfit, theta, starts)
-    found, energy = _Found(theta, starts, begun.status, jnp.array(0)), begun.energy
-    for _ in range(ROUNDS_WITH_PRIORS if priors else 1):
-        found, energy, judged = _search(
-            misfit,
-            laws,
-            theta,
-            found,
-            energy,
-            setup.sharing,
-            intervals or Sandwich(),
-            solver,
-            max_steps,
-            progress,
-        )
+    settings = (setup.sharing, intervals or Sandwich(), solver, max_steps, progress)
+    found = _Found(theta, starts, begun.status, jnp.array(0))
+    found, energy, judged = _search(misfit, laws, theta, found, begun.energy, *settings)
+    for _ in range(FURTHER_ROUNDS if priors else 0):
+        found, energy, judged = _search(misfit, laws, theta, found, energy, *settings)
     return Refined(
         theta=found.theta,
         uncertainty=judged.uncertainty,
-        known=setup.fixed,
+        known={name: jnp.asarray(value) for name, value in setup.fixed.items()},
         status=found.status,
         steps=found.steps,
         rms_before=begun.rms,
@@ -170,7 +161,7 @@ def _setup(
     )
 
 
-def _number(value: float | Array, dtype: Any) -> Array:
+def _number(value: float | Leaf, dtype: Any) -> Leaf:
     return np.asarray(value, dtype) if is_concrete(value) else jnp.asarray(value, dtype)
 
 
@@ -295,6 +286,6 @@ def _judge(
     )
 
 
-def _stacked(values: Sequence[Array]) -> Float[Array, " p"]:
+def _stacked(values: Sequence[Leaf]) -> Float[Array, " p"]:
     """In NumPy where nothing is traced: JAX would compile each small step."""
     return jnp.asarray(np.stack(values)) if is_concrete(values) else jnp.stack(values)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Int, Key
 
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
@@ -30,7 +30,7 @@ class Shots(eqx.Module):
     def samples(self) -> Int[Array, "windows longest"]:
         """Index of each sample of each window; the last one again beyond its length."""
         steps = jnp.arange(self.longest)[None, :]
-        return self.first[:, None] + jnp.minimum(steps, self.length[:, None] - 1)
+        return jnp.asarray(self.first)[:, None] + jnp.minimum(steps, self.length[:, None] - 1)
 
     @property
     def inside(self) -> Array:
@@ -185,14 +185,14 @@ class RandomShots(AbstractShooting):
 def _seconds_of_a_sample(record: Record) -> float:
     if not is_concrete(record.time_step):
         raise ModelError(
-            "the number of samples of a window must be known before tracing: give Tiles(samples=...) "
-            "or keep the record's time step out of jit and vmap."
+            "the number of samples of a window must be known before tracing: give "
+            "Tiles(samples=...) or keep the record's time step out of jit and vmap."
         )
     return float(record.time_step)
 
 
 def _tiles(record: Record, inputs: Sequence[str], longest: int, joined: bool) -> Shots:
-    """Windows of up to `longest` samples, each after, or from, the last sample of the one before."""
+    """Windows of up to `longest` samples, from the last sample of the one before, or after it."""
     longest = min(longest, record.sample_count)
     if is_concrete(record):
         stretches = [(part.start, part.stop) for part in record.segments(inputs)]

@@ -16,6 +16,12 @@ from riecjax.findings import Finding
 from riecjax.records.record import Record
 from riecjax.reporting.checking import excitation_entries
 from riecjax.reporting.output import Document, finite, number, versions
+from riecjax.reporting.refinement import (
+    Refinement,
+    refined_parameters,
+    refinement_entries,
+    refinement_in_words,
+)
 from riecjax.studies.seed_scatter import SeedScatter
 from riecjax.studies.window_choice import WindowChoice
 from riecjax.studies.window_sweep import WindowSweep
@@ -39,7 +45,7 @@ class Identification:
     reading and preparation in words; `doubts` about the files; `estimate`; what was `checked`
     before it; window `sweep`, if any; `residuals`, tests of what is left, if they can be made;
     `choice` of windows, for a criterion that has some; scatter over `seeds` of random ones;
-    `validations`; `key` and `seed` of the windows.
+    `validations`, of the refined model if there is a `refinement`; `key` and `seed` of the windows.
     """
 
     model: str
@@ -55,6 +61,7 @@ class Identification:
     choice: WindowChoice | None
     seeds: SeedScatter | None
     validations: Sequence[ValidationRun]
+    refinement: Refinement | None
     key: Key[Array, ""]
     seed: int
 
@@ -72,7 +79,8 @@ class Identification:
             if not run.held.predicts
         ]
         left = [] if self.residuals is None else self.residuals.findings()
-        return [*before, *after, *swept, *left, *validated]
+        refined = [] if self.refinement is None else self.refinement.findings()
+        return [*before, *after, *swept, *left, *refined, *validated]
 
 
 def identification_document(result: Identification) -> Document:
@@ -91,11 +99,14 @@ def identification_document(result: Identification) -> Document:
         for name, stage in zip(estimate.stage_names, estimate.stages)
     ]
     units = dict(estimate.units)
+    identified = _parameters(estimate)
     return {
         "schema": 1,
         "model": result.model,
         "criterion": estimate.criterion.describe(),
-        "parameters": _parameters(estimate),
+        "parameters": identified
+        if result.refinement is None
+        else refined_parameters(result.refinement.refined),
         "known": {
             name: {"value": float(value), "unit": units.get(name, "")}
             for name, value in estimate.known.items()
@@ -109,6 +120,9 @@ def identification_document(result: Identification) -> Document:
         "window_choice": None if result.choice is None else result.choice.describe(),
         "seed_scatter": None if result.seeds is None else _seed_entries(result.seeds),
         "window_sweep": None if result.sweep is None else _sweep_entries(result.sweep),
+        "refinement": None
+        if result.refinement is None
+        else refinement_entries(result.refinement, identified),
         "validation": [{"on": run.on, **run.held.describe()} for run in result.validations],
         "warnings": [finding._asdict() for finding in result.findings()],
         "provenance": {
@@ -197,6 +211,9 @@ def print_identification(document: Document, console: Console) -> None:
             highlight=False,
             markup=False,
         )
+    if document["refinement"] is not None:
+        for line in refinement_in_words(document["refinement"]):
+            console.print(line, highlight=False, markup=False)
     for line in _windows_in_words(document):
         console.print(line, highlight=False, markup=False)
     for validation in document["validation"]:
@@ -230,18 +247,22 @@ def _windows_in_words(document: Document) -> Iterator[str]:
 
 
 def _parameter_table(document: Document) -> Table:
+    identified = (document["refinement"] or {}).get("identified", {})
+    before = ["identified"] if identified else []
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for column in ("parameter", "value", "std error", "95 % interval", "unit"):
+    for column in ("parameter", *before, "value", "std error", "95 % interval", "unit"):
         table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
     for name, entry in document["parameters"].items():
-        low, high = entry["interval95"]
+        start = [number(identified[name]["value"]) for _ in before]
         table.add_row(
             Text(name),
+            *start,
             number(entry["value"]),
             number(entry["std_error"], 2),
-            f"{number(low)} .. {number(high)}",
+            " .. ".join(number(end) for end in entry["interval95"]),
             Text(entry["unit"]),
         )
     for name, entry in document["known"].items():
-        table.add_row(Text(name), number(entry["value"]), "", "known", Text(entry["unit"]))
+        value = number(entry["value"])
+        table.add_row(Text(name), *("" for _ in before), value, "", "known", Text(entry["unit"]))
     return table

@@ -8,7 +8,7 @@ from riecjax.simulation.system import AbstractSystem
 
 
 def state_sources(system: AbstractSystem, record: Record) -> dict[str, str]:
-    """Where each state comes from: `measured`, `differences` of its recorded integral, or `zero`."""
+    """Source of each state: `measured`, `differences` of its recorded integral, or `zero`."""
     integral = {velocity: state for state, velocity in system.velocity_of.items()}
     return {
         name: "measured"

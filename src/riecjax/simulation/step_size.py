@@ -5,6 +5,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax.leaves import Leaf
 from riecjax.simulation.system import AbstractSystem
 
 ANGLE = 0.15
@@ -17,8 +18,8 @@ MOST_STEPS = 64
 
 def suitable_steps(
     system: AbstractSystem,
-    states: Float[Array, "n states"],
-    inputs: Float[Array, "n inputs"],
+    states: Float[Array, "n states"] | Float[np.ndarray, "n states"],
+    inputs: Float[Array, "n inputs"] | Float[np.ndarray, "n inputs"],
     time_step: float,
 ) -> int:
     """Steps between samples that resolve the system's fastest motion at some of these points.
@@ -36,5 +37,5 @@ def suitable_steps(
 
 
 @eqx.filter_jit
-def _slopes(system: AbstractSystem, states: Array, inputs: Array) -> Array:
+def _slopes(system: AbstractSystem, states: Leaf, inputs: Leaf) -> Array:
     return jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
