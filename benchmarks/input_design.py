@@ -2,10 +2,10 @@
 
     python -m benchmarks.input_design [--seeds 128] [--only NAME]
 
-The rival is band-limited white noise of the same r.m.s. over the same band. A state's travel is
-limited to the median peak that such noise drives it to; of the noise, only realisations that keep
-the limits are taken. Promised are Cramer-Rao bounds. Confirmed is the scatter of what output error
-finds in simulated recordings with sensor noise, started 10 % away from the truth.
+The rival is band-limited white noise of the same r.m.s., up to the same frequency. A state's travel
+is limited to the median peak that such noise drives it to; of the noise, only realisations that
+keep the limits are taken. Promised are Cramer-Rao bounds. Confirmed is the scatter of what output
+error finds in simulated recordings with sensor noise, started 10 % away from the truth.
 """
 
 import argparse
