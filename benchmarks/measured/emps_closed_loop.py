@@ -14,7 +14,7 @@ import scipy.io
 import scipy.signal
 
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import RandomWindows
+from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.emps import (
     Axis,
@@ -25,8 +25,17 @@ from riecjax.models.emps import (
     emps_system,
     simulate_sampled_control,
 )
+from riecjax.models.emps_stribeck import (
+    StribeckAxis,
+    stribeck_axis,
+    stribeck_balance,
+    without_rise,
+)
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
+from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.refine import refine
+from riecjax.refinement.refined import Refined
 
 STEP = 1e-3
 EDGE = 49
@@ -80,6 +89,26 @@ def identified_axes(rig: Rig) -> dict[str, Axis]:
         estimate = identify(equation, raw, criterion, key=jax.random.key(0))
         found[f"RIEC {name}"] = system({k: estimate[k] for k in published})
     return found
+
+
+def refined_axis(rig: Rig, windows: AllWindows) -> tuple[Refined, StribeckAxis]:
+    """Friction that may fall or rise near rest, refined from the published asymmetric one.
+
+    The sign of the velocity changes over 0.1 mm/s, the encoder's resolution over some samples: the
+    sampled loop needs no width, and the data hardly tell one.
+    """
+    raw = Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
+    start = without_rise(ASYMMETRIC)
+    known = {"width": start.pop("width")}
+    refined = refine(
+        stribeck_balance({**start, **known}),
+        differentiate(raw, "q", "dq"),
+        start,
+        IntegralError(RIEC(windows)),
+        known=known,
+        bounds={"vs": (1e-3, 0.5)},
+    )
+    return refined, stribeck_axis(refined.values)
 
 
 def errors(rig: Rig, record: Record, clock: float = STEP) -> dict[str, float]:

@@ -168,12 +168,7 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     second derivative, takes up its slope by the problem times the problem's change."""
     point, problem = primals
     moving, fixed = eqx.partition(problem, eqx.is_inexact_array)
-    change = jax.tree.map(
-        lambda leaf, along: jnp.zeros_like(leaf) if along is None else along,
-        moving,
-        tangents[1],
-        is_leaf=lambda leaf: leaf is None,
-    )
+    change = jax.tree.map(_change, moving, tangents[1], is_leaf=lambda leaf: leaf is None)
     flat, unravel = ravel_pytree(point)
 
     def gradient(at: Array, problem_leaves: Any) -> Array:
@@ -184,5 +179,14 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     _, pushed = jax.jvp(lambda leaves: gradient(flat, leaves), (moving,), (change,))
     # What is held at a bound stays there.
     held = jnp.diagonal(hessian) == 0
-    step = solve_scaled(hessian + jnp.diag(held.astype(flat.dtype)), pushed[:, None])[:, 0]
-    return point, unravel(-step)
+    # Inverted, since reverse mode needs what depends on the change to be linear in it.
+    identity = jnp.eye(flat.shape[0], dtype=flat.dtype)
+    inverse = solve_scaled(hessian + jnp.diag(held.astype(flat.dtype)), identity)
+    return point, unravel(-(inverse @ pushed))
+
+
+def _change(leaf: Any, along: Any) -> Any:
+    """A tangent for every leaf that may have one: zero where nothing moves it."""
+    if leaf is None or along is not None:
+        return along
+    return jnp.zeros_like(leaf)

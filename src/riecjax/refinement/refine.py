@@ -25,6 +25,8 @@ from riecjax.refinement.optimum import Problem, RefinementStatus, Solver, find_o
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refined import Refined
 
+SILENT = 1e-20
+"""Share of what is left that a parameter must be able to move by its own size to count at all."""
 FURTHER_ROUNDS = 2
 """Fits after the first where there are priors, weighed against the scatter that was left before."""
 
@@ -234,7 +236,7 @@ def _search(
         found.status == RefinementStatus.not_finite, RefinementStatus.not_finite, status
     )
     at_bound = problem.coordinates.at_bound(theta)
-    judged = _judge(misfit, expansion, at_bound, laws, sharing, intervals)
+    judged = _judge(misfit, expansion, theta, at_bound, laws, sharing, intervals)
     return _Found(theta, starts, status, found.steps + steps), expansion.energy, judged
 
 
@@ -248,6 +250,7 @@ def _variance(
 def _judge(
     misfit: AbstractMisfit,
     expansion: Expansion,
+    theta: Float[Array, " p"],
     at_bound: Bool[Array, " p"],
     laws: Laws,
     sharing: Sharing,
@@ -260,10 +263,14 @@ def _judge(
     """
     blocks, short = misfit.blocks(expansion)
     variance = _variance(misfit, expansion.energy, at_bound.shape[0])
-    # Holding a parameter that sits on its bound needs no more than a steep slope against it.
-    stiff = jnp.diagonal(blocks.flattened().total().gram) * 1e12
+    # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
+    # one that nothing depends on must not take the others with it.
+    curvature = jnp.diagonal(blocks.flattened().total().gram)
+    tiny = SILENT * jnp.sum(expansion.energy)
+    silent = (curvature * theta**2 <= tiny) & (theta != 0) | (curvature == 0)
+    held = at_bound | silent
     information = variance * jnp.asarray(laws.prior_weight) ** 2
-    information = information + jnp.where(at_bound, jnp.maximum(stiff, 1.0), 0.0)
+    information = information + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
     share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
     spread = jnp.diag(jnp.concatenate([jnp.zeros(1), information]))
     moments = blocks.moments + share[..., None, None] * spread[None, None]
@@ -275,7 +282,7 @@ def _judge(
     gram = blocks.flattened().total().gram
     moved = solve_scaled(gram, jnp.diag(jnp.sqrt(variance) * laws.prior_weight))
     covariance = judged.uncertainty.covariance + variance * (moved @ moved.T)
-    covariance = jnp.where(at_bound[:, None] | at_bound[None, :], jnp.nan, covariance)
+    covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, covariance)
     return _Judged(
         eqx.tree_at(lambda u: u.covariance, judged.uncertainty, covariance),
         judged.inflation,

@@ -1,0 +1,120 @@
+"""EMPS with friction that falls as the axis leaves rest (Stribeck): not linear in its parameters."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from riecjax.models.emps import Axis
+from riecjax.records.record import Signals
+from riecjax.refinement.balance import AbstractBalance
+
+SUBSTEPS = 8
+"""Parts of a sample over which the friction's level is taken as constant."""
+
+
+def stribeck_rise(velocity: Array, excess: Array, width: Array) -> Array:
+    """Friction above the Coulomb level, as a share of it: excess e^-(velocity / width)^2."""
+    return excess * jnp.exp(-((velocity / width) ** 2))
+
+
+class StribeckBalance(AbstractBalance):
+    """M q'' + friction(q') = force, with friction of its own in each direction.
+
+    friction = Fv q' + Fc (1 + excess e^-(q'/vs)^2) tanh(q'/width), where the width over which it
+    changes its sign is a parameter too: what the velocity's noise and the drive's play make of it.
+
+    **Fields:** `M` in kg; `Fv_pos`, `Fv_neg` in N s/m; `Fc_pos`, `Fc_neg` in N; `excess` of static
+    over Coulomb friction; `vs`, `width` in m/s.
+    """
+
+    M: Float[Array, ""]
+    Fv_pos: Float[Array, ""]
+    Fc_pos: Float[Array, ""]
+    Fv_neg: Float[Array, ""]
+    Fc_neg: Float[Array, ""]
+    excess: Float[Array, ""]
+    vs: Float[Array, ""]
+    width: Float[Array, ""]
+
+    name: ClassVar[str] = "emps-stribeck"
+    unit: ClassVar[str] = "N"
+    units: ClassVar[Mapping[str, str]] = {
+        "M": "kg",
+        "Fv_pos": "N s/m",
+        "Fc_pos": "N",
+        "Fv_neg": "N s/m",
+        "Fc_neg": "N",
+        "excess": "",
+        "vs": "m/s",
+        "width": "m/s",
+    }
+
+    def momentum(self, signals: Signals) -> Array:
+        """M q'."""
+        return self.M * signals["dq"]
+
+    def force(self, signals: Signals) -> Array:
+        """Friction less the drive's force."""
+        v = signals["dq"]
+        forward = v > 0
+        viscous = jnp.where(forward, self.Fv_pos, self.Fv_neg)
+        coulomb = jnp.where(forward, self.Fc_pos, self.Fc_neg)
+        level = coulomb * (1 + stribeck_rise(v, self.excess, self.vs))
+        return viscous * v + level * jnp.tanh(v / self.width) - signals["force"]
+
+
+class StribeckAxis(Axis):
+    """An axis whose Coulomb friction is higher near rest, for the sampled control loop.
+
+    **Fields:** those of `Axis`, `excess` of static over Coulomb friction, and `vs` in m/s.
+    """
+
+    excess: Float[Array, ""]
+    vs: Float[Array, ""]
+
+    def advance(
+        self, position: Array, velocity: Array, force: Array, seconds: Array
+    ) -> tuple[Array, Array, Array]:
+        """Motion under a constant force, as of `Axis`, exact in each of `SUBSTEPS` parts.
+
+        Within a part the friction keeps the level that it has at the part's first velocity, so
+        that stops and sticking stay exact.
+        """
+        step = seconds / SUBSTEPS
+
+        def part(_: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            q, v, first = motion
+            factor = 1 + stribeck_rise(v, self.excess, self.vs)
+            axis = Axis(
+                self.M,
+                self.Fv_pos,
+                factor * self.Fc_pos,
+                self.Fv_neg,
+                factor * self.Fc_neg,
+                self.offset,
+            )
+            moved, speed, acceleration = axis.advance(q, v, force, step)
+            return moved, speed, jnp.where(jnp.isnan(first), acceleration, first)
+
+        begun = jnp.full_like(velocity, jnp.nan)
+        return jax.lax.fori_loop(0, SUBSTEPS, part, (position, velocity, begun))
+
+
+def stribeck_axis(parameters: Mapping[str, Array]) -> StribeckAxis:
+    """The axis with a balance's parameters, but for the width, which exact sticking needs not."""
+    kept = {name: value for name, value in parameters.items() if name != "width"}
+    return StribeckAxis(**kept, offset=jnp.zeros(()))
+
+
+def stribeck_balance(start: Mapping[str, Array | float]) -> StribeckBalance:
+    """The balance with these values."""
+    fields = {field: jnp.asarray(start[field]) for field in StribeckBalance.units}
+    return StribeckBalance(**fields)
+
+
+def without_rise(axis: Mapping[str, Array | float]) -> dict[str, Array | float]:
+    """A start for the refinement: asymmetric friction, with a tenth more near rest."""
+    return {**axis, "excess": 0.1, "vs": 0.02, "width": 1e-4}

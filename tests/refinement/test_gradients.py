@@ -1,0 +1,130 @@
+"""Derivatives of refined parameters, and of what is refined, against finite differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from drag import START, oscillator, record
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.windows import AllWindows
+from riecjax.models.emps import Axis, ControlledAxis
+from riecjax.models.oscillators import drag_oscillator_equation
+from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.records.record import Record
+from riecjax.refinement.coordinates import Coordinates
+from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.refine import refine
+from riecjax.simulation.method import FixedStep
+from riecjax.simulation.simulate import simulate
+
+SHORT = 401
+BY = OutputError(method=FixedStep(1))
+
+
+def moved(amount):
+    """The record with a bump added to the measured position."""
+    noisy = record(seed=0, count=SHORT)
+    bump = jnp.exp(-(((jnp.arange(SHORT) - 150) / 20) ** 2))
+    return noisy.with_signals({"x": noisy["x"] + amount * bump})
+
+
+def by_simulation(amount):
+    return refine(oscillator(), moved(amount), START, BY).theta
+
+
+def by_integrals(amount):
+    criterion = RIEC(AllWindows(0.05, 0.5))
+    return refine(
+        drag_oscillator_equation(), moved(amount), START, IntegralError(criterion)
+    ).theta
+
+
+def by_known(amount):
+    start = {name: START[name] for name in ("m", "r", "r2")}
+    return refine(oscillator(), moved(0.0), start, BY, known={"k": 20.0 + amount}).theta
+
+
+@pytest.mark.parametrize("fit", [by_simulation, by_integrals, by_known])
+def test_the_optimum_follows_what_it_is_made_of(fit):
+    """The residual is not small, so the second derivatives of the simulation count."""
+    zero = jnp.zeros(())
+    forward = eqx.filter_jit(jax.jacfwd(fit))(zero)
+    step = 1e-4
+    compiled = eqx.filter_jit(fit)
+    differences = (compiled(zero + step) - compiled(zero - step)) / (2 * step)
+    np.testing.assert_allclose(forward, differences, rtol=1e-4)
+
+
+def test_reverse_mode_gives_the_same():
+    zero = jnp.zeros(())
+    weights = jnp.array([1.0, -2.0, 0.5, 0.1])
+    reverse = eqx.filter_jit(jax.grad(lambda a: weights @ by_simulation(a)))(zero)
+    forward = eqx.filter_jit(jax.jacfwd(by_simulation))(zero)
+    assert float(reverse) == pytest.approx(float(weights @ forward), rel=1e-8)
+
+
+def slopes_and_differences(function, at, step):
+    slope = jax.jacfwd(function)(at)
+    return slope, (function(at + step) - function(at - step)) / (2 * step)
+
+
+def test_gradients_through_friction_are_those_of_differences():
+    """An axis that is driven to and fro, and sticks at every turn."""
+    t = np.arange(1500) / 1000
+    goal = Record.from_samples({"qg": 0.05 * np.sin(4 * t) ** 3}, time_step=1e-3)
+    axis = Axis(*(jnp.asarray(v) for v in (95.0, 200.0, 20.0, 200.0, 20.0, 0.0)))
+
+    @jax.jit
+    def force(coulomb):
+        own = eqx.tree_at(lambda a: (a.Fc_pos, a.Fc_neg), axis, (coulomb, coulomb))
+        run = simulate(ControlledAxis(own), goal, method=FixedStep(8))
+        return run.record["force"][::100]
+
+    slope, differences = slopes_and_differences(force, jnp.asarray(20.0), 1e-4)
+    assert np.all(np.isfinite(slope))
+    assert np.max(np.abs(slope)) > 0.5
+    np.testing.assert_allclose(slope, differences, rtol=1e-3, atol=1e-4)
+
+
+def test_gradients_through_contact_and_saturation_are_those_of_differences():
+    """The tyre leaves the road (a force that saturates), and the spring meets its stops."""
+    t = np.arange(400) / 200
+    road = Record.from_samples({"v_r": 1.8 * np.sin(2 * np.pi * 2.2 * t)}, time_step=1 / 200)
+    source = quarter_car_source(reconstructed())
+
+    @jax.jit
+    def states(stiffness):
+        own = eqx.tree_at(lambda s: s.tyre_stiffness, source, stiffness)
+        run = simulate(own, road, method=FixedStep(16))
+        return jnp.stack([run.record[name][::40] for name in ("x1", "x2", "x3")])
+
+    at = source.tyre_stiffness
+    record = simulate(source, road, method=FixedStep(16)).record
+    assert float(jnp.mean(record["x1"] > source.lift_off_force / at)) > 0.02
+    slope, differences = slopes_and_differences(states, at, 1.0)
+    assert np.all(np.isfinite(slope))
+    scale = np.max(np.abs(differences), axis=1, keepdims=True)
+    assert np.all(np.abs(slope - differences) < 2e-3 * scale)
+
+
+def test_at_a_kink_the_derivative_is_one_sided_and_finite():
+    """At rest exactly, friction has no derivative by the velocity; what comes out is finite."""
+    axis = Axis(*(jnp.asarray(v) for v in (95.0, 200.0, 20.0, 200.0, 20.0, 0.0)))
+    slope = jax.jacfwd(lambda v: axis.acceleration(v, jnp.asarray(5.0)))(jnp.zeros(()))
+    assert np.isfinite(float(slope))
+    smooth = jax.jacfwd(lambda v: axis.acceleration(v, jnp.asarray(5.0), 1e-3))(jnp.zeros(()))
+    assert float(smooth) == pytest.approx(-(200.0 + 20.0 / 1e-3) / 95.0)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper"), [(-np.inf, np.inf), (1.0, np.inf), (-np.inf, 4.0), (1.0, 4.0)]
+)
+def test_coordinates_come_back_and_stay_within_bounds(lower, upper):
+    made = Coordinates(jnp.full(50, 2.0), np.full(50, lower), np.full(50, upper))
+    values = jnp.linspace(1.001, 3.999, 50)
+    np.testing.assert_allclose(made.values(made.inverse(values)), values, rtol=1e-12)
+    far = made.values(jnp.linspace(-40.0, 40.0, 50))
+    assert np.all((far >= lower) & (far <= upper))
