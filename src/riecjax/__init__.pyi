@@ -75,6 +75,8 @@ from .refinement.shots import WholeRecord as WholeRecord
 from .simulation.equation_system import EquationSystem as EquationSystem
 from .simulation.equation_system import equation_system as equation_system
 from .simulation.excitation import band_limited_noise as band_limited_noise
+from .simulation.excitation import harmonics as harmonics
+from .simulation.excitation import multisine as multisine
 from .simulation.excitation import pothole as pothole
 from .simulation.excitation import robson_road as robson_road
 from .simulation.linearisation import linearise as linearise
@@ -86,7 +88,12 @@ from .simulation.simulate import Simulation as Simulation
 from .simulation.simulate import simulate as simulate
 from .simulation.system import AbstractSystem as AbstractSystem
 from .studies.expected_gain import expected_gain as expected_gain
+from .studies.input_design import Design as Design
+from .studies.input_design import design_input as design_input
 from .studies.monte_carlo import over_keys as over_keys
+from .studies.output_information import predicted_standard_errors as predicted_standard_errors
+from .studies.recovery import RecoveryMap as RecoveryMap
+from .studies.recovery import recovery_map as recovery_map
 from .studies.seed_scatter import seed_scatter as seed_scatter
 from .studies.window_choice import WindowChoice as WindowChoice
 from .studies.window_choice import window_choice as window_choice

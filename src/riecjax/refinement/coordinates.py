@@ -88,13 +88,15 @@ class Laws(eqx.Module):
     """Bounds and priors of the free parameters.
 
     **Fields:** `lower` and `upper`, infinite where there is no bound; `prior_mean`, and
-    `prior_weight`, one over the prior's standard deviation, 0 where there is no prior.
+    `prior_weight`, one over the prior's standard deviation, 0 where there is no prior;
+    `has_priors`, whether there is any.
     """
 
     lower: Leaf
     upper: Leaf
     prior_mean: Leaf
     prior_weight: Leaf
+    has_priors: bool = eqx.field(static=True)
 
     @classmethod
     def of(
@@ -131,6 +133,7 @@ class Laws(eqx.Module):
             upper,
             np.array([mean for mean, _ in laws], float),
             np.array([1 / std for _, std in laws], float),
+            bool(priors),
         )
 
     def coordinates(self, scale: Float[Array, " p"]) -> Coordinates:

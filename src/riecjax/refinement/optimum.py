@@ -154,7 +154,7 @@ def find_optimum(
 
 def default_solver(dtype: Any, report: Callable[[float], None] | None = None) -> LevenbergMarquardt:
     """Levenberg-Marquardt at the tolerance that the precision allows."""
-    return LevenbergMarquardt(1e-7 if dtype == jnp.float64 else 1e-4, report=report)
+    return LevenbergMarquardt(1e-6 if dtype == jnp.float64 else 1e-4, report=report)
 
 
 @eqx.filter_custom_jvp

@@ -151,9 +151,13 @@ class OutputMisfit(AbstractMisfit):
             position = part.position[:, :: part.piece]
             index = jnp.minimum(position // samples, number - 1).reshape(-1)
             held = jnp.sum(_in_pieces(part.present, part.piece, axis=1), axis=(2, 3))
-            flat = moments.reshape(-1, *moments.shape[2:])
-            sums.append(jax.ops.segment_sum(flat, index, num_segments=number))
-            counts.append(jax.ops.segment_sum(held.reshape(-1), index, num_segments=number))
+            flat, held = moments.reshape(-1, *moments.shape[2:]), held.reshape(-1)
+            # Of one window the pieces are the blocks, and there is nothing to add up.
+            if part.windows > 1 or part.piece * part.every != samples or len(flat) != number:
+                flat = jax.ops.segment_sum(flat, index, num_segments=number)
+                held = jax.ops.segment_sum(held, index, num_segments=number)
+            sums.append(flat)
+            counts.append(held)
             numbers.append(number)
             seconds.append(samples * part.time_step)
         most = max(numbers)

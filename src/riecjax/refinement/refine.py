@@ -279,9 +279,11 @@ def _judge(
     shared = np.array([name not in sharing.individual for name in misfit.names])
     judged = judge([blocks], {}, zero, short, misfit.longest_window, shared, intervals)
     used = jnp.sum(judged.evidence.used)
-    gram = blocks.flattened().total().gram
-    moved = solve_scaled(gram, jnp.diag(jnp.sqrt(variance) * laws.prior_weight))
-    covariance = judged.uncertainty.covariance + variance * (moved @ moved.T)
+    covariance = judged.uncertainty.covariance
+    if laws.has_priors:
+        gram = blocks.flattened().total().gram
+        moved = solve_scaled(gram, jnp.diag(jnp.sqrt(variance) * laws.prior_weight))
+        covariance = covariance + variance * (moved @ moved.T)
     covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, covariance)
     return _Judged(
         eqx.tree_at(lambda u: u.covariance, judged.uncertainty, covariance),

@@ -1,5 +1,6 @@
 """From how far away a refinement finds its optimum: a map over random starts."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -40,7 +41,7 @@ class RecoveryMap(eqx.Module):
         """(nearest, farthest, number of starts, share that recovered) between factors `edges`."""
         distance, good = np.asarray(self.distance), np.asarray(self.recovered)
         found = []
-        for low, high in zip(edges, edges[1:]):
+        for low, high in itertools.pairwise(edges):
             inside = (distance >= low) & (distance < high)
             share = float(np.mean(good[inside])) if inside.any() else float("nan")
             found.append((low, high, int(inside.sum()), share))
