@@ -11,6 +11,7 @@ the test slices. What the plain Duffing equation lacks shows in two ways:
   hidden state in its place leaves more the slower it is, so it is no matter of temperature.
 """
 
+import itertools
 import time
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -103,7 +104,7 @@ def damping_over_amplitude(
 ) -> Iterator[tuple[float, float, float]]:
     """(r.m.s. of y in mV, change of d in %, its standard error in %) for parts of the arrow."""
     edges = np.linspace(*arrow, PARTS + 1).astype(int)
-    for first, last in zip(edges, edges[1:]):
+    for first, last in itertools.pairwise(edges):
         part = slice_of(fine, first, last)
         held = {n: v for n, v in values.items() if n not in ("d", "k1")}
         found = fitted(part, {"d": values["d"], "k1": values["k1"]}, held).refined
