@@ -315,6 +315,7 @@ def check_schema(document: dict) -> None:
         "window_choice",
         "seed_scatter",
         "window_sweep",
+        "refinement",
         "validation",
         "warnings",
         "provenance",

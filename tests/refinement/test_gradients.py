@@ -37,9 +37,7 @@ def by_simulation(amount):
 
 def by_integrals(amount):
     criterion = RIEC(AllWindows(0.05, 0.5))
-    return refine(
-        drag_oscillator_equation(), moved(amount), START, IntegralError(criterion)
-    ).theta
+    return refine(drag_oscillator_equation(), moved(amount), START, IntegralError(criterion)).theta
 
 
 def by_known(amount):

@@ -15,9 +15,6 @@ from riecjax.refinement.arrowhead import LevenbergMarquardt, Linearised, Point, 
 from riecjax.refinement.coordinates import Coordinates, Laws
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
 
-NOT_FINITE = 1e100
-"""Sum of squares of a window where the model has no finite one."""
-
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
 
@@ -69,7 +66,8 @@ class Problem(eqx.Module):
         moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
         # A trial point that the model cannot stand is a poor one, and nothing else.
         finite = jnp.all(jnp.isfinite(moments), axis=(1, 2), keepdims=True)
-        poor = jnp.zeros(moments.shape[1:], moments.dtype).at[0, 0].set(NOT_FINITE)
+        poor = jnp.zeros(moments.shape[1:], moments.dtype)
+        poor = poor.at[0, 0].set(jnp.sqrt(jnp.finfo(moments.dtype).max))
         moments = jnp.where(finite, moments, poor[None])
         weight = jnp.asarray(self.laws.prior_weight) * jnp.sqrt(self.variance)
         prior, prior_slope = weight * (theta - self.laws.prior_mean), weight * slope
