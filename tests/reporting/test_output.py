@@ -190,6 +190,7 @@ def result_of(estimate, procedure, record, **changes) -> Identification:
         choice=None,
         seeds=None,
         validations=[],
+        refinement=None,
         key=jax.random.key(0),
         seed=5,
     )

@@ -29,6 +29,9 @@ AS_FORETOLD, FAILED = 0.75, 0.01
 """Share of the foretold decrease above which damping falls, and below which a step is undone."""
 LITTLE_DAMPING = 0.5
 """Share of a step's work that damping takes, up to which the step is about the undamped one."""
+NEARLY_FLAT = 1e-3
+"""Cosine at which a search that no step takes further is at its optimum all the same: where the
+model has kinks, the derivatives on the two sides of one differ by so much."""
 NO_STEP = 1e-13
 """Step, as a share of a point, that rounding makes."""
 
@@ -233,7 +236,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             point.starts + step.starts,
         )
         result = optx.RESULTS.where(
-            stuck & ~flat & (damped > LITTLE_DAMPING * work),
+            stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy),
             optx.RESULTS.nonlinear_divergence,
             optx.RESULTS.successful,
         )

@@ -23,14 +23,17 @@ class RefinementStatus(eqx.Enumeration):
 
     converged = "converged"
     out_of_steps = (
-        "used up its steps before it converged. Allow more (max_steps), start nearer, or use "
+        "it used up its steps before it converged. Allow more (max_steps), start nearer, or use "
         "shorter windows first."
     )
     not_finite = (
         "the model has no finite residual at the start. Check the start's signs and sizes, or "
         "simulate over shorter windows."
     )
-    failed = "the solver gave up before it converged. Start nearer, or use shorter windows first."
+    failed = (
+        "no step took it further, and it is not at an optimum. Start nearer, or use shorter "
+        "windows first."
+    )
 
 
 class Problem(eqx.Module):

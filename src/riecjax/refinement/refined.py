@@ -78,7 +78,9 @@ class Refined(AbstractEstimate):
 
     def _not_converged(self) -> Iterator[Finding]:
         if not bool(self.converged):
-            yield Finding("refinement_not_converged", f"the refinement {self.reason}")
+            yield Finding(
+                "refinement_not_converged", f"the refinement did not converge: {self.reason}"
+            )
 
     def _bounds(self) -> Iterator[Finding]:
         if names := [n for n, reached in zip(self.parameters, self.at_bound) if bool(reached)]:
