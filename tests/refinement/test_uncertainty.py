@@ -6,13 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from drag import BOUND, RATE, START, TRUTH, motion, oscillator, record, signals
+from jaxtyping import Array
 
 from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
 from riecjax.records.record import Record, stack_records
+from riecjax.refinement.coordinates import Prior
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
 from riecjax.refinement.shots import Tiles
 from riecjax.simulation.method import FixedStep
+from riecjax.simulation.system import AbstractSystem
 
 WHOLE = OutputError(method=FixedStep(1))
 SEEDS = 100
@@ -82,3 +85,31 @@ def test_single_precision_ends_near_the_optimum():
         assert single.theta.dtype == jnp.float32
         off = np.abs(np.asarray(single.theta) - np.asarray(double.theta))
     assert np.all(off < 0.05 * np.asarray(double.standard_errors))
+
+
+class Decay(AbstractSystem):
+    """x' = -a b x: only the product is determined."""
+
+    a: Array
+    b: Array
+
+    states = (("x", "m"),)
+
+    def derivative(self, state, inputs):
+        return -(self.a * self.b) * state
+
+
+def test_parameters_that_make_up_for_each_other_are_called_undetermined():
+    t = np.arange(400) / 100
+    noise = 0.01 * np.random.default_rng(0).normal(size=400)
+    held = Record.from_samples({"x": np.exp(-0.7 * t) + noise}, time_step=0.01)
+    model = Decay(jnp.asarray(1.0), jnp.asarray(1.0))
+    both = refine(model, held, {"a": 0.5, "b": 1.1})
+    assert float(both["a"] * both["b"]) == pytest.approx(0.7, rel=0.05)
+    assert [finding.code for finding in both.findings()] == ["undetermined", "undetermined"]
+    assert np.all(np.isnan(both.standard_errors))
+    one = refine(model, held, {"a": 0.5}, known={"b": 1.1})
+    assert one.findings() == []
+    pulled = refine(model, held, {"a": 0.5, "b": 1.1}, priors={"b": Prior(1.1, 0.05)})
+    assert pulled.findings() == []
+    assert float(pulled.standard_error("b")) == pytest.approx(0.05, rel=0.2)

@@ -52,7 +52,7 @@ def solve(equations: NormalEquations) -> Solution:
     gram = equations.gram * scale[:, None] * scale[None, :]
     # Rounding of the Gram matrix hides singular values of A below sqrt(eps) of the largest.
     tolerance = float(jnp.finfo(gram.dtype).eps) * gram.shape[0]
-    eigenvalues, vectors = _eigh(jax.lax.stop_gradient(gram))
+    eigenvalues, vectors = symmetric_eigen(jax.lax.stop_gradient(gram))
     kept = eigenvalues > tolerance * eigenvalues[-1]
     inverse = jnp.where(kept, 1 / jnp.where(kept, eigenvalues, 1.0), 0.0)
     theta = jax.lax.custom_linear_solve(
@@ -68,7 +68,8 @@ def solve(equations: NormalEquations) -> Solution:
 # One matrix at a time, under vmap as well. LAPACK's batched calls wait for threads of the pool that
 # they run on: two at once, on a machine of two cores, wait for each other for ever (jaxlib 0.10.2).
 @jax.custom_batching.sequential_vmap
-def _eigh(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
+def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
+    """Eigenvalues of a symmetric matrix, least first, and eigenvectors in columns."""
     return jnp.linalg.eigh(matrix)
 
 

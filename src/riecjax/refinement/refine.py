@@ -4,16 +4,18 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.elimination import solve_scaled
+from riecjax.estimation.elimination import solve_scaled, unit_scale
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.evidence import judge
 from riecjax.estimation.identify import record_keys
 from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
+from riecjax.estimation.least_squares import symmetric_eigen
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import Leaf, is_concrete
@@ -27,6 +29,10 @@ from riecjax.refinement.refined import Refined
 
 SILENT = 1e-20
 """Share of what is left that a parameter must be able to move by its own size to count at all."""
+COLLINEAR = 1e-12
+"""Curvature along a direction, relative to the parameters' own, that is no more than rounding."""
+TAKES_PART = 0.1
+"""Share of such a direction from which a parameter is called undetermined."""
 FURTHER_ROUNDS = 2
 """Fits after the first where there are priors, weighed against the scatter that was left before."""
 
@@ -266,11 +272,13 @@ def _judge(
     # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
     # one that nothing depends on must not take the others with it.
     curvature = jnp.diagonal(blocks.flattened().total().gram)
+    known = variance * jnp.asarray(laws.prior_weight) ** 2
     tiny = SILENT * jnp.sum(expansion.energy)
     silent = (curvature * theta**2 <= tiny) & (theta != 0) | (curvature == 0)
-    held = at_bound | silent
-    information = variance * jnp.asarray(laws.prior_weight) ** 2
-    information = information + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
+    gram = blocks.flattened().total().gram + jnp.diag(known)
+    held = at_bound | silent & (known == 0)
+    held = held | _undetermined(gram, held)
+    information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
     share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
     spread = jnp.diag(jnp.concatenate([jnp.zeros(1), information]))
     moments = blocks.moments + share[..., None, None] * spread[None, None]
@@ -293,6 +301,16 @@ def _judge(
         used,
         jnp.sum(short.durations) / used,
     )
+
+
+def _undetermined(gram: Float[Array, "p p"], held: Bool[Array, " p"]) -> Bool[Array, " p"]:
+    """Parameters that others can make up for, of those that are not held."""
+    free = jnp.where(held, 0.0, 1.0)
+    scale = unit_scale(jnp.diagonal(gram)) * free
+    scaled = gram * scale[:, None] * scale[None, :] + jnp.diag(1 - free)
+    sizes, directions = symmetric_eigen(jax.lax.stop_gradient(scaled))
+    weak = sizes < COLLINEAR * gram.shape[0]
+    return jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)
 
 
 def _stacked(values: Sequence[Leaf]) -> Float[Array, " p"]:
