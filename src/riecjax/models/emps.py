@@ -278,8 +278,7 @@ def simulate_sampled_control(
     **Raises:** `DataError` if the record lacks `qg`; `ModelError` for an unknown state or delay.
     """
     start = dict(initial_state or {})
-    if unknown := [name for name in start if name not in system.state_names]:
-        raise ModelError(f"unknown state '{unknown[0]}'; the states are: q, dq.")
+    system.require_states(start)
     if delay not in (0, 1):
         raise ModelError(f"the delay must be 0 or 1 samples; got {delay}.")
     goal = reference["qg"]

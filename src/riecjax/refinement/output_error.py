@@ -21,9 +21,6 @@ from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.step_size import suitable_steps
 from riecjax.simulation.system import AbstractSystem
 
-UNTRACED_STEPS = 8
-"""Steps per sample where the model's speed cannot be looked at."""
-
 
 class OutputError(AbstractObjective):
     """Simulated minus recorded signals, over windows from one sample to the whole record.
@@ -137,9 +134,7 @@ class OutputError(AbstractObjective):
 def _channels(
     system: AbstractSystem, records: Sequence[Record], asked: tuple[str, ...] | None
 ) -> tuple[str, ...]:
-    names = system.state_names
-    available = [*names, *(f"d{n}" for n in names), *(n for n, _ in system.outputs)]
-    available = [n for n in dict.fromkeys(available) if n not in system.input_names]
+    available = system.simulated_names
     if asked is not None:
         if unknown := [name for name in asked if name not in available]:
             raise ModelError(
@@ -151,7 +146,7 @@ def _channels(
                 _ = record.signals[name]
         return asked
     held = [name for name in available if all(name in record.arrays for record in records)]
-    chosen = [name for name in names if name in held] or held
+    chosen = [name for name in system.state_names if name in held] or held
     if not chosen:
         raise DataError(
             f"the records hold nothing that is simulated, so there is nothing to compare; needed "
@@ -170,10 +165,7 @@ def _estimated(
 ) -> tuple[int, ...]:
     """Places of the states whose values at the start of a window are estimated."""
     if isinstance(starts, Mapping):
-        if unknown := [name for name in starts if name not in system.state_names]:
-            raise ModelError(
-                f"unknown state '{unknown[0]}'; the states are: {', '.join(system.state_names)}."
-            )
+        system.require_states(starts)
         known = set(starts)
     elif starts == "measured":
         sources = [state_sources(system, record) for record in records]
@@ -245,7 +237,7 @@ def _recorded(
 
 def _method(system: AbstractSystem, recorded: Sequence[Recorded]) -> AbstractMethod:
     if not is_concrete(system, recorded):
-        return FixedStep(UNTRACED_STEPS)
+        return FixedStep()
     return FixedStep(
         max(
             suitable_steps(

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from riecjax.errors import ModelError, SimulationError
+from riecjax.errors import SimulationError
 from riecjax.records.record import Record
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
@@ -71,10 +71,7 @@ def simulate(
     state. Losing the solution raises nothing: it is in the result's `status`.
     """
     start = dict(initial_state or {})
-    if unknown := [name for name in start if name not in system.state_names]:
-        raise ModelError(
-            f"unknown state '{unknown[0]}'; the states are: {', '.join(system.state_names)}."
-        )
+    system.require_states(start)
     levels = _levels(system, inputs)
     first = jnp.stack(
         [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]

@@ -1,10 +1,12 @@
 """A state-space system, the form in which every model is simulated."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
+
+from riecjax.errors import ModelError
 
 Quantities = tuple[tuple[str, str], ...]
 """(name, unit) of several quantities, in order."""
@@ -45,6 +47,20 @@ class AbstractSystem(eqx.Module):
     def input_names(self) -> tuple[str, ...]:
         """Names of the inputs in order."""
         return tuple(name for name, _ in self.inputs)
+
+    @property
+    def simulated_names(self) -> tuple[str, ...]:
+        """What a simulation makes: states, the derivative `d<state>` of each, and outputs."""
+        names = self.state_names
+        made = dict.fromkeys([*names, *(f"d{n}" for n in names), *(n for n, _ in self.outputs)])
+        return tuple(name for name in made if name not in self.input_names)
+
+    def require_states(self, names: Iterable[str]) -> None:
+        """Raise `ModelError` for a name that no state has."""
+        if unknown := [name for name in names if name not in self.state_names]:
+            raise ModelError(
+                f"unknown state '{unknown[0]}'; the states are: {', '.join(self.state_names)}."
+            )
 
     @property
     def velocity_of(self) -> Mapping[str, str]:

@@ -221,13 +221,12 @@ def _task(
     rms: float | Array,
     travel: Mapping[str, float | Array],
 ) -> _Task:
-    names = experiment.built().state_names
+    system = experiment.built()
     if parameter not in experiment.parameters:
         raise ModelError(
             f"'{parameter}' is not estimated; estimated are: {', '.join(experiment.parameters)}."
         )
-    if unknown := [name for name in travel if name not in names]:
-        raise ModelError(f"unknown state '{unknown[0]}'; the states are: {', '.join(names)}.")
+    system.require_states(travel)
     if wrong := [n for n, limit in travel.items() if is_concrete(limit) and not limit > 0]:
         raise ModelError(f"the travel of {wrong[0]} needs a positive limit.")
     return _Task(
@@ -237,7 +236,7 @@ def _task(
         jnp.asarray(list(travel.values()), float),
         sample_count,
         experiment.parameters.index(parameter),
-        tuple(names.index(name) for name in travel),
+        tuple(system.state_names.index(name) for name in travel),
     )
 
 

@@ -24,9 +24,6 @@ from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.step_size import suitable_steps
 from riecjax.simulation.system import AbstractSystem
 
-UNTRACED_STEPS = 8
-"""Steps per sample where the model's speed cannot be looked at."""
-
 
 class Experiment(eqx.Module):
     """A model that is to be excited, and what is measured of it.
@@ -143,7 +140,7 @@ def plan_experiment(
         jnp.stack(start),
         jnp.stack([jnp.asarray(sigma[name], float) for name in channels]),
         record.time_step,
-        FixedStep(UNTRACED_STEPS) if method is None else method,
+        FixedStep() if method is None else method,
         tuple(channels),
         tuple(free),
     )
@@ -208,14 +205,12 @@ def _standard_errors(experiment: Experiment, levels: Array) -> Float[Array, " p"
 def _check_names(
     system: AbstractSystem, channels: Sequence[str], initial_state: Mapping[str, Any]
 ) -> None:
-    names = system.state_names
-    made = [*names, *(f"d{name}" for name in names), *(name for name, _ in system.outputs)]
+    made = system.simulated_names
     if unknown := [name for name in channels if name not in made]:
         raise ModelError(
             f"the simulation has no signal '{unknown[0]}' to measure; it has: {', '.join(made)}."
         )
-    if unknown := [name for name in initial_state if name not in names]:
-        raise ModelError(f"unknown state '{unknown[0]}'; the states are: {', '.join(names)}.")
+    system.require_states(initial_state)
 
 
 def _resolving(experiment: Experiment, system: AbstractSystem, record: Record) -> FixedStep:

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.errors import DataError, ModelError, SimulationError
+from riecjax.errors import DataError, SimulationError
 from riecjax.records.record import Record
+from riecjax.simulation.measured_states import state_sources
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
 from riecjax.simulation.system import AbstractSystem, Quantities
@@ -151,13 +152,13 @@ def validate_held_out(
     compare, or has no stretch of 20 samples; `ModelError` for an unknown state.
     """
     given = dict(initial_state or {})
-    if unknown := [name for name in given if name not in system.state_names]:
-        raise ModelError(
-            f"unknown state '{unknown[0]}'; the states are: {', '.join(system.state_names)}."
-        )
+    system.require_states(given)
     recorded = [name for name in system.state_names if name in measured.arrays]
     compared = _compared(system, measured, signals)
-    sources = _sources(system, recorded, given)
+    sources = {
+        name: "given" if name in given else source
+        for name, source in state_sources(system, measured).items()
+    }
     driven, inputs = _driven(system, measured)
     runs: list[_Stretch] = []
     for start, stop in _stretches(system, measured, recorded, sources):
@@ -193,9 +194,7 @@ def _compared(
 ) -> tuple[str, ...]:
     for name in system.input_names:
         measured.signals[name]
-    made = dict.fromkeys([*system.state_names, *(f"d{name}" for name in system.state_names)])
-    made |= dict.fromkeys(name for name, _ in system.outputs)
-    available = [name for name in made if name not in system.input_names]
+    available = system.simulated_names
     if signals is not None:
         for name in signals:
             if name not in available:
@@ -212,23 +211,6 @@ def _compared(
             f"is one of: {', '.join(available)}."
         )
     return compared
-
-
-def _sources(
-    system: AbstractSystem, recorded: Sequence[str], given: Mapping[str, Any]
-) -> dict[str, str]:
-    """Where the start of each state comes from."""
-    integral = {velocity: state for state, velocity in system.velocity_of.items()}
-    return {
-        name: "given"
-        if name in given
-        else "measured"
-        if name in recorded
-        else "differences"
-        if integral.get(name) in recorded
-        else "zero"
-        for name in system.state_names
-    }
 
 
 def _stretches(
