@@ -13,7 +13,11 @@ from jaxtyping import Array, Int, Key
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.estimation.blocks import ShortBlocks
-from riecjax.estimation.normal_equations import NormalEquations, normal_equations
+from riecjax.estimation.normal_equations import (
+    NormalEquations,
+    normal_equations,
+    stack_normal_equations,
+)
 from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sharing import Sharing
 from riecjax.records.record import Record
@@ -101,21 +105,8 @@ def all_normal_equations(
                 for stage, names in zip(stages, procedure.stage_parameters)
             ]
         )
-    together = [
-        NormalEquations(
-            jnp.stack([_filled_up(part.moments, parts) for part in parts]),
-            jnp.stack([_filled_up(part.count, parts) for part in parts]),
-            parts[0].parameters,
-        )
-        for parts in zip(*per_record)
-    ]
+    together = [stack_normal_equations(parts) for parts in zip(*per_record)]
     return together, short_blocks(records, criterion)
-
-
-def _filled_up(blocks: Array, parts: Sequence[NormalEquations]) -> Array:
-    """As many blocks as the record with most of them has; the further ones are empty."""
-    most = max(part.count.shape[0] for part in parts)
-    return jnp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
 
 
 @eqx.filter_jit

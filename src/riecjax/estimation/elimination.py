@@ -5,14 +5,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-def solve_scaled(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
-    """matrix^-1 right, by elimination once the matrix has a diagonal of ones.
+def solve_scaled(
+    matrix: Float[Array, "p p"], right: Float[Array, "p k"], ridge: float = 0.0
+) -> Float[Array, "p k"]:
+    """matrix^-1 right, by elimination once the matrix has a diagonal of ones (plus `ridge`).
 
     Rows and columns of a Gram matrix have the units of its parameters, whose sizes would else
-    decide what is rounded away.
+    decide what is rounded away. A ridge keeps one that nothing depends on from a division by zero.
     """
     scale = unit_scale(jnp.diagonal(matrix))
     scaled = matrix * scale[:, None] * scale[None, :]
+    if ridge:
+        scaled = scaled + ridge * jnp.eye(scaled.shape[0], dtype=scaled.dtype)
     return scale[:, None] * eliminate(scaled, scale[:, None] * right)
 
 

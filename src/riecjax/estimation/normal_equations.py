@@ -1,6 +1,6 @@
 """Normal equations: all that least squares needs to know of its rows, and additive."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -118,3 +118,17 @@ def normal_equations(
     kept = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
     count = jax.ops.segment_sum(kept.astype(columns.dtype), block_of_row, num_segments=block_count)
     return NormalEquations(moments, count, rows.parameters)
+
+
+def stack_normal_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Of one record after another; where one has fewer blocks than another, empty ones follow."""
+    most = max(part.count.shape[0] for part in parts)
+
+    def filled_up(blocks: Array) -> Array:
+        return jnp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
+
+    return NormalEquations(
+        jnp.stack([filled_up(part.moments) for part in parts]),
+        jnp.stack([filled_up(part.count) for part in parts]),
+        parts[0].parameters,
+    )

@@ -57,6 +57,17 @@ class Sharing:
             expanded: value for name, value in given.items() for expanded in self.everywhere([name])
         }
 
+    def values_of(
+        self, names: Iterable[str], values: Mapping[str, Value], index: int
+    ) -> dict[str, Value]:
+        """Of values by name over all records, those of `names` as one record knows them."""
+        return {name: values[self.of_record((name,), index)[0]] for name in names}
+
+    def free_somewhere(self, names: Iterable[str], free: Iterable[str]) -> tuple[str, ...]:
+        """Of the model's own `names`, those whose value in some record is among `free`."""
+        among = set(free)
+        return tuple(name for name in names if among.intersection(self.everywhere((name,))))
+
     def settled(self, names: Iterable[str]) -> set[str]:
         """Of the model's own names, those whose every record's value is among `names`."""
         known = set(names)

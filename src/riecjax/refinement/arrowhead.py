@@ -82,9 +82,10 @@ class Linearised(eqx.Module):
         **Returns:** the step; its work, gradient times step, negated; and how much of that work is
         the damping's.
         """
-        if self.moments.shape[0] == 1:
-            return self._dense_step(damping)
-        p = self.prior.shape[0]
+        p, columns = self.prior.shape[0], self.moments.shape[-1]
+        if self.moments.shape[0] == 1 and columns > 1 + p:
+            whole, work, damped = self._starts_as_parameters().step(damping)
+            return Point(whole.parameters[:p], whole.parameters[None, p:]), work, damped
         gram = self.moments[:, 1:, 1:]
         gradient = self.gradient()
         curvature = jnp.diagonal(gram, axis1=1, axis2=2)
@@ -94,7 +95,7 @@ class Linearised(eqx.Module):
         start_sizes = jnp.maximum(curvature[:, p:], floor)
         right, schur = gradient.parameters, head + damping * jnp.diag(sizes)
         following = None
-        if gram.shape[-1] > p:
+        if columns > 1 + p:
             coupling = gram[:, :p, p:]
             identity = jnp.eye(gram.shape[-1] - p, dtype=gram.dtype)[None]
             damped = gram[:, p:, p:] + damping * start_sizes[:, :, None] * identity
@@ -112,21 +113,15 @@ class Linearised(eqx.Module):
         size = sizes @ parameters**2 + jnp.sum(start_sizes * starts**2)
         return Point(parameters, starts), work, damping * size
 
-    def _dense_step(
-        self, damping: Float[Array, ""]
-    ) -> tuple[Point, Float[Array, ""], Float[Array, ""]]:
-        """The same of one window, whose start is as any parameter: less to compile."""
-        p, moments = self.prior.shape[0], self.moments[0]
-        starts = jnp.zeros(moments.shape[0] - 1 - p, moments.dtype)
-        slope = jnp.concatenate([self.prior_slope, starts])
-        residual = jnp.concatenate([self.prior, starts])
-        gram = moments[1:, 1:] + jnp.diag(slope**2)
-        gradient = moments[1:, 0] + slope * residual
-        curvature = jnp.diagonal(gram)
-        floor = jnp.finfo(gram.dtype).eps * jnp.max(curvature) + jnp.finfo(gram.dtype).tiny
-        sizes = jnp.maximum(curvature, floor)
-        step = -solve_scaled(gram + damping * jnp.diag(sizes), gradient[:, None])[:, 0]
-        return Point(step[:p], step[None, p:]), -gradient @ step, damping * (sizes @ step**2)
+    def _starts_as_parameters(self) -> "Linearised":
+        """The same problem of one window, whose start is as any parameter."""
+        none = jnp.zeros(self.moments.shape[-1] - 1 - self.prior.shape[0], self.moments.dtype)
+
+        def longer(values: Array) -> Array:
+            return jnp.concatenate([values, none])
+
+        prior, slope = longer(self.prior), longer(self.prior_slope)
+        return Linearised(self.moments, prior, slope, self.lowest, self.highest, self.aside)
 
     def rotated(self) -> Float[Array, "windows columns columns"]:
         """Residual (first column) and Jacobian of each window, in as many rows as columns."""

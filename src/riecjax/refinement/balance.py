@@ -107,13 +107,11 @@ class ParametricBalance(eqx.Module):
         values: Values,
         free: Sequence[str],
         smoothness: int,
-        *,
-        prefix: str = "",
     ) -> tuple[Equation, Record]:
         """First-order expansion about `values`, for a criterion that takes derivatives off.
 
         **Returns:** an equation whose coefficients are the changes of the `free` parameters, and
-        the record with the signals that it reads, whose names begin with `~prefix`.
+        the record with the signals that it reads, whose names begin with `~`.
 
         **Raises:** `DataError` for a missing signal, or a derivative that is neither recorded nor
         taken off; `ModelError` for a balance that holds nothing or fails.
@@ -125,16 +123,16 @@ class ParametricBalance(eqx.Module):
         arrays: dict[str, Array] = {}
         terms: list[AbstractTerm] = []
         for order, level in levels.items():
-            arrays[f"~{prefix}:{order}"] = level
-            terms.append(Term(1.0, f"~{prefix}:{order}", derivative=order))
+            arrays[f"~:{order}"] = level
+            terms.append(Term(1.0, f"~:{order}", derivative=order))
         for parameter in moving:
             along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
-            slopes = jax.jvp(lambda at: self._levels(record, at, smoothness)[0], (held,), (along,))[
-                1
-            ]
+            _, slopes = jax.jvp(
+                lambda at: self._levels(record, at, smoothness)[0], (held,), (along,)
+            )
             for order, slope in slopes.items():
-                arrays[f"~{prefix}:{order}/{parameter}"] = slope
-                terms.append(Term(parameter, f"~{prefix}:{order}/{parameter}", derivative=order))
+                arrays[f"~:{order}/{parameter}"] = slope
+                terms.append(Term(parameter, f"~:{order}/{parameter}", derivative=order))
         missing = {} if present is None else dict.fromkeys(arrays, ~present)
         equation = Equation(*terms, name=name, unit=unit, where=where)
         return equation, record.with_signals(arrays, missing=missing)

@@ -57,7 +57,7 @@ class IntegralError(AbstractObjective):
             self._criterion.check(record)
         criterion = self._criterion.fitted(setup.records)
         labels = tuple(balance.label(setup.values) for balance in setup.model)
-        free = {n for n in setup.local if set(setup.sharing.everywhere((n,))) & set(setup.names)}
+        free = set(setup.sharing.free_somewhere(setup.local, setup.names))
         # An equation without free parameters would only add a constant.
         chosen = [i for i, b in enumerate(setup.model) if set(b.parameters) & free]
         rows = [[criterion.row_count(record) or 0.0 for record in setup.records] for _ in chosen]

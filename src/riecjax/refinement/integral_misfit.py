@@ -1,6 +1,6 @@
 """Integral refinement: the criterion of eq. (17) for equations that are not linear in theta."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -51,18 +51,18 @@ class IntegralMisfit(AbstractMisfit):
         self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
     ) -> Float[Array, " quantities"]:
         """Of each equation."""
-        parts = [self._equations(theta, only=i) for i in range(len(self.balances))]
-        return jnp.stack([jnp.sum(part.energy) for part in parts])
+        return jnp.stack([jnp.sum(part.energy) for part in self._equations(theta)])
 
     def expansion(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
-        whole = self._equations(theta)
+        parts = self._equations(theta)
         # Moments hold minus the residual, as what changes of the parameters are to explain.
         sign = jnp.ones(1 + theta.shape[0]).at[0].set(-1.0)
-        pieces = whole.moments.reshape(1, -1, *whole.moments.shape[2:])
-        energy = self.energy(theta, starts) if len(self.balances) > 1 else jnp.sum(whole.energy)
+        moments = sum(part.moments for part in parts[1:]) + parts[0].moments
+        pieces = moments.reshape(1, -1, *moments.shape[2:])
         return Expansion(
-            [pieces * (sign[:, None] * sign[None, :])[None, None]], jnp.atleast_1d(energy)
+            [pieces * (sign[:, None] * sign[None, :])[None, None]],
+            jnp.stack([jnp.sum(part.energy) for part in parts]),
         )
 
     def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
@@ -87,32 +87,30 @@ class IntegralMisfit(AbstractMisfit):
         count = jnp.full(moments.shape[:2], share)
         return NormalEquations(moments, count, self.names), short
 
-    def _equations(self, theta: Float[Array, " p"], only: int | None = None) -> NormalEquations:
+    def _equations(self, theta: Float[Array, " p"]) -> list[NormalEquations]:
+        """Of each equation, in the changes of the parameters."""
         values = {**self.known, **dict(zip(self.names, theta))}
-        chosen = self.balances if only is None else self.balances[only : only + 1]
-        expanded = [
-            self._expanded(record, self._of_record(values, i), chosen)
-            for i, record in enumerate(self.records)
+        of_record = [
+            self.sharing.values_of(self.local, values, i) for i in range(len(self.records))
         ]
-        procedure = expanded[0][0]
+        return [self._expanded(balance, of_record) for balance in self.balances]
+
+    def _expanded(
+        self, balance: ParametricBalance, values: Sequence[Mapping[str, Leaf]]
+    ) -> NormalEquations:
+        free = self.sharing.free_somewhere(self.local, self.names)
+        smoothness = self.criterion.smoothness
+        expanded = [
+            balance.expanded(record, own, free, smoothness)
+            for record, own in zip(self.records, values)
+        ]
         (equations,), _ = all_normal_equations(
-            procedure, self.sharing, [record for _, record in expanded], self.criterion, self.keys
+            Procedure(((expanded[0][0],),)),
+            self.sharing,
+            [record for _, record in expanded],
+            self.criterion,
+            self.keys,
         )
         # What is free in some record may be fixed in another: it does not change.
         fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
         return equations.fix(fixed).embed(self.names)
-
-    def _expanded(
-        self, record: Record, values: Mapping[str, Leaf], chosen: tuple[ParametricBalance, ...]
-    ) -> tuple[Procedure, Record]:
-        free = [n for n in self.local if set(self.sharing.everywhere((n,))) & set(self.names)]
-        equations = []
-        for i, balance in enumerate(chosen):
-            equation, record = balance.expanded(
-                record, values, free, self.criterion.smoothness, prefix=f"{i}"
-            )
-            equations.append(equation)
-        return Procedure((tuple(equations),)), record
-
-    def _of_record(self, values: Mapping[str, Leaf], index: int) -> dict[str, Leaf]:
-        return {n: values[self.sharing.of_record((n,), index)[0]] for n in self.local}

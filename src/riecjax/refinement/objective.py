@@ -41,7 +41,7 @@ class Setup(NamedTuple):
 
     def of_record(self, index: int) -> dict[str, Leaf]:
         """Values as one record knows them."""
-        return {n: self.values[self.sharing.of_record((n,), index)[0]] for n in self.local}
+        return self.sharing.values_of(self.local, self.values, index)
 
 
 class Parameters(NamedTuple):

@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractObjective, Parameters, Setup
-from riecjax.refinement.output_misfit import SHORT_BLOCKS, OutputMisfit, Recorded
+from riecjax.refinement.output_misfit import OutputMisfit, Recorded
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
 from riecjax.refinement.shots import AbstractShooting, Shots, WholeRecord
 from riecjax.simulation.measured_states import measured_states, state_sources
@@ -215,7 +216,9 @@ def _recorded(
     # A window that overlaps others is judged as a whole, by where it begins.
     count = compared.shape[1]
     piece = (
-        count if overlap else min(max(-(-record.sample_count // SHORT_BLOCKS) // every, 1), count)
+        count
+        if overlap
+        else min(max(-(-record.sample_count // SHORT_BLOCKS_OF_ROWS) // every, 1), count)
     )
     for name, value in given.items():
         starts = starts.at[:, system.state_names.index(name)].set(jnp.asarray(value, dtype))

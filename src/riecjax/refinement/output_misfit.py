@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.estimation.blocks import ShortBlocks
-from riecjax.estimation.elimination import eliminate, unit_scale
-from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.estimation.elimination import solve_scaled
+from riecjax.estimation.normal_equations import NormalEquations, stack_normal_equations
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import Leaf
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
@@ -19,8 +20,6 @@ from riecjax.refinement.parametric import AbstractParametric
 from riecjax.simulation.method import AbstractMethod, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
 
-SHORT_BLOCKS = 512
-"""Short blocks of time to a record."""
 RIDGE = 1e-10
 """What keeps a start that no residual depends on from being divided by zero; relative."""
 
@@ -143,9 +142,9 @@ class OutputMisfit(AbstractMisfit):
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """By blocks of time."""
         p = len(self.names)
-        sums, counts, numbers, seconds = [], [], [], []
+        parts, numbers, seconds = [], [], []
         for part, pieces in zip(self.recorded, expansion.pieces):
-            samples = max(-(-part.sample_count // SHORT_BLOCKS), 1)
+            samples = max(-(-part.sample_count // SHORT_BLOCKS_OF_ROWS), 1)
             number = max(-(-part.sample_count // samples), 2)
             moments = jax.vmap(lambda m: _without_start(m, p))(pieces)
             position = part.position[:, :: part.piece]
@@ -156,25 +155,17 @@ class OutputMisfit(AbstractMisfit):
             if part.windows > 1 or part.piece * part.every != samples or len(flat) != number:
                 flat = jax.ops.segment_sum(flat, index, num_segments=number)
                 held = jax.ops.segment_sum(held, index, num_segments=number)
-            sums.append(flat)
-            counts.append(held)
+            parts.append(NormalEquations(flat, held.astype(flat.dtype), self.names))
             numbers.append(number)
             seconds.append(samples * part.time_step)
-        most = max(numbers)
-        together = NormalEquations(
-            jnp.stack([_filled_up(part, most) for part in sums]),
-            jnp.stack([_filled_up(part.astype(sums[0].dtype), most) for part in counts]),
-            self.names,
-        )
-        return together, ShortBlocks(tuple(numbers), jnp.stack(seconds))
+        return stack_normal_equations(parts), ShortBlocks(tuple(numbers), jnp.stack(seconds))
 
     def simulated(
         self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int
     ) -> Float[Array, "compared channels"]:
         """The channels at the compared samples of one window of record number `index`."""
         values = {**self.known, **dict(zip(self.names, theta))}
-        own = {n: values[self.sharing.of_record((n,), index)[0]] for n in self.local}
-        system = self.system.build(own)
+        system = self.system.build(self.sharing.values_of(self.local, values, index))
         first = window.starts
         if self.estimated:
             first = first.at[np.array(self.estimated)].set(start)
@@ -266,14 +257,7 @@ def _without_start(
     if pieces.shape[-1] == 1 + p:
         return jnp.einsum("ia,pij,jb->pab", head, pieces, head)
     whole = jnp.sum(pieces, axis=0)
-    gram = whole[1 + p :, 1 + p :]
-    scale = unit_scale(jnp.diagonal(gram))
-    scaled = gram * scale[:, None] * scale[None, :] + RIDGE * jnp.eye(gram.shape[0])
-    following = scale[:, None] * eliminate(scaled, scale[:, None] * whole[1 + p :, 1 : 1 + p])
-    tail = jnp.concatenate([jnp.zeros((gram.shape[0], 1), gram.dtype), -following], axis=1)
+    following = solve_scaled(whole[1 + p :, 1 + p :], whole[1 + p :, 1 : 1 + p], ridge=RIDGE)
+    tail = jnp.concatenate([jnp.zeros_like(whole[1 + p :, :1]), -following], axis=1)
     mix = jnp.concatenate([head, tail])
     return jnp.einsum("ia,pij,jb->pab", mix, pieces, mix)
-
-
-def _filled_up(values: Array, most: int) -> Array:
-    return jnp.pad(values, [(0, most - values.shape[0])] + [(0, 0)] * (values.ndim - 1))

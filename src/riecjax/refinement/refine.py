@@ -271,13 +271,13 @@ def _judge(
     variance = _variance(misfit, expansion.energy, at_bound.shape[0])
     # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
     # one that nothing depends on must not take the others with it.
-    curvature = jnp.diagonal(blocks.flattened().total().gram)
+    gram = blocks.flattened().total().gram
+    curvature = jnp.diagonal(gram)
     known = variance * jnp.asarray(laws.prior_weight) ** 2
     tiny = SILENT * jnp.sum(expansion.energy)
     silent = (curvature * theta**2 <= tiny) & (theta != 0) | (curvature == 0)
-    gram = blocks.flattened().total().gram + jnp.diag(known)
     held = at_bound | silent & (known == 0)
-    held = held | _undetermined(gram, held)
+    held = held | _undetermined(gram + jnp.diag(known), held)
     information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
     share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
     spread = jnp.diag(jnp.concatenate([jnp.zeros(1), information]))
@@ -289,8 +289,8 @@ def _judge(
     used = jnp.sum(judged.evidence.used)
     covariance = judged.uncertainty.covariance
     if laws.has_priors:
-        gram = blocks.flattened().total().gram
-        moved = solve_scaled(gram, jnp.diag(jnp.sqrt(variance) * laws.prior_weight))
+        informed = gram + jnp.diag(information)
+        moved = solve_scaled(informed, jnp.diag(jnp.sqrt(variance) * laws.prior_weight))
         covariance = covariance + variance * (moved @ moved.T)
     covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, covariance)
     return _Judged(

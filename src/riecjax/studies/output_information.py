@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from riecjax.errors import ModelError
-from riecjax.estimation.elimination import eliminate, unit_scale
+from riecjax.estimation.elimination import solve_scaled
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 from riecjax.refinement.output_misfit import observed
@@ -92,11 +92,8 @@ class Experiment(eqx.Module):
 def inverse(information: Float[Array, "k k"]) -> Float[Array, "k k"]:
     """Inverse of an information matrix; huge, not infinite, where nothing is told."""
     k = information.shape[0]
-    scale = unit_scale(jnp.diagonal(information))
-    identity = jnp.eye(k, dtype=information.dtype)
-    rounding = 8 * k * jnp.finfo(information.dtype).eps
-    scaled = information * scale[:, None] * scale[None, :] + rounding * identity
-    return scale[:, None] * eliminate(scaled, identity) * scale[None, :]
+    rounding = 8 * k * float(jnp.finfo(information.dtype).eps)
+    return solve_scaled(information, jnp.eye(k, dtype=information.dtype), ridge=rounding)
 
 
 def plan_experiment(
