@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from benchmarks.writing import write_json
+from riecjax.criteria.laws import RatioLaw
 from riecjax.criteria.windows import AllWindows
 from riecjax.models.quarter_car.equations import quarter_car_by_body
 from riecjax.models.quarter_car.identification import QuarterCar
@@ -34,7 +35,6 @@ from riecjax.simulation.simulate import simulate
 from riecjax.studies.law_learning import (
     LearnedLaw,
     Prediction,
-    RatioLaw,
     as_prediction,
     learn_law,
     validation_errors,

@@ -13,6 +13,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.laws import RatioLaw
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
@@ -21,7 +22,6 @@ from riecjax.estimation.identify import identify
 from riecjax.records.record import Record, stack_records
 from riecjax.simulation.system import AbstractSystem, Quantities
 from riecjax.studies.law_learning import (
-    RatioLaw,
     as_prediction,
     learn_law,
     mean_error,

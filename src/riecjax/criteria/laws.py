@@ -75,10 +75,7 @@ class SteppedLaw(AbstractLaw):
     weights: Leaf
 
     def __init__(self, weights: ArrayLike | Array):
-        self.weights = as_leaf(weights)
-        if self.weights.ndim != 1 or not self.weights.shape[0]:
-            raise ModelError("a stepped law of window lengths needs a list of weights.")
-        _require_weights(self.weights)
+        self.weights = _weights(weights)
 
     def bins(
         self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
@@ -94,6 +91,38 @@ class SteppedLaw(AbstractLaw):
     def describe(self) -> dict[str, object]:
         """The weights."""
         return {"law": [float(weight) for weight in np.asarray(self.weights)]}
+
+
+class RatioLaw(AbstractLaw):
+    """Weights that are constant over parts of the band in equal ratios of length.
+
+    An octave of lengths is an octave of frequencies (T = 1 / (2 f), eq. 26), so that a wide band
+    needs few parts. Differentiable in `weights`.
+
+    **Arguments:** `weights` of each length in a part, shape `(parts,)`, from the shortest windows
+    to the longest.
+
+    **Raises:** `ModelError` for weights below zero, not finite, or all zero.
+    """
+
+    weights: Leaf
+
+    def __init__(self, weights: ArrayLike | Array):
+        self.weights = _weights(weights)
+
+    def bins(
+        self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
+    ) -> LagBins:
+        """One bin for each part; empty where it holds no length on samples."""
+        count = self.weights.shape[0]
+        low = shortest.astype(unit.dtype)
+        ratio = (longest.astype(unit.dtype) + 1) / low
+        edges = jnp.round(low * ratio ** (jnp.arange(count + 1) / count)).astype(shortest.dtype)
+        return _normalised(edges[:-1], edges[1:] - 1, jnp.asarray(self.weights, unit.dtype))
+
+    def describe(self) -> dict[str, object]:
+        """The weights."""
+        return {"law": [float(w) for w in np.asarray(self.weights)], "parts": "equal ratios"}
 
 
 class DensityLaw(AbstractLaw):
@@ -139,6 +168,14 @@ def as_law(law: "AbstractLaw | ArrayLike | Callable[[Array], Array] | None") -> 
 def _normalised(first: Array, last: Array, weight: Array) -> LagBins:
     held = (last - first + 1).astype(weight.dtype)
     return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
+
+
+def _weights(weights: ArrayLike | Array) -> Leaf:
+    found = as_leaf(weights)
+    if found.ndim != 1 or not found.shape[0]:
+        raise ModelError("a law of window lengths in parts needs a list of weights.")
+    _require_weights(found)
+    return found
 
 
 def _require_weights(weights: Leaf) -> None:

@@ -12,12 +12,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.laws import AbstractLaw, LagBins
+from riecjax.criteria.laws import RatioLaw
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, ModelError
@@ -29,7 +28,6 @@ from riecjax.estimation.procedure import (
     found_values,
     solve_stages,
 )
-from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record, stack_records
 from riecjax.simulation.measured_states import measured_states
 from riecjax.simulation.method import AbstractMethod, FixedStep
@@ -42,39 +40,6 @@ TOLERANCE = 1e-4
 SIZE_POWER = 3
 """A part's share of the moments grows with this power of its length: with the number of lengths in
 it, and with the square of a window's integral."""
-
-
-class RatioLaw(AbstractLaw):
-    """Weights that are constant over parts of the band in equal ratios of length.
-
-    An octave of lengths is an octave of frequencies (T = 1 / (2 f), eq. 26), so that a wide band
-    needs few parts. Differentiable in `weights`, of which only ratios matter.
-
-    **Arguments:** `weights` of each length in a part, shape `(parts,)`, from the shortest windows
-    to the longest.
-    """
-
-    weights: Leaf
-
-    def __init__(self, weights: Sequence[float] | Leaf):
-        self.weights = as_leaf(weights)
-
-    def bins(
-        self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
-    ) -> LagBins:
-        """One bin for each part; empty where it holds no length on samples."""
-        count = self.weights.shape[0]
-        low = shortest.astype(unit.dtype)
-        ratio = (longest.astype(unit.dtype) + 1) / low
-        edges = jnp.round(low * ratio ** (jnp.arange(count + 1) / count)).astype(shortest.dtype)
-        held = jnp.diff(edges).astype(unit.dtype)
-        weights = jnp.asarray(self.weights, unit.dtype)
-        weights = weights * (jnp.sum(held) / jnp.sum(weights * held))
-        return LagBins(edges[:-1], edges[1:] - 1, weights)
-
-    def describe(self) -> dict[str, object]:
-        """The weights."""
-        return {"law": [float(w) for w in np.asarray(self.weights)], "parts": "equal ratios"}
 
 
 class LearnedLaw(eqx.Module):
