@@ -16,13 +16,20 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.integrate
 import scipy.optimize
 
+from benchmarks.drag_problem import (
+    BOUND,
+    RATE,
+    START,
+    TRUTH,
+    force,
+    oscillator,
+    record,
+)
 from benchmarks.writing import write_json
-from riecjax.models.oscillators import DragOscillator
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.objective import AbstractObjective
 from riecjax.refinement.output_error import OutputError
@@ -32,49 +39,14 @@ from riecjax.refinement.shots import Tiles
 from riecjax.simulation.method import FixedStep
 from riecjax.studies.recovery import recovery_map
 
-TRUTH = {"m": 1.5, "r": 0.8, "r2": 0.5, "k": 20.0}
-START = {"m": 1.0, "r": 1.0, "r2": 1.0, "k": 10.0}
-BOUND = {"m": 0.00118, "r": 0.0213, "r2": 0.0105, "k": 0.00113}
-"""Cramer-Rao bound as a share of the true value, initial state estimated too."""
-STEP, COUNT, NOISE = 0.01, 2001, 0.05
-TONES = (0.1, 0.3, 0.5, 0.7, 0.9, 1.3, 2.0)
 # One step between samples: the oscillator turns by 0.04 rad.
 METHOD = FixedStep(1)
-
-
-def force(t: np.ndarray | float) -> Any:
-    phases = np.random.default_rng(0).uniform(0, 2 * np.pi, len(TONES))
-    return 14 / np.sqrt(7) * sum(np.sin(2 * np.pi * f * t + p) for f, p in zip(TONES, phases))
-
-
-def motion() -> np.ndarray:
-    m, r, r2, k = TRUTH.values()
-    run = scipy.integrate.solve_ivp(
-        lambda t, s: [s[1], (force(t) - r * s[1] - r2 * s[1] * abs(s[1]) - k * s[0]) / m],
-        (0, STEP * (COUNT - 1)),
-        [0.0, 0.0],
-        t_eval=STEP * np.arange(COUNT),
-        rtol=1e-10,
-        atol=1e-12,
-    )
-    return run.y
-
-
-def record(states: np.ndarray, seed: int) -> Record:
-    rng = np.random.default_rng(100 + seed)
-    x, v = (s + NOISE * s.std() * rng.standard_normal(COUNT) for s in states)
-    u = force(STEP * np.arange(COUNT))
-    return Record.from_samples({"u": u, "x": x, "dx": v}, time_step=STEP)
-
-
-def oscillator() -> DragOscillator:
-    return DragOscillator(*(jnp.asarray(1.0) for _ in TRUTH))
 
 
 @eqx.filter_jit
 def refine_all(batch: Record) -> Refined:
     def one(arrays: dict[str, jax.Array]) -> Refined:
-        return refine(oscillator(), Record(arrays, STEP), START, OutputError(method=METHOD))
+        return refine(oscillator(), Record(arrays, 1 / RATE), START, OutputError(method=METHOD))
 
     return jax.vmap(one)(batch.arrays)
 
@@ -96,29 +68,28 @@ def statistics(found: Refined) -> dict[str, Any]:
 
 def cold() -> float:
     """Seconds of the first fit of a process, compilation included."""
-    states = motion()
-    first = record(states, 0)
+    first = record(0)
     began = time.perf_counter()
     jax.block_until_ready(refine(oscillator(), first, START).theta)
     return time.perf_counter() - began
 
 
-def warm(states: np.ndarray, repeats: int = 9) -> float:
-    refine(oscillator(), record(states, 0), START)
+def warm(repeats: int = 9) -> float:
+    refine(oscillator(), record(0), START)
     seconds = []
     for seed in range(1, repeats + 1):
-        own = record(states, seed)
+        own = record(seed)
         began = time.perf_counter()
         jax.block_until_ready(refine(oscillator(), own, START).theta)
         seconds.append(time.perf_counter() - began)
     return float(np.median(seconds))
 
 
-def by_scipy(states: np.ndarray, seed: int = 1) -> tuple[float, list[float]]:
+def by_scipy(seed: int = 1) -> tuple[float, list[float]]:
     """Seconds and values of `least_squares` over RK45, its step far above the solver's noise."""
-    own = record(states, seed)
+    own = record(seed)
     measured = [np.asarray(own["x"]), np.asarray(own["dx"])]
-    times = STEP * np.arange(COUNT)
+    times = np.asarray(own.time)
 
     def residual(p: np.ndarray) -> np.ndarray:
         m, r, r2, k, x0, v0 = p
@@ -140,8 +111,8 @@ def by_scipy(states: np.ndarray, seed: int = 1) -> tuple[float, list[float]]:
     return time.perf_counter() - began, [float(value) for value in found.x[:4]]
 
 
-def recovery(states: np.ndarray, starts: int) -> dict[str, Any]:
-    own = record(states, 0)
+def recovery(starts: int) -> dict[str, Any]:
+    own = record(0)
     optimum = refine(oscillator(), own, START, OutputError(method=METHOD))
     whole = OutputError(method=METHOD)
     ways: dict[str, list[AbstractObjective]] = {
@@ -184,25 +155,24 @@ def main() -> None:
         return
     command = [sys.executable, "-m", "benchmarks.refinement", "--cold"]
     colds = [float(subprocess.check_output(command, text=True)) for _ in range(3)]
-    states = motion()
-    batch = stack_records([record(states, seed) for seed in range(100)])
+    batch = stack_records([record(seed) for seed in range(100)])
     jax.block_until_ready(refine_all(batch).theta)
     began = time.perf_counter()
     found = jax.block_until_ready(refine_all(batch))
     vmapped = time.perf_counter() - began
-    single = refine(oscillator(), record(states, 1), START)
-    seconds, values = by_scipy(states)
+    single = refine(oscillator(), record(1), START)
+    seconds, values = by_scipy()
     document = {
         "parameters": statistics(found),
         "all_converged": bool(np.all(np.asarray(jax.vmap(lambda r: r.converged)(found)))),
         "seconds": {
             "cold": float(np.median(colds)),
-            "warm": warm(states),
+            "warm": warm(),
             "vmapped_100": vmapped,
             "scipy": seconds,
         },
         "seed_1": {"refined": [float(v) for v in single.theta], "scipy": values},
-        "recovery": recovery(states, arguments.starts),
+        "recovery": recovery(arguments.starts),
     }
     write_json(arguments.out, document)
     print(json.dumps(document, indent=2))

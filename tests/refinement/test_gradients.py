@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from drag import START, oscillator, record
+from benchmarks.drag_problem import START, oscillator, record
 
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows

@@ -6,7 +6,17 @@ import numpy as np
 import optimistix as optx
 import pytest
 import scipy.integrate
-from drag import COUNT, RATE, START, TRUTH, force, motion, oscillator, record, signals
+from benchmarks.drag_problem import (
+    COUNT,
+    RATE,
+    START,
+    TRUTH,
+    force,
+    motion,
+    oscillator,
+    record,
+    signals,
+)
 from jaxtyping import Array
 
 from riecjax.criteria.windows import RandomWindows

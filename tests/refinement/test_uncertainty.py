@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from drag import BOUND, RATE, START, TRUTH, motion, oscillator, record, signals
+from benchmarks.drag_problem import BOUND, RATE, START, TRUTH, motion, oscillator, record, signals
 from jaxtyping import Array
 
 from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich

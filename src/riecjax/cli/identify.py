@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -37,7 +37,17 @@ if TYPE_CHECKING:
     from riecjax.studies.window_sweep import WindowSweep
     from riecjax.validation.residual_tests import ResidualTests
 
-LAST_PART = ", last part"
+
+class ValidationPart(NamedTuple):
+    """A recording, or a part of one, to simulate.
+
+    **Fields:** `on`, what it is called; `record`; `number` (from 0) of the recording whose own
+    parameters it takes, where it was one of those identified from.
+    """
+
+    on: str
+    record: "Record"
+    number: int | None
 
 
 @click.command("identify")
@@ -139,7 +149,8 @@ def command(
     estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
     refined = refining.run(model, records, estimate, own=own, key=key, intervals=judge)
     found = estimate if refined is None else refined
-    validations, failed = validation_runs(model, found.values, held, further)
+    to_simulate = _to_simulate(held, further)
+    validations, failed = validation_runs(model, found.values, to_simulate)
     residuals, choice, untested = _what_is_left(procedure, records, estimate)
     result = Identification(
         model=model.name,
@@ -159,7 +170,7 @@ def command(
         choice=choice,
         seeds=_seeds(procedure, records, criterion, settings),
         validations=validations,
-        refinement=_before_after(model, estimate, refined, validations, held, further, estimating),
+        refinement=_before_after(model, estimate, refined, validations, to_simulate, estimating),
         key=key,
         seed=seed,
     )
@@ -239,8 +250,7 @@ def _before_after(
     estimate: "Estimate",
     refined: "Refined | None",
     after: list["ValidationRun"],
-    held: list[Recording],
-    further: list[Recording],
+    to_simulate: list[ValidationPart],
     fitted: list[Recording],
 ) -> "Refinement | None":
     """Predictions with the start of the refinement and with its result.
@@ -251,27 +261,27 @@ def _before_after(
 
     if refined is None:
         return None
-    kept = bool(held or further)
-    if not kept:
-        held = fitted
-        after, _ = validation_runs(model, refined.values, held, further)
-    before, _ = validation_runs(model, estimate.values, held, further)
+    on_fitted = not to_simulate
+    if on_fitted:
+        to_simulate = [ValidationPart(r.file.name, r.record, i) for i, r in enumerate(fitted)]
+        after, _ = validation_runs(model, refined.values, to_simulate)
+    before, _ = validation_runs(model, estimate.values, to_simulate)
     earlier = {run.on: run.held for run in before}
-    pairs = [
-        BeforeAfter(run.on if kept else run.on.removesuffix(LAST_PART), earlier[run.on], run.held)
-        for run in after
-        if run.on in earlier
+    pairs = [BeforeAfter(r.on, earlier[r.on], r.held) for r in after if r.on in earlier]
+    return Refinement(refined, pairs, on_fitted)
+
+
+def _to_simulate(held: list[Recording], further: list[Recording]) -> list[ValidationPart]:
+    return [
+        *(ValidationPart(f"{r.file.name}, last part", r.record, i) for i, r in enumerate(held)),
+        *(ValidationPart(r.file.name, r.record, None) for r in further),
     ]
-    return Refinement(refined, pairs, not kept)
 
 
 def validation_runs(
-    model: "Model",
-    values: "Mapping[str, Array]",
-    held: list[Recording],
-    further: list[Recording],
+    model: "Model", values: "Mapping[str, Array]", parts: list[ValidationPart]
 ) -> tuple[list["ValidationRun"], list[Finding]]:
-    """Simulations of the identified model on held-out parts and further recordings.
+    """Simulations of the identified model.
 
     **Returns:** those that could be made, and why the others could not.
     """
@@ -280,17 +290,12 @@ def validation_runs(
     from riecjax.validation.held_out import validate_held_out
 
     names = model.build_procedure().parameters
-    own = [values_of_record(values, i) for i in range(len(held))]
-    parts = [
-        (f"{recording.file.name}{LAST_PART}", recording.record, {n: known[n] for n in names})
-        for recording, known in zip(held, own)
-    ]
-    parts += [(r.file.name, r.record, dict(values)) for r in further]
     runs, failed = [], []
-    for on, record, known in parts:
+    for on, record, number in parts:
+        own = dict(values) if number is None else values_of_record(values, number)
         # A fit is not lost because its model cannot be simulated.
         try:
-            system = model.identified_system(known, record)
+            system = model.identified_system({n: own[n] for n in names}, record)
             runs.append(ValidationRun(on, record, validate_held_out(system, record)))
         except RiecjaxError as error:
             failed.append(Finding("not_validated", f"{on}: {error}"))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import StageSolution
@@ -23,7 +23,6 @@ ROUNDING = 1e-9
 """Share of rows that is missing only because their number was rounded."""
 MATTERING_SHARE = 0.02
 """Share of the target that an uncertain term must reach to be worth a warning."""
-NOTABLE_INFLATION = 1.1
 LARGE_RESIDUAL = 0.5
 """Share of the target past which a model is called wrong."""
 
@@ -193,17 +192,7 @@ class Estimate(AbstractEstimate):
         return eps * max(float(self.condition_number), 10.0) ** 2
 
     def __str__(self) -> str:
-        width = max(len(name) for name in self)
-        units = dict(self.units)
-        lines = [f"{'parameter':<{max(width, 9)}}  {'value':>12}  95 % interval"]
-        for name in self.parameters:
-            low, high = self.interval(name)
-            unit = units.get(name, "")
-            value = f"{float(self[name]):>12.6g}"
-            lines.append(f"{name:<{max(width, 9)}}  {value}  [{low:.6g}, {high:.6g}] {unit}")
-        for name, value in self.known.items():
-            unit = units.get(name, "")
-            lines.append(f"{name:<{max(width, 9)}}  {float(value):>12.6g}  known {unit}")
+        lines = [*self.parameter_lines()]
         lines.append(
             f"intervals: {self.uncertainty.label}, {int(self.block_count)} blocks of "
             f"{float(self.block_length):.3g} s"

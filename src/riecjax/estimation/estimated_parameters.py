@@ -13,6 +13,8 @@ from riecjax.findings import Finding
 
 LOST_SHARE = 0.05
 """Share of the bootstrap's replicates that may leave a parameter undetermined."""
+NOTABLE_INFLATION = 1.1
+"""Factor on a standard error from which recordings are said to disagree."""
 _NO_MASS = "no mass is"
 _NO_DAMPING = "damping that feeds energy into the motion"
 NEVER_NEGATIVE = {
@@ -111,6 +113,20 @@ class AbstractEstimate(eqx.Module):
                 f"of the bootstrap's replicates held none of them: their intervals are rough. "
                 f"Record for longer, or excite them more often.",
             )
+
+    def parameter_lines(self) -> Iterator[str]:
+        """A table with value, interval and unit of each parameter (not under jit)."""
+        width = max(9, *(len(name) for name in self))
+        units = dict(self.units)
+        yield f"{'parameter':<{width}}  {'value':>12}  95 % interval"
+        for name in self:
+            if name in self.known:
+                reach = "known"
+            else:
+                low, high = self.interval(name)
+                reach = f"[{low:.6g}, {high:.6g}]"
+            line = f"{name:<{width}}  {float(self[name]):>12.6g}  {reach} {units.get(name, '')}"
+            yield line.rstrip()
 
     def _index(self, name: str) -> int:
         try:

@@ -7,12 +7,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.findings import Finding
 from riecjax.refinement.optimum import RefinementStatus
-
-NOTABLE_INFLATION = 1.1
 
 
 class Refined(AbstractEstimate):
@@ -114,20 +112,7 @@ class Refined(AbstractEstimate):
                 )
 
     def __str__(self) -> str:
-        width = max(9, *(len(name) for name in self))
-        units = dict(self.units)
-        lines = [f"{'parameter':<{width}}  {'value':>12}  95 % interval"]
-        for name in self.parameters:
-            low, high = self.interval(name)
-            lines.append(
-                f"{name:<{width}}  {float(self[name]):>12.6g}  [{low:.6g}, {high:.6g}] "
-                f"{units.get(name, '')}".rstrip()
-            )
-        for name, value in self.known.items():
-            lines.append(
-                f"{name:<{width}}  {float(value):>12.6g}  known {units.get(name, '')}".rstrip()
-            )
-        lines.append(f"{self.reason} after {int(self.steps)} steps")
+        lines = [*self.parameter_lines(), f"{self.reason} after {int(self.steps)} steps"]
         lines += [
             f"{name}: {float(before):.4g} -> {float(after):.4g} {unit} r.m.s.".replace("  ", " ")
             for name, before, after, unit in zip(

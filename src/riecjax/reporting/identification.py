@@ -16,9 +16,9 @@ from riecjax.findings import Finding
 from riecjax.records.record import Record
 from riecjax.reporting.checking import excitation_entries
 from riecjax.reporting.output import Document, finite, number, versions
+from riecjax.reporting.parameters import parameter_entries
 from riecjax.reporting.refinement import (
     Refinement,
-    refined_parameters,
     refinement_entries,
     refinement_in_words,
 )
@@ -99,14 +99,14 @@ def identification_document(result: Identification) -> Document:
         for name, stage in zip(estimate.stage_names, estimate.stages)
     ]
     units = dict(estimate.units)
-    identified = _parameters(estimate)
+    identified = _identified(estimate)
     return {
         "schema": 1,
         "model": result.model,
         "criterion": estimate.criterion.describe(),
         "parameters": identified
         if result.refinement is None
-        else refined_parameters(result.refinement.refined),
+        else parameter_entries(result.refinement.refined),
         "known": {
             name: {"value": float(value), "unit": units.get(name, "")}
             for name, value in estimate.known.items()
@@ -146,20 +146,15 @@ def identification_document(result: Identification) -> Document:
     }
 
 
-def _parameters(estimate: Estimate) -> dict[str, Any]:
-    units = dict(estimate.units)
-    parameters = {}
+def _identified(estimate: Estimate) -> dict[str, Any]:
+    """Of each parameter, what only the linear estimate says of its windows too."""
+    entries = parameter_entries(estimate)
     for i, name in enumerate(estimate.parameters):
-        low, high = estimate.interval(name)
-        parameters[name] = {
-            "value": float(estimate[name]),
-            "unit": units.get(name, ""),
-            "std_error": finite(float(estimate.standard_error(name))),
-            "interval95": [finite(low), finite(high)],
+        entries[name] |= {
             "naive_std_error": finite(float(estimate.naive[i])),
             "effective_windows": finite(float(estimate.effective_windows[i])),
         }
-    return parameters
+    return entries
 
 
 def _correlation(estimate: Estimate) -> dict[str, Any]:

@@ -74,21 +74,6 @@ def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Do
     }
 
 
-def refined_parameters(refined: Refined) -> dict[str, Any]:
-    """Value, unit and uncertainty of each refined parameter."""
-    units = dict(refined.units)
-    parameters = {}
-    for name in refined.parameters:
-        low, high = refined.interval(name)
-        parameters[name] = {
-            "value": float(refined[name]),
-            "unit": units.get(name, ""),
-            "std_error": finite(float(refined.standard_error(name))),
-            "interval95": [finite(low), finite(high)],
-        }
-    return parameters
-
-
 def refinement_in_words(entries: Document) -> Iterator[str]:
     """What was refined, what it left, and what became of predictions."""
     kind = {"integral": "impulses of the equation error", "output-error": "the output error"}
