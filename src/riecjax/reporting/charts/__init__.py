@@ -1,0 +1,1 @@
+"""Figures described once, and drawn twice: for print and for a page that zooms."""

@@ -1,0 +1,185 @@
+"""What a figure shows, in plain data.
+
+A chart says what is drawn and what it means, not how: one description is printed by matplotlib and
+drawn on a page by Plotly, so that the two never differ.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+BLUE, RUST, GREY, BLACK = "#1f4e79", "#b0532b", "#9a9a9a", "#1a1a1a"
+"""What a model says; what it leaves, or a second series; what was measured; a reference."""
+TEAL, OCHRE = "#4c9a92", "#c9982f"
+"""Third and fourth series. All differ in lightness too, and in print without colour by dashes."""
+PALE = "#dbdbdb"
+"""Stretches within which nothing is remarkable."""
+
+Dashes = Literal["solid", "dashed", "dotted", "dashdot"]
+DASHES: tuple[Dashes, ...] = ("solid", "dashed", "dotted", "dashdot")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis: its label with the unit, and where it ends (`None`: where the data do).
+
+    **Fields:** `log` for a logarithmic axis; `categories`, names of the places 0, 1, ...;
+    `reverse`, values grow downwards (to the left).
+    """
+
+    label: str = ""
+    log: bool = False
+    low: float | None = None
+    high: float | None = None
+    categories: tuple[str, ...] = ()
+    reverse: bool = False
+
+
+@dataclass(frozen=True)
+class Line:
+    """Values over x; NaN leaves a gap.
+
+    **Fields:** `low` and `high`, a band about it; `error`, bars of plus and minus so much;
+    `markers` at the values; `right`, drawn against the panel's right axis.
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    label: str = ""
+    color: str = BLUE
+    dashes: Dashes = "solid"
+    width: float = 1.3
+    markers: bool = False
+    low: ArrayLike | None = None
+    high: ArrayLike | None = None
+    error: ArrayLike | None = None
+    right: bool = False
+
+
+@dataclass(frozen=True)
+class Dots:
+    """Single values."""
+
+    x: ArrayLike
+    y: ArrayLike
+    label: str = ""
+    color: str = BLUE
+    size: float = 3.0
+    opacity: float = 1.0
+
+
+@dataclass(frozen=True)
+class Stems:
+    """Values as lines from zero, such as an autocorrelation's."""
+
+    x: ArrayLike
+    y: ArrayLike
+    label: str = ""
+    color: str = BLUE
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of an axis; `hatched` where another one lies beneath."""
+
+    low: float
+    high: float
+    axis: Literal["x", "y"] = "x"
+    label: str = ""
+    color: str = PALE
+    opacity: float = 1.0
+    hatched: bool = False
+
+
+@dataclass(frozen=True)
+class Level:
+    """One value of an axis, across the panel; on a sloped one y = x."""
+
+    value: float = 0.0
+    axis: Literal["x", "y", "diagonal"] = "y"
+    label: str = ""
+    color: str = GREY
+    dashes: Dashes = "solid"
+
+
+@dataclass(frozen=True)
+class HeatMap:
+    """Values over a grid, shape `(y, x)`, with their `label`.
+
+    **Fields:** `low` and `high`, ends of the scale; `diverging` about its middle; `numbers`,
+    decimals of the values written into the cells, `None` for none.
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    values: ArrayLike
+    label: str = ""
+    low: float | None = None
+    high: float | None = None
+    diverging: bool = False
+    numbers: int | None = None
+
+
+Mark = Line | Dots | Stems | Span | Level | HeatMap
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes; `columns`, how many places of its row it takes."""
+
+    marks: Sequence[Mark]
+    x: Axis = field(default_factory=Axis)
+    y: Axis = field(default_factory=Axis)
+    right: Axis | None = None
+    title: str = ""
+    legend: bool = True
+    columns: int = 1
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A figure: rows of panels, `None` for an empty place.
+
+    **Fields:**
+
+    - `caption`: what it shows and how to read it, a sentence or two.
+    - `size` in inches of the printed figure; `heights` of the rows, relative.
+    - `share_x`: panels above one another zoom together. `share_y`: those of a row do.
+    - `legend`: of the first panel, once for all, above them.
+    """
+
+    rows: Sequence[Sequence[Panel | None]]
+    caption: str = ""
+    size: tuple[float, float] = (8.0, 5.0)
+    heights: tuple[float, ...] = ()
+    share_x: bool = False
+    share_y: bool = False
+    legend: bool = False
+
+    @property
+    def columns(self) -> int:
+        """Places in a row."""
+        return max(sum(1 if p is None else p.columns for p in row) for row in self.rows)
+
+    @property
+    def panels(self) -> list[Panel]:
+        """All panels, row by row."""
+        return [panel for row in self.rows for panel in row if panel is not None]
+
+
+def single(marks: Sequence[Mark], x: Axis, y: Axis, caption: str = "", **settings: object) -> Chart:
+    """A chart of one panel."""
+    return Chart(((Panel(marks, x, y),),), caption, **settings)  # pyright: ignore[reportArgumentType]
+
+
+def labelled(what: str, unit: str | None) -> str:
+    """An axis label with its unit, if there is one."""
+    return f"{what} / ({unit})" if unit else what
+
+
+def as_array(values: ArrayLike) -> np.ndarray:
+    """A NumPy array of what a mark holds."""
+    return np.asarray(values)
