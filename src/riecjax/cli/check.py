@@ -43,6 +43,7 @@ def command(
     from riecjax.models.resolve import find_model
     from riecjax.reporting.checking import check_document, print_check
     from riecjax.reporting.output import emit
+    from riecjax.reporting.page import Page
 
     model = find_model(model_name)
     criterion = criteria.build(model)
@@ -69,8 +70,8 @@ def command(
         as_json=as_json,
         out=None,
         show=print_check,
-        figures=dict,
-        title="",
+        charts=dict,
+        page=lambda _: Page("", "", ()),
     )
     if not checked.answerable:
         click.get_current_context().exit(1)

@@ -132,6 +132,7 @@ def command(
         print_identification,
     )
     from riecjax.reporting.identification_figures import identification_figures
+    from riecjax.reporting.identification_page import identification_page
     from riecjax.reporting.output import emit
 
     model = find_model(model_name)
@@ -179,8 +180,8 @@ def command(
         as_json=as_json,
         out=out,
         show=print_identification,
-        figures=lambda: identification_figures(result),
-        title=f"{model.name} from {', '.join(file.name for file in recordings.files)}",
+        charts=lambda: identification_figures(result),
+        page=identification_page,
     )
 
 

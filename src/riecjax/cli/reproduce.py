@@ -42,8 +42,9 @@ def command(
     from riecjax.reporting.output import emit
     from riecjax.reporting.reproduction import (
         print_reproduction,
+        reproduction_charts,
         reproduction_document,
-        reproduction_figures,
+        reproduction_page,
     )
     from riecjax.studies.monte_carlo import over_keys
 
@@ -66,6 +67,6 @@ def command(
         as_json=as_json,
         out=out,
         show=print_reproduction,
-        figures=lambda: reproduction_figures(result, source),
-        title="Best and Gordon (1999), reproduced",
+        charts=lambda: reproduction_charts(result, source),
+        page=reproduction_page,
     )

@@ -1,7 +1,7 @@
 """Curves that were identified function by function, such as a damper's force over velocity."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,8 +15,18 @@ from riecjax.equations.term import AbstractTerm, Terms, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Record
+from riecjax.reporting.charts.chart import (
+    BLUE,
+    GREY,
+    RUST,
+    Axis,
+    Chart,
+    Level,
+    Line,
+    Panel,
+    labelled,
+)
 from riecjax.reporting.identification import Identification
-from riecjax.reporting.style import BLUE, GREY, RUST, labelled, panels
 
 MOST_POINTS = 4000
 GRID = 400
@@ -51,28 +61,51 @@ def identified_curves(result: Identification) -> list[IdentifiedCurve]:
     return list(found.values())
 
 
-def curves_figure(curves: list[IdentifiedCurve]) -> Any:
+def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
     """Each curve with its interval over the samples, and beneath it what it leaves of them."""
-    size = (4.2 * len(curves) + 0.6, 6.0)
-    figure, axes = panels(2, len(curves), size, sharex="col", height_ratios=(3, 2))
-    for (top, bottom), curve in zip(axes.T, curves):
-        if curve.samples is None:
-            bottom.set_visible(False)
-        else:
-            x, y = curve.samples
-            left = y - np.interp(x, curve.x, curve.y)
-            top.plot(x, y, "-", color=GREY, linewidth=0.5, label="what the equation leaves for it")
-            bottom.axhline(0, color=GREY, linewidth=0.8)
-            bottom.plot(x, left, "-", color=RUST, linewidth=0.5)
-            bottom.set_ylabel(labelled("residual", curve.unit))
-            bottom.set_xlabel(curve.of)
-        reach = 1.96 * curve.error
-        top.fill_between(curve.x, curve.y - reach, curve.y + reach, color=BLUE, alpha=0.25)
-        top.plot(curve.x, curve.y, color=BLUE, linewidth=1.8, label="identified, 95 %")
-        top.set_ylabel(labelled(curve.name, curve.unit))
-        top.tick_params(labelbottom=True)
-        top.legend(fontsize="small", frameon=False)
-    return figure
+    sampled = any(curve.samples is not None for curve in curves)
+    rows: list[list[Panel | None]] = [[_over_samples(curve) for curve in curves]]
+    if sampled:
+        rows.append([_left_of_samples(curve) for curve in curves])
+    return Chart(
+        rows,
+        "Curves with their 95 % interval, over what the equation leaves for them sample by sample"
+        f"{', and beneath them what they leave of that' if sampled else ''}. A curve that samples "
+        "go round in loops depends on more than its variable.",
+        (4.2 * len(curves) + 0.6, 6.2 if sampled else 4.0),
+        heights=(3, 2) if sampled else (),
+        share_x=True,
+    )
+
+
+def _over_samples(curve: IdentifiedCurve) -> Panel:
+    marks = []
+    if curve.samples is not None:
+        x, y = curve.samples
+        marks.append(Line(x, y, "what the equation leaves for it", GREY, width=0.5))
+    reach = 1.96 * curve.error
+    identified = Line(
+        curve.x,
+        curve.y,
+        "identified, 95 %",
+        BLUE,
+        width=1.8,
+        low=curve.y - reach,
+        high=curve.y + reach,
+    )
+    return Panel([*marks, identified], Axis(curve.of), Axis(labelled(curve.name, curve.unit)))
+
+
+def _left_of_samples(curve: IdentifiedCurve) -> Panel | None:
+    if curve.samples is None:
+        return None
+    x, y = curve.samples
+    left = y - np.interp(x, curve.x, curve.y)
+    return Panel(
+        [Level(0), Line(x, left, color=RUST, width=0.5)],
+        Axis(curve.of),
+        Axis(labelled("residual", curve.unit)),
+    )
 
 
 def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) -> IdentifiedCurve:

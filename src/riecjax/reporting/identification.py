@@ -209,7 +209,7 @@ def print_identification(document: Document, console: Console) -> None:
     if document["refinement"] is not None:
         for line in refinement_in_words(document["refinement"]):
             console.print(line, highlight=False, markup=False)
-    for line in _windows_in_words(document):
+    for line in windows_in_words(document):
         console.print(line, highlight=False, markup=False)
     for validation in document["validation"]:
         line = f"validated on {validation['on']}: {validation['verdict']}"
@@ -218,7 +218,7 @@ def print_identification(document: Document, console: Console) -> None:
         console.print(f"prepared: {step}", highlight=False, markup=False)
 
 
-def _windows_in_words(document: Document) -> Iterator[str]:
+def windows_in_words(document: Document) -> Iterator[str]:
     """Where intervals come from, what the windows see, and which lengths would serve best."""
     intervals = document["provenance"]["intervals"]
     yield (

@@ -1,7 +1,7 @@
 """Figures of an identification: fit, window sweep, validation."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,17 +12,32 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import record_keys
 from riecjax.estimation.sharing import Sharing, values_of_record
 from riecjax.records.record import Record
+from riecjax.reporting.charts.chart import (
+    BLUE,
+    GREY,
+    RUST,
+    Axis,
+    Chart,
+    Dots,
+    HeatMap,
+    Level,
+    Line,
+    Panel,
+    Span,
+    labelled,
+    single,
+)
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import Identification, ValidationRun
 from riecjax.reporting.residual_figures import residual_figures
-from riecjax.reporting.style import BLUE, GREY, PALE, RUST, labelled, panels
 from riecjax.reporting.window_choice_figures import window_choice_figures
 from riecjax.studies.window_sweep import WindowSweep
 
 MOST_POINTS = 3000
+MOST_COLUMNS = 3
 
 
-def identification_figures(result: Identification) -> dict[str, Any]:
+def identification_figures(result: Identification) -> dict[str, Chart]:
     """`fit`; `curves` if the model has some; `window_sweep`; `correlation` of the parameters;
     `residual_1`, ... of each equation; `window_choice`; `validation_1`, ... for each."""
     figures = {"fit": _fit_figure(result)}
@@ -41,78 +56,95 @@ def identification_figures(result: Identification) -> dict[str, Any]:
     return figures
 
 
-def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Any:
+def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Chart:
     """Each parameter over window length, with its interval, and the estimate of the fit."""
-    count = len(sweep.parameters)
-    columns = min(count, 4)
-    rows = -(-count // columns)
-    figure, axes = panels(rows, columns, (3.2 * columns + 0.6, 2.6 * rows + 0.4))
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
     length = np.sqrt(np.asarray(sweep.alpha) * np.asarray(sweep.beta))
-    units = dict(sweep.units)
-    errors = np.asarray(sweep.standard_errors)
-    for j, (name, panel) in enumerate(zip(sweep.parameters, axes.flat)):
-        values = np.asarray(sweep.theta[:, j])
+    units, errors = dict(sweep.units), np.asarray(sweep.standard_errors)
+    panels: list[Panel | None] = []
+    for j, name in enumerate(sweep.parameters):
         low, high = estimate.interval(name)
-        panel.axhspan(low, high, color=PALE, label="the fit's interval")
-        panel.errorbar(
+        alone = Line(
             length,
-            values,
-            1.96 * errors[:, j],
-            fmt="o-",
-            color=BLUE,
-            markersize=3,
-            linewidth=1,
-            capsize=2,
-            label="window length alone",
+            np.asarray(sweep.theta[:, j]),
+            "window length alone, 95 %",
+            BLUE,
+            width=1,
+            markers=True,
+            error=1.96 * errors[:, j],
         )
-        panel.set_xscale("log")
-        # Between decades there is room for 2 and 5 only.
-        panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        panel.xaxis.set_minor_locator(NullLocator())
-        panel.set_xlabel("window length / s")
-        panel.set_ylabel(labelled(name, units.get(name)))
-    for panel in axes.flat[count:]:
-        panel.set_visible(False)
-    axes.flat[0].legend(fontsize="small", framealpha=0.9)
-    return figure
+        interval = Span(low, high, "y", "interval of the fit, 95 %")
+        value = Level(float(estimate[name]), dashes="dashed")
+        panels.append(
+            Panel(
+                [interval, value, alone],
+                Axis("window length / s", log=True),
+                Axis(labelled(name, units.get(name))),
+            )
+        )
+    columns = min(len(panels), MOST_COLUMNS)
+    panels += [None] * (-len(panels) % columns)
+    rows = [panels[i : i + columns] for i in range(0, len(panels), columns)]
+    return Chart(
+        rows,
+        "Estimates from windows of one length after another. An exact model finds the same at "
+        "every length; a drift says that the model leaves something out, or that short windows "
+        "show the sensors' noise.",
+        (3.2 * columns + 0.6, 2.5 * len(rows) + 0.6),
+        legend=True,
+    )
 
 
-def correlation_figure(estimate: Estimate) -> Any:
+def correlation_figure(estimate: Estimate) -> Chart:
     """Correlation matrix of the estimates."""
-    names, values = estimate.parameters, np.asarray(estimate.correlation)
+    names = estimate.parameters
     side = 0.55 * len(names) + 1.2
-    figure, ((axes,),) = panels(1, 1, (side + 1.6, side))
-    image = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1)
-    axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
-    axes.set_yticks(range(len(names)), names)
-    for (row, column), value in np.ndenumerate(values):
-        shade = "white" if abs(value) > 0.6 else "black"
-        axes.text(
-            column, row, f"{value:.2f}", ha="center", va="center", fontsize="x-small", color=shade
-        )
-    figure.colorbar(image, label="correlation of the estimates", shrink=0.8)
-    return figure
+    return single(
+        [
+            HeatMap(
+                range(len(names)),
+                range(len(names)),
+                np.asarray(estimate.correlation),
+                "correlation of the estimates",
+                low=-1,
+                high=1,
+                diverging=True,
+                numbers=2,
+            )
+        ],
+        Axis(categories=names),
+        Axis(categories=names, reverse=True),
+        "Correlation of the estimates: parameters near 1 or -1 are known better in combination "
+        "than each by itself.",
+        size=(side + 1.6, side),
+    )
 
 
-def validation_figure(run: ValidationRun) -> Any:
+def validation_figure(run: ValidationRun) -> Chart:
     """Measured and simulated signals over time."""
     names = list(run.held.signals)
-    figure, axes = panels(len(names), 1, (8, 2.1 * len(names) + 0.6), sharex=True)
     units = dict(run.measured.units)
     time = np.asarray(run.measured.time)
-    for panel, name in zip(axes[:, 0], names):
-        panel.plot(time, _shown(run.measured, name), color=GREY, linewidth=1.6, label="measured")
-        panel.plot(
-            time, _shown(run.held.record, name), color=RUST, linewidth=0.9, label="simulated"
+    rows = []
+    for name in names:
+        measured = Line(time, _shown(run.measured, name), "measured", GREY, width=1.8)
+        simulated = Line(time, _shown(run.held.record, name), "simulated", RUST, width=0.9)
+        fit = float(run.held.signals[name].fit)
+        last = name == names[-1]
+        panel = Panel(
+            [measured, simulated],
+            Axis("time / s" if last else ""),
+            Axis(labelled(name, units.get(name))),
+            title=name if np.isnan(fit) else f"{name}: fit {max(fit, -999.0):.1f} %",
         )
-        panel.set_ylabel(labelled(name, units.get(name)))
-    axes[0, 0].legend(fontsize="small", framealpha=0.9, loc="upper right", ncols=2)
-    axes[0, 0].set_title(run.on, fontsize="medium")
-    axes[-1, 0].set_xlabel("time / s")
-    return figure
+        rows.append([panel])
+    return Chart(
+        rows,
+        f"{run.on}: measured, and simulated by the identified model from the inputs alone. A fit "
+        "of 100 % is perfect, at 0 % the measured mean would do as well.",
+        (8, 1.8 * len(names) + 0.8),
+        share_x=True,
+        legend=True,
+    )
 
 
 def _shown(record: Record, name: str) -> np.ndarray:
@@ -129,20 +161,25 @@ class _Fit(NamedTuple):
     start: np.ndarray
 
 
-def _fit_figure(result: Identification) -> Any:
+def _fit_figure(result: Identification) -> Chart:
     """Each stage's rows, measured against explained, and what is left of them."""
     estimate, procedure = result.estimate, result.procedure
     count = len(estimate.stages)
-    figure, axes = panels(2, count, (3.6 * count + 0.8, 6.4))
     fits = list(_fits(result))
-    for column, (stage, name) in enumerate(zip(estimate.stages, estimate.stage_names)):
+    above, beneath = [], []
+    for stage, name in zip(estimate.stages, estimate.stage_names):
         unit = _row_unit(procedure.stages[stage.stage][0].unit, estimate.criterion)
         parts = [fit for place, fit in fits if place == stage.stage]
         measured, explained, start = (np.concatenate(arrays) for arrays in zip(*parts))
         chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
-        _draw_fit(axes[0, column], explained[chosen], measured[chosen], name, unit)
-        _draw_residual(axes[1, column], start[chosen], (measured - explained)[chosen], unit)
-    return figure
+        above.append(_fit_panel(explained[chosen], measured[chosen], name, unit))
+        beneath.append(_residual_panel(start[chosen], (measured - explained)[chosen], unit))
+    return Chart(
+        (above, beneath),
+        "Each equation's rows: measured against explained, which an exact model puts on the line, "
+        "and what is left over time.",
+        (3.6 * count + 0.8, 6.6),
+    )
 
 
 def _fits(result: Identification) -> Iterator[tuple[int, _Fit]]:
@@ -187,20 +224,22 @@ def _fit(
     return _Fit(target, explained, np.asarray(record.time)[first_sample])
 
 
-def _draw_fit(axes: Any, explained: np.ndarray, measured: np.ndarray, name: str, unit: str) -> None:
+def _fit_panel(explained: np.ndarray, measured: np.ndarray, name: str, unit: str) -> Panel:
     reach = 1.05 * max(np.abs(measured).max(), np.abs(explained).max(), 1e-300)
-    axes.plot([-reach, reach], [-reach, reach], color=GREY, linewidth=0.8)
-    axes.plot(explained, measured, ".", color=BLUE, markersize=2, alpha=0.5)
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), title=name)
-    axes.set_xlabel(f"explained by the model{unit}")
-    axes.set_ylabel(f"measured{unit}")
+    return Panel(
+        [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, size=1.5, opacity=0.5)],
+        Axis(f"explained by the model{unit}", low=-reach, high=reach),
+        Axis(f"measured{unit}", low=-reach, high=reach),
+        title=name,
+    )
 
 
-def _draw_residual(axes: Any, time: np.ndarray, residual: np.ndarray, unit: str) -> None:
-    axes.axhline(0, color=GREY, linewidth=0.8)
-    axes.plot(time, residual, ".", color=RUST, markersize=2, alpha=0.5)
-    axes.set_xlabel("time / s")
-    axes.set_ylabel(f"residual{unit}")
+def _residual_panel(time: np.ndarray, residual: np.ndarray, unit: str) -> Panel:
+    return Panel(
+        [Level(0), Dots(time, residual, color=RUST, size=1.5, opacity=0.5)],
+        Axis("time / s"),
+        Axis(f"residual{unit}"),
+    )
 
 
 def _row_unit(unit: str, criterion: AbstractCriterion) -> str:

@@ -1,6 +1,5 @@
 """Where results go: the terminal, standard output as JSON, and a folder."""
 
-import io
 import json
 import math
 import os
@@ -14,6 +13,8 @@ import click
 from rich.console import Console
 
 from riecjax.errors import DataError
+from riecjax.reporting.charts.chart import Chart
+from riecjax.reporting.page import Page
 
 Document = dict[str, Any]
 
@@ -24,12 +25,16 @@ def emit(
     as_json: bool,
     out: Path | None,
     show: Callable[[Document, Console], None],
-    figures: Callable[[], Mapping[str, Any]],
-    title: str,
+    charts: Callable[[], Mapping[str, Chart]],
+    page: Callable[[Document], Page],
 ) -> None:
-    """Write the folder first, if one is asked for, then print."""
+    """Write the folder first, if one is asked for, then print.
+
+    **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
+    """
     if out is not None:
-        write_folder(out, document, figures(), title, show)
+        require_report_packages()
+        write_folder(out, document, charts(), page(document))
     for warning in document.get("warnings", []):
         click.echo(f"warning [{warning['code']}]: {warning['message']}", err=True)
     if as_json:
@@ -40,19 +45,16 @@ def emit(
         click.echo(f"wrote {out}/results.json, report.html and figures")
 
 
-def write_folder(
-    folder: Path,
-    document: Document,
-    figures: Mapping[str, Any],
-    title: str,
-    show: Callable[[Document, Console], None],
-) -> None:
-    """results.json, figures and report.html, each whole or not at all.
+def write_folder(folder: Path, document: Document, charts: Mapping[str, Chart], page: Page) -> None:
+    """results.json, a PNG of each chart and report.html, each whole or not at all.
 
     Everything is made in a temporary folder beside it first; only then files are moved in.
+
+    **Raises:** `DataError` if the folder cannot be written, or a package for reports is missing.
     """
-    plt = require_plots()
-    from riecjax.reporting.html import report_page
+    require_report_packages()
+    from riecjax.reporting.charts.printed import print_chart
+    from riecjax.reporting.rendering import render
 
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -61,11 +63,11 @@ def write_folder(
         raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
     try:
         (made / "results.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
-        for name, figure in figures.items():
-            figure.savefig(made / f"{name}.png", dpi=150)
+        pictures = {name: made / f"{name}.png" for name in charts}
+        for name, chart in charts.items():
+            print_chart(chart, pictures[name])
         (made / "report.html").write_text(
-            report_page(title, document, sorted(made.glob("*.png")), _as_text(document, show)),
-            encoding="utf-8",
+            render(page, document, charts, pictures), encoding="utf-8"
         )
         folder.mkdir(exist_ok=True)
         for file in made.iterdir():
@@ -74,15 +76,6 @@ def write_folder(
         raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
     finally:
         shutil.rmtree(made, ignore_errors=True)
-        for figure in figures.values():
-            if isinstance(figure, plt.Figure):
-                plt.close(figure)
-
-
-def _as_text(document: Document, show: Callable[[Document, Console], None]) -> str:
-    console = Console(record=True, width=110, file=io.StringIO())
-    show(document, console)
-    return console.export_text()
 
 
 def versions() -> dict[str, str]:
@@ -94,23 +87,20 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {name: version(name) for name in packages}
 
 
-def require_plots() -> Any:
-    """matplotlib's pyplot, without a screen, where jinja2 is there too.
+def require_report_packages() -> None:
+    """Make sure that figures and pages can be made.
 
-    **Raises:** `DataError` with the remedy if it is not installed.
+    **Raises:** `DataError` with the remedy if a package is not installed.
     """
     try:
         import jinja2  # noqa: F401
-        import matplotlib
+        import matplotlib  # noqa: F401
+        import plotly  # noqa: F401
     except ImportError:
         raise DataError(
-            "figures and reports need matplotlib and jinja2; install them by "
+            "figures and reports need matplotlib, plotly and jinja2; install them by "
             "pip install 'riecjax[report]'."
         ) from None
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
 
 
 def number(value: float | None, digits: int = 6) -> str:

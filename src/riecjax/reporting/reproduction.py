@@ -1,6 +1,6 @@
 """Results of the reproduction: JSON document, tables on a terminal, figures."""
 
-from typing import Any
+import io
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +15,21 @@ from riecjax.paper.eigenstructure import ModeComparison, table_1
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS, PublishedMode
 from riecjax.paper.reproduction import RoadResult
 from riecjax.paper.tables import Cell, Table, contact, table_3, table_4, table_5
+from riecjax.reporting.charts.chart import (
+    BLUE,
+    DASHES,
+    RUST,
+    Axis,
+    Chart,
+    Dots,
+    Level,
+    Line,
+    Panel,
+    single,
+)
 from riecjax.reporting.output import Document, versions
-from riecjax.reporting.style import BLUE, RUST, panels
+from riecjax.reporting.page import Page, Section
+from riecjax.reporting.page import Table as PageTable
 
 SHOWN = {
     "3": ("Identified tyre stiffness (kN/m) and masses (kg)", {"K_t": 1e3}),
@@ -194,16 +207,31 @@ def _number_table(number: str, scales: dict[str, float], rows: Document) -> Rich
     return table
 
 
-def reproduction_figures(roads: RoadResult, source: QuarterCarSource) -> dict[str, Any]:
+def reproduction_page(document: Document) -> Page:
+    """The page of report.html: the tables as printed on the terminal, and the charts."""
+    console = Console(record=True, width=110, file=io.StringIO())
+    print_reproduction(document, console)
+    rows = [(line,) for line in console.export_text().splitlines()]
+    return Page(
+        "Best and Gordon (1999), reproduced",
+        "",
+        [
+            Section("Tables", tables=[PageTable(("published and reproduced",), rows)]),
+            Section("Figures", charts=("tables", "damper_maps", "curves")),
+        ],
+    )
+
+
+def reproduction_charts(roads: RoadResult, source: QuarterCarSource) -> dict[str, Chart]:
     """`tables`, `damper_maps` (Fig. 7) and `curves` (Fig. 5, reconstructed)."""
     return {
-        "tables": _ratio_figure(roads),
-        "damper_maps": _damper_figure(roads, source),
-        "curves": _curve_figure(source),
+        "tables": _ratio_chart(roads),
+        "damper_maps": _damper_chart(roads, source),
+        "curves": _curve_chart(source),
     }
 
 
-def _ratio_figure(roads: RoadResult) -> Any:
+def _ratio_chart(roads: RoadResult) -> Chart:
     tables = (("", table_3(roads)), ("K_s ", table_4(roads)), ("p ", table_5(roads)))
     cells = {
         f"{prefix}{row}  {criterion}": cell
@@ -211,52 +239,48 @@ def _ratio_figure(roads: RoadResult) -> Any:
         for row, line in table.items()
         for criterion, cell in line.items()
     }
-    figure, ((axes,),) = panels(1, 1, (7.5, 8.5))
+    marks: list[Line | Dots | Level] = [Level(0, "x")]
     for i, cell in enumerate(cells.values()):
-        low, high = cell.low / cell.published, cell.high / cell.published
+        ends = [100 * (end / cell.published - 1) for end in (cell.low, cell.high)]
         color = BLUE if cell.inside else RUST
-        axes.plot([100 * (low - 1), 100 * (high - 1)], [i, i], color=color, linewidth=2)
-        axes.plot(100 * cell.deviation, i, "o", color=color, markersize=4)
-    axes.axvline(0, color="0.4", linewidth=0.8)
-    axes.set_yticks(range(len(cells)), list(cells), fontsize=8)
-    axes.invert_yaxis()
-    axes.set_xlabel("reproduced against published / %: mean (dot) and 95 % of roads (line)")
-    axes.grid(axis="x", color="0.9")
-    return figure
+        marks += [
+            Line(ends, [i, i], color=color, width=2),
+            Dots([100 * cell.deviation], [i], color=color, size=4),
+        ]
+    return single(
+        marks,
+        Axis("reproduced against published / %"),
+        Axis(categories=tuple(cells), reverse=True),
+        "Reproduced against published: mean (dot) and 95 % of roads (line).",
+        size=(7.5, 8.5),
+    )
 
 
-def _damper_figure(roads: RoadResult, source: QuarterCarSource) -> Any:
-    figure, (axes,) = panels(1, 2, (9, 4), sharey=True)
+def _damper_chart(roads: RoadResult, source: QuarterCarSource) -> Chart:
     velocity = np.linspace(-1.2, 1.2, 241)
-    styles = dict(zip(VARIANTS, ("-", "--", ":", "-.")))
-    for axis, criterion in zip(axes, CRITERIA):
-        force = np.asarray(source.damper(jnp.asarray(velocity))) / 1e3  # pyright: ignore[reportCallIssue]
-        axis.plot(velocity, force, color="0.75", linewidth=4, label="source")
-        for variant in VARIANTS:
+    force = np.asarray(source.damper(jnp.asarray(velocity))) / 1e3  # pyright: ignore[reportCallIssue]
+    row = []
+    for criterion in CRITERIA:
+        marks = [Line(velocity, force, "source", color="#bfbfbf", width=4)]
+        for variant, dashes in zip(VARIANTS, DASHES):
             points = [
                 float(np.mean(roads.parameters[criterion][variant][f"F_{i}"])) / 1e3
                 for i in range(1, 5)
             ]
-            axis.plot(BREAK_POINTS, points, styles[variant], color=BLUE, marker=".", label=variant)
-        axis.set_title(criterion)
-        axis.set_xlabel("suspension velocity / (m/s)")
-        axis.grid(color="0.9")
-    axes[0].set_ylabel("damper force / kN")
-    axes[1].legend(frameon=False)
-    return figure
+            marks.append(Line(BREAK_POINTS, points, variant, dashes=dashes, markers=True))
+        label = "" if row else "damper force / kN"
+        row.append(Panel(marks, Axis("suspension velocity / (m/s)"), Axis(label), title=criterion))
+    return Chart((row,), "Identified damper maps.", (9, 4), share_y=True, legend=True)
 
 
-def _curve_figure(source: QuarterCarSource) -> Any:
-    figure, (axes,) = panels(1, 3, (11, 3.6))
+def _curve_chart(source: QuarterCarSource) -> Chart:
     curves = (
         (source.damper, np.linspace(-1.5, 1.5, 301), 1.0, "damper velocity / (m/s)"),
         (source.spring, np.linspace(-0.08, 0.08, 301), 1e3, "suspension deflection / mm"),
         (source.mount, np.linspace(-0.008, 0.008, 301), 1e3, "engine mount deflection / mm"),
     )
-    for axis, (curve, x, factor, label) in zip(axes, curves):
-        axis.plot(factor * x, np.asarray(curve(jnp.asarray(x))) / 1e3, color=BLUE)  # pyright: ignore
-        axis.set_xlabel(label)
-        axis.grid(color="0.9")
-    axes[0].set_ylabel("force / kN")
-    axes[1].set_title("reconstructed characteristics of the source model")
-    return figure
+    row = []
+    for curve, x, factor, label in curves:
+        force = np.asarray(curve(jnp.asarray(x))) / 1e3  # pyright: ignore[reportCallIssue]
+        row.append(Panel([Line(factor * x, force)], Axis(label), Axis("force / kN")))
+    return Chart((row,), "Reconstructed characteristics of the source model.", (11, 3.6))

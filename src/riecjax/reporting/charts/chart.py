@@ -27,7 +27,8 @@ class Axis:
     """An axis: its label with the unit, and where it ends (`None`: where the data do).
 
     **Fields:** `log` for a logarithmic axis; `categories`, names of the places 0, 1, ...;
-    `reverse`, values grow downwards (to the left).
+    `reverse`, values grow downwards (to the left); `color` of its numbers, where that of a line
+    says which axis it belongs to.
     """
 
     label: str = ""
@@ -36,6 +37,7 @@ class Axis:
     high: float | None = None
     categories: tuple[str, ...] = ()
     reverse: bool = False
+    color: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,8 @@ class Level:
 class HeatMap:
     """Values over a grid, shape `(y, x)`, with their `label`.
 
-    **Fields:** `low` and `high`, ends of the scale; `diverging` about its middle; `numbers`,
-    decimals of the values written into the cells, `None` for none.
+    **Fields:** `low` and `high`, ends of the scale; `diverging` about zero; `numbers`, decimals of
+    the values written into the cells, `None` for none.
     """
 
     x: ArrayLike
@@ -122,13 +124,30 @@ class HeatMap:
     diverging: bool = False
     numbers: int | None = None
 
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Ends of the scale: those given, or the values', alike on both sides if diverging."""
+        values = as_array(self.values)
+        found = values[np.isfinite(values)]
+        least, most = (float(found.min()), float(found.max())) if found.size else (0.0, 1.0)
+        if self.diverging:
+            most = max(abs(least), abs(most))
+            least = -most
+        return (
+            least if self.low is None else self.low,
+            most if self.high is None else self.high,
+        )
+
 
 Mark = Line | Dots | Stems | Span | Level | HeatMap
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes; `columns`, how many places of its row it takes."""
+    """One pair of axes; `columns`, how many places of its row it takes.
+
+    A `legend` stands above it, under its `title`.
+    """
 
     marks: Sequence[Mark]
     x: Axis = field(default_factory=Axis)
@@ -147,7 +166,8 @@ class Chart:
 
     - `caption`: what it shows and how to read it, a sentence or two.
     - `size` in inches of the printed figure; `heights` of the rows, relative.
-    - `share_x`: panels above one another zoom together. `share_y`: those of a row do.
+    - `share_x`: panels above one another zoom together, and only those whose x axis has a label
+      have numbers on it. `share_y`: the same for those of a row.
     - `legend`: of the first panel, once for all, above them.
     """
 

@@ -1,6 +1,8 @@
 """Charts on a page: a Plotly figure in plain data, which zooms and tells values on hover."""
 
-from typing import Any
+import html
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,27 +21,125 @@ from riecjax.reporting.charts.chart import (
     as_array,
 )
 
-PIXELS = 84
+PIXELS = 88
 """To an inch of the printed figure, in height; the width is the page's."""
-DIGITS = 5
+DIGITS = 6
 """Significant digits of a value on a page: more than a screen shows, and a smaller file."""
 DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot"}
-GAP_X, GAP_Y = 0.09, 0.14
-"""Space between panels, as shares of the whole."""
-WITH_COLOUR_BAR = 0.86
-"""Share of its place that a panel with a colour bar keeps."""
+NARROWEST_PANEL = 210
+"""Width in pixels of a panel without its numbers and labels, below which a page scrolls."""
+LEFT, RIGHT, BOTTOM = 62, 14, 46
+"""Pixels about a panel: numbers and label of its axes."""
+RIGHT_AXIS, COLOUR_BAR = 54, 78
+TITLE, LEGEND = 20, 26
+GREY_KEY = "#666666"
+MAP = {
+    False: "Viridis",
+    # As matplotlib's RdBu_r.
+    True: [
+        [0.0, "#053061"],
+        [0.1, "#2166ac"],
+        [0.2, "#4393c3"],
+        [0.3, "#92c5de"],
+        [0.4, "#d1e5f0"],
+        [0.5, "#f7f7f7"],
+        [0.6, "#fddbc7"],
+        [0.7, "#f4a582"],
+        [0.8, "#d6604d"],
+        [0.9, "#b2182b"],
+        [1.0, "#67001f"],
+    ],
+}
 
 
 def interactive(chart: Chart) -> dict[str, Any]:
     """Data and layout of a Plotly figure, ready for JSON."""
     figure = _Figure(chart)
+    for row, place, panel in _places(chart):
+        figure.add(panel, row, place)
+    return {"data": figure.data, "layout": figure.layout}
+
+
+def narrowest(chart: Chart) -> int:
+    """Width in pixels below which a chart should be scrolled, not squashed."""
+    return round(_Spaces.of(chart).width)
+
+
+def _places(chart: Chart) -> Iterator[tuple[int, int, Panel]]:
+    """Each panel with its row and its first column."""
     for i, row in enumerate(chart.rows):
         place = 0
         for panel in row:
             if panel is not None:
-                figure.add(panel, i, place)
+                yield i, place, panel
             place += 1 if panel is None else panel.columns
-    return {"data": figure.data, "layout": figure.layout}
+
+
+class _Spaces(NamedTuple):
+    """Where panels are: pixels across at the narrowest, and down.
+
+    **Fields:** `right` of each column, for axes and colour bars there; `above` each row, for titles
+    and legends; `down`, heights of the rows; `width` and `height` of everything.
+    """
+
+    right: list[int]
+    above: list[int]
+    down: list[float]
+    width: float
+    height: float
+
+    @classmethod
+    def of(cls, chart: Chart) -> "_Spaces":
+        right, above = [0] * chart.columns, [6] * len(chart.rows)
+        for row, place, panel in _places(chart):
+            last = place + panel.columns - 1
+            right[last] = max(right[last], _right_of(panel))
+            above[row] = max(above[row], _above(panel, chart))
+        if chart.legend:
+            above[0] += LEGEND
+        heights = np.array(chart.heights or (1.0,) * len(chart.rows))
+        total = PIXELS * chart.size[1]
+        room = max(total - sum(above) - BOTTOM * len(chart.rows), 110.0 * len(chart.rows))
+        down = (room * heights / heights.sum()).tolist()
+        width = chart.columns * (NARROWEST_PANEL + LEFT) + sum(right) + RIGHT
+        return cls(right, above, down, width, sum(down) + sum(above) + BOTTOM * len(down))
+
+    def across(self, place: int, columns: int) -> list[float]:
+        """Ends of a panel, as shares of the width inside the margins."""
+        inside = self.width - LEFT - RIGHT - self.right[-1]
+        gaps = [right + LEFT for right in self.right]
+        start = sum(gaps[:place]) + place * NARROWEST_PANEL
+        stop = start + columns * NARROWEST_PANEL + sum(gaps[place : place + columns - 1])
+        return [start / inside, min(stop / inside, 1.0)]
+
+    def along(self, row: int) -> list[float]:
+        """Bottom and top of a row, as shares of the height inside the margins."""
+        top = sum(self.down[:row]) + sum(self.above[1 : row + 1]) + BOTTOM * row
+        return [
+            max(1 - (top + self.down[row]) / self.inside_height, 0.0),
+            1 - top / self.inside_height,
+        ]
+
+    @property
+    def inside_height(self) -> float:
+        """Height inside the margins."""
+        return self.height - self.above[0] - BOTTOM
+
+
+def _right_of(panel: Panel) -> int:
+    if any(isinstance(mark, HeatMap) for mark in panel.marks):
+        return COLOUR_BAR
+    return 0 if panel.right is None else RIGHT_AXIS
+
+
+def _above(panel: Panel, chart: Chart) -> int:
+    own = not chart.legend and _has_legend(panel)
+    return 6 + TITLE * bool(panel.title) + LEGEND * own
+
+
+def _has_legend(panel: Panel) -> bool:
+    named = (mark for mark in panel.marks if not isinstance(mark, HeatMap))
+    return panel.legend and any(mark.label for mark in named)
 
 
 class _Figure:
@@ -47,19 +147,25 @@ class _Figure:
 
     def __init__(self, chart: Chart):
         self.chart = chart
+        self.spaces = _Spaces.of(chart)
         self.data: list[dict[str, Any]] = []
         self.count = 0
         self.above: dict[int, str] = {}
         self.first_of_row: dict[int, str] = {}
-        self.legends: set[str] = set()
+        self.in_legend: set[tuple[str, str]] = set()
         self.layout: dict[str, Any] = {
-            "height": round(PIXELS * chart.size[1]) + 40,
-            "margin": {"l": 64, "r": 16, "t": 36, "b": 48},
-            "font": {"family": "system-ui, sans-serif", "size": 12},
+            "height": round(self.spaces.height),
+            "margin": {
+                "l": LEFT,
+                "r": RIGHT + self.spaces.right[-1],
+                "t": self.spaces.above[0],
+                "b": BOTTOM,
+            },
+            "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#1a1a1a"},
             "paper_bgcolor": "rgba(0,0,0,0)",
             "plot_bgcolor": "rgba(0,0,0,0)",
             "hovermode": "closest",
-            "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+            "hoverlabel": {"namelength": -1},
             "shapes": [],
             "annotations": [],
         }
@@ -68,15 +174,14 @@ class _Figure:
         """One panel with all its marks."""
         self.count += 1
         number = "" if self.count == 1 else str(self.count)
-        across, down = self._place(panel, row, place)
-        self.layout[f"xaxis{number}"] = _axis(panel.x) | {"domain": across, "anchor": f"y{number}"}
-        self.layout[f"yaxis{number}"] = _axis(panel.y) | {"domain": down, "anchor": f"x{number}"}
-        if self.chart.share_x and place in self.above:
-            self.layout[f"xaxis{number}"]["matches"] = self.above[place]
-        if self.chart.share_y and row in self.first_of_row:
-            self.layout[f"yaxis{number}"]["matches"] = self.first_of_row[row]
-        self.above.setdefault(place, f"x{number}")
-        self.first_of_row.setdefault(row, f"y{number}")
+        across, down = self.spaces.across(place, panel.columns), self.spaces.along(row)
+        x, y = _axis(panel.x), _axis(panel.y)
+        if self.chart.share_x:
+            _share(x, panel.x, self.above.setdefault(place, f"x{number}"), f"x{number}")
+        if self.chart.share_y:
+            _share(y, panel.y, self.first_of_row.setdefault(row, f"y{number}"), f"y{number}")
+        self.layout[f"xaxis{number}"] = x | {"domain": across, "anchor": f"y{number}"}
+        self.layout[f"yaxis{number}"] = y | {"domain": down, "anchor": f"x{number}"}
         axes = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
         right = {"xaxis": f"x{number}", "yaxis": f"y{100 + self.count}"}
         if panel.right is not None:
@@ -86,66 +191,71 @@ class _Figure:
                 "anchor": f"x{number}",
                 "showgrid": False,
             }
-        if panel.title:
-            self._title(panel.title, across, down)
+        self._titles(panel, across, down)
         for mark in panel.marks:
             self._mark(mark, right if isinstance(mark, Line) and mark.right else axes, panel)
 
-    def _place(self, panel: Panel, row: int, place: int) -> tuple[list[float], list[float]]:
-        columns, rows = self.chart.columns, len(self.chart.rows)
-        width = (1 - GAP_X * (columns - 1)) / columns
-        left = place * (width + GAP_X)
-        across = [left, left + panel.columns * width + (panel.columns - 1) * GAP_X]
-        if any(isinstance(mark, HeatMap) for mark in panel.marks):
-            across[1] = across[0] + WITH_COLOUR_BAR * (across[1] - across[0])
-        heights = np.array(self.chart.heights or (1.0,) * rows)
-        gap = GAP_Y * 2 / max(rows, 2) if rows > 1 else 0.0
-        shares = heights / heights.sum() * (1 - gap * (rows - 1))
-        top = 1 - float(shares[:row].sum()) - gap * row
-        return across, [max(top - float(shares[row]), 0.0), top]
-
-    def _title(self, title: str, across: list[float], down: list[float]) -> None:
-        self.layout["annotations"].append(
-            {
-                "text": title,
-                "x": sum(across) / 2,
-                "y": down[1],
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "center",
+    def _titles(self, panel: Panel, across: list[float], down: list[float]) -> None:
+        """Title and legend, above the panel."""
+        own = not self.chart.legend and _has_legend(panel)
+        all_in_one = self.chart.legend and self.count == 1
+        if own or all_in_one:
+            shift = (TITLE if all_in_one and panel.title else 0) / self.spaces.inside_height
+            self.layout[self._legend] = {
+                "orientation": "h",
+                "x": across[0],
+                "y": down[1] + shift,
+                "xanchor": "left",
                 "yanchor": "bottom",
-                "showarrow": False,
+                "bgcolor": "rgba(0,0,0,0)",
+                "tracegroupgap": 4,
             }
-        )
+        if panel.title:
+            self.layout["annotations"].append(
+                {
+                    "text": f"<b>{_text(panel.title)}</b>",
+                    "x": across[0],
+                    "y": down[1],
+                    "yshift": LEGEND if own else 2,
+                    "xref": "paper",
+                    "yref": "paper",
+                    "xanchor": "left",
+                    "yanchor": "bottom",
+                    "showarrow": False,
+                }
+            )
+
+    @property
+    def _legend(self) -> str:
+        return "legend" if self.chart.legend or self.count == 1 else f"legend{self.count}"
 
     def _named(self, label: str, panel: Panel) -> dict[str, Any]:
-        """Name of a trace; the same name in several panels stands in the legend once."""
-        first = bool(label) and label not in self.legends and panel.legend
-        self.legends.add(label)
-        return {"name": label, "legendgroup": label or None, "showlegend": first}
+        """Name of a trace, which stands in a legend once."""
+        key = (label, self._legend)
+        shown = panel.legend and not (self.chart.legend and self.count > 1)
+        first = bool(label) and shown and key not in self.in_legend
+        self.in_legend.add(key)
+        name = _text(label)
+        return {
+            "name": name,
+            "legendgroup": name or None,
+            "showlegend": first,
+            "legend": self._legend,
+        }
 
     def _mark(self, mark: Mark, axes: dict[str, str], panel: Panel) -> None:
         match mark:
             case Line():
                 self._line(mark, axes, panel)
             case Dots():
-                self.data.append(
-                    {
-                        "type": "scattergl" if as_array(mark.x).size > 2000 else "scatter",
-                        "mode": "markers",
-                        "x": _values(mark.x),
-                        "y": _values(mark.y),
-                        "marker": {
-                            "color": mark.color,
-                            "size": 1.5 * mark.size,
-                            "opacity": mark.opacity,
-                        },
-                        **self._named(mark.label, panel),
-                        **axes,
-                    }
+                self._points(
+                    mark,
+                    axes,
+                    panel,
+                    {"size": 1.5 * mark.size, "opacity": mark.opacity},
                 )
             case Stems():
-                self._stems(mark, axes, panel)
+                self._points(mark, axes, panel, {"size": 3}, error_y=_to_zero(mark))
             case Span():
                 self._span(mark, axes, panel)
             case Level():
@@ -153,10 +263,28 @@ class _Figure:
             case HeatMap():
                 self._map(mark, axes)
 
+    def _points(
+        self,
+        mark: Dots | Stems,
+        axes: dict[str, str],
+        panel: Panel,
+        marker: dict[str, Any],
+        **settings: Any,
+    ) -> None:
+        self.data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "x": _values(mark.x),
+                "y": _values(mark.y),
+                "marker": {"color": mark.color, **marker},
+                **self._named(mark.label, panel),
+                **axes,
+                **settings,
+            }
+        )
+
     def _line(self, line: Line, axes: dict[str, str], panel: Panel) -> None:
-        named = self._named(line.label, panel)
-        if line.low is not None and line.high is not None:
-            self.data += _band(line, {**named, "showlegend": False}, axes)
         trace = {
             "type": "scatter",
             "mode": "lines+markers" if line.markers else "lines",
@@ -168,102 +296,77 @@ class _Figure:
                 "width": 1.2 * line.width,
             },
             "marker": {"size": 5},
-            **named,
+            **self._named(line.label, panel),
             **axes,
         }
         if line.low is not None and line.high is not None:
+            self.data.append(_band(line, line.low, line.high) | axes)
             ends = np.stack([as_array(line.low), as_array(line.high)], axis=-1)
             trace["customdata"] = [_values(pair) for pair in ends]
-            trace["hovertemplate"] = "%{x}: %{y}<br>%{customdata[0]} to %{customdata[1]}"
+            trace["hovertemplate"] = "(%{x}, %{y})<br>%{customdata[0]} to %{customdata[1]}"
         if line.error is not None:
             trace["error_y"] = {"array": _values(line.error), "thickness": 1, "width": 3}
         self.data.append(trace)
 
-    def _stems(self, stems: Stems, axes: dict[str, str], panel: Panel) -> None:
-        x, y = as_array(stems.x), as_array(stems.y)
-        there, from_zero = np.repeat(x, 3), np.stack([0 * y, y, np.full_like(y, np.nan)], axis=1)
-        self.data.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "x": _values(there),
-                "y": _values(from_zero.ravel()),
-                "line": {"color": stems.color, "width": 1.2},
-                **self._named(stems.label, panel),
-                **axes,
-            }
-        )
-
     def _span(self, span: Span, axes: dict[str, str], panel: Panel) -> None:
-        along, across = ("x", "y") if span.axis == "x" else ("y", "x")
-        fill = {"fillcolor": span.color, "opacity": span.opacity, "line": {"width": 0}}
+        look: dict[str, Any] = {"fillcolor": span.color, "opacity": span.opacity}
+        look["line"] = {"width": 0}
+        key: dict[str, Any] = {"color": span.color, "opacity": span.opacity}
         if span.hatched:
-            fill = {
-                "fillcolor": "rgba(0,0,0,0)",
-                "line": {"width": 1, "dash": "dot", "color": "#666666"},
-            }
-        self.layout["shapes"].append(
-            {
-                "type": "rect",
-                "layer": "below",
-                f"{along}ref": axes[f"{along}axis"],
-                f"{across}ref": f"{axes[f'{across}axis']} domain",
-                f"{along}0": _number(span.low),
-                f"{along}1": _number(span.high),
-                f"{across}0": 0,
-                f"{across}1": 1,
-                **fill,
-            }
-        )
+            # Plotly has no hatching of shapes: an outline instead.
+            edge = {"width": 1, "color": GREY_KEY}
+            look = {"fillcolor": "rgba(0,0,0,0)", "line": edge | {"dash": "dot"}}
+            key = {"color": "rgba(0,0,0,0)", "line": edge}
+        self._shape("rect", span.axis, span.low, span.high, axes, look)
         if span.label:
-            color = "#666666" if span.hatched else span.color
-            self._key(span.label, {"color": color, "width": 8}, axes, panel)
+            marker = {"symbol": "square", "size": 11, **key}
+            self._key(span.label, {"mode": "markers", "marker": marker}, axes, panel)
 
     def _level(self, level: Level, axes: dict[str, str], panel: Panel) -> None:
         style = {"color": level.color, "dash": DASHES[level.dashes], "width": 1}
+        look = {"mode": "lines", "line": style}
         if level.axis == "diagonal":
             ends = _reach(panel)
-            self.data.append(
-                {
-                    "type": "scatter",
-                    "mode": "lines",
-                    "x": ends,
-                    "y": ends,
-                    "line": style,
-                    "hoverinfo": "skip",
-                    **self._named(level.label, panel),
-                    **axes,
-                }
-            )
+            self._key(level.label, {**look, "x": ends, "y": ends}, axes, panel)
             return
-        along, across = (level.axis, "y" if level.axis == "x" else "x")
+        self._shape("line", level.axis, level.value, level.value, axes, {"line": style})
+        if level.label:
+            self._key(level.label, look, axes, panel)
+
+    def _shape(
+        self,
+        kind: str,
+        along: str,
+        low: float,
+        high: float,
+        axes: dict[str, str],
+        look: dict[str, Any],
+    ) -> None:
+        """A stretch or a value of one axis, from end to end of the other."""
+        across = "y" if along == "x" else "x"
         self.layout["shapes"].append(
             {
-                "type": "line",
+                "type": kind,
                 "layer": "below",
                 f"{along}ref": axes[f"{along}axis"],
                 f"{across}ref": f"{axes[f'{across}axis']} domain",
-                f"{along}0": level.value,
-                f"{along}1": level.value,
+                f"{along}0": _number(low),
+                f"{along}1": _number(high),
                 f"{across}0": 0,
                 f"{across}1": 1,
-                "line": style,
+                **look,
             }
         )
-        if level.label:
-            self._key(level.label, style, axes, panel)
 
-    def _key(
-        self, label: str, style: dict[str, Any], axes: dict[str, str], panel: Panel
-    ) -> None:
-        """An entry of the legend for a shape, which has none of its own."""
+    def _key(self, label: str, look: dict[str, Any], axes: dict[str, str], panel: Panel) -> None:
+        """An entry of the legend for what has none of its own; nothing to point at."""
         self.data.append(
             {
                 "type": "scatter",
-                "mode": "lines",
                 "x": [None],
                 "y": [None],
-                "line": style,
+                "hoverinfo": "skip",
+                **look,
                 **self._named(label, panel),
                 **axes,
             }
@@ -273,19 +376,22 @@ class _Figure:
         number = axes["xaxis"].removeprefix("x")
         across = self.layout[f"xaxis{number}"]["domain"]
         down = self.layout[f"yaxis{number}"]["domain"]
+        values = as_array(heat.values)
+        low, high = heat.scale
         trace: dict[str, Any] = {
             "type": "heatmap",
             "x": _values(heat.x),
             "y": _values(heat.y),
-            "z": [_values(row) for row in as_array(heat.values)],
-            "colorscale": "RdBu" if heat.diverging else "Viridis",
-            "reversescale": heat.diverging,
-            "zmin": heat.low,
-            "zmax": heat.high,
-            "hovertemplate": "%{x}, %{y}: %{z}<extra></extra>",
+            "z": [_values(row) for row in values],
+            "colorscale": MAP[heat.diverging],
+            "zmin": low,
+            "zmax": high,
+            "hoverongaps": False,
+            "hovertemplate": _of_cell(self.layout[f"xaxis{number}"], self.layout[f"yaxis{number}"]),
             "colorbar": {
-                "title": {"text": heat.label, "side": "right"},
-                "x": across[1] + 0.01,
+                "title": {"text": _text(heat.label), "side": "right"},
+                "x": across[1],
+                "xpad": 8,
                 "y": sum(down) / 2,
                 "len": down[1] - down[0],
                 "thickness": 12,
@@ -295,66 +401,108 @@ class _Figure:
         }
         if heat.numbers is not None:
             trace["texttemplate"] = f"%{{z:.{heat.numbers}f}}"
+        names = [self.layout[f"{axis}axis{number}"].get("ticktext") for axis in "yx"]
+        if any(names):
+            y, x = (n or _values(v) for n, v in zip(names, (heat.y, heat.x)))
+            trace["customdata"] = [[[one, other] for other in x] for one in y]
         self.data.append(trace)
 
 
-def _band(line: Line, named: dict[str, Any], axes: dict[str, str]) -> list[dict[str, Any]]:
-    """Two invisible lines with colour between them."""
-    edge = {
+def _of_cell(x: dict[str, Any], y: dict[str, Any]) -> str:
+    """What a cell says: names of its place, where the axes have some."""
+    where = "%{customdata[0]}, %{customdata[1]}" if "ticktext" in x | y else "%{x}, %{y}"
+    return f"{where}: %{{z}}<extra></extra>"
+
+
+def _band(line: Line, low: ArrayLike, high: ArrayLike) -> dict[str, Any]:
+    """One closed outline for each unbroken stretch of a band."""
+    x, low, high = (as_array(values).astype(float) for values in (line.x, low, high))
+    whole = np.flatnonzero(np.isfinite(x) & np.isfinite(low) & np.isfinite(high))
+    around_x: list[Any] = []
+    around_y: list[Any] = []
+    for part in np.split(whole, np.flatnonzero(np.diff(whole) > 1) + 1):
+        back = part[::-1]
+        around_x += [*_values(x[part]), *_values(x[back]), None]
+        around_y += [*_values(high[part]), *_values(low[back]), None]
+    return {
         "type": "scatter",
         "mode": "lines",
-        "x": _values(line.x),
+        "x": around_x,
+        "y": around_y,
         "line": {"width": 0},
+        "fill": "toself",
+        "fillcolor": _translucent(line.color, 0.18),
         "hoverinfo": "skip",
-        **named,
-        **axes,
+        "showlegend": False,
+        "legendgroup": _text(line.label) or None,
     }
-    return [
-        {**edge, "y": _values(line.low if line.low is not None else [])},
-        {
-            **edge,
-            "y": _values(line.high if line.high is not None else []),
-            "fill": "tonexty",
-            "fillcolor": _translucent(line.color, 0.18),
-        },
-    ]
+
+
+def _to_zero(stems: Stems) -> dict[str, Any]:
+    """Bars from each value back to zero."""
+    y = as_array(stems.y)
+    return {
+        "symmetric": False,
+        "array": _values(np.maximum(-y, 0)),
+        "arrayminus": _values(np.maximum(y, 0)),
+        "color": stems.color,
+        "thickness": 1.2,
+        "width": 0,
+    }
 
 
 def _axis(wanted: Axis) -> dict[str, Any]:
     axis: dict[str, Any] = {
-        "title": {"text": wanted.label, "standoff": 6},
+        "title": {"text": _text(wanted.label), "standoff": 6},
         "type": "log" if wanted.log else "linear",
         "gridcolor": "#ececec",
         "zeroline": False,
         "linecolor": "#555555",
         "ticks": "outside",
+        "ticklen": 4,
+        "tickcolor": "#999999",
         "automargin": True,
+        "exponentformat": "power",
+        "minexponent": 5,
+        "hoverformat": f".{DIGITS}~g",
     }
-    if wanted.log:
-        axis |= {"dtick": "D2", "exponentformat": "power"}
+    if wanted.color:
+        axis |= {"color": wanted.color}
     if wanted.categories:
         axis |= {
             "tickvals": list(range(len(wanted.categories))),
-            "ticktext": list(wanted.categories),
+            "ticktext": [_text(name) for name in wanted.categories],
             "showgrid": False,
         }
-    ends = [wanted.low, wanted.high]
+    return axis | _ends(wanted)
+
+
+def _ends(wanted: Axis) -> dict[str, Any]:
+    given = [wanted.low, wanted.high]
     if wanted.log:
-        ends = [None if end is None else float(np.log10(end)) for end in ends]
-    if any(end is not None for end in ends):
-        axis["range"] = [None if end is None else _number(end) for end in ends]
+        given = [None if end is None else float(np.log10(end)) for end in given]
+    ends = [None if end is None else _number(end) for end in given]
     if wanted.reverse:
-        axis["autorange"] = "reversed"
-    return axis
+        ends = ends[::-1]
+    if all(end is None for end in ends):
+        return {"autorange": "reversed"} if wanted.reverse else {}
+    return {"range": ends}
 
 
-def _reach(panel: Panel) -> list[float]:
+def _share(axis: dict[str, Any], wanted: Axis, first: str, own: str) -> None:
+    if first != own:
+        axis["matches"] = first
+    if not wanted.label:
+        axis["showticklabels"] = False
+
+
+def _reach(panel: Panel) -> list[float | None]:
     """Ends of a sloped line: the axis', or the data's."""
     if panel.x.low is not None and panel.x.high is not None:
-        return [panel.x.low, panel.x.high]
-    drawn = [as_array(m.x) for m in panel.marks if isinstance(m, Line | Dots)]
-    values = np.concatenate([np.atleast_1d(x) for x in drawn]) if drawn else np.array([0.0, 1.0])
-    return [_number(float(np.nanmin(values))) or 0.0, _number(float(np.nanmax(values))) or 1.0]
+        return _values([panel.x.low, panel.x.high])
+    drawn = [as_array(m.x).ravel() for m in panel.marks if isinstance(m, Line | Dots | Stems)]
+    values = np.concatenate(drawn) if drawn else np.array([0.0, 1.0])
+    return _values([np.nanmin(values), np.nanmax(values)])
 
 
 def _values(values: ArrayLike) -> list[Any]:
@@ -364,6 +512,11 @@ def _values(values: ArrayLike) -> list[Any]:
 def _number(value: float) -> float | None:
     """Rounded for the page; a gap where there is no number."""
     return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+
+
+def _text(text: str) -> str:
+    """Plotly reads a little HTML in texts."""
+    return html.escape(text, quote=False)
 
 
 def _translucent(color: str, opacity: float) -> str:

@@ -1,9 +1,13 @@
 """Charts in print: matplotlib, one style, readable without colour."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from riecjax.reporting.charts.chart import (
     Axis,
@@ -18,39 +22,49 @@ from riecjax.reporting.charts.chart import (
     Stems,
     as_array,
 )
-from riecjax.reporting.output import require_plots
 
+DOTS_PER_INCH = 150
 DECADE = 12
 """Ratio of an axis' ends up to which 1, 2, 5 would be too few numbers on it."""
 PLAIN = (1e-3, 1e5)
 """Numbers on a logarithmic axis between these are written out, others as powers of ten."""
-STYLE = {
+LETTER, HANDLE = 0.062, 0.42
+"""Inches that a letter and a sign with its gaps take in a legend."""
+LINE = 15.0
+"""Points that a row of a legend takes."""
+STYLE: Any = {
     "font.size": 9,
-    "axes.titlesize": "medium",
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": "#ececec",
     "legend.fontsize": "small",
-    "legend.framealpha": 0.9,
-    "legend.edgecolor": "none",
+    "legend.frameon": False,
+    "legend.borderpad": 0.1,
+    "legend.borderaxespad": 0.2,
+    "legend.columnspacing": 1.2,
+    "hatch.linewidth": 0.6,
     "figure.constrained_layout.use": True,
 }
 
 
-def printed(chart: Chart) -> Any:
-    """The chart as a matplotlib figure.
+def print_chart(chart: Chart, file: Path) -> None:
+    """Write the chart as a PNG file."""
+    # Numbers on axes are made as late as here, and look the style up then.
+    with matplotlib.rc_context(STYLE):
+        printed(chart).savefig(file, dpi=DOTS_PER_INCH)
 
-    **Raises:** `DataError` if matplotlib is not installed.
-    """
-    plt = require_plots()
-    with plt.rc_context(STYLE):
-        figure = plt.figure(figsize=chart.size)
-        grid = figure.add_gridspec(
-            len(chart.rows), chart.columns, height_ratios=chart.heights or None
-        )
-        drawn: list[tuple[Panel, Any]] = []
+
+def printed(chart: Chart) -> Figure:
+    """The chart as a matplotlib figure."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=chart.size)
+        heights = chart.heights or (1.0,) * len(chart.rows)
+        grid = figure.add_gridspec(len(chart.rows), chart.columns, height_ratios=heights)
         above: dict[int, Any] = {}
         for i, row in enumerate(chart.rows):
             place, left = 0, None
@@ -63,31 +77,67 @@ def printed(chart: Chart) -> Any:
                     sharex=above.get(place) if chart.share_x else None,
                     sharey=left if chart.share_y else None,
                 )
-                _draw_panel(axes, panel)
-                drawn.append((panel, axes))
+                _draw_panel(axes, panel, chart)
                 above[place], left = axes, axes
                 place += panel.columns
-        _legends(figure, chart, drawn)
     return figure
 
 
-def _draw_panel(axes: Any, panel: Panel) -> None:
-    right = None
-    if panel.right is not None:
-        right = axes.twinx()
-        right.grid(False)
-    _scale(axes.xaxis, panel.x)
-    _scale(axes.yaxis, panel.y)
+def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:
+    right = None if panel.right is None else axes.twinx()
+    _scale(axes, panel)
     for mark in panel.marks:
         on_right = isinstance(mark, Line) and mark.right
         _draw(right if on_right and right is not None else axes, mark)
     _finish(axes.xaxis, panel.x, axes.set_xlim)
     _finish(axes.yaxis, panel.y, axes.set_ylim)
     if right is not None and panel.right is not None:
-        _scale(right.yaxis, panel.right)
+        right.grid(False)
+        if panel.right.log:
+            right.set_yscale("log")
         _finish(right.yaxis, panel.right, right.set_ylim)
         right.spines["right"].set_visible(True)
-    axes.set_title(panel.title)
+    axes.tick_params(
+        labelbottom=bool(panel.x.label) or not chart.share_x,
+        labelleft=bool(panel.y.label) or not chart.share_y,
+    )
+    _titles(axes, right, panel, chart)
+
+
+def _titles(axes: Any, right: Any, panel: Panel, chart: Chart) -> None:
+    """Title and legend, above the panel; the legend of the first one perhaps above all."""
+    handles, labels = [], []
+    for each in (axes, right):
+        if each is not None:
+            found = each.get_legend_handles_labels()
+            handles, labels = handles + found[0], labels + found[1]
+    rows = 0
+    if chart.legend:
+        figure = axes.get_figure()
+        if labels and len(figure.legends) == 0:
+            columns = _columns(labels, chart.size[0])
+            figure.legend(handles, labels, loc="outside upper center", ncols=columns)
+    elif panel.legend and labels:
+        columns = _columns(labels, chart.size[0] * panel.columns / chart.columns - 0.8)
+        rows = -(-len(labels) // columns)
+        axes.legend(
+            handles,
+            labels,
+            loc="lower left",
+            bbox_to_anchor=(0, 1),
+            ncols=columns,
+            handlelength=1.6,
+        )
+    axes.set_title(panel.title, pad=4 + LINE * rows)
+
+
+def _columns(labels: Sequence[str], inches: float) -> int:
+    """How many entries of a legend stand beside each other."""
+    for columns in range(len(labels), 1, -1):
+        longest = [max(map(len, labels[i::columns])) for i in range(columns)]
+        if sum(LETTER * length + HANDLE for length in longest) <= inches:
+            return columns
+    return 1
 
 
 def _draw(axes: Any, mark: Mark) -> None:
@@ -104,10 +154,16 @@ def _draw(axes: Any, mark: Mark) -> None:
                 markeredgewidth=0,
                 alpha=mark.opacity,
                 label=mark.label,
-                rasterized=as_array(mark.x).size > 2000,
             )
         case Stems():
-            axes.vlines(as_array(mark.x), 0, as_array(mark.y), color=mark.color, linewidth=1)
+            axes.vlines(
+                as_array(mark.x),
+                0,
+                as_array(mark.y),
+                color=mark.color,
+                linewidth=1,
+                label=mark.label,
+            )
         case Span():
             _draw_span(axes, mark)
         case Level():
@@ -138,25 +194,10 @@ def _draw_line(axes: Any, line: Line) -> None:
 def _draw_span(axes: Any, span: Span) -> None:
     across = axes.axvspan if span.axis == "x" else axes.axhspan
     if span.hatched:
-        across(
-            span.low,
-            span.high,
-            facecolor="none",
-            edgecolor="0.4",
-            hatch="///",
-            linewidth=0,
-            label=span.label,
-        )
+        look: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.4", "hatch": "///"}
     else:
-        across(
-            span.low,
-            span.high,
-            color=span.color,
-            alpha=span.opacity,
-            linewidth=0,
-            zorder=0.5,
-            label=span.label,
-        )
+        look = {"color": span.color, "alpha": span.opacity}
+    across(span.low, span.high, linewidth=0, zorder=0.5, label=span.label, **look)
 
 
 def _draw_level(axes: Any, level: Level) -> None:
@@ -176,19 +217,21 @@ def _draw_level(axes: Any, level: Level) -> None:
 
 
 def _draw_map(axes: Any, heat: HeatMap) -> None:
-    values = as_array(heat.values)
+    values, x, y = as_array(heat.values), as_array(heat.x), as_array(heat.y)
+    low, high = heat.scale
     axes.grid(False)
     image = axes.pcolormesh(
-        as_array(heat.x),
-        as_array(heat.y),
+        x,
+        y,
         np.ma.masked_invalid(values),
         cmap="RdBu_r" if heat.diverging else "viridis",
-        vmin=heat.low,
-        vmax=heat.high,
+        vmin=low,
+        vmax=high,
         shading="nearest",
     )
-    bar = axes.figure.colorbar(image, ax=axes, label=heat.label)
+    bar = axes.get_figure().colorbar(image, ax=axes, label=heat.label)
     bar.outline.set_visible(False)
+    bar.ax.grid(False)
     if heat.numbers is None:
         return
     for (row, column), value in np.ndenumerate(values):
@@ -197,8 +240,8 @@ def _draw_map(axes: Any, heat: HeatMap) -> None:
         red, green, blue, _ = image.cmap(image.norm(value))
         dark = 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
         axes.text(
-            as_array(heat.x)[column],
-            as_array(heat.y)[row],
+            x[column],
+            y[row],
             f"{value:.{heat.numbers}f}",
             ha="center",
             va="center",
@@ -207,9 +250,11 @@ def _draw_map(axes: Any, heat: HeatMap) -> None:
         )
 
 
-def _scale(axis: Any, wanted: Axis) -> None:
-    if wanted.log:
-        axis._set_axes_scale("log")
+def _scale(axes: Any, panel: Panel) -> None:
+    if panel.x.log:
+        axes.set_xscale("log")
+    if panel.y.log:
+        axes.set_yscale("log")
 
 
 def _finish(axis: Any, wanted: Axis, set_limits: Any) -> None:
@@ -218,19 +263,21 @@ def _finish(axis: Any, wanted: Axis, set_limits: Any) -> None:
         axis.set_ticks(range(len(wanted.categories)), wanted.categories)
         axis.grid(False)
         if axis.axis_name == "x" and max(map(len, wanted.categories)) > 3:
-            axis.set_tick_params(rotation=45)
+            for label in axis.get_ticklabels():
+                label.set(rotation=45, ha="right", rotation_mode="anchor")
     if wanted.low is not None or wanted.high is not None:
         set_limits(wanted.low, wanted.high)
     if wanted.log:
         _plain_numbers(axis)
     if wanted.reverse:
         axis.set_inverted(True)
+    if wanted.color:
+        axis.label.set_color(wanted.color)
+        axis.set_tick_params(colors=wanted.color)
 
 
 def _plain_numbers(axis: Any) -> None:
     """Numbers as 1, 2, 5, 10, not as powers of ten, where they are of a readable size."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
     low, high = sorted(axis.get_view_interval())
     axis.set_minor_locator(NullLocator())
     if low < PLAIN[0] or high > PLAIN[1]:
@@ -239,25 +286,3 @@ def _plain_numbers(axis: Any) -> None:
     subs = (1, 1.5, 2, 3, 4, 5, 6, 8) if few else (1,) if many else (1, 2, 5)
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def _legends(figure: Any, chart: Chart, drawn: Sequence[tuple[Panel, Any]]) -> None:
-    if chart.legend and drawn:
-        handles, labels = _handles(figure, drawn[0][1])
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 5))
-        return
-    for panel, axes in drawn:
-        handles, labels = _handles(figure, axes)
-        if panel.legend and labels:
-            axes.legend(handles, labels, loc="best")
-
-
-def _handles(figure: Any, axes: Any) -> tuple[list[Any], list[str]]:
-    """Of the axes and of those drawn over them."""
-    handles, labels = [], []
-    for each in figure.axes:
-        if each.get_subplotspec() is not None and each.get_subplotspec() == axes.get_subplotspec():
-            found = each.get_legend_handles_labels()
-            handles += found[0]
-            labels += found[1]
-    return handles, labels

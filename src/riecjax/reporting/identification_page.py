@@ -1,0 +1,275 @@
+"""The page of an identification."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from riecjax.reporting.identification import windows_in_words
+from riecjax.reporting.output import Document, number
+from riecjax.reporting.page import Page, Section, Table
+from riecjax.reporting.refinement import refinement_in_words
+
+
+def identification_page(document: Document) -> Page:
+    """What `riecjax identify` found, from its document; with the charts of
+    [`identification_figures`][riecjax.reporting.identification_figures.identification_figures]."""
+    criterion = document["criterion"]
+    files = ", ".join(dict.fromkeys(_name(r["file"]) for r in document["provenance"]["records"]))
+    settings = ", ".join(f"{key} {value}" for key, value in criterion.items() if key != "name")
+    sections = [
+        _parameters(document),
+        _refinement(document["refinement"]),
+        _fit(document),
+        Section("Curves", charts=("curves",)),
+        _validation(document["validation"]),
+        _residuals(document["residual_tests"] or {}),
+        Section("Estimates by window length", charts=("window_sweep",)),
+        _choice(document["window_choice"]),
+        _recordings(document),
+    ]
+    return Page(
+        f"{document['model']} from {files}",
+        f"Identified by {criterion['name'].upper()}{f' ({settings})' if settings else ''}.",
+        [section for section in sections if section is not None],
+    )
+
+
+def _parameters(document: Document) -> Section:
+    identified = (document["refinement"] or {}).get("identified")
+    first = "refined" if identified else "value"
+    header = ["parameter", first, "standard error", "95 % interval", "unit"]
+    rows = [
+        [
+            name,
+            number(entry["value"]),
+            number(entry["std_error"], 2),
+            _interval(entry["interval95"]),
+            entry["unit"],
+        ]
+        for name, entry in document["parameters"].items()
+    ]
+    rows += [
+        [name, number(entry["value"]), "", "known", entry["unit"]]
+        for name, entry in document["known"].items()
+    ]
+    if identified:
+        header.insert(1, "identified")
+        for row in rows:
+            row.insert(1, number(identified[row[0]]["value"]) if row[0] in identified else "")
+    return Section(
+        "Parameters",
+        text=[f"{line[0].upper()}{line[1:]}." for line in windows_in_words(document)],
+        tables=[Table(header, rows), _excitation(document["excitation"])],
+        charts=("correlation",),
+    )
+
+
+def _excitation(entries: Mapping[str, Any]) -> Table:
+    return Table(
+        ("parameter", "equation", "own share / %", "noise / %"),
+        [
+            (
+                name,
+                entry["equation"],
+                _percent(entry["own_share"], 3),
+                _percent(entry["noise_share"], 2),
+            )
+            for name, entry in entries.items()
+        ],
+        "How each is excited: the share of its regressor that no combination of the others could "
+        "do as well, and the share that sensors' noise makes up",
+    )
+
+
+def _refinement(entries: Document | None) -> Section | None:
+    if entries is None:
+        return None
+    by, *_, intervals = refinement_in_words(entries)
+    left = [
+        (name, number(one["before"], 4), number(one["after"], 4), one["unit"])
+        for name, one in entries["left"].items()
+    ]
+    fits = [
+        (f"{run['on']}{' (fitted)' if run['fitted'] else ''}: {name}", *_before_after(run, name))
+        for run in entries["simulations"]
+        for name in run["after"]["signals"]
+    ]
+    tables = [Table(("left, r.m.s.", "before", "after", "unit"), left)]
+    if fits:
+        tables.append(Table(("simulated, fit", "before / %", "after / %"), fits))
+    at_bound = entries["at_bound"]
+    return Section(
+        "Refinement",
+        text=[
+            f"{by[0].upper()}{by[1:]}.",
+            *([f"At a bound: {', '.join(at_bound)}."] if at_bound else []),
+            f"{intervals[0].upper()}{intervals[1:].split('; ')[0]}.",
+        ],
+        tables=tables,
+    )
+
+
+def _before_after(run: Document, name: str) -> Iterator[str]:
+    for when in ("before", "after"):
+        yield number((run[when]["signals"].get(name) or {}).get("fit_percent"), 4)
+
+
+def _fit(document: Document) -> Section:
+    rows = [
+        (
+            stage["equation"],
+            ", ".join(stage["parameters"]),
+            _percent(stage["relative_rms"], 3),
+            number(stage["condition_number"], 3),
+            str(stage["rows"]),
+        )
+        for stage in document["residual"]["stages"]
+    ]
+    header = ("equation", "estimates", "relative residual / %", "condition number", "rows")
+    return Section("Fit", tables=[Table(header, rows)], charts=("fit",))
+
+
+def _validation(runs: list[Document]) -> Section | None:
+    if not runs:
+        return None
+    header = ("signal", "fit / %", "variance accounted for / %", "error p / %", "predicted")
+    tables = [
+        Table(
+            header,
+            [
+                (
+                    name if one["judged"] else f"{name} (not judged)",
+                    number(one["fit_percent"], 4),
+                    number(one["vaf_percent"], 4),
+                    number(one["p_percent"], 4),
+                    one["grade"],
+                )
+                for name, one in run["signals"].items()
+            ],
+            run["on"],
+        )
+        for run in runs
+        if run["signals"]
+    ]
+    return Section(
+        "Validation by simulation",
+        text=[f"The model was validated on {run['on']}. {run['verdict']}" for run in runs],
+        tables=tables,
+        charts=[f"validation_{i + 1}" for i in range(len(runs))],
+    )
+
+
+def _residuals(tests: Mapping[str, Document]) -> Section:
+    rows = [
+        (
+            name,
+            _percent(one["relative_rms"], 3),
+            "none" if one["peak"] is None else f"{one['peak']['frequency']:.3g}",
+            *_strongest(one["follows"]),
+            number(one["correlation_time_s"], 2),
+        )
+        for name, one in tests.items()
+    ]
+    header = (
+        "equation",
+        "error / %",
+        "peak / Hz",
+        "follows",
+        "correlation",
+        "by chance up to",
+        "later by / s",
+        "alike for / s",
+    )
+    return Section(
+        "What each equation leaves",
+        text=[_residual_in_words(name, one) for name, one in tests.items()],
+        tables=[Table(header, rows)] if rows else [],
+        charts=[f"residual_{i + 1}" for i in range(len(tests))],
+    )
+
+
+def _strongest(follows: list[Document]) -> tuple[str, str, str, str]:
+    if not follows:
+        return ("none", "", "", "")
+    first = follows[0]
+    return (
+        first["signal"],
+        f"{first['correlation']:.2f}",
+        f"{first['bound']:.2f}",
+        number(first["lag_s"], 3),
+    )
+
+
+def _residual_in_words(name: str, one: Document) -> str:
+    said = [f"{name}: the error is {_percent(one['relative_rms'], 3)} % of the target"]
+    if (peak := one["peak"]) is not None:
+        said.append(
+            f"{100 * peak['share']:.0f} % of its power lies from {peak['low']:.3g} to "
+            f"{peak['high']:.3g} Hz, about a peak near {peak['frequency']:.3g} Hz"
+        )
+    else:
+        said.append("its spectrum has no peak that chance does not explain")
+    if one["follows"]:
+        first = one["follows"][0]
+        if abs(first["correlation"]) > first["bound"]:
+            said.append(f"it follows {first['signal']} (correlation {first['correlation']:.2f})")
+        else:
+            said.append("it follows no signal more than by chance")
+    windows = one["windows"]
+    if windows is not None and windows["p_value"] is not None:
+        ratio = windows["mean_square_ratio"] ** 0.5
+        said.append(
+            f"errors of windows are {ratio:.2g} times as large in the loudest stretch as in the "
+            f"quietest (probability of so much by chance: {windows['p_value']:.2g})"
+        )
+    return f"{'; '.join(said)}."
+
+
+def _choice(choice: Document | None) -> Section | None:
+    if choice is None:
+        return None
+    rows = [
+        (
+            name,
+            _percent(one["current_error_share"], 3),
+            _percent(one["least_error_share"], 3),
+            number(one["best_length_s"], 3),
+        )
+        for name, one in choice["equations"].items()
+    ]
+    header = ("equation", "error in the windows in use / %", "least error / %", "at length / s")
+    return Section(
+        "Choice of windows",
+        text=[choice["reason"]],
+        tables=[Table(header, rows)],
+        charts=("window_choice",),
+    )
+
+
+def _recordings(document: Document) -> Section:
+    provenance = document["provenance"]
+    rows = [
+        (
+            _name(record["file"]),
+            str(record["samples"]),
+            number(1 / record["time_step"]),
+            number(record["samples"] * record["time_step"], 4),
+        )
+        for record in provenance["records"]
+    ]
+    return Section(
+        "Recordings",
+        text=[f"Prepared: {step}" for step in provenance["preparation"]],
+        tables=[Table(("file", "samples identified from", "rate / Hz", "duration / s"), rows)],
+    )
+
+
+def _interval(ends: list[float | None]) -> str:
+    return " to ".join(number(end) for end in ends)
+
+
+def _percent(share: float | None, digits: int) -> str:
+    return number(None if share is None else 100 * share, digits)
+
+
+def _name(file: str) -> str:
+    return file.replace("\\", "/").rsplit("/", 1)[-1]
