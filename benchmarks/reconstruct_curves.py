@@ -128,7 +128,7 @@ def residuals(step: Float[Array, " shapes"], args: tuple[Any, ...]) -> Float[Arr
     shapes = build(step)
     source = quarter_car_source(shapes)
     result = jax.vmap(
-        lambda key: run_road(key, source, shapes.pothole, shapes.roughness, method=FixedStep(6))
+        lambda key: run_road(key, source, shapes, method=FixedStep(6))
     )(keys)
     identified, validated, touching = distances(result)
     # Grows faster than linearly, so that no number is given up for the sake of the others.
@@ -184,8 +184,7 @@ def judge(shapes: Reconstruction, roads: int) -> dict[str, Any]:
         jax.random.key(HELD_OUT_SEED),
         roads,
         quarter_car_source(shapes),
-        shapes.pothole,
-        shapes.roughness,
+        shapes,
     )
     judged: dict[str, Any] = {"contact": contact(result).reproduced}
     for number, table in (("3", table_3(result)), ("4", table_4(result)), ("5", table_5(result))):

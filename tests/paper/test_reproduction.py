@@ -12,7 +12,7 @@ from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
 from riecjax.models.quarter_car.identification import QuarterCar
-from riecjax.models.quarter_car.reconstruction import Pothole
+from riecjax.models.quarter_car.reconstruction import Pothole, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
 from riecjax.paper.reproduction import (
@@ -32,8 +32,11 @@ from riecjax.simulation.simulate import simulate
 METHOD = FixedStep(2)
 KEYS = jax.random.split(jax.random.key(2024), 2)
 SHAPE = {"depth": 0.04, "length": 1.5, "ramp": 0.4}
-HOLE = Pothole(**{name: jnp.asarray(value) for name, value in SHAPE.items()})
-ROUGHNESS = jnp.asarray(2e-5)
+SHAPES = eqx.tree_at(
+    lambda s: (s.pothole, s.roughness),
+    reconstructed(),
+    (Pothole(**{name: np.array(value) for name, value in SHAPE.items()}), np.array(2e-5)),
+)
 
 
 def source() -> QuarterCarSource:
@@ -43,7 +46,7 @@ def source() -> QuarterCarSource:
 
 
 def road_result(key) -> RoadResult:
-    return run_road(key, source(), HOLE, ROUGHNESS, method=METHOD)
+    return run_road(key, source(), SHAPES, method=METHOD)
 
 
 @pytest.fixture(scope="module")

@@ -57,8 +57,7 @@ def command(
             jax.random.key(seed),
             count,
             source,
-            shapes.pothole,
-            shapes.roughness,
+            shapes,
             progress=lambda done: progress.update(task, completed=done),
         )
     document = reproduction_document(result, seed=seed)

@@ -1,5 +1,8 @@
 """Sections 4 and 5 of the paper on simulated roads: Tables 3, 4 and 5."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +12,6 @@ from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.assembly import stage_normal_equations
 from riecjax.estimation.procedure import Procedure, found_values, solve_stages
-from riecjax.leaves import Leaf
 from riecjax.models.quarter_car.equations import (
     body_equation,
     mass_equation,
@@ -17,7 +19,7 @@ from riecjax.models.quarter_car.equations import (
     wheel_equation,
 )
 from riecjax.models.quarter_car.identification import QuarterCar
-from riecjax.models.quarter_car.reconstruction import Pothole
+from riecjax.models.quarter_car.reconstruction import Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource, contact_share
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
 from riecjax.records.record import Record
@@ -53,19 +55,55 @@ class RoadResult(eqx.Module):
     successful: Array
 
 
+class RoadKeys(NamedTuple):
+    """Independent keys of one road: its white noise, the windows drawn, and the Robson road."""
+
+    training: Key[Array, ""]
+    windows: Key[Array, ""]
+    validation: Key[Array, ""]
+
+
+def road_keys(key: Key[Array, ""]) -> RoadKeys:
+    """What is random on one road."""
+    return RoadKeys(*jax.random.split(key, 3))
+
+
+def training_noise(key: Key[Array, ""]) -> Float[Array, " n"]:
+    """Road velocity of Table 2 in m/s."""
+    return band_limited_noise(
+        key,
+        TABLE_2.sample_count,
+        1 / TABLE_2.rate,
+        bandwidth=TABLE_2.bandwidth,
+        rms=TABLE_2.rms,
+    )
+
+
+def validation_inputs(key: Key[Array, ""], shapes: Reconstruction) -> dict[str, Array]:
+    """Road velocities of Section 5 in m/s: a Robson `road` and the `pothole`."""
+    step, hole = 1 / TABLE_2.rate, shapes.pothole
+    return {
+        "road": robson_road(
+            key, TABLE_2.sample_count, step, roughness=jnp.asarray(shapes.roughness)
+        ),
+        "pothole": pothole(
+            round(POTHOLE_DURATION * TABLE_2.rate),
+            step,
+            depth=jnp.asarray(hole.depth),
+            length=jnp.asarray(hole.length),
+            ramp=jnp.asarray(hole.ramp),
+        ),
+    }
+
+
 def identification_record(
     source: QuarterCarSource,
     key: Key[Array, ""],
     *,
-    bandwidth: float | Array = TABLE_2.bandwidth,
     method: FixedStep | None = None,
 ) -> Simulation:
     """The source model on the white-noise road of Table 2."""
-    step = 1 / TABLE_2.rate
-    noise = band_limited_noise(
-        key, TABLE_2.sample_count, step, bandwidth=bandwidth, rms=TABLE_2.rms
-    )
-    return simulate(source, Record({"v_r": noise}, step), method=method)
+    return simulate(source, Record({"v_r": training_noise(key)}, 1 / TABLE_2.rate), method=method)
 
 
 def paper_criteria() -> dict[str, AbstractCriterion]:
@@ -95,36 +133,22 @@ def identify_variants(
 def run_road(
     key: Key[Array, ""],
     source: QuarterCarSource,
-    hole: Pothole,
-    roughness: Leaf,
+    shapes: Reconstruction,
     *,
     method: FixedStep | None = None,
 ) -> RoadResult:
     """Simulate, identify and validate on one random road; vmap over keys for many."""
-    record_key, window_key, robson_key = jax.random.split(key, 3)
-    training = identification_record(source, record_key, method=method)
+    keys = road_keys(key)
+    training = identification_record(source, keys.training, method=method)
     parameters = {
-        name: identify_variants(training.record, criterion, window_key)
+        name: identify_variants(training.record, criterion, keys.windows)
         for name, criterion in paper_criteria().items()
     }
-    step = 1 / TABLE_2.rate
-    inputs = {
-        "road": robson_road(
-            robson_key, TABLE_2.sample_count, step, roughness=jnp.asarray(roughness)
-        ),
-        "pothole": pothole(
-            round(POTHOLE_DURATION * TABLE_2.rate),
-            step,
-            depth=jnp.asarray(hole.depth),
-            length=jnp.asarray(hole.length),
-            ramp=jnp.asarray(hole.ramp),
-        ),
-    }
-    models = _stack_models(parameters)
+    models = stack_models(parameters)
     errors, successful = {}, training.successful
-    for name, velocity in inputs.items():
-        truth = simulate(source, Record({"v_r": velocity}, step), method=method)
-        table, kept = _validate_models(models, truth.record, method)
+    for name, velocity in validation_inputs(keys.validation, shapes).items():
+        truth = simulate(source, Record({"v_r": velocity}, 1 / TABLE_2.rate), method=method)
+        table, kept = validation_errors(models, truth.record, method)
         errors[name] = {
             criterion: {variant: table[i, j] for j, variant in enumerate(VARIANTS)}
             for i, criterion in enumerate(CRITERIA)
@@ -134,16 +158,26 @@ def run_road(
     return RoadResult(parameters, errors, contact, successful)
 
 
-def _stack_models(parameters: dict[str, dict[str, Parameters]]) -> Parameters:
-    """Every parameter as an array over criteria and variants."""
-    rows = [parameters[criterion][variant] for criterion in CRITERIA for variant in VARIANTS]
-    shape = (len(CRITERIA), len(VARIANTS))
-    return {name: jnp.stack([row[name] for row in rows]).reshape(shape) for name in PARAMETERS}
+def stack_models(
+    parameters: dict[str, dict[str, Parameters]],
+    criteria: Sequence[str] = CRITERIA,
+    variants: Sequence[str] = VARIANTS,
+) -> Parameters:
+    """Every parameter as an array over criteria and variants, its last two axes."""
+    return {
+        name: jnp.stack(
+            [jnp.stack([parameters[c][v][name] for v in variants], axis=-1) for c in criteria],
+            axis=-2,
+        )
+        for name in PARAMETERS
+    }
 
 
-def _validate_models(
-    models: Parameters, truth: Record, method: FixedStep | None
+def validation_errors(
+    models: Parameters, truth: Record, method: FixedStep | None = None
 ) -> tuple[Float[Array, "criteria variants 4"], Array]:
+    """p_i of x1 to x4 in percent of each model, and whether all kept their solution."""
+
     def one(model: Parameters) -> tuple[Array, Array]:
         simulation = simulate(QuarterCar.from_parameters(model), truth.select("v_r"), method=method)
         errors = [percentage_error(simulation.record[s], truth[s]) for s in VALIDATED_STATES]

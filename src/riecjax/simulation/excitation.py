@@ -31,13 +31,19 @@ def band_limited_noise(
     """
     _check_count(sample_count)
     white = jax.random.normal(key, (sample_count,))
-    frequency = jnp.arange(sample_count // 2 + 1) / (sample_count * time_step)
-    spectrum = jnp.fft.rfft(white)
-    kept = (frequency > 0) & (frequency <= bandwidth)
-    noise = jnp.fft.irfft(jnp.where(kept, spectrum, 0.0), sample_count)
+    noise = low_passed(white - jnp.mean(white), time_step, bandwidth)
     power = jnp.mean(noise**2)
     # A band that holds no Fourier component is silence, not a division by zero.
     return noise * jnp.where(power > 0, rms / jnp.sqrt(jnp.where(power > 0, power, 1.0)), 0.0)
+
+
+def low_passed(
+    signal: Float[Array, " n"], time_step: float | Array, bandwidth: float | Array
+) -> Float[Array, " n"]:
+    """A signal without its Fourier components above `bandwidth` Hz, as in Section 6 of the paper."""
+    count = signal.shape[0]
+    frequency = jnp.arange(count // 2 + 1) / (count * time_step)
+    return jnp.fft.irfft(jnp.where(frequency <= bandwidth, jnp.fft.rfft(signal), 0.0), count)
 
 
 def harmonics(

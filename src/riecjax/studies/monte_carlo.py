@@ -14,6 +14,7 @@ def over_keys(
     key: Key[Array, ""],
     count: int,
     *args: Any,
+    first: int = 0,
     chunk: int = 8,
     progress: Callable[[int], None] | None = None,
 ) -> Any:
@@ -26,11 +27,12 @@ def over_keys(
 
     - `experiment`: a function at module level (a new function object compiles anew).
     - `args`: passed on, not batched.
+    - `first`: number of the first of these keys, to go on from where another call ended.
     - `progress`: called with the number of finished repetitions after each chunk.
     """
     chunk = min(chunk, count)
     keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(
-        jnp.arange(-(-count // chunk) * chunk, dtype=jnp.uint32)
+        first + jnp.arange(-(-count // chunk) * chunk, dtype=jnp.uint32)
     )
     parts = []
     for start in range(0, count, chunk):

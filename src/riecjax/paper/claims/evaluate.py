@@ -1,0 +1,21 @@
+"""Every statement that the numbers at hand decide."""
+
+from riecjax.paper.claims.claim import Claim
+from riecjax.paper.claims.section_2 import bounded_impulse, drop_outs, window_errors
+from riecjax.paper.claims.section_4 import window_lengths
+from riecjax.paper.claims.section_6 import variation_claims
+from riecjax.paper.claims.tables import table_claims
+from riecjax.paper.study import PaperStudy
+
+
+def evaluate_claims(study: PaperStudy) -> list[Claim]:
+    """All 17, in the order of their numbers."""
+    claims = [
+        *table_claims(study.roads, study.ramps),
+        bounded_impulse(study.demonstrations),
+        drop_outs(),
+        window_errors(study.window_errors),
+        window_lengths(study.lengths),
+        *variation_claims(study.variations, study.damper),
+    ]
+    return sorted(claims, key=lambda claim: claim.id)

@@ -1,0 +1,71 @@
+"""Validation trajectories of Section 5: one road and the pot-hole, by models of many roads.
+
+Figures 9 and 10 show one model each. Here models identified on many roads predict one and the same
+motion, so that a band shows how far they scatter.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from riecjax.models.quarter_car.identification import QuarterCar
+from riecjax.models.quarter_car.reconstruction import Reconstruction
+from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.paper.published import CRITERIA, TABLE_2
+from riecjax.paper.reproduction import (
+    PARAMETERS,
+    VALIDATED_STATES,
+    RoadResult,
+    road_keys,
+    validation_inputs,
+)
+from riecjax.records.record import Record
+from riecjax.simulation.simulate import simulate
+
+SHOWN_VARIANT = "B_id"
+
+
+class Trajectories(eqx.Module):
+    """Motion on one input, and what models identified on many roads predict of it.
+
+    **Fields:** `time` in s; `source`, x1 to x4; `predicted` by criterion.
+    """
+
+    time: Float[Array, " n"]
+    source: Float[Array, "n 4"]
+    predicted: dict[str, Float[Array, "roads n 4"]]
+
+
+def validation_trajectories(
+    roads: RoadResult, key: Key[Array, ""], source: QuarterCarSource, shapes: Reconstruction
+) -> dict[str, Trajectories]:
+    """Of the variant B_id on the `road` that belongs to `key`, and on the `pothole`."""
+    inputs = validation_inputs(road_keys(key).validation, shapes)
+    models = {
+        c: jnp.stack([roads.parameters[c][SHOWN_VARIANT][n] for n in PARAMETERS], axis=-1)
+        for c in CRITERIA
+    }
+    return {name: _trajectories(models, source, v) for name, v in inputs.items()}
+
+
+@eqx.filter_jit
+def _trajectories(
+    models: dict[str, Float[Array, "roads parameters"]], source: QuarterCarSource, velocity: Array
+) -> Trajectories:
+    inputs = Record({"v_r": velocity}, 1 / TABLE_2.rate)
+
+    def predict(parameters: Array) -> Array:
+        return _states(
+            simulate(QuarterCar.from_parameters(dict(zip(PARAMETERS, parameters))), inputs).record
+        )
+
+    return Trajectories(
+        inputs.time,
+        _states(simulate(source, inputs).record),
+        {name: jax.vmap(predict)(values) for name, values in models.items()},
+    )
+
+
+def _states(record: Record) -> Float[Array, "n 4"]:
+    return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
