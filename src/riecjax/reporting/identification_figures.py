@@ -33,7 +33,7 @@ from riecjax.reporting.residual_figures import residual_figures
 from riecjax.reporting.window_choice_figures import window_choice_figures
 from riecjax.studies.window_sweep import WindowSweep
 
-MOST_POINTS = 3000
+MOST_POINTS = 2000
 MOST_COLUMNS = 3
 
 

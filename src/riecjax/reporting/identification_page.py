@@ -57,7 +57,7 @@ def _parameters(document: Document) -> Section:
             row.insert(1, number(identified[row[0]]["value"]) if row[0] in identified else "")
     return Section(
         "Parameters",
-        text=[f"{line[0].upper()}{line[1:]}." for line in windows_in_words(document)],
+        text=[_sentence(line) for line in windows_in_words(document)],
         tables=[Table(header, rows), _excitation(document["excitation"])],
         charts=("correlation",),
     )
@@ -100,9 +100,9 @@ def _refinement(entries: Document | None) -> Section | None:
     return Section(
         "Refinement",
         text=[
-            f"{by[0].upper()}{by[1:]}.",
+            _sentence(by),
             *([f"At a bound: {', '.join(at_bound)}."] if at_bound else []),
-            f"{intervals[0].upper()}{intervals[1:].split('; ')[0]}.",
+            _sentence(intervals.split("; ")[0]),
         ],
         tables=tables,
     )
@@ -110,7 +110,7 @@ def _refinement(entries: Document | None) -> Section | None:
 
 def _before_after(run: Document, name: str) -> Iterator[str]:
     for when in ("before", "after"):
-        yield number((run[when]["signals"].get(name) or {}).get("fit_percent"), 4)
+        yield _fixed((run[when]["signals"].get(name) or {}).get("fit_percent"))
 
 
 def _fit(document: Document) -> Section:
@@ -138,9 +138,9 @@ def _validation(runs: list[Document]) -> Section | None:
             [
                 (
                     name if one["judged"] else f"{name} (not judged)",
-                    number(one["fit_percent"], 4),
-                    number(one["vaf_percent"], 4),
-                    number(one["p_percent"], 4),
+                    _fixed(one["fit_percent"]),
+                    _fixed(one["vaf_percent"]),
+                    _fixed(one["p_percent"]),
                     one["grade"],
                 )
                 for name, one in run["signals"].items()
@@ -263,12 +263,20 @@ def _recordings(document: Document) -> Section:
     )
 
 
+def _sentence(line: str) -> str:
+    return f"{line[0].upper()}{line[1:].rstrip('.')}."
+
+
 def _interval(ends: list[float | None]) -> str:
     return " to ".join(number(end) for end in ends)
 
 
 def _percent(share: float | None, digits: int) -> str:
     return number(None if share is None else 100 * share, digits)
+
+
+def _fixed(percent: float | None) -> str:
+    return "none" if percent is None else f"{percent:.1f}"
 
 
 def _name(file: str) -> str:

@@ -15,7 +15,7 @@ from riecjax.reporting.charts.interactive import interactive, narrowest
 from riecjax.reporting.output import Document
 from riecjax.reporting.page import Page, Section, Table
 
-SCREEN_INCH = 120
+SCREEN_INCH = 100
 """Pixels to an inch of the printed figure, at most, so that a small figure stays small."""
 
 

@@ -18,6 +18,9 @@ TEAL, OCHRE = "#4c9a92", "#c9982f"
 PALE = "#dbdbdb"
 """Stretches within which nothing is remarkable."""
 
+PLAIN = (1e-3, 1e5)
+"""Numbers on a logarithmic axis between these are written out, others as powers of ten."""
+
 Dashes = Literal["solid", "dashed", "dotted", "dashdot"]
 DASHES: tuple[Dashes, ...] = ("solid", "dashed", "dotted", "dashdot")
 

@@ -2,12 +2,13 @@
 
 import html
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from riecjax.reporting.charts.chart import (
+    PLAIN,
     Axis,
     Chart,
     Dots,
@@ -28,10 +29,17 @@ DIGITS = 6
 DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot"}
 NARROWEST_PANEL = 210
 """Width in pixels of a panel without its numbers and labels, below which a page scrolls."""
-LEFT, RIGHT, BOTTOM = 62, 14, 46
-"""Pixels about a panel: numbers and label of its axes."""
-RIGHT_AXIS, COLOUR_BAR = 54, 78
+WIDEST_LEGEND = 380
+LEFT, RIGHT, BOTTOM, BARE_BOTTOM = 62, 14, 46, 12
+"""Pixels about a panel: numbers and label of its axes, or ticks alone."""
+RIGHT_AXIS, COLOUR_BAR = 56, 78
 TITLE, LEGEND = 20, 26
+LETTER, KEY = 6.2, 40
+"""Pixels of a letter, and of a sign with its gaps, in a legend."""
+MARGIN = 0.04
+"""Share of an axis between the data and an end that is not given."""
+FEW_NUMBERS = 4
+"""Numbers that a logarithmic axis aims at: 1, 2, 5 up to three decades, else powers of ten."""
 GREY_KEY = "#666666"
 MAP = {
     False: "Viridis",
@@ -78,52 +86,64 @@ def _places(chart: Chart) -> Iterator[tuple[int, int, Panel]]:
 class _Spaces(NamedTuple):
     """Where panels are: pixels across at the narrowest, and down.
 
-    **Fields:** `right` of each column, for axes and colour bars there; `above` each row, for titles
-    and legends; `down`, heights of the rows; `width` and `height` of everything.
+    **Fields:** `panel`, width of one; `right` of each column, for axes and colour bars there;
+    `above` and `below` each row, for titles, legends and numbers; `down`, heights of the rows.
     """
 
+    panel: float
     right: list[int]
     above: list[int]
+    below: list[int]
     down: list[float]
-    width: float
-    height: float
 
     @classmethod
     def of(cls, chart: Chart) -> "_Spaces":
-        right, above = [0] * chart.columns, [6] * len(chart.rows)
-        for row, place, panel in _places(chart):
-            last = place + panel.columns - 1
-            right[last] = max(right[last], _right_of(panel))
-            above[row] = max(above[row], _above(panel, chart))
+        rows = len(chart.rows)
+        panel = float(NARROWEST_PANEL)
+        right, above, below = [0] * chart.columns, [6] * rows, [BARE_BOTTOM] * rows
+        for row, place, one in _places(chart):
+            last = place + one.columns - 1
+            right[last] = max(right[last], _right_of(one))
+            above[row] = max(above[row], _above(one, chart))
+            if one.x.label or not chart.share_x:
+                below[row] = BOTTOM
+            # A legend that is wider than its panel would push the others aside.
+            if chart.columns > 1 and not chart.legend:
+                panel = max(panel, min(_legend_width(one) / one.columns, WIDEST_LEGEND))
         if chart.legend:
             above[0] += LEGEND
-        heights = np.array(chart.heights or (1.0,) * len(chart.rows))
-        total = PIXELS * chart.size[1]
-        room = max(total - sum(above) - BOTTOM * len(chart.rows), 110.0 * len(chart.rows))
-        down = (room * heights / heights.sum()).tolist()
-        width = chart.columns * (NARROWEST_PANEL + LEFT) + sum(right) + RIGHT
-        return cls(right, above, down, width, sum(down) + sum(above) + BOTTOM * len(down))
+        heights = np.array(chart.heights or (1.0,) * rows)
+        room = max(PIXELS * chart.size[1] - sum(above) - sum(below), 110.0 * rows)
+        return cls(panel, right, above, below, (room * heights / heights.sum()).tolist())
+
+    @property
+    def width(self) -> float:
+        """Of everything, at the narrowest."""
+        return len(self.right) * (self.panel + LEFT) + sum(self.right) + RIGHT
+
+    @property
+    def height(self) -> float:
+        """Of everything."""
+        return sum(self.down) + sum(self.above) + sum(self.below)
+
+    @property
+    def inside_height(self) -> float:
+        """Height inside the margins."""
+        return self.height - self.above[0] - self.below[-1]
 
     def across(self, place: int, columns: int) -> list[float]:
         """Ends of a panel, as shares of the width inside the margins."""
         inside = self.width - LEFT - RIGHT - self.right[-1]
         gaps = [right + LEFT for right in self.right]
-        start = sum(gaps[:place]) + place * NARROWEST_PANEL
-        stop = start + columns * NARROWEST_PANEL + sum(gaps[place : place + columns - 1])
+        start = sum(gaps[:place]) + place * self.panel
+        stop = start + columns * self.panel + sum(gaps[place : place + columns - 1])
         return [start / inside, min(stop / inside, 1.0)]
 
     def along(self, row: int) -> list[float]:
         """Bottom and top of a row, as shares of the height inside the margins."""
-        top = sum(self.down[:row]) + sum(self.above[1 : row + 1]) + BOTTOM * row
-        return [
-            max(1 - (top + self.down[row]) / self.inside_height, 0.0),
-            1 - top / self.inside_height,
-        ]
-
-    @property
-    def inside_height(self) -> float:
-        """Height inside the margins."""
-        return self.height - self.above[0] - BOTTOM
+        top = sum(self.down[:row]) + sum(self.above[1 : row + 1]) + sum(self.below[:row])
+        bottom = 1 - (top + self.down[row]) / self.inside_height
+        return [max(bottom, 0.0), 1 - top / self.inside_height]
 
 
 def _right_of(panel: Panel) -> int:
@@ -138,8 +158,16 @@ def _above(panel: Panel, chart: Chart) -> int:
 
 
 def _has_legend(panel: Panel) -> bool:
+    return panel.legend and bool(_labels(panel))
+
+
+def _labels(panel: Panel) -> set[str]:
     named = (mark for mark in panel.marks if not isinstance(mark, HeatMap))
-    return panel.legend and any(mark.label for mark in named)
+    return {mark.label for mark in named} - {""}
+
+
+def _legend_width(panel: Panel) -> float:
+    return sum(LETTER * len(label) + KEY for label in _labels(panel)) if panel.legend else 0.0
 
 
 class _Figure:
@@ -159,11 +187,12 @@ class _Figure:
                 "l": LEFT,
                 "r": RIGHT + self.spaces.right[-1],
                 "t": self.spaces.above[0],
-                "b": BOTTOM,
+                "b": self.spaces.below[-1],
             },
             "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#1a1a1a"},
             "paper_bgcolor": "rgba(0,0,0,0)",
             "plot_bgcolor": "rgba(0,0,0,0)",
+            "separators": ".",
             "hovermode": "closest",
             "hoverlabel": {"namelength": -1},
             "shapes": [],
@@ -175,7 +204,7 @@ class _Figure:
         self.count += 1
         number = "" if self.count == 1 else str(self.count)
         across, down = self.spaces.across(place, panel.columns), self.spaces.along(row)
-        x, y = _axis(panel.x), _axis(panel.y)
+        x, y = _axis(panel.x, _reach(panel, "x")), _axis(panel.y, _reach(panel, "y"))
         if self.chart.share_x:
             _share(x, panel.x, self.above.setdefault(place, f"x{number}"), f"x{number}")
         if self.chart.share_y:
@@ -185,11 +214,12 @@ class _Figure:
         axes = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
         right = {"xaxis": f"x{number}", "yaxis": f"y{100 + self.count}"}
         if panel.right is not None:
-            self.layout[f"yaxis{100 + self.count}"] = _axis(panel.right) | {
+            self.layout[f"yaxis{100 + self.count}"] = _axis(panel.right, _reach(panel, "right")) | {
                 "overlaying": f"y{number}",
                 "side": "right",
                 "anchor": f"x{number}",
                 "showgrid": False,
+                "tickmode": "auto",
             }
         self._titles(panel, across, down)
         for mark in panel.marks:
@@ -314,8 +344,8 @@ class _Figure:
         key: dict[str, Any] = {"color": span.color, "opacity": span.opacity}
         if span.hatched:
             # Plotly has no hatching of shapes: an outline instead.
-            edge = {"width": 1, "color": GREY_KEY}
-            look = {"fillcolor": "rgba(0,0,0,0)", "line": edge | {"dash": "dot"}}
+            edge = {"width": 1.5, "color": GREY_KEY}
+            look = {"fillcolor": "rgba(0,0,0,0)", "line": edge | {"dash": "dash"}}
             key = {"color": "rgba(0,0,0,0)", "line": edge}
         self._shape("rect", span.axis, span.low, span.high, axes, look)
         if span.label:
@@ -326,7 +356,7 @@ class _Figure:
         style = {"color": level.color, "dash": DASHES[level.dashes], "width": 1}
         look = {"mode": "lines", "line": style}
         if level.axis == "diagonal":
-            ends = _reach(panel)
+            ends = _values(_reach(panel, "x"))
             self._key(level.label, {**look, "x": ends, "y": ends}, axes, panel)
             return
         self._shape("line", level.axis, level.value, level.value, axes, {"line": style})
@@ -347,7 +377,8 @@ class _Figure:
         self.layout["shapes"].append(
             {
                 "type": kind,
-                "layer": "below",
+                # Lines would vanish under those of the grid.
+                "layer": "below" if "fillcolor" in look and look["line"]["width"] == 0 else "above",
                 f"{along}ref": axes[f"{along}axis"],
                 f"{across}ref": f"{axes[f'{across}axis']} domain",
                 f"{along}0": _number(low),
@@ -451,7 +482,7 @@ def _to_zero(stems: Stems) -> dict[str, Any]:
     }
 
 
-def _axis(wanted: Axis) -> dict[str, Any]:
+def _axis(wanted: Axis, reach: tuple[float, float]) -> dict[str, Any]:
     axis: dict[str, Any] = {
         "title": {"text": _text(wanted.label), "standoff": 6},
         "type": "log" if wanted.log else "linear",
@@ -466,6 +497,8 @@ def _axis(wanted: Axis) -> dict[str, Any]:
         "minexponent": 5,
         "hoverformat": f".{DIGITS}~g",
     }
+    if wanted.log and reach[0] >= PLAIN[0] and reach[1] <= PLAIN[1]:
+        axis |= {"nticks": FEW_NUMBERS, "tickformat": "~g"}
     if wanted.color:
         axis |= {"color": wanted.color}
     if wanted.categories:
@@ -474,19 +507,18 @@ def _axis(wanted: Axis) -> dict[str, Any]:
             "ticktext": [_text(name) for name in wanted.categories],
             "showgrid": False,
         }
-    return axis | _ends(wanted)
+    return axis | _ends(wanted, reach)
 
 
-def _ends(wanted: Axis) -> dict[str, Any]:
-    given = [wanted.low, wanted.high]
-    if wanted.log:
-        given = [None if end is None else float(np.log10(end)) for end in given]
-    ends = [None if end is None else _number(end) for end in given]
-    if wanted.reverse:
-        ends = ends[::-1]
-    if all(end is None for end in ends):
+def _ends(wanted: Axis, reach: tuple[float, float]) -> dict[str, Any]:
+    """Range of an axis: Plotly finds both ends itself or neither."""
+    if wanted.low is None and wanted.high is None:
         return {"autorange": "reversed"} if wanted.reverse else {}
-    return {"range": ends}
+    ends = np.log10(reach) if wanted.log else np.asarray(reach)
+    margin = MARGIN * (ends[1] - ends[0])
+    low = ends[0] - margin * (wanted.low is None)
+    high = ends[1] + margin * (wanted.high is None)
+    return {"range": _values([high, low] if wanted.reverse else [low, high])}
 
 
 def _share(axis: dict[str, Any], wanted: Axis, first: str, own: str) -> None:
@@ -496,13 +528,19 @@ def _share(axis: dict[str, Any], wanted: Axis, first: str, own: str) -> None:
         axis["showticklabels"] = False
 
 
-def _reach(panel: Panel) -> list[float | None]:
-    """Ends of a sloped line: the axis', or the data's."""
-    if panel.x.low is not None and panel.x.high is not None:
-        return _values([panel.x.low, panel.x.high])
-    drawn = [as_array(m.x).ravel() for m in panel.marks if isinstance(m, Line | Dots | Stems)]
-    values = np.concatenate(drawn) if drawn else np.array([0.0, 1.0])
-    return _values([np.nanmin(values), np.nanmax(values)])
+def _reach(panel: Panel, which: Literal["x", "y", "right"]) -> tuple[float, float]:
+    """Ends of an axis: those given, or the data's."""
+    axis = {"x": panel.x, "y": panel.y, "right": panel.right or Axis()}[which]
+    drawn = [np.array([])]
+    for mark in panel.marks:
+        if isinstance(mark, Line | Dots | Stems):
+            right = isinstance(mark, Line) and mark.right
+            if which == "x" or right == (which == "right"):
+                drawn.append(as_array(mark.x if which == "x" else mark.y).ravel())
+    values = np.concatenate(drawn)
+    values = values[np.isfinite(values)]
+    least, most = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+    return (least if axis.low is None else axis.low, most if axis.high is None else axis.high)
 
 
 def _values(values: ArrayLike) -> list[Any]:

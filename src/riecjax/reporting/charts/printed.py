@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from riecjax.reporting.charts.chart import (
+    PLAIN,
     Axis,
     Chart,
     Dots,
@@ -26,8 +27,6 @@ from riecjax.reporting.charts.chart import (
 DOTS_PER_INCH = 150
 DECADE = 12
 """Ratio of an axis' ends up to which 1, 2, 5 would be too few numbers on it."""
-PLAIN = (1e-3, 1e5)
-"""Numbers on a logarithmic axis between these are written out, others as powers of ten."""
 LETTER, HANDLE = 0.062, 0.42
 """Inches that a letter and a sign with its gaps take in a legend."""
 LINE = 15.0
