@@ -1,13 +1,22 @@
-"""`riecjax reproduce`: the paper's tables beside their reproduction."""
+"""`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from riecjax.cli.options import json_option, out_option, seed_option
 from riecjax.cli.runtime import start_jax
 
-DEFAULT_ROADS, QUICK_ROADS, FULL_ROADS = 32, 8, 200
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from riecjax.paper.study import Progress as Report
+
+DEFAULT_ROADS = 32
+PARTS = "variations.parts"
+"""Folder of what is finished of an interrupted study, inside the one of --out."""
 
 
 @click.command("reproduce")
@@ -15,57 +24,106 @@ DEFAULT_ROADS, QUICK_ROADS, FULL_ROADS = 32, 8, 200
 @click.option(
     "--roads",
     type=click.IntRange(min=1, max=100_000),
-    help=f"Number of random roads. [default: {DEFAULT_ROADS}]",
+    help=f"Number of random roads behind the tables. [default: {DEFAULT_ROADS}]",
 )
-@click.option("--full", is_flag=True, help=f"{FULL_ROADS} roads.")
-@click.option("--quick", is_flag=True, help=f"{QUICK_ROADS} roads.")
+@click.option("--full", is_flag=True, help="The whole study: every table, figure and statement.")
+@click.option("--quick", is_flag=True, help="The whole study on few roads, in about a minute.")
 @json_option
 @out_option
 def command(
     seed: int, roads: int | None, full: bool, quick: bool, as_json: bool, out: Path | None
 ) -> None:
-    """Reproduce Tables 1, 3, 4 and 5 of Best and Gordon (1999) on simulated roads."""
-    if full and quick:
-        raise click.UsageError("--full and --quick exclude each other.")
+    """Reproduce Best and Gordon (1999) on simulated roads.
+
+    Without --full or --quick: Tables 1, 3, 4 and 5, and the statements that they decide. A study
+    with --out that is interrupted goes on where it was when it is started again.
+    """
     if roads and (full or quick):
         raise click.UsageError(
             "--roads excludes --full and --quick, which set the number of roads."
         )
-    count = roads or (FULL_ROADS if full else QUICK_ROADS if quick else DEFAULT_ROADS)
     start_jax()
+    if full or quick:
+        _study(seed, quick, as_json, out)
+    else:
+        _tables(seed, roads or DEFAULT_ROADS, as_json, out)
+
+
+def _tables(seed: int, count: int, as_json: bool, out: Path | None) -> None:
     import jax
-    from rich.console import Console
-    from rich.progress import Progress
 
     from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+    from riecjax.paper.claims.tables import table_claims
     from riecjax.paper.reproduction import run_road
     from riecjax.reporting.output import emit
-    from riecjax.reporting.reproduction import (
-        print_reproduction,
-        reproduction_charts,
-        reproduction_document,
-        reproduction_page,
-    )
+    from riecjax.reporting.paper_charts.all import table_charts
+    from riecjax.reporting.reproduction import print_reproduction, reproduction_document
+    from riecjax.reporting.reproduction_page import reproduction_page
     from riecjax.studies.monte_carlo import over_keys
 
     shapes = reconstructed()
-    source = quarter_car_source(shapes)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("roads", total=count)
-        result = over_keys(
+    with _progress() as report:
+        roads = over_keys(
             run_road,
             jax.random.key(seed),
             count,
-            source,
+            quarter_car_source(shapes),
             shapes,
-            progress=lambda done: progress.update(task, completed=done),
+            progress=lambda done: report("roads", done, count),
         )
-    document = reproduction_document(result, seed=seed)
     emit(
-        document,
+        reproduction_document(roads, table_claims(roads), seed=seed),
         as_json=as_json,
         out=out,
         show=print_reproduction,
-        charts=lambda: reproduction_charts(result, source),
+        charts=lambda: table_charts(roads, shapes),
         page=reproduction_page,
     )
+
+
+def _study(seed: int, quick: bool, as_json: bool, out: Path | None) -> None:
+    import jax
+
+    from riecjax.models.quarter_car.reconstruction import reconstructed
+    from riecjax.paper.claims.evaluate import evaluate_claims
+    from riecjax.paper.study import FULL, QUICK, run_study
+    from riecjax.paper.variation_study import write_variations
+    from riecjax.reporting.output import emit
+    from riecjax.reporting.paper_charts.all import study_charts
+    from riecjax.reporting.reproduction import print_reproduction, reproduction_document
+    from riecjax.reporting.reproduction_page import reproduction_page
+
+    scale = QUICK if quick else FULL
+    shapes = reconstructed()
+    parts = None if out is None else out / PARTS
+    with _progress() as report:
+        study = run_study(scale, jax.random.key(seed), shapes, folder=parts, progress=report)
+        report("statements", 0, 1)
+        claims = evaluate_claims(study)
+    emit(
+        reproduction_document(study.roads, claims, seed=seed, scale=scale),
+        as_json=as_json,
+        out=out,
+        show=print_reproduction,
+        charts=lambda: study_charts(study, shapes),
+        page=reproduction_page,
+    )
+    if out is not None and parts is not None:
+        write_variations(study.table, out / "variations.parquet", parts)
+
+
+@contextmanager
+def _progress() -> "Iterator[Report]":
+    """A bar for each thing that is computed, on standard error."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        tasks = {}
+
+        def report(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = progress.add_task(what, total=total)
+            progress.update(tasks[what], completed=done, total=total)
+
+        yield report

@@ -40,7 +40,7 @@ def band_limited_noise(
 def low_passed(
     signal: Float[Array, " n"], time_step: float | Array, bandwidth: float | Array
 ) -> Float[Array, " n"]:
-    """A signal without its Fourier components above `bandwidth` Hz, as in Section 6 of the paper."""
+    """A signal without its Fourier components above `bandwidth` Hz (Section 6 of the paper)."""
     count = signal.shape[0]
     frequency = jnp.arange(count // 2 + 1) / (count * time_step)
     return jnp.fft.irfft(jnp.where(frequency <= bandwidth, jnp.fft.rfft(signal), 0.0), count)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from jaxtyping import Array
 
 from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_means
 from riecjax.paper.eigenstructure import table_1
@@ -20,7 +21,7 @@ INPUTS = ("road", "pothole")
 EXCEPTION = ("B_true", "pothole")
 
 
-def table_claims(roads: RoadResult, ramps: np.ndarray | None = None) -> list[Claim]:
+def table_claims(roads: RoadResult, ramps: Array | np.ndarray | None = None) -> list[Claim]:
     """All that these roads can decide; `ramps`, errors on pot-holes of other shapes."""
     return [
         _eigenstructure(),
@@ -163,7 +164,7 @@ def _true_masses(roads: RoadResult) -> Claim:
     )
 
 
-def _wheel_velocity(roads: RoadResult, ramps: np.ndarray | None) -> Claim:
+def _wheel_velocity(roads: RoadResult, ramps: Array | np.ndarray | None) -> Claim:
     def margin(errors: np.ndarray) -> float:
         means = errors.mean(axis=0)
         return float(means[2] / max(means[0], means[1], means[3]))

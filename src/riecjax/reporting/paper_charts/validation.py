@@ -1,0 +1,67 @@
+"""Validation trajectories: the Robson road (9) and the pot-hole (10)."""
+
+import numpy as np
+
+from riecjax.paper.reproduction import VALIDATED_STATES
+from riecjax.paper.trajectories import Trajectories
+from riecjax.reporting.charts.chart import GREY, Axis, Chart, Line, Panel
+from riecjax.reporting.paper_charts.bands import BAND, METHOD_STYLE, banded
+
+SHOWN = {"road": (20.0, 25.0), "pothole": (0.0, 2.0)}
+"""Seconds that are drawn: the road's start holds the transient."""
+QUANTITIES = {
+    "x1": ("tyre deflection x1", "mm", 1e3),
+    "x2": ("suspension deflection x2", "mm", 1e3),
+    "x3": ("wheel velocity x3", "m/s", 1.0),
+    "x4": ("body velocity x4", "m/s", 1.0),
+}
+
+
+def figure_9(trajectories: dict[str, Trajectories]) -> Chart:
+    """On a Robson road."""
+    return _figure(
+        trajectories["road"],
+        SHOWN["road"],
+        "Figure 9. Validation of B_id models on a Robson road.",
+    )
+
+
+def figure_10(trajectories: dict[str, Trajectories]) -> Chart:
+    """On the pot-hole."""
+    return _figure(
+        trajectories["pothole"],
+        SHOWN["pothole"],
+        "Figure 10. Validation of B_id models on the pot-hole.",
+    )
+
+
+def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> Chart:
+    time = np.asarray(found.time)
+    kept = (time >= between[0]) & (time <= between[1])
+    rows = []
+    for i, state in enumerate(VALIDATED_STATES):
+        what, unit, factor = QUANTITIES[state]
+        source = factor * np.asarray(found.source)[kept, i]
+        # A step in front of the source's line, or bands would hide it.
+        marks = [
+            banded(time[kept], factor * np.asarray(predicted)[:, kept, i], name, METHOD_STYLE[name])
+            for name, predicted in reversed(found.predicted.items())
+        ]
+        marks.append(Line(time[kept], source, "source", GREY, width=0.9))
+        rows.append(
+            [
+                Panel(
+                    marks,
+                    Axis("time / s" if state == VALIDATED_STATES[-1] else ""),
+                    Axis(f"{what} / ({unit})" if "/" in unit else f"{what} / {unit}"),
+                )
+            ]
+        )
+    count = next(iter(found.predicted.values())).shape[0]
+    return Chart(
+        rows,
+        f"{caption} {BAND} Models identified on {count} roads predict one and the same motion.",
+        (9.0, 9.5),
+        share_x=True,
+        legend=True,
+    )
