@@ -1,6 +1,7 @@
 """What the damper's compliance does to its force, and to identified damper maps (Fig. 13)."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
@@ -39,25 +40,18 @@ def hysteresis(key: Key[Array, ""], source: QuarterCarSource) -> Hysteresis:
     """Simulate and identify on one random road; vmap over keys for many."""
     keys, step = road_keys(key), 1 / TABLE_2.rate
     noise = training_noise(keys.training)
-    stiffer = eqx.tree_at(
-        lambda s: s.damper_compliance, source, STIFFER * jnp.asarray(source.damper_compliance)
-    )
-    velocity, force, width, models = [], [], [], []
-    for model in (source, stiffer):
-        for bandwidth in BANDWIDTHS:
-            driven = Record({"v_r": low_passed(noise, step, bandwidth)}, step)
-            record = simulate(model, driven, method=METHOD).record
-            relative = record["x3"] - record["x4"]
-            transmitted = source.damper(record["x7"])
-            off = transmitted - source.damper(relative)
-            width.append(jnp.sqrt(jnp.mean(off**2) / jnp.mean(transmitted**2)))
-            models.append(identify_by_body(record, keys.windows, 1))
-            velocity.append(relative)
-            force.append(transmitted)
-    own = len(BANDWIDTHS)
-    return Hysteresis(
-        jnp.stack(velocity[:own]),
-        jnp.stack(force[:own]),
-        jnp.stack(width).reshape(2, own),
-        jnp.stack(models).reshape(2, own, *models[0].shape),
-    )
+
+    def at(compliance: Array, bandwidth: Array) -> Hysteresis:
+        model = eqx.tree_at(lambda s: s.damper_compliance, source, compliance)
+        driven = Record({"v_r": low_passed(noise, step, bandwidth)}, step)
+        record = simulate(model, driven, method=METHOD).record
+        relative = record["x3"] - record["x4"]
+        force = source.damper(record["x7"])
+        off = force - source.damper(relative)
+        width = jnp.sqrt(jnp.mean(off**2) / jnp.mean(force**2))
+        return Hysteresis(relative, force, width, identify_by_body(record, keys.windows, 1))
+
+    compliances = jnp.asarray(source.damper_compliance) * jnp.array([1.0, STIFFER])
+    over_bandwidths = jax.vmap(at, in_axes=(None, 0))
+    found = jax.vmap(over_bandwidths, in_axes=(0, None))(compliances, jnp.array(BANDWIDTHS))
+    return Hysteresis(found.velocity[0], found.force[0], found.width, found.models)

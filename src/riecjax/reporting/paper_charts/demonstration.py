@@ -45,7 +45,7 @@ def figure_2(demonstrations: Demonstration) -> Chart:
                 Panel(
                     [Line(time[few], values[0][few], "", color, width=0.6)],
                     Axis("time / s"),
-                    Axis("r.m.s. 1", low=-4.5, high=4.5),
+                    Axis("signal / its r.m.s.", low=-4.5, high=4.5),
                     title=name,
                 ),
                 [
@@ -71,7 +71,7 @@ def figure_2(demonstrations: Demonstration) -> Chart:
                 Panel(
                     marks,
                     Axis("time / s"),
-                    Axis("integral / s", low=-largest, high=largest),
+                    Axis("integral / (r.m.s. s)", low=-largest, high=largest),
                     title=f"integral of the {name}",
                 ),
             ]

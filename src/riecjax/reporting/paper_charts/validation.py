@@ -4,10 +4,10 @@ import numpy as np
 
 from riecjax.paper.reproduction import VALIDATED_STATES
 from riecjax.paper.trajectories import Trajectories
-from riecjax.reporting.charts.chart import GREY, Axis, Chart, Line, Panel
+from riecjax.reporting.charts.chart import PALE, Axis, Chart, Line, Panel
 from riecjax.reporting.paper_charts.bands import BAND, METHOD_STYLE, banded
 
-SHOWN = {"road": (20.0, 25.0), "pothole": (0.0, 2.0)}
+SHOWN = {"road": (20.0, 23.0), "pothole": (0.0, 1.25)}
 """Seconds that are drawn: the road's start holds the transient."""
 QUANTITIES = {
     "x1": ("tyre deflection x1", "mm", 1e3),
@@ -42,12 +42,11 @@ def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> 
     for i, state in enumerate(VALIDATED_STATES):
         what, unit, factor = QUANTITIES[state]
         source = factor * np.asarray(found.source)[kept, i]
-        # A step in front of the source's line, or bands would hide it.
-        marks = [
-            banded(time[kept], factor * np.asarray(predicted)[:, kept, i], name, METHOD_STYLE[name])
-            for name, predicted in reversed(found.predicted.items())
-        ]
-        marks.append(Line(time[kept], source, "source", GREY, width=0.9))
+        # Behind the predictions, and wide: where they agree with it they would hide a thin line.
+        marks = [Line(time[kept], source, "source", PALE, width=4.0)]
+        for method in ("DOLS", "RIEC"):
+            predicted = factor * np.asarray(found.predicted[method])[:, kept, i]
+            marks.append(banded(time[kept], predicted, method, METHOD_STYLE[method]))
         rows.append(
             [
                 Panel(
