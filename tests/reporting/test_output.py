@@ -1,3 +1,4 @@
+import base64
 import io
 import json
 import sys
@@ -22,6 +23,8 @@ from riecjax.estimation.check import Check
 from riecjax.estimation.identify import identify
 from riecjax.estimation.procedure import staged
 from riecjax.records.record import Record
+from riecjax.reporting.charts import printed
+from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import (
     Identification,
@@ -29,7 +32,8 @@ from riecjax.reporting.identification import (
     print_identification,
 )
 from riecjax.reporting.identification_figures import identification_figures
-from riecjax.reporting.output import emit, require_plots, versions, write_folder
+from riecjax.reporting.output import emit, versions, write_folder
+from riecjax.reporting.page import Page, Section
 from riecjax.studies.seed_scatter import SeedScatter
 from riecjax.validation.residual_tests import ResidualTests
 
@@ -40,27 +44,24 @@ DOCUMENT = {
 }
 
 
-class Figure:
-    def savefig(self, path: Path, **_options: object) -> None:
-        path.write_bytes(b"picture")
-
-
-class Broken(Figure):
-    def savefig(self, path: Path, **_options: object) -> None:
-        path.write_bytes(b"half")
-        raise OSError(28, "No space left on device")
-
-
 def show(document: dict, console: Console) -> None:
     console.print(f"the answer is {document['answer']}", highlight=False)
+
+
+CHART = single([Line([1, 2], [3, 4])], Axis("time / s"), Axis("x / m"), "How it moves.")
+
+
+def page(document: dict) -> Page:
+    answer = f"the answer is {document['answer']}"
+    return Page("A <title>", "", [Section("Answer", [answer], charts=("one", "two"))])
 
 
 def emitted(
     out: Path | None = None,
     as_json: bool = False,
-    figures: Callable[[], Mapping[str, object]] = dict,
+    charts: Callable[[], Mapping[str, Chart]] = dict,
 ) -> None:
-    emit(DOCUMENT, as_json=as_json, out=out, show=show, figures=figures, title="A <title>")
+    emit(DOCUMENT, as_json=as_json, out=out, show=show, charts=charts, page=page)
 
 
 def test_terminal(capsys):
@@ -77,13 +78,13 @@ def test_json(capsys):
     assert captured.err == "warning [odd]: 5 < 6 & so on\n"
 
 
-def test_figures_are_not_drawn_without_a_folder():
-    emitted(figures=lambda: pytest.fail("was drawn"))
+def test_figures_are_not_made_without_a_folder():
+    emitted(charts=lambda: pytest.fail("was made"))
 
 
 def test_folder(capsys, tmp_path):
     out = tmp_path / "a" / "b"
-    emitted(out, figures=lambda: {"one": Figure(), "two": Figure()})
+    emitted(out, charts=lambda: {"one": CHART, "two": CHART})
     names = sorted(path.name for path in out.iterdir())
     assert names == ["one.png", "report.html", "results.json", "two.png"]
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
@@ -91,25 +92,32 @@ def test_folder(capsys, tmp_path):
     assert str(out) in capsys.readouterr().out
 
 
-def test_page_is_escaped_and_self_contained(tmp_path):
-    emitted(tmp_path / "out", figures=lambda: {"one": Figure()})
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "A &lt;title&gt;" in page
-    assert "5 &lt; 6 &amp; so on" in page
-    assert "the answer is 42" in page
-    assert "data:image/png;base64,cGljdHVyZQ==" in page
-    assert "http" not in page
-    assert "<script" not in page
+def test_page_holds_text_warnings_provenance_and_the_same_picture(tmp_path):
+    emitted(tmp_path / "out", charts=lambda: {"one": CHART})
+    html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "A &lt;title&gt;" in html
+    assert "5 &lt; 6 &amp; so on" in html
+    assert "the answer is 42" in html
+    assert "&#34;seed&#34;: 1" in html
+    assert "How it moves." in html
+    picture = base64.b64encode((tmp_path / "out" / "one.png").read_bytes()).decode()
+    assert f'src="data:image/png;base64,{picture}"' in html
 
 
 @pytest.mark.parametrize("existing", [False, True])
-def test_a_failure_leaves_the_folder_as_it_was(capsys, tmp_path, existing):
+def test_a_failure_leaves_the_folder_as_it_was(capsys, tmp_path, monkeypatch, existing):
+    def fail(chart: Chart, file: Path) -> None:
+        file.write_bytes(b"half")
+        if file.name == "two.png":
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(printed, "print_chart", fail)
     out = tmp_path / "out"
     if existing:
         out.mkdir()
         (out / "results.json").write_text("old")
     with pytest.raises(DataError, match="No space left on device"):
-        emitted(out, as_json=True, figures=lambda: {"one": Figure(), "two": Broken()})
+        emitted(out, as_json=True, charts=lambda: {"one": CHART, "two": CHART})
     assert capsys.readouterr().out == ""
     assert [path.name for path in tmp_path.iterdir()] == (["out"] if existing else [])
     if existing:
@@ -117,12 +125,10 @@ def test_a_failure_leaves_the_folder_as_it_was(capsys, tmp_path, existing):
         assert (out / "results.json").read_text() == "old"
 
 
-def test_a_failing_table_leaves_nothing(tmp_path):
-    def fail(document: dict, console: Console) -> None:
-        raise RuntimeError("no table")
-
-    with pytest.raises(RuntimeError, match="no table"):
-        write_folder(tmp_path / "out", DOCUMENT, {"one": Figure()}, "title", fail)
+def test_a_failing_chart_leaves_nothing(tmp_path):
+    broken = single([Line([1, 2], [3, 4, 5])], Axis(), Axis())
+    with pytest.raises(ValueError, match="same first dimension"):
+        write_folder(tmp_path / "out", DOCUMENT, {"one": broken}, page(DOCUMENT))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -139,17 +145,11 @@ def test_no_file_is_left_open(tmp_path):
     assert [str(warning.message) for warning in caught] == []
 
 
-def draw_nothing() -> dict[str, Figure]:
-    require_plots()
-    return {}
-
-
-@pytest.mark.parametrize("module", ["matplotlib", "jinja2"])
+@pytest.mark.parametrize("module", ["matplotlib", "jinja2", "plotly"])
 def test_missing_packages_are_named_with_the_remedy(tmp_path, monkeypatch, module):
-    monkeypatch.delitem(sys.modules, "riecjax.reporting.html", raising=False)
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(DataError, match=r"pip install 'riecjax\[report\]'"):
-        emitted(tmp_path / "out", figures=draw_nothing)
+        emitted(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -285,28 +285,26 @@ def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion
     procedure = staged(equation)
     key = jax.random.key(0)
     estimate = identify(procedure, record, criterion, key=key)
-    figure = identification_figures(result_of(estimate, procedure, record))["fit"]
-    fit, residual = figure.axes
-    explained, measured = (np.asarray(data) for data in fit.lines[-1].get_data())
-    scatter = np.asarray(residual.lines[-1].get_ydata())
+    chart = identification_figures(result_of(estimate, procedure, record))["fit"]
+    fit, residual = chart.panels
+    dots, left = fit.marks[-1], residual.marks[-1]
+    assert isinstance(dots, Dots)
+    assert isinstance(left, Dots)
+    explained, measured = np.asarray(dots.x), np.asarray(dots.y)
+    scatter = np.asarray(left.y)
     np.testing.assert_allclose(measured - explained, scatter, atol=1e-12)
     # The residual of a least-squares fit is at right angles to what is explained.
     assert abs(explained @ scatter) < 1e-9 * (explained @ explained)
-    assert fit.get_xlabel().endswith(f"({unit})")
+    assert fit.x.label.endswith(f"({unit})")
     share = np.sqrt(np.mean(scatter**2) / np.mean(measured**2))
     assert share == pytest.approx(float(estimate.stages[0].relative_rms), rel=1e-6)
 
 
-def test_figures_are_closed_when_written(record, tmp_path):
+def test_no_figure_stays_open_when_written(tmp_path):
     # Otherwise a program that identifies in a loop keeps every figure and is warned of it.
-    plt = require_plots()
-    plt.close("all")
-    procedure = staged(EQUATION)
-    estimate = identify(procedure, record, DOLS())
-    emitted(
-        tmp_path / "out",
-        figures=lambda: identification_figures(result_of(estimate, procedure, record)),
-    )
+    import matplotlib.pyplot as plt
+
+    emitted(tmp_path / "out", charts=lambda: {"one": CHART})
     assert plt.get_fignums() == []
 
 
@@ -332,10 +330,15 @@ def test_curves_pass_through_their_break_points_and_leave_the_hysteresis():
     x, y = curve.samples
     np.testing.assert_allclose(x, v)
     np.testing.assert_allclose(y, force + lag, atol=1e-12)
-    figure = curves_figure([curve])
-    assert figure.axes[1].get_xlabel() == "v / (m/s)"
-    assert figure.axes[0].get_ylabel() == "F_d / (N)"
-    require_plots().close(figure)
+    above, below = curves_figure([curve]).panels
+    assert below.x.label == "v / (m/s)"
+    assert above.y.label == "F_d / (N)"
+    (left,) = (mark for mark in below.marks if isinstance(mark, Line))
+    np.testing.assert_allclose(np.asarray(left.y), y - np.interp(x, curve.x, curve.y))
+    band = above.marks[-1]
+    assert isinstance(band, Line)
+    assert band.high is not None
+    np.testing.assert_allclose(np.asarray(band.high), curve.y + 1.96 * curve.error)
 
 
 def test_a_curve_beside_an_acceleration_that_is_not_recorded_has_no_samples():
@@ -354,6 +357,7 @@ def test_a_curve_beside_an_acceleration_that_is_not_recorded_has_no_samples():
     estimate = identify(procedure, record, criterion, key=jax.random.key(0))
     (curve,) = identified_curves(result_of(estimate, procedure, record))
     assert curve.samples is None
+    assert len(curves_figure([curve]).panels) == 1
     np.testing.assert_allclose(
         curve.y, np.interp(curve.x, [-2, -0.5, 0.5, 2], [-9, -5, 4, 7]), atol=0.05
     )

@@ -1,15 +1,15 @@
-import itertools
-
 import jax
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from reporting_charts import assert_whole_in_print
 
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.records.record import Record
+from riecjax.reporting.charts.chart import Chart, HeatMap, Line
+from riecjax.reporting.charts.printed import printed
 from riecjax.reporting.residual_figures import density_label, residual_figures
 from riecjax.reporting.window_choice_figures import window_choice_figures
 from riecjax.simulation.excitation import band_limited_noise
@@ -35,9 +35,7 @@ def figures():
     model, record = recording()
     tests = residual_tests(model, record, {"k": 4.0}, windows=AllWindows(0.05, 0.5))
     choice = window_choice(model, record, {"k": 4.0}, windows=AllWindows(0.05, 0.5))
-    drawn = {**residual_figures(tests), **window_choice_figures(choice)}
-    yield tests, choice, drawn
-    plt.close("all")
+    return tests, choice, {**residual_figures(tests), **window_choice_figures(choice)}
 
 
 def test_there_is_one_figure_of_residuals_for_each_equation(figures):
@@ -46,34 +44,25 @@ def test_there_is_one_figure_of_residuals_for_each_equation(figures):
 
 
 def test_every_axis_is_labelled_with_its_unit_and_inside_the_figure(figures):
-    _, _, drawn = figures
-    for figure in drawn.values():
-        figure.canvas.draw()
-        width, height = figure.canvas.get_width_height()
-        for axes in figure.axes:
-            assert axes.get_xlabel() or axes.get_ylabel()
-            box = axes.get_tightbbox()
-            assert box.x0 >= 0
-            assert box.y0 >= 0
-            assert box.x1 <= width + 1
-            assert box.y1 <= height + 1
-        boxes = [legend.get_window_extent() for legend in figure.legends]
-        # Legends beside the panels do not touch each other.
-        assert all(a.x1 < b.x0 for a, b in itertools.pairwise(boxes))
-    labels = {axes.get_ylabel() for axes in drawn["residual_1"].axes}
+    _, _, charts = figures
+    for chart in charts.values():
+        for panel in chart.panels:
+            assert panel.x.label
+            assert panel.y.label
+        assert_whole_in_print(chart)
+    labels = {panel.y.label for panel in charts["residual_1"].panels}
     assert {"impulse of the error / (N s)", "power density / (N²/Hz)"} <= labels
+
+
+def labels_of(chart: Chart) -> list[str]:
+    marks = [mark for panel in chart.panels for mark in panel.marks]
+    return [mark.label for mark in marks if not isinstance(mark, HeatMap)]
 
 
 def test_the_peak_and_the_recommended_range_are_named(figures):
     tests, choice, drawn = figures
     assert tests["spring"].peak is not None
-    legends = [
-        text.get_text()
-        for figure in drawn.values()
-        for legend in (*figure.legends, *(axes.get_legend() for axes in figure.axes))
-        if legend
-        for text in legend.get_texts()
-    ]
+    legends = [label for chart in drawn.values() for label in labels_of(chart)]
     assert any(text.startswith("peak near 1") for text in legends)
     low, high = choice.recommended
     assert f"recommended, {low:.2g} to {high:.2g} s" in legends
@@ -82,12 +71,10 @@ def test_the_peak_and_the_recommended_range_are_named(figures):
 
 def test_lines_hold_the_series_and_break_at_a_gap(figures):
     tests, _, drawn = figures
-    lines = [line for axes in drawn["residual_1"].axes for line in axes.get_lines()]
     impulse = np.asarray(tests["spring"].error.impulse)
-    drawn_impulse = [
-        np.asarray(line.get_ydata()) for line in lines if len(line.get_ydata()) == impulse.size
-    ]
-    (found,) = drawn_impulse
+    lines = [mark for panel in drawn["residual_1"].panels for mark in panel.marks]
+    series = [np.asarray(mark.y) for mark in lines if isinstance(mark, Line)]
+    (found,) = (values for values in series if values.size == impulse.size)
     gone = ~np.asarray(tests["spring"].error.present)
     np.testing.assert_array_equal(np.isnan(found), gone)
     assert gone.sum() == 2
@@ -98,11 +85,10 @@ def test_a_criterion_without_windows_and_an_equation_without_unit_are_drawn_too(
     model, record = recording()
     plain = Equation(*model.terms, name="spring")
     tests = residual_tests(plain, record, {"k": 4.0})
-    (figure,) = residual_figures(tests).values()
-    figure.canvas.draw()
+    (chart,) = residual_figures(tests).values()
+    printed(chart).canvas.draw()
     assert density_label("") == "power density / (1/Hz)"
     assert density_label("N m") == "power density / ((N m)²/Hz)"
-    plt.close(figure)
 
 
 def test_the_windows_of_an_estimate_are_those_in_use():
@@ -110,7 +96,5 @@ def test_the_windows_of_an_estimate_are_those_in_use():
 
     model, record = recording()
     estimate = identify(model, record, RIEC(AllWindows(0.1, 0.3)))
-    (figure,) = window_choice_figures(window_choice(model, record, estimate)).values()
-    texts = [t.get_text() for legend in figure.legends for t in legend.get_texts()]
-    assert "in use, 0.1 to 0.3 s" in texts
-    plt.close(figure)
+    (chart,) = window_choice_figures(window_choice(model, record, estimate)).values()
+    assert "in use, 0.1 to 0.3 s" in labels_of(chart)

@@ -6,6 +6,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
@@ -59,9 +60,10 @@ def print_chart(chart: Chart, file: Path) -> None:
 
 
 def printed(chart: Chart) -> Figure:
-    """The chart as a matplotlib figure."""
+    """The chart as a matplotlib figure, to be drawn in `STYLE`."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=chart.size)
+        FigureCanvasAgg(figure)
         heights = chart.heights or (1.0,) * len(chart.rows)
         grid = figure.add_gridspec(len(chart.rows), chart.columns, height_ratios=heights)
         above: dict[int, Any] = {}

@@ -1,0 +1,186 @@
+"""A report as a browser shows it: figures are drawn, nothing is asked of a network."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.integrate
+from reporting_charts import EVERYTHING
+
+from riecjax.cli.main import run
+from riecjax.reporting.output import write_folder
+from riecjax.reporting.page import Page, Section, Table
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+pytestmark = pytest.mark.slow
+
+LOCAL = ("file:", "data:", "blob:")
+WIDTHS = (390, 1280)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no browser is installed: none of {', '.join(BROWSERS)}")
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=found, args=list(OPTIONS))
+        yield opened
+        opened.close()
+
+
+def write_recording(path: Path) -> None:
+    """The drag oscillator under a force of several frequencies, with noisy sensors."""
+    time = np.arange(0, 20, 0.01)
+
+    def force(at: Any) -> Any:
+        return sum(np.sin(2 * np.pi * f * at + 9 * f) for f in (0.3, 0.5, 0.7, 0.9, 1.3))
+
+    def motion(at: float, state: np.ndarray) -> list[float]:
+        x, v = state
+        return [v, (6 * force(at) - 0.8 * v - 0.5 * v * abs(v) - 20 * x) / 1.5]
+
+    x, v = scipy.integrate.solve_ivp(motion, (0, 20), [0, 0], t_eval=time, rtol=1e-8).y
+    noise = np.random.default_rng(1).standard_normal((2, time.size))
+    columns = (time, 6 * force(time), x + 0.02 * x.std() * noise[0], v + 0.02 * v.std() * noise[1])
+    np.savetxt(path, np.transpose(columns), delimiter=",", header="t,u,x,dx", comments="")
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("reports")
+    write_recording(folder / "run.csv")
+    options = ("--model", "drag-oscillator", "--hold-out", "0.3", "--intervals", "sandwich")
+    status = run(["identify", str(folder / "run.csv"), *options, "--out", str(folder / "found")])
+    assert status == 0
+    long = "one heading that is much longer than a telephone is wide, and_a_name_without_gaps" * 2
+    page = Page(
+        long,
+        long,
+        [
+            Section(long, [long], [Table([long] * 9, [[long] * 9], long)], ["everything"]),
+            Section("Last"),
+        ],
+    )
+    document = {"warnings": [{"code": long, "message": long}], "provenance": {"long": long}}
+    write_folder(folder / "every", document, {"everything": EVERYTHING}, page)
+    return {"identify": folder / "found", "every mark": folder / "every"}
+
+
+@pytest.fixture(params=WIDTHS)
+def width(request) -> int:
+    return request.param
+
+
+@pytest.fixture(params=["identify", "every mark"])
+def opened(request, browser, reports, width) -> Iterator[Any]:
+    """A page with its figures drawn, without complaints or requests."""
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    problems: list[str] = []
+    page.on("console", lambda message: problems.append(message.text))
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("request", lambda r: None if r.url.startswith(LOCAL) else problems.append(r.url))
+    page.goto((reports[request.param] / "report.html").as_uri())
+    page.wait_for_selector("html.drawn", state="attached", timeout=60_000)
+    yield page
+    page.close()
+    assert problems == []
+
+
+def test_every_figure_is_drawn_and_the_page_no_wider_than_the_screen(opened, width):
+    figures = opened.locator("figure")
+    assert figures.count() >= 1
+    for i in range(figures.count()):
+        figure = figures.nth(i)
+        assert figure.locator(".js-plotly-plot .main-svg").count() > 0
+        assert figure.locator("path.js-line, path.point, .errorbar, .hm image").count() > 0
+        assert not figure.locator("img").is_visible()
+    wide, seen = opened.evaluate(
+        "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
+    )
+    assert wide <= seen == width
+
+
+def test_headings_are_whole_and_apart(opened, width):
+    found = opened.evaluate(
+        """() => [...document.querySelectorAll('h1, h2')].map((each) => {
+            const box = each.getBoundingClientRect();
+            return [box.left, box.right, box.top, box.bottom, each.scrollWidth, each.clientWidth];
+        })"""
+    )
+    bottom = -np.inf
+    for left, right, top, below, needed, given in found:
+        assert 0 <= left < right <= width
+        assert needed <= given
+        assert top >= bottom
+        bottom = below
+
+
+def test_titles_and_legends_of_panels_do_not_cover_each_other(opened):
+    overlaps = opened.evaluate(
+        """() => [...document.querySelectorAll('.js-plotly-plot')].flatMap((plot) => {
+            const boxes = [...plot.querySelectorAll('.annotation-text, .legendtext')]
+                .map((each) => [each.textContent, each.getBoundingClientRect()]);
+            const edge = plot.getBoundingClientRect();
+            const cut = boxes.filter(([, a]) => a.left < edge.left || a.top < edge.top
+                || a.right > edge.right || a.bottom > edge.bottom).map(([name]) => name);
+            const meet = boxes.flatMap(([name, a], i) => boxes.slice(i + 1)
+                .filter(([, b]) => a.left < b.right - 1 && b.left < a.right - 1
+                    && a.top < b.bottom - 1 && b.top < a.bottom - 1)
+                .map(([other]) => name + ' / ' + other));
+            return [...cut, ...meet];
+        })"""
+    )
+    assert overlaps == []
+
+
+def test_a_point_tells_its_values(opened):
+    plot = opened.locator(".js-plotly-plot").last
+    plot.scroll_into_view_if_needed()
+    # Where Plotly itself draws the first point of a series inside its axes.
+    place = plot.evaluate(
+        """(plot) => {
+            const trace = plot._fullData.find((each) => each.hoverinfo !== 'skip'
+                && each.type === 'scatter' && each.x.length > 1 && each.x[1] !== null);
+            const x = plot._fullLayout['xaxis' + trace.xaxis.slice(1)];
+            const y = plot._fullLayout['yaxis' + trace.yaxis.slice(1)];
+            const box = plot.getBoundingClientRect();
+            const i = trace.x.findIndex((value, j) => j > 0 && trace.y[j] !== null);
+            const [right, down] = [x._offset + x.d2p(trace.x[i]), y._offset + y.d2p(trace.y[i])];
+            return [box.left + right, box.top + down];
+        }"""
+    )
+    opened.mouse.move(place[0] + 1, place[1] + 1)
+    opened.mouse.move(*place)
+    hover = plot.locator(".hoverlayer .hovertext")
+    hover.first.wait_for(timeout=5_000)
+    assert any(character.isdigit() for character in hover.first.text_content())
+
+
+def test_without_scripts_and_in_print_there_are_pictures(browser, reports):
+    address = (reports["every mark"] / "report.html").as_uri()
+    page = browser.new_page(java_script_enabled=False)
+    page.goto(address)
+    assert page.locator("figure img").is_visible()
+    assert not page.locator("figure .plot").is_visible()
+    page.close()
+    page = browser.new_page()
+    page.goto(address)
+    page.wait_for_selector("html.drawn", state="attached", timeout=60_000)
+    page.emulate_media(media="print")
+    assert page.locator("figure img").is_visible()
+    assert not page.locator("figure .plot").is_visible()
+    page.close()
