@@ -7,7 +7,7 @@ BIN := .venv/bin
 OUT := out
 
 .DELETE_ON_ERROR:
-.PHONY: run test setup lint format bench calibrate clean
+.PHONY: run test setup lint format docs bench calibrate clean
 
 run: .venv/installed
 	$(BIN)/riecjax reproduce --out $(OUT)/reproduce
@@ -34,6 +34,9 @@ format: .venv/installed
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+docs: .venv/installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
 
@@ -41,4 +44,4 @@ calibrate: .venv/installed
 	$(BIN)/python -m benchmarks.reconstruct_curves
 
 clean:
-	rm -rf .venv $(OUT)
+	rm -rf .venv $(OUT) site

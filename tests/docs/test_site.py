@@ -1,0 +1,76 @@
+"""Pages of the site say what the code says: names, warnings, and code that runs."""
+
+import ast
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+import riecjax
+from riecjax.cli.main import run
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+CODE = re.compile(r"```python\n(.*?)```", flags=re.DOTALL)
+
+
+def finding_codes() -> set[str]:
+    """Codes of all findings that the sources make."""
+    found = set()
+    for path in (ROOT / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
+                (code, *_) = node.args
+                if isinstance(code, ast.Constant):
+                    found.add(code.value)
+    return found
+
+
+def test_every_warning_is_explained_and_no_other():
+    page = (DOCS / "warnings.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    explained = set(re.findall(r"`(\w+)`", " ".join(rows)))
+    of_the_reproduction = {"simulation_lost", "few_roads"}
+    assert explained == finding_codes() | of_the_reproduction
+
+
+def test_reference_shows_every_public_name_once():
+    pages = [path.read_text(encoding="utf-8") for path in (DOCS / "reference").glob("*.md")]
+    shown = re.findall(r"^::: riecjax\.(\w+)$", "\n".join(pages), flags=re.MULTILINE)
+    assert sorted(shown) == sorted(riecjax.__all__)
+
+
+def test_every_notebook_is_in_the_navigation():
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        assert f"notebooks/{path.name}" in navigation
+
+
+@pytest.mark.parametrize("page", ["index.md", "writing_a_model.md"])
+def test_code_of_a_page_runs(page, capsys):
+    text = (DOCS / page).read_text(encoding="utf-8")
+    exec(compile("\n".join(CODE.findall(text)), page, "exec"), {})
+    for promised in re.findall(r"^print\(.*\)  # ([\d. ]*\d);", text, flags=re.MULTILINE):
+        assert promised in capsys.readouterr().out
+
+
+def test_getting_started_runs_and_prints_what_it_shows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    text = (DOCS / "getting_started.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```(\w*)\n(.*?)```", text, flags=re.DOTALL)
+    simulate, check, identify = (block for kind, block in blocks if kind == "console")
+    of_check, of_identify = [block for kind, block in blocks if not kind][1:]
+    for command in (simulate, check):
+        assert run(shlex.split(command)[1:]) == 0
+    assert capsys.readouterr().out.split("\n", 1)[1].split() == of_check.split()
+    # What identification prints is told in the README too; it takes a minute, so it is not run.
+    assert identify.strip() in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert of_identify in (ROOT / "README.md").read_text(encoding="utf-8")
+    exec(compile("\n".join(CODE.findall(text)), "getting_started.md", "exec"), {})
+    printed = capsys.readouterr().out
+    assert re.search(r"^K_s +207\d\d\.?\d* ", printed, flags=re.MULTILINE)
+    shares = [float(share) for share in re.findall(r"([\d.]+) %'", printed)]
+    assert len(shares) == 4
+    assert sum(shares) < 50
