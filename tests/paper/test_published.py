@@ -8,7 +8,7 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.models.quarter_car.identification import quarter_car_system
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-from riecjax.paper.claims import evaluate_claims
+from riecjax.paper.claims.tables import table_claims
 from riecjax.paper.reproduction import identification_record, identify_variants, run_road
 from riecjax.paper.tables import contact, table_3, table_4, table_5
 from riecjax.records.record import Record
@@ -60,7 +60,7 @@ def test_the_tyre_is_in_contact_as_published(roads):
 
 
 def test_riec_finds_the_sprung_mass_where_dols_does_not(roads):
-    masses = {claim.id: claim for claim in evaluate_claims(roads)}[6]
+    masses = {claim.id: claim for claim in table_claims(roads)}[6]
     assert masses.holds
 
 

@@ -171,7 +171,8 @@ def _keep(table: pa.Table, file: Path) -> None:
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
     finally:
-        made.unlink(missing_ok=True)
+        if made.exists():
+            made.unlink()
 
 
 class Varied(NamedTuple):

@@ -1,0 +1,206 @@
+"""Statements on made-up studies, of which it is known whether they hold."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.windows import AllWindows
+from riecjax.estimation.identify import identify
+from riecjax.models.quarter_car.equations import quarter_car_by_body
+from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.two_mass import two_mass_system
+from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_means
+from riecjax.paper.claims.section_2 import bounded_impulse, drop_outs, window_errors
+from riecjax.paper.claims.section_4 import window_lengths
+from riecjax.paper.claims.section_6 import variation_claims
+from riecjax.paper.demonstration import RATE, SECOND_MASS, Demonstration, demonstrate
+from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis
+from riecjax.paper.random_window_errors import WindowErrorMoments
+from riecjax.paper.reproduction import PARAMETERS, identification_record, road_keys
+from riecjax.paper.variation_study import Varied, VariedStudy
+from riecjax.paper.variations import Variations
+from riecjax.paper.window_lengths import LENGTHS, LengthMap, estimates_over_lengths
+from riecjax.records.record import Record
+from riecjax.simulation.simulate import simulate
+
+ROADS = 12
+BANDS = np.array([0.5, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0])
+CASES = ("pathological", "included-mode", "higher-mode")
+RNG = np.random.default_rng(5)
+
+
+def test_interval_of_a_mean_is_that_of_statistics():
+    values = RNG.normal(3.0, 2.0, 400)
+    found = over_roads("mean", lambda v: float(np.mean(v)), values)
+    assert found.value == pytest.approx(values.mean())
+    assert found.interval is not None
+    reach = 1.96 * values.std() / np.sqrt(400)
+    np.testing.assert_allclose(
+        found.interval, [values.mean() - reach, values.mean() + reach], atol=0.15 * reach
+    )
+
+
+def test_roads_are_resampled_together():
+    values = RNG.normal(3.0, 2.0, 30)
+    assert over_roads("ratio", ratio_of_means, 2 * values, values).interval == (2.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "holds"),
+    [
+        (1.0, None, None, True),
+        (1.0, 1.0, 1.0, True),
+        (1.0, 1.1, None, False),
+        (1.0, None, 0.9, False),
+        (float("nan"), None, None, False),
+        (float("inf"), 0.0, None, False),
+    ],
+)
+def test_evidence_keeps_its_limits(value, low, high, holds):
+    evidence = Evidence("it", value, None, low, high)
+    assert evidence.holds is holds
+    assert Claim(1, "So it is.", (Evidence("other", 0.0), evidence)).holds is holds
+
+
+def demonstration() -> Demonstration:
+    return jax.vmap(demonstrate)(jax.random.split(jax.random.key(0), 12))
+
+
+def test_the_error_s_impulse_is_the_second_mass_s_relative_momentum():
+    # Closed form: the error is -m2 d'', so its integral is -m2 (d'(t) - d'(0)).
+    found = demonstrate(jax.random.key(1))
+    force = jax.random.normal(jax.random.split(jax.random.key(1))[0], (found.error.size,))
+    published = {"m1": 10.0, "m2": 1.0, "omega_n": 100.0, "zeta": 0.5}
+    masses = two_mass_system({name: jnp.asarray(value) for name, value in published.items()})
+    relative = simulate(masses, Record({"F": force}, 1 / RATE)).record["dd"]
+    size = float(jnp.max(jnp.abs(relative)))
+    # By trapezoids of samples a thousandth of a second apart.
+    np.testing.assert_allclose(
+        found.error_integral, -SECOND_MASS * relative, atol=0.02 * SECOND_MASS * size
+    )
+
+
+def test_demonstration_holds_and_fails_with_noise_in_place_of_the_error():
+    found = demonstration()
+    noise_rms, error_rms = (
+        np.sqrt(np.mean(np.asarray(v) ** 2, axis=1)) for v in (found.noise, found.error)
+    )
+    np.testing.assert_allclose(noise_rms, error_rms, rtol=1e-12)
+    assert bounded_impulse(found).holds
+    swapped = Demonstration(
+        found.error, found.noise, found.error_integral, found.noise_integral, found.bound
+    )
+    failing = [each.what for each in bounded_impulse(swapped).evidence if not each.holds]
+    assert "growth of the error's impulse, power of time" in failing
+
+
+def test_drop_outs():
+    assert drop_outs().holds
+
+
+def moments(by_start: np.ndarray, correlation: float) -> WindowErrorMoments:
+    return WindowErrorMoments(
+        jnp.asarray(by_start + 0.01 * RNG.normal(size=(ROADS, 8))),
+        jnp.asarray(correlation + 0.001 * RNG.normal(size=ROADS)),
+    )
+
+
+def test_window_errors_of_one_size_and_unrelated():
+    assert window_errors(moments(np.ones(8), 0.0)).holds
+    assert not window_errors(moments(np.linspace(0.5, 1.5, 8), 0.0)).holds
+    assert not window_errors(moments(np.ones(8), 0.2)).holds
+
+
+def lengths(bias: float, narrow: float) -> LengthMap:
+    """Parameters of one, but for short windows and for narrow ranges of lengths."""
+    pairs = [(a, b) for a in LENGTHS for b in LENGTHS if a < b] + [(a, a + 0.005) for a in LENGTHS]
+    alpha, beta = np.array(pairs).T
+    theta = np.ones(alpha.size) + 0.01 * (alpha > 0.1)
+    theta[(beta <= 0.05) & (alpha < 0.05)] += bias
+    theta[(beta < 1.5 * alpha) & (alpha >= 0.05)] += narrow
+    return LengthMap(alpha, beta, np.tile(theta[None, :, None], (ROADS, 1, 8)))  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("bias", "narrow", "holds"), [(-0.2, 0.05, True), (0.0, 0.05, False), (-0.2, 0.0, False)]
+)
+def test_window_lengths(bias, narrow, holds):
+    assert window_lengths(lengths(bias, narrow)).holds is holds
+
+
+def test_estimates_over_lengths_are_those_of_identify():
+    source = quarter_car_source(reconstructed())
+    key = jax.random.key(2)
+    alpha, beta = jnp.array([0.05, 0.1]), jnp.array([0.5, 0.15])
+    found = estimates_over_lengths(key, source, alpha, beta)
+    record = identification_record(source, road_keys(key).training).record
+    for i in range(2):
+        windows = AllWindows(float(alpha[i]), float(beta[i]))
+        expected = identify(quarter_car_by_body(), record, RIEC(windows))
+        np.testing.assert_allclose(found[i], [expected[n] for n in PARAMETERS], rtol=1e-7)
+
+
+def made(values: np.ndarray) -> np.ndarray:
+    """Of bandwidths, over roads that scatter by 0.1 %."""
+    return values[None, :, None] * (1 + 1e-3 * RNG.normal(size=(ROADS, 1, 1)))
+
+
+def varied(wander: float, drift: float, error: np.ndarray, base: float = 1.0) -> Varied:
+    swing = np.sin(BANDS / 3)
+    fall = np.maximum(BANDS - 9, 0) / 21
+    parameters = {n: made(base * (1 + wander * swing)) for n in PARAMETERS}
+    for i, sign in enumerate((-1, -1, 1, 1), 1):
+        parameters[f"F_{i}"] = made(sign * 1000 * (1 - drift * fall))
+    errors = {where: made(error) for where in ("road", "pothole")}
+    each = {where: e[..., None] / 4 * np.ones(4) for where, e in errors.items()}
+    return Varied(parameters, errors, each)
+
+
+def study(good: str = "RIEC", poor: str = "DOLS") -> tuple[VariedStudy, Hysteresis]:
+    falling = 40 + 60 * np.exp(-BANDS / 4)
+    rising = 50 + 60 * np.exp(-BANDS / 2) + 0.8 * np.maximum(BANDS - 9, 0)
+    found = {}
+    for case, size in zip(CASES, (1.0, 2.0, 0.05)):
+        found[case] = {
+            good: varied(0.01 * size, 0.0, falling),
+            poor: varied(0.1 * size, 0.2, rising, base=1.0 if case != "included-mode" else 0.9),
+        }
+    for case in CASES:
+        for method in found[case].values():
+            for name, true in (("M_s", 300.0), ("K_s", 20e3)):
+                method.parameters[name] *= true
+    plan = Variations(tuple(BANDS), CASES, ROADS, 1)
+    models = np.ones((ROADS, 2, len(BANDWIDTHS), 2, 8))
+    models[:, 0, -1, 0] = 0.9
+    width = np.ones((ROADS, 2, len(BANDWIDTHS))) * np.array([0.1, 0.2, 0.3])
+    damper = Hysteresis(jnp.zeros(1), jnp.zeros(1), jnp.asarray(width), jnp.asarray(models))
+    return VariedStudy(plan, found), damper
+
+
+def test_section_6_holds_where_riec_is_steady():
+    claims = variation_claims(*study())
+    assert [claim.id for claim in claims] == [11, 12, 13, 14, 15, 17]
+    for claim in claims:
+        assert claim.holds, [each for each in claim.evidence if not each.holds]
+
+
+def test_section_6_does_not_hold_with_the_methods_exchanged():
+    verdicts = {c.id: c.holds for c in variation_claims(*study(good="DOLS", poor="RIEC"))}
+    assert not any(verdicts[i] for i in (11, 12, 14, 15, 17))
+
+
+def test_the_higher_mode_must_disturb_least():
+    made_up, damper = study()
+    found = dict(made_up.found)
+    found["higher-mode"], found["included-mode"] = found["included-mode"], found["higher-mode"]
+    verdicts = {c.id: c.holds for c in variation_claims(made_up._replace(found=found), damper)}
+    assert not verdicts[13]
+
+
+def test_hysteresis_that_explains_nothing():
+    made_up, damper = study()
+    stiff = damper.models.at[:, 1, -1, 0].set(0.9)
+    unexplained = Hysteresis(damper.velocity, damper.force, damper.width, stiff)
+    assert not {c.id: c.holds for c in variation_claims(made_up, unexplained)}[14]

@@ -1,0 +1,95 @@
+"""Section 6 on one road: the same models as those of Tables 3 to 5, where settings are the same."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis, hysteresis
+from riecjax.paper.published import TABLE_2, TABLE_6
+from riecjax.paper.reproduction import (
+    PARAMETERS,
+    RoadResult,
+    identification_record,
+    road_keys,
+    run_road,
+    training_noise,
+)
+from riecjax.paper.variations import INPUTS, RoadVariations, vary_road
+from riecjax.simulation.excitation import low_passed
+from riecjax.simulation.method import FixedStep
+
+# Coarse steps: what is tested is that ways of computing agree, not how accurately.
+METHOD = FixedStep(2)
+KEY = jax.random.key(7)
+SHAPES = jax.tree.map(jnp.asarray, reconstructed())
+
+
+@pytest.fixture(scope="module")
+def varied() -> RoadVariations:
+    mount = jax.tree.map(jnp.asarray, TABLE_6["pathological"])
+    bandwidths = jnp.array([12.0, TABLE_2.bandwidth])
+    return eqx.filter_jit(vary_road)(KEY, mount, bandwidths, SHAPES, 2, method=METHOD)
+
+
+@pytest.fixture(scope="module")
+def tables() -> RoadResult:
+    return eqx.filter_jit(run_road)(KEY, quarter_car_source(SHAPES), SHAPES, method=METHOD)
+
+
+def test_components_above_the_bandwidth_are_removed_and_the_others_kept():
+    time = jnp.arange(400) / 200
+    low, high = jnp.sin(2 * jnp.pi * 5 * time + 0.3), jnp.cos(2 * jnp.pi * 12 * time)
+    np.testing.assert_allclose(low_passed(2.0 + low + high, 1 / 200, 8.0), 2.0 + low, atol=1e-12)
+
+
+@pytest.mark.parametrize(("model", "criterion"), [(0, "DOLS"), (1, "RIEC")])
+def test_at_the_bandwidth_of_table_2_models_are_those_of_the_tables(
+    varied, tables, model, criterion
+):
+    expected = [tables.parameters[criterion]["B_id"][name] for name in PARAMETERS]
+    np.testing.assert_allclose(varied.parameters[1, model], expected, rtol=1e-7)
+    for i, where in enumerate(INPUTS):
+        errors = tables.errors[where][criterion]["B_id"]
+        np.testing.assert_allclose(varied.errors[1, model, i], errors, rtol=1e-6)
+
+
+def test_a_narrower_input_and_other_windows_give_other_models(varied):
+    assert bool(jnp.all(varied.successful))
+    theta = np.asarray(varied.parameters)
+    assert not np.allclose(theta[0], theta[1], rtol=1e-3)
+    assert not np.allclose(theta[1, 1], theta[1, 2], rtol=1e-6)
+    # Draws of windows scatter far less than methods differ.
+    np.testing.assert_allclose(theta[1, 1], theta[1, 2], rtol=0.05)
+
+
+@pytest.fixture(scope="module")
+def damper() -> Hysteresis:
+    return eqx.filter_jit(hysteresis)(KEY, quarter_car_source(SHAPES))
+
+
+def test_hysteresis_is_the_damper_s_distance_from_its_curve(damper):
+    source = quarter_car_source(SHAPES)
+    record = identification_record(source, road_keys(KEY).training, method=FixedStep(12)).record
+    force = source.damper(record["x7"])
+    off = force - source.damper(record["x3"] - record["x4"])
+    expected = np.sqrt(np.mean(np.asarray(off) ** 2) / np.mean(np.asarray(force) ** 2))
+    place = BANDWIDTHS.index(TABLE_2.bandwidth)
+    np.testing.assert_allclose(damper.width[0, place], expected, rtol=1e-6)
+    np.testing.assert_allclose(damper.force[place], force, rtol=1e-6, atol=1e-6)
+
+
+def test_a_stiffer_damper_and_a_narrower_input_have_less_hysteresis(damper):
+    width = np.asarray(damper.width)
+    assert (width[1] < width[0]).all()
+    assert (np.diff(width, axis=1) > 0).all()
+
+
+def test_every_study_uses_the_same_noise():
+    noise = np.asarray(training_noise(road_keys(KEY).training))
+    record = identification_record(
+        quarter_car_source(SHAPES), road_keys(KEY).training, method=METHOD
+    )
+    np.testing.assert_array_equal(record.record["v_r"], noise)
