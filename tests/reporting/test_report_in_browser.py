@@ -1,5 +1,6 @@
 """A report as a browser shows it: figures are drawn, nothing is asked of a network."""
 
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -98,6 +99,13 @@ def opened(request, browser, reports, width) -> Iterator[Any]:
     yield page
     page.close()
     assert problems == []
+
+
+def test_every_chart_of_an_identification_has_its_place(reports):
+    html = (reports["identify"] / "report.html").read_text(encoding="utf-8")
+    pictures = sorted(path.stem for path in reports["identify"].glob("*.png"))
+    assert {"fit", "correlation", "residual_1", "validation_1", "window_choice"} <= set(pictures)
+    assert sorted(re.findall(r'<figure id="(\w+)">', html)) == pictures
 
 
 def test_every_figure_is_drawn_and_the_page_no_wider_than_the_screen(opened, width):

@@ -1,0 +1,129 @@
+"""The page of an identification says what its document holds."""
+
+from typing import Any
+
+import pytest
+
+from riecjax.reporting.identification_page import identification_page
+from riecjax.reporting.page import Page, Section
+
+ENTRY = {"value": 2.0, "unit": "kg", "std_error": 0.01, "interval95": [1.98, None]}
+FIT = {"fit_percent": 91.27, "vaf_percent": 99.0, "p_percent": None, "grade": "well"}
+RUN = {"signals": {"x": {**FIT, "judged": True}, "y": {**FIT, "judged": False}}}
+DOCUMENT: dict[str, Any] = {
+    "model": "cart",
+    "criterion": {"name": "riec", "alpha": 0.1, "beta": 1.0},
+    "parameters": {"m": ENTRY},
+    "known": {"c": {"value": 3.0, "unit": "N s/m"}},
+    "residual": {
+        "stages": [
+            {
+                "equation": "motion",
+                "parameters": ["m"],
+                "relative_rms": 0.05,
+                "condition_number": None,
+                "rows": 500,
+            }
+        ]
+    },
+    "excitation": {"m": {"equation": "motion", "own_share": 0.5, "noise_share": None}},
+    "residual_tests": {
+        "motion": {
+            "relative_rms": 0.04,
+            "correlation_time_s": 0.2,
+            "follows": [{"signal": "v", "correlation": -0.6, "lag_s": 0.01, "bound": 0.2}],
+            "peak": {"frequency": 12.0, "low": 10.0, "high": 15.0, "share": 0.4},
+            "windows": None,
+        }
+    },
+    "window_choice": None,
+    "seed_scatter": None,
+    "refinement": None,
+    "validation": [{"on": "a.csv, last part", "verdict": "It ran.", **RUN}],
+    "provenance": {
+        "records": [{"file": "logs/a.csv", "samples": 400, "time_step": 0.01}],
+        "preparation": ["filtered"],
+        "intervals": {"method": "sandwich", "blocks": 20, "block_seconds": 0.2},
+    },
+}
+REFINEMENT = {
+    "by": {"refine": "integral"},
+    "reason": "converged",
+    "steps": 4,
+    "identified": {"m": {"value": 1.9}},
+    "left": {"v": {"before": 0.2, "after": None, "unit": "m/s"}},
+    "at_bound": ["m"],
+    "simulations": [
+        {
+            "on": "a.csv",
+            "fitted": True,
+            "before": {"signals": {}},
+            "after": {"signals": {"x": {"fit_percent": 95.0}}},
+        }
+    ],
+    "intervals": {"method": "bootstrap", "blocks": 9, "block_seconds": 1.0},
+}
+
+
+def section(page: Page, heading: str) -> Section:
+    return {each.heading: each for each in page.sections}[heading]
+
+
+@pytest.fixture
+def page() -> Page:
+    return identification_page(DOCUMENT)
+
+
+def test_parameters_stand_with_unit_error_and_interval(page):
+    assert page.title == "cart from a.csv"
+    assert page.lead == "Identified by RIEC (alpha 0.1, beta 1.0)."
+    table, excitation = section(page, "Parameters").tables
+    assert [list(row) for row in table.rows] == [
+        ["m", "2", "0.01", "1.98 to none", "kg"],
+        ["c", "3", "", "known", "N s/m"],
+    ]
+    assert [list(row) for row in excitation.rows] == [["m", "motion", "50", "none"]]
+
+
+def test_fit_validation_and_recordings(page):
+    (fit,) = section(page, "Fit").tables
+    assert list(fit.rows[0]) == ["motion", "m", "5", "none", "500"]
+    validation = section(page, "Validation by simulation")
+    assert list(validation.charts) == ["validation_1"]
+    assert list(validation.tables[0].rows[0]) == ["x", "91.3", "99.0", "none", "well"]
+    assert validation.tables[0].rows[1][0] == "y (not judged)"
+    (recordings,) = section(page, "Recordings").tables
+    assert list(recordings.rows[0]) == ["a.csv", "400", "100", "4"]
+
+
+def test_residual_tests_in_words(page):
+    left = section(page, "What each equation leaves")
+    assert left.text == [
+        "motion: the error is 4 % of the target; 40 % of its power lies from 10 to 15 Hz, about a "
+        "peak near 12 Hz; it follows v (correlation -0.60)."
+    ]
+    assert left.charts == ["residual_1"]
+
+
+def test_a_refinement_stands_beside_what_was_identified():
+    page = identification_page({**DOCUMENT, "refinement": REFINEMENT})
+    table = section(page, "Parameters").tables[0]
+    assert list(table.header)[:3] == ["parameter", "identified", "refined"]
+    assert [row[:3] for row in table.rows] == [["m", "1.9", "2"], ["c", "", "3"]]
+    refined = section(page, "Refinement")
+    assert refined.text == [
+        "Refined by impulses of the equation error: converged (4 steps).",
+        "At a bound: m.",
+        "Refined intervals: bootstrap, 9 blocks of 1 s.",
+    ]
+    left, fits = refined.tables
+    assert list(left.rows[0]) == ["v", "0.2", "none", "m/s"]
+    assert list(fits.rows[0]) == ["a.csv (fitted): x", "none", "95.0"]
+
+
+def test_what_was_not_made_has_no_section(page):
+    headings = [each.heading for each in page.sections]
+    assert "Refinement" not in headings
+    assert "Choice of windows" not in headings
+    untested = identification_page({**DOCUMENT, "residual_tests": None, "validation": []})
+    assert section(untested, "What each equation leaves").tables == []
