@@ -127,9 +127,7 @@ def residuals(step: Float[Array, " shapes"], args: tuple[Any, ...]) -> Float[Arr
     build, keys, weights = args
     shapes = build(step)
     source = quarter_car_source(shapes)
-    result = jax.vmap(
-        lambda key: run_road(key, source, shapes, method=FixedStep(6))
-    )(keys)
+    result = jax.vmap(lambda key: run_road(key, source, shapes, method=FixedStep(6)))(keys)
     identified, validated, touching = distances(result)
     # Grows faster than linearly, so that no number is given up for the sake of the others.
     identified = _sharpen(identified / IDENTIFIED_SCALE)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 class Table:
     """A table: first column left, the others to the right where they are `numeric`.
 
-    **Fields:** `header` and `rows`, as many texts in each; `caption`.
+    **Fields:** `header` and `rows`, as many texts in each; `caption`, and a `note` beneath it.
     """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     caption: str = ""
+    note: str = ""
     numeric: bool = True
 
 

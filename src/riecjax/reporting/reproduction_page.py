@@ -110,7 +110,8 @@ def _evidence(document: Document, ids: tuple[int, ...]) -> Iterator[Table]:
         yield Table(
             ("evidence", "value", "95 %", "must be", "is"),
             rows,
-            f"Claim {claim['id']} {verdict}. {claim['statement']} {claim['note']}".rstrip(),
+            f"Claim {claim['id']} {verdict}. {claim['statement']}",
+            claim["note"],
         )
 
 
@@ -163,8 +164,8 @@ def _number_table(document: Document, name: str) -> Table:
     outside = any(
         not cell["inside"] for cells in document["tables"][name].values() for cell in cells.values()
     )
-    star = " * The published number, as rounded in print, lies outside." if outside else ""
-    return Table(header, rows, f"Table {name}. {heading}.{star}")
+    star = "* The published number, as rounded in print, lies outside." if outside else ""
+    return Table(header, rows, f"Table {name}. {heading}.", star)
 
 
 def _reconstruction(document: Document) -> str:
