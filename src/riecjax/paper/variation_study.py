@@ -198,6 +198,10 @@ class VariedStudy(NamedTuple):
         """Hz."""
         return np.array(self.plan.bandwidths)
 
+    def by_case(self) -> list[tuple[str, dict[str, Varied]]]:
+        """In the order of the plan."""
+        return [(case, self.found[case]) for case in self.plan.cases]
+
 
 def varied_study(plan: Variations, table: pa.Table) -> VariedStudy:
     """The table in arrays."""

@@ -58,12 +58,12 @@ def _bandwidth(study: VariedStudy) -> Claim:
             _of(methods["DOLS"], SHOWN),
             at_most=0.7,
         )
-        for case, methods in study.found.items()
+        for case, methods in study.by_case()
     ]
     reference = {"M_s": 300.0, "K_s": 20e3}
     for name, true in reference.items():
         worst = {
-            case: _of(methods["DOLS"], (name,))[..., 0] for case, methods in study.found.items()
+            case: _of(methods["DOLS"], (name,))[..., 0] for case, methods in study.by_case()
         }
 
         def lead(included: np.ndarray, *others: np.ndarray, true: float = true) -> float:
@@ -103,7 +103,7 @@ def _agreement(study: VariedStudy) -> Claim:
         return _of(study.found[case][method], PARAMETERS)[:, chosen]
 
     def all_three(method: str) -> list[np.ndarray]:
-        return [of(case, method, slice(-1, None)) for case in study.found]
+        return [of(case, method, slice(-1, None)) for case in study.plan.cases]
 
     def furthest(*cases: np.ndarray) -> float:
         return max(_distance(a, b) for i, a in enumerate(cases) for b in cases[:i])
@@ -235,7 +235,7 @@ def _best(errors: np.ndarray) -> float:
 def _validation(study: VariedStudy) -> Claim:
     kept = study.bandwidths >= SIMULATED
     evidence: list[Evidence] = []
-    for case, methods in study.found.items():
+    for case, methods in study.by_case():
         for where in ("road", "pothole"):
             evidence.append(
                 over_roads(
@@ -245,7 +245,7 @@ def _validation(study: VariedStudy) -> Claim:
                     at_most=1.03,
                 )
             )
-    for case, methods in study.found.items():
+    for case, methods in study.by_case():
         evidence.append(
             over_roads(
                 f"DOLS' error at 30 Hz over its least, {case}, road",
