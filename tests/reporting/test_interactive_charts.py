@@ -22,7 +22,8 @@ from riecjax.reporting.charts.chart import (
     Stems,
     single,
 )
-from riecjax.reporting.charts.interactive import interactive, narrowest
+from riecjax.reporting.charts.interactive import interactive
+from riecjax.reporting.charts.spaces import narrowest
 
 
 def figure_of(mark: Any, x: Axis | None = None, y: Axis | None = None) -> dict[str, Any]:

@@ -62,9 +62,7 @@ def _bandwidth(study: VariedStudy) -> Claim:
     ]
     reference = {"M_s": 300.0, "K_s": 20e3}
     for name, true in reference.items():
-        worst = {
-            case: _of(methods["DOLS"], (name,))[..., 0] for case, methods in study.by_case()
-        }
+        worst = {case: _of(methods["DOLS"], (name,))[..., 0] for case, methods in study.by_case()}
 
         def lead(included: np.ndarray, *others: np.ndarray, true: float = true) -> float:
             bias, *rest = (np.max(np.abs(v.mean(axis=0) / true - 1)) for v in (included, *others))

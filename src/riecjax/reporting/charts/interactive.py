@@ -1,15 +1,19 @@
 """Charts on a page: a Plotly figure in plain data, which zooms and tells values on hover."""
 
-import html
-from collections.abc import Iterator
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from riecjax.reporting.charts.axes import (
+    plain_number,
+    plain_text,
+    plain_values,
+    plotly_axis,
+    reach_of,
+    share_axis,
+)
 from riecjax.reporting.charts.chart import (
-    PLAIN,
-    Axis,
     Chart,
     Dots,
     HeatMap,
@@ -21,25 +25,9 @@ from riecjax.reporting.charts.chart import (
     Stems,
     as_array,
 )
+from riecjax.reporting.charts.spaces import LEFT, LEGEND, RIGHT, TITLE, Spaces, has_legend, places
 
-PIXELS = 88
-"""To an inch of the printed figure, in height; the width is the page's."""
-DIGITS = 6
-"""Significant digits of a value on a page: more than a screen shows, and a smaller file."""
 DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot"}
-NARROWEST_PANEL = 210
-"""Width in pixels of a panel without its numbers and labels, below which a page scrolls."""
-WIDEST_LEGEND = 380
-LEFT, RIGHT, BOTTOM, BARE_BOTTOM = 62, 14, 46, 12
-"""Pixels about a panel: numbers and label of its axes, or ticks alone."""
-RIGHT_AXIS, COLOUR_BAR = 56, 78
-TITLE, LEGEND = 20, 26
-LETTER, KEY = 6.2, 40
-"""Pixels of a letter, and of a sign with its gaps, in a legend."""
-MARGIN = 0.04
-"""Share of an axis between the data and an end that is not given."""
-FEW_NUMBERS = 4
-"""Numbers that a logarithmic axis aims at: 1, 2, 5 up to three decades, else powers of ten."""
 GREY_KEY = "#666666"
 MAP = {
     False: "Viridis",
@@ -63,111 +51,9 @@ MAP = {
 def interactive(chart: Chart) -> dict[str, Any]:
     """Data and layout of a Plotly figure, ready for JSON."""
     figure = _Figure(chart)
-    for row, place, panel in _places(chart):
+    for row, place, panel in places(chart):
         figure.add(panel, row, place)
     return {"data": figure.data, "layout": figure.layout}
-
-
-def narrowest(chart: Chart) -> int:
-    """Width in pixels below which a chart should be scrolled, not squashed."""
-    return round(_Spaces.of(chart).width)
-
-
-def _places(chart: Chart) -> Iterator[tuple[int, int, Panel]]:
-    """Each panel with its row and its first column."""
-    for i, row in enumerate(chart.rows):
-        place = 0
-        for panel in row:
-            if panel is not None:
-                yield i, place, panel
-            place += 1 if panel is None else panel.columns
-
-
-class _Spaces(NamedTuple):
-    """Where panels are: pixels across at the narrowest, and down.
-
-    **Fields:** `panel`, width of one; `right` of each column, for axes and colour bars there;
-    `above` and `below` each row, for titles, legends and numbers; `down`, heights of the rows.
-    """
-
-    panel: float
-    right: list[int]
-    above: list[int]
-    below: list[int]
-    down: list[float]
-
-    @classmethod
-    def of(cls, chart: Chart) -> "_Spaces":
-        rows = len(chart.rows)
-        panel = float(NARROWEST_PANEL)
-        right, above, below = [0] * chart.columns, [6] * rows, [BARE_BOTTOM] * rows
-        for row, place, one in _places(chart):
-            last = place + one.columns - 1
-            right[last] = max(right[last], _right_of(one))
-            above[row] = max(above[row], _above(one, chart))
-            if one.x.label or not chart.share_x:
-                below[row] = BOTTOM
-            # A legend that is wider than its panel would push the others aside.
-            if chart.columns > 1 and not chart.legend:
-                panel = max(panel, min(_legend_width(one) / one.columns, WIDEST_LEGEND))
-        if chart.legend:
-            above[0] += LEGEND
-        heights = np.array(chart.heights or (1.0,) * rows)
-        room = max(PIXELS * chart.size[1] - sum(above) - sum(below), 110.0 * rows)
-        return cls(panel, right, above, below, (room * heights / heights.sum()).tolist())
-
-    @property
-    def width(self) -> float:
-        """Of everything, at the narrowest."""
-        return len(self.right) * (self.panel + LEFT) + sum(self.right) + RIGHT
-
-    @property
-    def height(self) -> float:
-        """Of everything."""
-        return sum(self.down) + sum(self.above) + sum(self.below)
-
-    @property
-    def inside_height(self) -> float:
-        """Height inside the margins."""
-        return self.height - self.above[0] - self.below[-1]
-
-    def across(self, place: int, columns: int) -> list[float]:
-        """Ends of a panel, as shares of the width inside the margins."""
-        inside = self.width - LEFT - RIGHT - self.right[-1]
-        gaps = [right + LEFT for right in self.right]
-        start = sum(gaps[:place]) + place * self.panel
-        stop = start + columns * self.panel + sum(gaps[place : place + columns - 1])
-        return [start / inside, min(stop / inside, 1.0)]
-
-    def along(self, row: int) -> list[float]:
-        """Bottom and top of a row, as shares of the height inside the margins."""
-        top = sum(self.down[:row]) + sum(self.above[1 : row + 1]) + sum(self.below[:row])
-        bottom = 1 - (top + self.down[row]) / self.inside_height
-        return [max(bottom, 0.0), 1 - top / self.inside_height]
-
-
-def _right_of(panel: Panel) -> int:
-    if any(isinstance(mark, HeatMap) for mark in panel.marks):
-        return COLOUR_BAR
-    return 0 if panel.right is None else RIGHT_AXIS
-
-
-def _above(panel: Panel, chart: Chart) -> int:
-    own = not chart.legend and _has_legend(panel)
-    return 6 + TITLE * bool(panel.title) + LEGEND * own
-
-
-def _has_legend(panel: Panel) -> bool:
-    return panel.legend and bool(_labels(panel))
-
-
-def _labels(panel: Panel) -> set[str]:
-    named = (mark for mark in panel.marks if not isinstance(mark, HeatMap))
-    return {mark.label for mark in named} - {""}
-
-
-def _legend_width(panel: Panel) -> float:
-    return sum(LETTER * len(label) + KEY for label in _labels(panel)) if panel.legend else 0.0
 
 
 class _Figure:
@@ -175,7 +61,7 @@ class _Figure:
 
     def __init__(self, chart: Chart):
         self.chart = chart
-        self.spaces = _Spaces.of(chart)
+        self.spaces = Spaces.of(chart)
         self.data: list[dict[str, Any]] = []
         self.count = 0
         self.above: dict[int, str] = {}
@@ -204,17 +90,22 @@ class _Figure:
         self.count += 1
         number = "" if self.count == 1 else str(self.count)
         across, down = self.spaces.across(place, panel.columns), self.spaces.along(row)
-        x, y = _axis(panel.x, _reach(panel, "x")), _axis(panel.y, _reach(panel, "y"))
+        x, y = (
+            plotly_axis(panel.x, reach_of(panel, "x")),
+            plotly_axis(panel.y, reach_of(panel, "y")),
+        )
         if self.chart.share_x:
-            _share(x, panel.x, self.above.setdefault(place, f"x{number}"), f"x{number}")
+            share_axis(x, panel.x, self.above.setdefault(place, f"x{number}"), f"x{number}")
         if self.chart.share_y:
-            _share(y, panel.y, self.first_of_row.setdefault(row, f"y{number}"), f"y{number}")
+            share_axis(y, panel.y, self.first_of_row.setdefault(row, f"y{number}"), f"y{number}")
         self.layout[f"xaxis{number}"] = x | {"domain": across, "anchor": f"y{number}"}
         self.layout[f"yaxis{number}"] = y | {"domain": down, "anchor": f"x{number}"}
         axes = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
         right = {"xaxis": f"x{number}", "yaxis": f"y{100 + self.count}"}
         if panel.right is not None:
-            self.layout[f"yaxis{100 + self.count}"] = _axis(panel.right, _reach(panel, "right")) | {
+            self.layout[f"yaxis{100 + self.count}"] = plotly_axis(
+                panel.right, reach_of(panel, "right")
+            ) | {
                 "overlaying": f"y{number}",
                 "side": "right",
                 "anchor": f"x{number}",
@@ -227,7 +118,7 @@ class _Figure:
 
     def _titles(self, panel: Panel, across: list[float], down: list[float]) -> None:
         """Title and legend, above the panel."""
-        own = not self.chart.legend and _has_legend(panel)
+        own = not self.chart.legend and has_legend(panel)
         all_in_one = self.chart.legend and self.count == 1
         if own or all_in_one:
             shift = (TITLE if all_in_one and panel.title else 0) / self.spaces.inside_height
@@ -243,7 +134,7 @@ class _Figure:
         if panel.title:
             self.layout["annotations"].append(
                 {
-                    "text": f"<b>{_text(panel.title)}</b>",
+                    "text": f"<b>{plain_text(panel.title)}</b>",
                     "x": across[0],
                     "y": down[1],
                     "yshift": LEGEND if own else 2,
@@ -265,7 +156,7 @@ class _Figure:
         shown = panel.legend and not (self.chart.legend and self.count > 1)
         first = bool(label) and shown and key not in self.in_legend
         self.in_legend.add(key)
-        name = _text(label)
+        name = plain_text(label)
         return {
             "name": name,
             "legendgroup": name or None,
@@ -305,8 +196,8 @@ class _Figure:
             {
                 "type": "scatter",
                 "mode": "markers",
-                "x": _values(mark.x),
-                "y": _values(mark.y),
+                "x": plain_values(mark.x),
+                "y": plain_values(mark.y),
                 "marker": {"color": mark.color, **marker},
                 **self._named(mark.label, panel),
                 **axes,
@@ -318,8 +209,8 @@ class _Figure:
         trace = {
             "type": "scatter",
             "mode": "lines+markers" if line.markers else "lines",
-            "x": _values(line.x),
-            "y": _values(line.y),
+            "x": plain_values(line.x),
+            "y": plain_values(line.y),
             "line": {
                 "color": line.color,
                 "dash": DASHES[line.dashes],
@@ -332,10 +223,10 @@ class _Figure:
         if line.low is not None and line.high is not None:
             self.data.append(_band(line, line.low, line.high) | axes)
             ends = np.stack([as_array(line.low), as_array(line.high)], axis=-1)
-            trace["customdata"] = [_values(pair) for pair in ends]
+            trace["customdata"] = [plain_values(pair) for pair in ends]
             trace["hovertemplate"] = "(%{x}, %{y})<br>%{customdata[0]} to %{customdata[1]}"
         if line.error is not None:
-            trace["error_y"] = {"array": _values(line.error), "thickness": 1, "width": 3}
+            trace["error_y"] = {"array": plain_values(line.error), "thickness": 1, "width": 3}
         self.data.append(trace)
 
     def _span(self, span: Span, axes: dict[str, str], panel: Panel) -> None:
@@ -356,7 +247,7 @@ class _Figure:
         style = {"color": level.color, "dash": DASHES[level.dashes], "width": 1}
         look = {"mode": "lines", "line": style}
         if level.axis == "diagonal":
-            ends = _values(_reach(panel, "x"))
+            ends = plain_values(reach_of(panel, "x"))
             self._key(level.label, {**look, "x": ends, "y": ends}, axes, panel)
             return
         self._shape("line", level.axis, level.value, level.value, axes, {"line": style})
@@ -381,8 +272,8 @@ class _Figure:
                 "layer": "below" if "fillcolor" in look and look["line"]["width"] == 0 else "above",
                 f"{along}ref": axes[f"{along}axis"],
                 f"{across}ref": f"{axes[f'{across}axis']} domain",
-                f"{along}0": _number(low),
-                f"{along}1": _number(high),
+                f"{along}0": plain_number(low),
+                f"{along}1": plain_number(high),
                 f"{across}0": 0,
                 f"{across}1": 1,
                 **look,
@@ -411,16 +302,16 @@ class _Figure:
         low, high = heat.scale
         trace: dict[str, Any] = {
             "type": "heatmap",
-            "x": _values(heat.x),
-            "y": _values(heat.y),
-            "z": [_values(row) for row in values],
+            "x": plain_values(heat.x),
+            "y": plain_values(heat.y),
+            "z": [plain_values(row) for row in values],
             "colorscale": MAP[heat.diverging],
             "zmin": low,
             "zmax": high,
             "hoverongaps": False,
             "hovertemplate": _of_cell(self.layout[f"xaxis{number}"], self.layout[f"yaxis{number}"]),
             "colorbar": {
-                "title": {"text": _text(heat.label), "side": "right"},
+                "title": {"text": plain_text(heat.label), "side": "right"},
                 "x": across[1],
                 "xpad": 8,
                 "y": sum(down) / 2,
@@ -434,7 +325,7 @@ class _Figure:
             trace["texttemplate"] = f"%{{z:.{heat.numbers}f}}"
         names = [self.layout[f"{axis}axis{number}"].get("ticktext") for axis in "yx"]
         if any(names):
-            y, x = (n or _values(v) for n, v in zip(names, (heat.y, heat.x)))
+            y, x = (n or plain_values(v) for n, v in zip(names, (heat.y, heat.x)))
             trace["customdata"] = [[[one, other] for other in x] for one in y]
         self.data.append(trace)
 
@@ -453,8 +344,8 @@ def _band(line: Line, low: ArrayLike, high: ArrayLike) -> dict[str, Any]:
     around_y: list[Any] = []
     for part in np.split(whole, np.flatnonzero(np.diff(whole) > 1) + 1):
         back = part[::-1]
-        around_x += [*_values(x[part]), *_values(x[back]), None]
-        around_y += [*_values(high[part]), *_values(low[back]), None]
+        around_x += [*plain_values(x[part]), *plain_values(x[back]), None]
+        around_y += [*plain_values(high[part]), *plain_values(low[back]), None]
     return {
         "type": "scatter",
         "mode": "lines",
@@ -465,7 +356,7 @@ def _band(line: Line, low: ArrayLike, high: ArrayLike) -> dict[str, Any]:
         "fillcolor": _translucent(line.color, 0.18),
         "hoverinfo": "skip",
         "showlegend": False,
-        "legendgroup": _text(line.label) or None,
+        "legendgroup": plain_text(line.label) or None,
     }
 
 
@@ -474,87 +365,12 @@ def _to_zero(stems: Stems) -> dict[str, Any]:
     y = as_array(stems.y)
     return {
         "symmetric": False,
-        "array": _values(np.maximum(-y, 0)),
-        "arrayminus": _values(np.maximum(y, 0)),
+        "array": plain_values(np.maximum(-y, 0)),
+        "arrayminus": plain_values(np.maximum(y, 0)),
         "color": stems.color,
         "thickness": 1.2,
         "width": 0,
     }
-
-
-def _axis(wanted: Axis, reach: tuple[float, float]) -> dict[str, Any]:
-    axis: dict[str, Any] = {
-        "title": {"text": _text(wanted.label), "standoff": 6},
-        "type": "log" if wanted.log else "linear",
-        "gridcolor": "#ececec",
-        "zeroline": False,
-        "linecolor": "#555555",
-        "ticks": "outside",
-        "ticklen": 4,
-        "tickcolor": "#999999",
-        "automargin": True,
-        "exponentformat": "power",
-        "minexponent": 5,
-        "hoverformat": f".{DIGITS}~g",
-    }
-    if wanted.log and reach[0] >= PLAIN[0] and reach[1] <= PLAIN[1]:
-        axis |= {"nticks": FEW_NUMBERS, "tickformat": "~g"}
-    if wanted.color:
-        axis |= {"color": wanted.color}
-    if wanted.categories:
-        axis |= {
-            "tickvals": list(range(len(wanted.categories))),
-            "ticktext": [_text(name) for name in wanted.categories],
-            "showgrid": False,
-        }
-    return axis | _ends(wanted, reach)
-
-
-def _ends(wanted: Axis, reach: tuple[float, float]) -> dict[str, Any]:
-    """Range of an axis: Plotly finds both ends itself or neither."""
-    if wanted.low is None and wanted.high is None:
-        return {"autorange": "reversed"} if wanted.reverse else {}
-    ends = np.log10(reach) if wanted.log else np.asarray(reach)
-    margin = MARGIN * (ends[1] - ends[0])
-    low = ends[0] - margin * (wanted.low is None)
-    high = ends[1] + margin * (wanted.high is None)
-    return {"range": _values([high, low] if wanted.reverse else [low, high])}
-
-
-def _share(axis: dict[str, Any], wanted: Axis, first: str, own: str) -> None:
-    if first != own:
-        axis["matches"] = first
-    if not wanted.label:
-        axis["showticklabels"] = False
-
-
-def _reach(panel: Panel, which: Literal["x", "y", "right"]) -> tuple[float, float]:
-    """Ends of an axis: those given, or the data's."""
-    axis = {"x": panel.x, "y": panel.y, "right": panel.right or Axis()}[which]
-    drawn = [np.array([])]
-    for mark in panel.marks:
-        if isinstance(mark, Line | Dots | Stems):
-            right = isinstance(mark, Line) and mark.right
-            if which == "x" or right == (which == "right"):
-                drawn.append(as_array(mark.x if which == "x" else mark.y).ravel())
-    values = np.concatenate(drawn)
-    values = values[np.isfinite(values)]
-    least, most = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
-    return (least if axis.low is None else axis.low, most if axis.high is None else axis.high)
-
-
-def _values(values: ArrayLike) -> list[Any]:
-    return [_number(value) for value in as_array(values).ravel().tolist()]
-
-
-def _number(value: float) -> float | None:
-    """Rounded for the page; a gap where there is no number."""
-    return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
-
-
-def _text(text: str) -> str:
-    """Plotly reads a little HTML in texts."""
-    return html.escape(text, quote=False)
 
 
 def _translucent(color: str, opacity: float) -> str:
