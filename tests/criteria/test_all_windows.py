@@ -24,6 +24,10 @@ def brute_force(phi, present, first, stop, shortest, weights, hat):
     return total, count
 
 
+WEIGHTS = st.just(0.0) | st.floats(1e-3, 3)
+"""Of lags; XLA takes numbers below the least normal one for zero."""
+
+
 @settings(deadline=None, max_examples=60)
 @given(
     n=st.sampled_from([5, 41]),
@@ -32,7 +36,7 @@ def brute_force(phi, present, first, stop, shortest, weights, hat):
     first=st.integers(0, 30),
     width=st.integers(1, 60),
     shortest=st.integers(1, 8),
-    steps=st.lists(st.tuples(st.integers(0, 7), st.floats(0, 3)), min_size=1, max_size=4),
+    steps=st.lists(st.tuples(st.integers(0, 7), WEIGHTS), min_size=1, max_size=4),
     hat=st.booleans(),
 )
 def test_all_windows_are_the_sum_over_every_single_one(

@@ -4,6 +4,8 @@ Velocities are positive downwards, as in eqs (19)-(20) of the paper: a hole star
 road velocity.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +33,7 @@ def band_limited_noise(
     """
     _check_count(sample_count)
     white = jax.random.normal(key, (sample_count,))
-    noise = low_passed(white - jnp.mean(white), time_step, bandwidth)
+    noise = _components(white, time_step, lambda f: (f > 0) & (f <= bandwidth))
     power = jnp.mean(noise**2)
     # A band that holds no Fourier component is silence, not a division by zero.
     return noise * jnp.where(power > 0, rms / jnp.sqrt(jnp.where(power > 0, power, 1.0)), 0.0)
@@ -41,9 +43,16 @@ def low_passed(
     signal: Float[Array, " n"], time_step: float | Array, bandwidth: float | Array
 ) -> Float[Array, " n"]:
     """A signal without its Fourier components above `bandwidth` Hz (Section 6 of the paper)."""
+    return _components(signal, time_step, lambda f: f <= bandwidth)
+
+
+def _components(
+    signal: Float[Array, " n"], time_step: float | Array, kept: Callable[[Array], Array]
+) -> Float[Array, " n"]:
+    """The sum of a signal's Fourier components at those frequencies in Hz that are kept."""
     count = signal.shape[0]
     frequency = jnp.arange(count // 2 + 1) / (count * time_step)
-    return jnp.fft.irfft(jnp.where(frequency <= bandwidth, jnp.fft.rfft(signal), 0.0), count)
+    return jnp.fft.irfft(jnp.where(kept(frequency), jnp.fft.rfft(signal), 0.0), count)
 
 
 def harmonics(
