@@ -172,10 +172,10 @@ def study(good: str = "RIEC", poor: str = "DOLS") -> tuple[VariedStudy, Hysteres
             for name, true in (("M_s", 300.0), ("K_s", 20e3)):
                 method.parameters[name] *= true
     plan = Variations(tuple(BANDS), CASES, ROADS, 1)
-    models = np.ones((ROADS, 2, len(BANDWIDTHS), 2, 8))
-    models[:, 0, -1, 0] = 0.9
+    by_dols = np.ones((ROADS, 2, len(BANDWIDTHS), 8))
+    by_dols[:, 0, -1] = 0.9
     width = np.ones((ROADS, 2, len(BANDWIDTHS))) * np.array([0.1, 0.2, 0.3])
-    damper = Hysteresis(jnp.zeros(1), jnp.zeros(1), jnp.asarray(width), jnp.asarray(models))
+    damper = Hysteresis(jnp.zeros(1), jnp.zeros(1), jnp.asarray(width), jnp.asarray(by_dols))
     return VariedStudy(plan, found), damper
 
 
@@ -201,6 +201,6 @@ def test_the_higher_mode_must_disturb_least():
 
 def test_hysteresis_that_explains_nothing():
     made_up, damper = study()
-    stiff = damper.models.at[:, 1, -1, 0].set(0.9)
+    stiff = damper.by_dols.at[:, 1, -1].set(0.9)
     unexplained = Hysteresis(damper.velocity, damper.force, damper.width, stiff)
     assert not {c.id: c.holds for c in variation_claims(made_up, unexplained)}[14]

@@ -5,10 +5,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from riecjax.criteria.criterion import DOLS
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import TABLE_2
 from riecjax.paper.reproduction import road_keys, training_noise
-from riecjax.paper.variations import identify_by_body
+from riecjax.paper.variations import by_body
 from riecjax.records.record import Record
 from riecjax.simulation.excitation import low_passed
 from riecjax.simulation.method import FixedStep
@@ -27,13 +28,13 @@ class Hysteresis(eqx.Module):
 
     **Fields:** `velocity` of the suspension in m/s and `force` of the damper in N, of the source's
     own compliance; `width`, r.m.s. of the force's distance from the damper's curve at this
-    velocity, over its r.m.s.; `models`, DOLS and RIEC, as of [`identify_by_body`][].
+    velocity, over its r.m.s.; `by_dols`, what DOLS identifies (variant B_id).
     """
 
     velocity: Float[Array, "bandwidths n"]
     force: Float[Array, "bandwidths n"]
     width: Float[Array, "compliances bandwidths"]
-    models: Float[Array, "compliances bandwidths models parameters"]
+    by_dols: Float[Array, "compliances bandwidths parameters"]
 
 
 def hysteresis(key: Key[Array, ""], source: QuarterCarSource) -> Hysteresis:
@@ -49,9 +50,9 @@ def hysteresis(key: Key[Array, ""], source: QuarterCarSource) -> Hysteresis:
         force = source.damper(record["x7"])
         off = force - source.damper(relative)
         width = jnp.sqrt(jnp.mean(off**2) / jnp.mean(force**2))
-        return Hysteresis(relative, force, width, identify_by_body(record, keys.windows, 1))
+        return Hysteresis(relative, force, width, by_body(record, DOLS()))
 
     compliances = jnp.asarray(source.damper_compliance) * jnp.array([1.0, STIFFER])
     over_bandwidths = jax.vmap(at, in_axes=(None, 0))
     found = jax.vmap(over_bandwidths, in_axes=(0, None))(compliances, jnp.array(BANDWIDTHS))
-    return Hysteresis(found.velocity[0], found.force[0], found.width, found.models)
+    return Hysteresis(found.velocity[0], found.force[0], found.width, found.by_dols)

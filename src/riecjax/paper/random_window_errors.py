@@ -1,14 +1,20 @@
 """Errors of the paper's random windows on the quarter car, for eq. (18)."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from riecjax.estimation.assembly import stage_normal_equations
-from riecjax.estimation.procedure import found_values, solve_stages
-from riecjax.models.quarter_car.equations import body_equation, quarter_car_by_body
+from riecjax.models.quarter_car.equations import body_equation
 from riecjax.models.quarter_car.source import QuarterCarSource
-from riecjax.paper.reproduction import identification_record, paper_criteria, road_keys
+from riecjax.paper.reproduction import (
+    Parameters,
+    RoadResult,
+    identification_record,
+    paper_criteria,
+    road_keys,
+)
+from riecjax.studies.monte_carlo import keys_of
 
 STRETCHES = 8
 
@@ -25,15 +31,32 @@ class WindowErrorMoments(eqx.Module):
     correlation: Float[Array, ""]
 
 
-def window_error_moments(key: Key[Array, ""], source: QuarterCarSource) -> WindowErrorMoments:
-    """Errors of the body's equation, with what is identified on the same road (variant B_id)."""
+def window_error_moments(
+    key: Key[Array, ""], roads: RoadResult, source: QuarterCarSource
+) -> WindowErrorMoments:
+    """Errors of the body's equation with what was identified of it (RIEC, variant B_id).
+
+    **Arguments:** `roads`, as many as wanted, of a study that was made with `key`.
+    """
+    count = roads.contact.shape[0]
+    found = roads.parameters["RIEC"]["B_id"]
+    return _over_roads(keys_of(key, count), found, source)
+
+
+@eqx.filter_jit
+def _over_roads(
+    keys: Key[Array, " roads"], found: Parameters, source: QuarterCarSource
+) -> WindowErrorMoments:
+    return jax.lax.map(lambda each: _moments(each[0], each[1], source), (keys, found))
+
+
+def _moments(
+    key: Key[Array, ""], found: Parameters, source: QuarterCarSource
+) -> WindowErrorMoments:
     keys = road_keys(key)
     record = identification_record(source, keys.training).record
-    criterion = paper_criteria()["RIEC"]
-    stages = stage_normal_equations(quarter_car_by_body(), record, criterion, keys.windows)
-    values = found_values(solve_stages(stages, {}), {})
-    rows = criterion.rows(body_equation(), record, keys.windows)
-    theta = jnp.stack([values[name] for name in rows.parameters])
+    rows = paper_criteria()["RIEC"].rows(body_equation(), record, keys.windows)
+    theta = jnp.stack([found[name] for name in rows.parameters])
     error = rows.columns[0] - theta @ rows.columns[1:]
     count = error.shape[0]
     stretch = jnp.floor(rows.position * STRETCHES / record.sample_count).astype(int)

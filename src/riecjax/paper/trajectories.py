@@ -14,10 +14,11 @@ from riecjax.models.quarter_car.reconstruction import Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import CRITERIA, TABLE_2
 from riecjax.paper.reproduction import (
-    PARAMETERS,
     VALIDATED_STATES,
+    Parameters,
     RoadResult,
     road_keys,
+    stack_models,
     validation_inputs,
 )
 from riecjax.records.record import Record
@@ -42,28 +43,23 @@ def validation_trajectories(
 ) -> dict[str, Trajectories]:
     """Of the variant B_id on the `road` that belongs to `key`, and on the `pothole`."""
     inputs = validation_inputs(road_keys(key).validation, shapes)
-    models = {
-        c: jnp.stack([roads.parameters[c][SHOWN_VARIANT][n] for n in PARAMETERS], axis=-1)
-        for c in CRITERIA
-    }
+    models = stack_models(roads.parameters, CRITERIA, (SHOWN_VARIANT,))
     return {name: _trajectories(models, source, v) for name, v in inputs.items()}
 
 
 @eqx.filter_jit
-def _trajectories(
-    models: dict[str, Float[Array, "roads parameters"]], source: QuarterCarSource, velocity: Array
-) -> Trajectories:
+def _trajectories(models: Parameters, source: QuarterCarSource, velocity: Array) -> Trajectories:
     inputs = Record({"v_r": velocity}, 1 / TABLE_2.rate)
 
-    def predict(parameters: Array) -> Array:
-        return _states(
-            simulate(QuarterCar.from_parameters(dict(zip(PARAMETERS, parameters))), inputs).record
-        )
+    def predict(parameters: Parameters) -> Array:
+        return _states(simulate(QuarterCar.from_parameters(parameters), inputs).record)
 
+    # Roads, criteria, and the one variant.
+    predicted = jax.vmap(jax.vmap(jax.vmap(predict)))(models)[:, :, 0]
     return Trajectories(
         inputs.time,
         _states(simulate(source, inputs).record),
-        {name: jax.vmap(predict)(values) for name, values in models.items()},
+        {name: predicted[:, i] for i, name in enumerate(CRITERIA)},
     )
 
 

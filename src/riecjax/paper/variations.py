@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.assembly import stage_normal_equations
 from riecjax.estimation.procedure import found_values, solve_stages
 from riecjax.models.quarter_car.equations import quarter_car_by_body
@@ -104,18 +105,18 @@ def identify_by_body(
     """The variant B_id by DOLS, and by RIEC with so many draws of windows; the first is `key`'s."""
     criteria = paper_criteria()
     rest = jax.random.split(jax.random.fold_in(key, 1), draws - 1)
-    drawn = [key, *(rest[i] for i in range(draws - 1))]
+    drawn = jnp.stack([key, *(rest[i] for i in range(draws - 1))])
+    by_riec = jax.vmap(lambda each: by_body(record, criteria["RIEC"], each))(drawn)
+    return jnp.concatenate([by_body(record, criteria["DOLS"])[None], by_riec])
 
-    def solved(stages: list) -> Array:
-        values = found_values(solve_stages(stages, {}), {})
-        return jnp.stack([values[name] for name in PARAMETERS])
 
-    procedure = quarter_car_by_body()
-    by_dols = solved(stage_normal_equations(procedure, record, criteria["DOLS"], key))
-    by_riec = jax.vmap(
-        lambda k: solved(stage_normal_equations(procedure, record, criteria["RIEC"], k))
-    )(jnp.stack(drawn))
-    return jnp.concatenate([by_dols[None], by_riec])
+def by_body(
+    record: Record, criterion: AbstractCriterion, key: Key[Array, ""] | None = None
+) -> Float[Array, " parameters"]:
+    """The variant B_id by one criterion, in the order of `PARAMETERS`."""
+    stages = stage_normal_equations(quarter_car_by_body(), record, criterion, key)
+    values = found_values(solve_stages(stages, {}), {})
+    return jnp.stack([values[name] for name in PARAMETERS])
 
 
 def _validate(

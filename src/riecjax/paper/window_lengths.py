@@ -10,12 +10,10 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
-from riecjax.estimation.assembly import stage_normal_equations
-from riecjax.estimation.procedure import found_values, solve_stages
-from riecjax.models.quarter_car.equations import quarter_car_by_body
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import TABLE_2
-from riecjax.paper.reproduction import PARAMETERS, identification_record, road_keys
+from riecjax.paper.reproduction import identification_record, road_keys
+from riecjax.paper.variations import by_body
 from riecjax.records.record import Record
 from riecjax.studies.monte_carlo import over_keys
 
@@ -56,6 +54,4 @@ def _estimate(
 ) -> Float[Array, " parameters"]:
     longest = round(max(LENGTHS) * TABLE_2.rate) + 1
     windows = AllWindows(alpha, beta, longest_samples=longest)
-    stages = stage_normal_equations(quarter_car_by_body(), record, RIEC(windows), None)
-    values = found_values(solve_stages(stages, {}), {})
-    return jnp.stack([values[name] for name in PARAMETERS])
+    return by_body(record, RIEC(windows))

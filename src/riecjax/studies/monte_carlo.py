@@ -31,9 +31,7 @@ def over_keys(
     - `progress`: called with the number of finished repetitions after each chunk.
     """
     chunk = min(chunk, count)
-    keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(
-        first + jnp.arange(-(-count // chunk) * chunk, dtype=jnp.uint32)
-    )
+    keys = keys_of(key, -(-count // chunk) * chunk, first)
     parts = []
     for start in range(0, count, chunk):
         part = _batch(experiment, keys[start : start + chunk], args)
@@ -41,6 +39,12 @@ def over_keys(
         if progress is not None:
             progress(min(start + chunk, count))
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+
+
+def keys_of(key: Key[Array, ""], count: int, first: int = 0) -> Key[Array, " count"]:
+    """The keys of repetitions number `first` (from 0) and following."""
+    numbers = first + jnp.arange(count, dtype=jnp.uint32)
+    return jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
 
 
 @eqx.filter_jit

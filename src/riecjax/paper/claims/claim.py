@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-RESAMPLES = 1000
+RESAMPLES = 500
 SEED = 1999
 
 

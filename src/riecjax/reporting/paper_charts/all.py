@@ -38,7 +38,7 @@ def study_charts(study: PaperStudy, shapes: Reconstruction) -> dict[str, Chart]:
         "figure_10": figure_10(study.trajectories),
         "figure_11": figure_11(study.variations),
         "figure_12": figure_12(study.variations),
-        "figure_13": figure_13(study.damper),
+        "figure_13": figure_13(study.damper, study.variations),
         "figure_14": figure_14(study.variations),
         "window_lengths": length_map_chart(study.lengths),
     }

@@ -4,7 +4,7 @@ import numpy as np
 
 from riecjax.models.quarter_car.identification import BREAK_POINTS
 from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis
-from riecjax.paper.reproduction import PARAMETERS
+from riecjax.paper.variation_study import VariedStudy
 from riecjax.reporting.charts.chart import GREY, Axis, Chart, Dots, Line, Panel
 from riecjax.reporting.paper_charts.bands import METHOD_STYLE
 
@@ -12,9 +12,9 @@ MOST = 4000
 """Samples of the scatter that are drawn."""
 
 
-def figure_13(damper: Hysteresis) -> Chart:
+def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
     """At the lowest and at the highest of the bandwidths."""
-    forces = [PARAMETERS.index(f"F_{i}") for i in range(1, 5)]
+    models = study.found["pathological"]
     row = []
     for place in (0, len(BANDWIDTHS) - 1):
         velocity, force = (
@@ -23,8 +23,10 @@ def figure_13(damper: Hysteresis) -> Chart:
         marks: list[Dots | Line] = [
             Dots(velocity, force / 1e3, "source, one road", GREY, size=1.5, opacity=0.5)
         ]
-        for i, method in enumerate(("DOLS", "RIEC")):
-            found = np.asarray(damper.models)[:, 0, place, i][:, forces] / 1e3
+        band = int(np.argmin(np.abs(study.bandwidths - BANDWIDTHS[place])))
+        for method in ("DOLS", "RIEC"):
+            forces = [models[method].parameters[f"F_{i}"][:, band, 0] for i in range(1, 5)]
+            found = np.stack(forces, axis=-1) / 1e3
             color, dashes = METHOD_STYLE[method]
             marks.append(
                 Line(

@@ -1,6 +1,5 @@
 """What is identified: the tables at a glance, and damper maps of all variants (7)."""
 
-import jax.numpy as jnp
 import numpy as np
 
 from riecjax.models.quarter_car.identification import BREAK_POINTS
@@ -23,6 +22,7 @@ from riecjax.reporting.charts.chart import (
     Panel,
     single,
 )
+from riecjax.reporting.paper_charts.source_model import sampled
 
 COLORS = (BLUE, RUST, TEAL, OCHRE)
 
@@ -69,7 +69,7 @@ def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
     velocity = np.linspace(-1.1, 1.1, 221)
     curve = Line(
         velocity,
-        np.asarray(source.damper(jnp.asarray(velocity))) / 1e3,
+        sampled(source.damper, velocity) / 1e3,
         "source",
         GREY,
         width=4.0,

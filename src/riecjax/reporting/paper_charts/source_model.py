@@ -1,7 +1,11 @@
 """Figures of the models: reconstructed curves (5), the damper map (6) and the pot-hole (8)."""
 
+from collections.abc import Callable
+
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from riecjax.equations.bases import RoofFunctions
 from riecjax.models.quarter_car.identification import BREAK_POINTS
@@ -29,6 +33,16 @@ SPEED = 20.0
 COLORS = (BLUE, RUST, TEAL, OCHRE)
 
 
+@eqx.filter_jit
+def _values(curve: Callable[[Array], Array], x: Array) -> Array:
+    return curve(x)
+
+
+def sampled(curve: Callable[[Array], Array], x: np.ndarray) -> np.ndarray:
+    """A curve's values, compiled in one piece."""
+    return np.asarray(_values(curve, jnp.asarray(x)))
+
+
 def figure_5(source: QuarterCarSource) -> Chart:
     """Damper, spring with bump stops, and engine mount."""
     curves = (
@@ -46,7 +60,7 @@ def figure_5(source: QuarterCarSource) -> Chart:
         [
             [
                 Panel(
-                    [Line(factor * x, np.asarray(curve(jnp.asarray(x))) / 1e3, width=1.6)],  # pyright: ignore[reportCallIssue]
+                    [Line(factor * x, sampled(curve, x) / 1e3, width=1.6)],
                     Axis(label),
                     Axis("force / kN"),
                     title=f"{name} (reconstructed)",
@@ -63,7 +77,7 @@ def figure_5(source: QuarterCarSource) -> Chart:
 def figure_6(roads: RoadResult) -> Chart:
     """The piecewise linear damper model, and the functions that it is a sum of."""
     velocity = np.linspace(-1.1, 1.1, 441)
-    functions = np.asarray(RoofFunctions(BREAK_POINTS)(jnp.asarray(velocity)))
+    functions = sampled(RoofFunctions(BREAK_POINTS), velocity)
     forces = [
         float(np.mean(np.asarray(roads.parameters["RIEC"]["B_id"][f"F_{i}"]))) for i in range(1, 5)
     ]
