@@ -15,7 +15,7 @@ run: .venv/installed
 	$(BIN)/riecjax identify $(OUT)/drive.csv --model quarter-car --out $(OUT)/identify
 
 test: .venv/installed
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 setup: .venv/installed
 

@@ -1,7 +1,6 @@
 """A report as a browser shows it: figures are drawn, nothing is asked of a network."""
 
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,36 +10,20 @@ import pytest
 import scipy.integrate
 from reporting_charts import EVERYTHING
 
+from report_browser import assert_drawn, drawn_page, launched, overlaps
 from riecjax.cli.main import run
 from riecjax.reporting.output import write_folder
 from riecjax.reporting.page import Page, Section, Table
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-OPTIONS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
 pytestmark = pytest.mark.slow
 
-LOCAL = ("file:", "data:", "blob:")
 WIDTHS = (390, 1280)
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"no browser is installed: none of {', '.join(BROWSERS)}")
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=found, args=list(OPTIONS))
-        yield opened
-        opened.close()
+    with launched() as found:
+        yield found
 
 
 def write_recording(path: Path) -> None:
@@ -89,16 +72,8 @@ def width(request) -> int:
 @pytest.fixture(params=["identify", "every mark"])
 def opened(request, browser, reports, width) -> Iterator[Any]:
     """A page with its figures drawn, without complaints or requests."""
-    page = browser.new_page(viewport={"width": width, "height": 900})
-    problems: list[str] = []
-    page.on("console", lambda message: problems.append(message.text))
-    page.on("pageerror", lambda error: problems.append(str(error)))
-    page.on("request", lambda r: None if r.url.startswith(LOCAL) else problems.append(r.url))
-    page.goto((reports[request.param] / "report.html").as_uri())
-    page.wait_for_selector("html.drawn", state="attached", timeout=60_000)
-    yield page
-    page.close()
-    assert problems == []
+    with drawn_page(browser, reports[request.param] / "report.html", width) as page:
+        yield page
 
 
 def test_every_chart_of_an_identification_has_its_place(reports):
@@ -109,17 +84,7 @@ def test_every_chart_of_an_identification_has_its_place(reports):
 
 
 def test_every_figure_is_drawn_and_the_page_no_wider_than_the_screen(opened, width):
-    figures = opened.locator("figure")
-    assert figures.count() >= 1
-    for i in range(figures.count()):
-        figure = figures.nth(i)
-        assert figure.locator(".js-plotly-plot .main-svg").count() > 0
-        assert figure.locator("path.js-line, path.point, .errorbar, .hm image").count() > 0
-        assert not figure.locator("img").is_visible()
-    wide, seen = opened.evaluate(
-        "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
-    )
-    assert wide <= seen == width
+    assert_drawn(opened, width)
 
 
 def test_headings_are_whole_and_apart(opened, width):
@@ -138,21 +103,7 @@ def test_headings_are_whole_and_apart(opened, width):
 
 
 def test_titles_and_legends_of_panels_do_not_cover_each_other(opened):
-    overlaps = opened.evaluate(
-        """() => [...document.querySelectorAll('.js-plotly-plot')].flatMap((plot) => {
-            const boxes = [...plot.querySelectorAll('.annotation-text, .legendtext')]
-                .map((each) => [each.textContent, each.getBoundingClientRect()]);
-            const edge = plot.getBoundingClientRect();
-            const cut = boxes.filter(([, a]) => a.left < edge.left || a.top < edge.top
-                || a.right > edge.right || a.bottom > edge.bottom).map(([name]) => name);
-            const meet = boxes.flatMap(([name, a], i) => boxes.slice(i + 1)
-                .filter(([, b]) => a.left < b.right - 1 && b.left < a.right - 1
-                    && a.top < b.bottom - 1 && b.top < a.bottom - 1)
-                .map(([other]) => name + ' / ' + other));
-            return [...cut, ...meet];
-        })"""
-    )
-    assert overlaps == []
+    assert overlaps(opened) == []
 
 
 def test_a_point_tells_its_values(opened):

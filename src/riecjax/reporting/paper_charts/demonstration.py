@@ -39,7 +39,7 @@ def figure_2(demonstrations: Demonstration) -> Chart:
     for name, (signal, integral, color) in parts.items():
         values, running = np.asarray(signal) / size, np.asarray(integral) / size
         spread = np.sqrt(np.mean(running**2, axis=0))[thin]
-        largest = max(largest, float(2.2 * spread.max()))
+        largest = max(largest, float(2.2 * spread.max()), float(1.1 * np.abs(running[0]).max()))
         rows.append(
             (
                 Panel(
@@ -54,7 +54,7 @@ def figure_2(demonstrations: Demonstration) -> Chart:
                         0 * time[thin],
                         "± 2 r.m.s. over realisations",
                         GREY,
-                        width=0.1,
+                        width=1.0,
                         low=-2 * spread,
                         high=2 * spread,
                     ),

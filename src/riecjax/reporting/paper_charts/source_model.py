@@ -92,8 +92,8 @@ def figure_6(roads: RoadResult) -> Chart:
     )
     roofs = Panel(
         [
-            Line(velocity, function, f"R_{i + 1}, v = {v:g} m/s", COLORS[i], DASHES[i])
-            for i, (function, v) in enumerate(zip(functions, BREAK_POINTS))
+            Line(velocity, function, f"R_{i + 1}", COLORS[i], DASHES[i])
+            for i, function in enumerate(functions)
         ],
         Axis("suspension velocity / (m/s)"),
         Axis("R_i"),
@@ -102,7 +102,8 @@ def figure_6(roads: RoadResult) -> Chart:
     return Chart(
         [[model, roofs]],
         "Figure 6. The piecewise linear damper of the identification model (with forces identified "
-        "by RIEC, B_id) and the roof functions that make it linear in its parameters.",
+        f"by RIEC, B_id) and the roof functions that make it linear in its parameters, with break "
+        f"points at {', '.join(f'{v:g}' for v in BREAK_POINTS)} m/s.",
         (9.0, 3.6),
     )
 

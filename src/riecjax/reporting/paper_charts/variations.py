@@ -112,7 +112,7 @@ def figure_12(study: VariedStudy) -> Chart:
 def figure_14(study: VariedStudy) -> Chart:
     """Validation error in the three cases, on both inputs."""
     rows = []
-    for where, most in (("road", 130.0), ("pothole", 350.0)):
+    for where, name, most in (("road", "road", 130.0), ("pothole", "pot-hole", 350.0)):
         row = []
         for case, title in CASES.items():
             marks = [
@@ -126,9 +126,7 @@ def figure_14(study: VariedStudy) -> Chart:
                 for method, varied in _methods(study, case)
             ]
             row.append(
-                Panel(
-                    marks, BANDWIDTH, Axis(f"p on the {where} / %", low=0, high=most), title=title
-                )
+                Panel(marks, BANDWIDTH, Axis(f"p on the {name} / %", low=0, high=most), title=title)
             )
         rows.append(row)
     return Chart(

@@ -1,0 +1,50 @@
+"""The whole study in its small size, and its report in a browser."""
+
+import json
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from report_browser import assert_drawn, drawn_page, launched, overlaps
+from riecjax.cli.main import run
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("study") / "out"
+    assert run(["reproduce", "--quick", "--seed", "3", "--out", str(out), "--json"]) == 0
+    return out
+
+
+def test_the_quick_study_evaluates_every_claim(study):
+    document = json.loads((study / "results.json").read_text())
+    claims = document["claims"]
+    assert [claim["id"] for claim in claims] == list(range(1, 18))
+    # What does not hold hangs on the pot-hole's shape, which is reconstructed.
+    assert [claim["id"] for claim in claims if not claim["holds"]] == [16]
+    assert [warning["code"] for warning in document["warnings"]] == ["few_roads"]
+    assert document["provenance"]["study"]["studied"] == 4
+
+
+def test_the_quick_study_leaves_figures_and_a_tidy_table(study):
+    names = {path.name for path in study.iterdir()}
+    figures = {f"figure_{i}.png" for i in (2, 3, *range(5, 15))}
+    others = {"tables.png", "window_lengths.png", "report.html", "results.json"}
+    assert names == figures | others | {"variations.parquet"}
+    table = pq.read_table(study / "variations.parquet")
+    # Cases, roads, bandwidths, and DOLS beside one draw of RIEC.
+    assert table.num_rows == 3 * 4 * 12 * 2
+    page = (study / "report.html").read_text(encoding="utf-8")
+    for word in ("Figure 2.", "Figure 14.", "Claim 17", "4 of them", "DOES NOT HOLD"):
+        assert word in page
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_report_is_drawn_and_readable(study, width):
+    with launched() as browser, drawn_page(browser, study / "report.html", width) as page:
+        assert_drawn(page, width)
+        assert page.locator("figure").count() == 14
+        assert overlaps(page) == []
