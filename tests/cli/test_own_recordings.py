@@ -165,6 +165,20 @@ def test_a_file_in_other_units_than_the_model_is_pointed_out(capsys):
     assert "unit_mismatch" not in codes(scaled)
 
 
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("g", "9.80665"), ("mg", "0.00980665"), ("mm", "0.001"), ("kN", "1000")]
+)
+def test_a_unit_that_the_model_says_nothing_of_is_pointed_out(capsys, unit, factor):
+    Path("own.py").write_text(MODEL.replace('"q", derivative=2', '"a", derivative=0'))
+    data = motion(count=600)
+    data["a"] = np.gradient(np.gradient(data["q"], data["t"]), data["t"])
+    rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*data.values()))
+    Path("log.csv").write_text(f"t [s],q [m],F [N],a [{unit}]\n{rows}\n")
+    result = call(capsys, "check", "log.csv", "--model", "own.py:axis", "--json")
+    (found,) = [w["message"] for w in result.document["warnings"] if w["code"] == "unit_mismatch"]
+    assert f"--scale a={factor}" in found
+
+
 def test_check_says_what_a_record_can_answer(capsys):
     write_csv(Path("run.csv"), motion(offset=4.0))
     result = call(capsys, "check", "run.csv", *IDENTIFY)

@@ -41,7 +41,8 @@ def reproduction_document(
     fewest = count if scale is None else min(count, scale.studied)
     if fewest < FEW_ROADS:
         remedy = f"Use --roads {FEW_ROADS} or more" if scale is None else "Use --full"
-        message = f"only {fewest} roads: means and ranges are rough. {remedy}."
+        which = "" if scale is None else f" behind all but the tables ({count} behind these)"
+        message = f"only {fewest} roads{which}: means and ranges are rough. {remedy}."
         warnings.append({"code": "few_roads", "message": message})
     return {
         "schema": 1,

@@ -129,7 +129,7 @@ def _spectra(residual: EquationResidual) -> Panel:
         share = f"peak near {peak.frequency:.3g} Hz: {100 * peak.share:.0f} % of the power in it"
         marks.append(Span(peak.low, peak.high, label=share, color=RUST, opacity=0.15))
     marks += [
-        Level(spectrum.band, "x", "band of the model", BLACK, "dotted"),
+        Level(spectrum.band, "x", "the signals' power ends", BLACK, "dotted"),
         Line(frequency, positive(spectrum.target[1:]), "target", GREY, width=1.8),
         Line(frequency, positive(spectrum.explained[1:]), "explained", BLUE, "dashed"),
         Line(frequency, positive(spectrum.error[1:]), "error", RUST),

@@ -38,6 +38,10 @@ NOT_SI = {
     "km/h": ("m/s", 1 / 3.6),
     "mph": ("m/s", 0.44704),
     "mm/s2": ("m/s^2", 1e-3),
+    # Accelerometers' g; nothing that moves is weighed in grams.
+    "g": ("m/s^2", 9.80665),
+    "gn": ("m/s^2", 9.80665),
+    "mg": ("m/s^2", 9.80665e-3),
     "kN": ("N", 1e3),
     "MN": ("N", 1e6),
     "mN": ("N", 1e-3),

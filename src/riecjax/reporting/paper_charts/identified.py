@@ -54,9 +54,12 @@ def tables_at_a_glance(roads: RoadResult) -> Chart:
         marks.append(
             Dots([100 * cell.deviation for _, cell in chosen], [i for i, _ in chosen], label, color)
         )
+    reach = 105 * max(
+        abs(end / cell.published - 1) for cell in cells.values() for end in (cell.low, cell.high)
+    )
     return single(
         marks,
-        Axis("reproduced against published / %"),
+        Axis("reproduced against published / %", low=-reach, high=reach),
         Axis(categories=tuple(cells), reverse=True),
         "Tables 3 to 5 at a glance: mean over the roads (dot) and the range that holds 95 % of "
         "them (line), against the published number.",

@@ -10,10 +10,10 @@ from riecjax.reporting.paper_charts.bands import BAND, METHOD_STYLE, banded
 SHOWN = {"road": (20.0, 23.0), "pothole": (0.0, 1.25)}
 """Seconds that are drawn: the road's start holds the transient."""
 QUANTITIES = {
-    "x1": ("tyre deflection x1", "mm", 1e3),
-    "x2": ("suspension deflection x2", "mm", 1e3),
-    "x3": ("wheel velocity x3", "m/s", 1.0),
-    "x4": ("body velocity x4", "m/s", 1.0),
+    "x1": ("tyre deflection", "mm", 1e3),
+    "x2": ("suspension deflection", "mm", 1e3),
+    "x3": ("wheel velocity", "m/s", 1.0),
+    "x4": ("body velocity", "m/s", 1.0),
 }
 
 
@@ -52,7 +52,8 @@ def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> 
                 Panel(
                     marks,
                     Axis("time / s" if state == VALIDATED_STATES[-1] else ""),
-                    Axis(f"{what} / ({unit})" if "/" in unit else f"{what} / {unit}"),
+                    Axis(f"{state} / ({unit})" if "/" in unit else f"{state} / {unit}"),
+                    title=what,
                 )
             ]
         )
@@ -60,7 +61,7 @@ def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> 
     return Chart(
         rows,
         f"{caption} {BAND} Models identified on {count} roads predict one and the same motion.",
-        (9.0, 9.5),
+        (9.0, 10.0),
         share_x=True,
         legend=True,
     )
