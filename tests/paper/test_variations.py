@@ -10,6 +10,7 @@ from riecjax.models.quarter_car.reconstruction import quarter_car_source, recons
 from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis, hysteresis
 from riecjax.paper.published import TABLE_2, TABLE_6
 from riecjax.paper.reproduction import (
+    INPUTS,
     PARAMETERS,
     RoadResult,
     identification_record,
@@ -17,7 +18,7 @@ from riecjax.paper.reproduction import (
     run_road,
     training_noise,
 )
-from riecjax.paper.variations import INPUTS, RoadVariations, vary_road
+from riecjax.paper.variations import RoadVariations, vary_road
 from riecjax.simulation.excitation import low_passed
 from riecjax.simulation.method import FixedStep
 

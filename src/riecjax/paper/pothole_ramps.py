@@ -5,17 +5,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from riecjax.models.quarter_car.reconstruction import Reconstruction
+from riecjax.models.quarter_car.reconstruction import Pothole, Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
 from riecjax.paper.reproduction import (
-    POTHOLE_DURATION,
     RoadResult,
+    pothole_velocity,
     stack_models,
     validation_errors,
 )
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import pothole
 from riecjax.simulation.simulate import simulate
 
 RAMPS = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8)
@@ -28,17 +27,11 @@ def errors_over_ramps(
 ) -> Float[Array, "ramps roads criteria variants 4"]:
     """p_i of x1 to x4 in percent, on pot-holes of the same depth and length with these ramps."""
     models = stack_models(roads.parameters, CRITERIA, VARIANTS)
-    step = 1 / TABLE_2.rate
 
     def on(ramp: Array) -> Array:
-        velocity = pothole(
-            round(POTHOLE_DURATION * TABLE_2.rate),
-            step,
-            depth=jnp.asarray(shapes.pothole.depth),
-            length=jnp.asarray(shapes.pothole.length),
-            ramp=ramp,
-        )
-        truth = simulate(source, Record({"v_r": velocity}, step)).record
+        hole = Pothole(shapes.pothole.depth, shapes.pothole.length, ramp)
+        inputs = Record({"v_r": pothole_velocity(hole)}, 1 / TABLE_2.rate)
+        truth = simulate(source, inputs).record
         return jax.vmap(lambda each: validation_errors(each, truth)[0])(models)
 
     return jax.lax.map(on, jnp.array(RAMPS))

@@ -19,7 +19,7 @@ from riecjax.models.quarter_car.equations import (
     wheel_equation,
 )
 from riecjax.models.quarter_car.identification import QuarterCar
-from riecjax.models.quarter_car.reconstruction import Reconstruction
+from riecjax.models.quarter_car.reconstruction import Pothole, Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource, contact_share
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
 from riecjax.records.record import Record
@@ -30,6 +30,8 @@ from riecjax.validation.percentage_error import percentage_error
 
 TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 VALIDATED_STATES = ("x1", "x2", "x3", "x4")
+INPUTS = ("road", "pothole")
+"""What models are validated on."""
 POTHOLE_DURATION = 3.0
 """Seconds of the pot-hole's validation, enough for the body to come to rest."""
 
@@ -81,19 +83,21 @@ def training_noise(key: Key[Array, ""]) -> Float[Array, " n"]:
 
 def validation_inputs(key: Key[Array, ""], shapes: Reconstruction) -> dict[str, Array]:
     """Road velocities of Section 5 in m/s: a Robson `road` and the `pothole`."""
-    step, hole = 1 / TABLE_2.rate, shapes.pothole
-    return {
-        "road": robson_road(
-            key, TABLE_2.sample_count, step, roughness=jnp.asarray(shapes.roughness)
-        ),
-        "pothole": pothole(
-            round(POTHOLE_DURATION * TABLE_2.rate),
-            step,
-            depth=jnp.asarray(hole.depth),
-            length=jnp.asarray(hole.length),
-            ramp=jnp.asarray(hole.ramp),
-        ),
-    }
+    road = robson_road(
+        key, TABLE_2.sample_count, 1 / TABLE_2.rate, roughness=jnp.asarray(shapes.roughness)
+    )
+    return dict(zip(INPUTS, (road, pothole_velocity(shapes.pothole))))
+
+
+def pothole_velocity(hole: Pothole) -> Float[Array, " n"]:
+    """Road velocity of a pot-hole in m/s, at Table 2's rate."""
+    return pothole(
+        round(POTHOLE_DURATION * TABLE_2.rate),
+        1 / TABLE_2.rate,
+        depth=jnp.asarray(hole.depth),
+        length=jnp.asarray(hole.length),
+        ramp=jnp.asarray(hole.ramp),
+    )
 
 
 def identification_record(
@@ -177,11 +181,14 @@ def validation_errors(
     models: Parameters, truth: Record, method: FixedStep | None = None
 ) -> tuple[Float[Array, "criteria variants 4"], Array]:
     """p_i of x1 to x4 in percent of each model, and whether all kept their solution."""
-
-    def one(model: Parameters) -> tuple[Array, Array]:
-        simulation = simulate(QuarterCar.from_parameters(model), truth.select("v_r"), method=method)
-        errors = [percentage_error(simulation.record[s], truth[s]) for s in VALIDATED_STATES]
-        return jnp.stack(errors), simulation.successful
-
-    errors, successful = jax.vmap(jax.vmap(one))(models)
+    errors, successful = jax.vmap(jax.vmap(lambda m: prediction_errors(m, truth, method)))(models)
     return errors, jnp.all(successful)
+
+
+def prediction_errors(
+    model: Parameters, truth: Record, method: FixedStep | None = None
+) -> tuple[Float[Array, " 4"], Array]:
+    """p_i of x1 to x4 in percent of one model, and whether it kept its solution."""
+    run = simulate(QuarterCar.from_parameters(model), truth.select("v_r"), method=method)
+    errors = [percentage_error(run.record[s], truth[s]) for s in VALIDATED_STATES]
+    return jnp.stack(errors), run.successful

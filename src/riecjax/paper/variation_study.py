@@ -5,7 +5,6 @@ the road's number alone, so a study that was interrupted goes on to the same tab
 """
 
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -21,8 +20,9 @@ from jaxtyping import Array, Float, Key
 from riecjax.errors import DataError
 from riecjax.models.quarter_car.reconstruction import Reconstruction
 from riecjax.paper.published import TABLE_6
-from riecjax.paper.reproduction import PARAMETERS, VALIDATED_STATES
-from riecjax.paper.variations import INPUTS, RoadVariations, Variations, vary_road
+from riecjax.paper.reproduction import INPUTS, PARAMETERS, VALIDATED_STATES
+from riecjax.paper.variations import RoadVariations, Variations, vary_road
+from riecjax.records.writing import write_whole
 from riecjax.studies.monte_carlo import over_keys
 
 ROADS_TO_A_PART = 4
@@ -163,16 +163,11 @@ def _kept(file: Path, settings: bytes) -> pa.Table | None:
 
 
 def _keep(table: pa.Table, file: Path) -> None:
-    made = file.with_name(f".{file.name}.{os.getpid()}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(table, made)
-        os.replace(made, file)
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
-    finally:
-        if made.exists():
-            made.unlink()
+    write_whole(file, lambda temporary: pq.write_table(table, temporary))
 
 
 class Varied(NamedTuple):

@@ -16,13 +16,12 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.assembly import stage_normal_equations
 from riecjax.estimation.procedure import found_values, solve_stages
 from riecjax.models.quarter_car.equations import quarter_car_by_body
-from riecjax.models.quarter_car.identification import QuarterCar
 from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_car_source
 from riecjax.paper.published import TABLE_2, MountVariant
 from riecjax.paper.reproduction import (
     PARAMETERS,
-    VALIDATED_STATES,
     paper_criteria,
+    prediction_errors,
     road_keys,
     training_noise,
     validation_inputs,
@@ -31,9 +30,6 @@ from riecjax.records.record import Record
 from riecjax.simulation.excitation import low_passed
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
-from riecjax.validation.percentage_error import percentage_error
-
-INPUTS = ("road", "pothole")
 
 
 class Variations(NamedTuple):
@@ -88,12 +84,13 @@ def vary_road(
         return identify_by_body(training.record, keys.windows, draws), training.successful
 
     parameters, trained = jax.vmap(identified)(driven)
+    models = {name: parameters[..., i] for i, name in enumerate(PARAMETERS)}
     errors, kept = [], trained[:, None]
     for velocity in validation_inputs(keys.validation, shapes).values():
         truth = simulate(source, Record({"v_r": velocity}, step), method=method)
-        found, predicted = jax.vmap(jax.vmap(lambda p, t=truth: _validate(p, t.record, method)))(
-            parameters
-        )
+        found, predicted = jax.vmap(
+            jax.vmap(lambda model, t=truth: prediction_errors(model, t.record, method))
+        )(models)
         errors.append(found)
         kept = kept & truth.successful & predicted
     return RoadVariations(parameters, jnp.stack(errors, axis=2), kept)
@@ -117,12 +114,3 @@ def by_body(
     stages = stage_normal_equations(quarter_car_by_body(), record, criterion, key)
     values = found_values(solve_stages(stages, {}), {})
     return jnp.stack([values[name] for name in PARAMETERS])
-
-
-def _validate(
-    parameters: Float[Array, " parameters"], truth: Record, method: FixedStep | None
-) -> tuple[Float[Array, " 4"], Bool[Array, ""]]:
-    model = QuarterCar.from_parameters(dict(zip(PARAMETERS, parameters)))
-    run = simulate(model, truth.select("v_r"), method=method)
-    errors = [percentage_error(run.record[s], truth[s]) for s in VALIDATED_STATES]
-    return jnp.stack(errors), run.successful

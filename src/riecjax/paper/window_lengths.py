@@ -6,6 +6,7 @@ All windows of each pair of lengths at once, so that no sampling noise blurs the
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import RIEC
@@ -27,6 +28,12 @@ class LengthMap(eqx.Module):
     alpha: Float[Array, " pairs"]
     beta: Float[Array, " pairs"]
     theta: Float[Array, "roads pairs parameters"]
+
+    @property
+    def of_table_2(self) -> int:
+        """Place of the pair that Table 2 has."""
+        alpha, beta = np.asarray(self.alpha), np.asarray(self.beta)
+        return int(np.argmin(np.abs(alpha - TABLE_2.alpha) + np.abs(beta - TABLE_2.beta)))
 
 
 def length_map(key: Key[Array, ""], source: QuarterCarSource, roads: int) -> LengthMap:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 
 from riecjax.paper.claims.claim import Claim, over_roads
-from riecjax.paper.published import TABLE_2
 from riecjax.paper.window_lengths import LengthMap
 
 SHORT = 0.05
@@ -23,7 +22,7 @@ def window_lengths(lengths: LengthMap) -> Claim:
     """Claim 8."""
     alpha, beta = np.asarray(lengths.alpha), np.asarray(lengths.beta)
     theta = np.asarray(lengths.theta)
-    at = int(np.argmin(np.abs(alpha - TABLE_2.alpha) + np.abs(beta - TABLE_2.beta)))
+    at = lengths.of_table_2
     wide = (alpha >= SHORT) & (beta >= 2 * alpha) & (beta <= LONGEST)
     short = (beta <= SHORT) & (alpha < SHORT)
     narrow = (alpha >= SHORT) & (beta < NARROW * alpha) & (beta <= 0.3)

@@ -9,7 +9,7 @@ from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_mea
 from riecjax.paper.eigenstructure import table_1
 from riecjax.paper.pothole_ramps import RAMPS
 from riecjax.paper.published import CRITERIA, VARIANTS
-from riecjax.paper.reproduction import TRUE_MASSES, RoadResult
+from riecjax.paper.reproduction import INPUTS, TRUE_MASSES, RoadResult
 
 SLIGHT = 0.03
 """Relative bias that the paper calls very slight: Table 3's is 1.2 %."""
@@ -17,7 +17,6 @@ WRONG_MASS = 0.1
 """Relative bias from which a mass is called not found: Table 3's is 20 %."""
 ABOUT_A_FIFTH = (-0.3, -0.1)
 """Relative bias that is "about 20 per cent" low; Table 3's is 20 to 22 %."""
-INPUTS = ("road", "pothole")
 EXCEPTION = ("B_true", "pothole")
 
 

@@ -15,6 +15,8 @@ BLUE, RUST, GREY, BLACK = "#1f4e79", "#b0532b", "#9a9a9a", "#1a1a1a"
 """What a model says; what it leaves, or a second series; what was measured; a reference."""
 TEAL, OCHRE = "#4c9a92", "#c9982f"
 """Third and fourth series. All differ in lightness too, and in print without colour by dashes."""
+SERIES = (BLUE, RUST, TEAL, OCHRE)
+"""Colours of four series, with [`DASHES`][]."""
 PALE = "#dbdbdb"
 """Stretches within which nothing is remarkable."""
 

@@ -2,14 +2,9 @@
 
 import numpy as np
 
-from riecjax.reporting.charts.chart import BLUE, OCHRE, RUST, TEAL, Dashes, Line
+from riecjax.reporting.charts.chart import BLUE, RUST, Dashes, Line
 
 METHOD_STYLE: dict[str, tuple[str, Dashes]] = {"RIEC": (BLUE, "solid"), "DOLS": (RUST, "dashed")}
-CASE_STYLE: dict[str, tuple[str, Dashes]] = {
-    "pathological": (BLUE, "solid"),
-    "included-mode": (TEAL, "dashed"),
-    "higher-mode": (OCHRE, "dashdot"),
-}
 BAND = "Lines are medians over the roads, bands hold 95 % of them."
 
 
@@ -20,7 +15,6 @@ def banded(
     style: tuple[str, Dashes],
     *,
     shown: float = np.inf,
-    markers: bool = False,
 ) -> Line:
     """Median over the first axis, with the band from its 2.5 to its 97.5 % quantile.
 
@@ -38,7 +32,6 @@ def banded(
         style[1],
         low=np.where(drawn, low, np.nan),
         high=np.where(drawn & np.isfinite(high), np.minimum(high, 1e9), np.nan),
-        markers=markers,
     )
 
 

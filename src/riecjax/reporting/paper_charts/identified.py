@@ -11,9 +11,8 @@ from riecjax.reporting.charts.chart import (
     BLUE,
     DASHES,
     GREY,
-    OCHRE,
     RUST,
-    TEAL,
+    SERIES,
     Axis,
     Chart,
     Dots,
@@ -23,8 +22,6 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.reporting.paper_charts.source_model import sampled
-
-COLORS = (BLUE, RUST, TEAL, OCHRE)
 
 
 def tables_at_a_glance(roads: RoadResult) -> Chart:
@@ -80,7 +77,7 @@ def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
     row = []
     for criterion in CRITERIA:
         marks = [curve]
-        for variant, dashes, color in zip(VARIANTS, DASHES, COLORS):
+        for variant, dashes, color in zip(VARIANTS, DASHES, SERIES):
             forces = np.stack(
                 [np.asarray(roads.parameters[criterion][variant][f"F_{i}"]) for i in range(1, 5)],
                 axis=-1,

@@ -14,11 +14,9 @@ from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.reproduction import RoadResult
 from riecjax.reporting.charts.chart import (
     BLACK,
-    BLUE,
     DASHES,
-    OCHRE,
     RUST,
-    TEAL,
+    SERIES,
     Axis,
     Chart,
     Dots,
@@ -30,7 +28,6 @@ from riecjax.simulation.excitation import pothole
 
 SPEED = 20.0
 """m/s, published."""
-COLORS = (BLUE, RUST, TEAL, OCHRE)
 
 
 @eqx.filter_jit
@@ -92,7 +89,7 @@ def figure_6(roads: RoadResult) -> Chart:
     )
     roofs = Panel(
         [
-            Line(velocity, function, f"R_{i + 1}", COLORS[i], DASHES[i])
+            Line(velocity, function, f"R_{i + 1}", SERIES[i], DASHES[i])
             for i, function in enumerate(functions)
         ],
         Axis("suspension velocity / (m/s)"),

@@ -1,5 +1,6 @@
 """Figures of Section 6, over the bandwidth of the input: 11, 12 and 14; and windows' lengths."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -9,15 +10,13 @@ from riecjax.paper.reproduction import PARAMETERS
 from riecjax.paper.variation_study import Varied, VariedStudy
 from riecjax.paper.window_lengths import LENGTHS, LengthMap
 from riecjax.reporting.charts.chart import (
-    BLUE,
     DASHES,
-    OCHRE,
-    RUST,
-    TEAL,
+    SERIES,
     Axis,
     Chart,
     HeatMap,
     Level,
+    Line,
     Panel,
 )
 from riecjax.reporting.paper_charts.bands import BAND, METHOD_STYLE, banded
@@ -28,7 +27,6 @@ CASES = {
     "included-mode": "included mode, 6 Hz",
     "higher-mode": "higher mode, 25 Hz",
 }
-COLORS = (BLUE, RUST, TEAL, OCHRE)
 
 
 class _Shown(NamedTuple):
@@ -50,21 +48,32 @@ def _methods(study: VariedStudy, case: str) -> list[tuple[str, Varied]]:
     return [(method, study.found[case][method]) for method in reversed(CRITERIA)]
 
 
+def _by_both(
+    study: VariedStudy,
+    case: str,
+    values: Callable[[Varied], np.ndarray],
+    shown: float = np.inf,
+) -> list[Line]:
+    """A line over bandwidth for each method; values per draw of windows, whose mean is drawn."""
+    return [
+        banded(
+            study.bandwidths,
+            values(varied).mean(axis=-1),
+            method,
+            METHOD_STYLE[method],
+            shown=shown,
+        )
+        for method, varied in _methods(study, case)
+    ]
+
+
 def figure_11(study: VariedStudy) -> Chart:
     """Masses and stiffness in the three cases of Table 6, by both methods."""
     rows = []
     for name, shown in PARAMETERS_SHOWN.items():
         row = []
         for case, title in CASES.items():
-            marks = [
-                banded(
-                    study.bandwidths,
-                    varied.parameters[name].mean(axis=-1) / shown.scale,
-                    method,
-                    METHOD_STYLE[method],
-                )
-                for method, varied in _methods(study, case)
-            ]
+            marks = _by_both(study, case, lambda v, n=name, s=shown: v.parameters[n] / s.scale)
             row.append(
                 Panel(
                     [Level(shown.true, label="source"), *marks],
@@ -93,7 +102,7 @@ def figure_12(study: VariedStudy) -> Chart:
                 study.bandwidths,
                 varied.parameters[f"F_{i + 1}"].mean(axis=-1) / 1e3,
                 f"F_{i + 1}",
-                (COLORS[i], DASHES[i]),
+                (SERIES[i], DASHES[i]),
             )
             for i in range(4)
         ]
@@ -115,16 +124,7 @@ def figure_14(study: VariedStudy) -> Chart:
     for where, name, most in (("road", "road", 130.0), ("pothole", "pot-hole", 350.0)):
         row = []
         for case, title in CASES.items():
-            marks = [
-                banded(
-                    study.bandwidths,
-                    varied.errors[where].mean(axis=-1),
-                    method,
-                    METHOD_STYLE[method],
-                    shown=1.3 * most,
-                )
-                for method, varied in _methods(study, case)
-            ]
+            marks = _by_both(study, case, lambda v, w=where: v.errors[w], shown=1.3 * most)
             row.append(
                 Panel(marks, BANDWIDTH, Axis(f"p on the {name} / %", low=0, high=most), title=title)
             )
@@ -145,7 +145,7 @@ def length_map_chart(lengths: LengthMap) -> Chart:
     grid = len(LENGTHS)
     theta = np.asarray(lengths.theta).mean(axis=0)
     alpha, beta = np.asarray(lengths.alpha), np.asarray(lengths.beta)
-    chosen = int(np.argmin(np.abs(alpha - TABLE_2.alpha) + np.abs(beta - TABLE_2.beta)))
+    chosen = lengths.of_table_2
     # The next length of the grid below one that is a sample longer than alpha is alpha itself.
     across, up = _places(alpha), _places(beta)
     names = tuple(f"{length:g}" for length in LENGTHS)
