@@ -7,8 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-# As the command line does (see `riecjax.cli.runtime`); it must stand before JAX is imported.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+from riecjax.runtime import start_jax
 
 # What one worker or one process of the command line has compiled, no other compiles again. The
 # first process to come here makes the folder; those that it starts find its name.
@@ -18,10 +17,12 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = COMPILED
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
 
+# As the command line does.
+start_jax()
+
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
-jax.config.update("jax_enable_x64", True)
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 

@@ -72,6 +72,7 @@ from .refinement.refined import Refined as Refined
 from .refinement.shots import RandomShots as RandomShots
 from .refinement.shots import Tiles as Tiles
 from .refinement.shots import WholeRecord as WholeRecord
+from .runtime import start_jax as start_jax
 from .simulation.equation_system import EquationSystem as EquationSystem
 from .simulation.equation_system import equation_system as equation_system
 from .simulation.excitation import band_limited_noise as band_limited_noise

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
 from riecjax.errors import ModelError
+from riecjax.records.record import Record
 from riecjax.simulation.method import (
     CLASSICAL_RUNGE_KUTTA,
     AbstractMethod,
@@ -20,6 +21,7 @@ from riecjax.simulation.method import (
     FixedStep,
     SimulationStatus,
 )
+from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem
 
 
@@ -295,3 +297,28 @@ def test_adaptive_tangents_match_finite_differences():
     _, tangent = jax.jvp(last_angle, (jnp.array(0.3),), (jnp.array(1.0),))
     ahead, behind = (scipy_swing(np.asarray(inputs), 0.1, first, c)[-1, 0] for c in (0.301, 0.299))
     np.testing.assert_allclose(tangent, (ahead - behind) / 0.002, rtol=1e-4)
+
+
+def test_a_state_carried_apart_and_one_carried_as_a_vector_are_the_same(monkeypatch):
+    inputs, first = sampled(40, 3), jnp.array([1.0, 0.2])
+    found = {}
+    for flags in ("", "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1"):
+        monkeypatch.setenv("XLA_FLAGS", flags)
+        states, status, reached = run(FixedStep(3), SWING, inputs, 0.1, first)
+        tangents = jax.jacfwd(lambda x: run(FixedStep(3), SWING, inputs, 0.1, x)[0][-1])(first)
+        gradients = jax.jacrev(lambda x: run(FixedStep(3), SWING, inputs, 0.1, x)[0][-1])(first)
+        np.testing.assert_allclose(tangents, gradients, rtol=1e-10)
+        found[flags] = (states, tangents, reached)
+        assert status == SimulationStatus.successful
+    for one, other in zip(*found.values()):
+        np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
+
+
+def test_methods_of_different_tableaus_can_be_told_apart_by_jit():
+    system = SWING
+    inputs = Record({"torque": jnp.asarray(sampled(20, 1))[:, 0]}, 0.2)
+    ends = [
+        simulate(system, inputs, method=FixedStep(1, tableau)).record["angle"][-1]
+        for tableau in (diffrax.Heun.tableau, diffrax.Bosh3.tableau, CLASSICAL_RUNGE_KUTTA)
+    ]
+    assert len({float(end) for end in ends}) == 3

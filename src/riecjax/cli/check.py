@@ -5,7 +5,7 @@ import click
 from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import json_option, own_option, seed_option, set_option
 from riecjax.cli.recordings import RecordingOptions, common_steps, load, record_options
-from riecjax.cli.runtime import start_jax
+from riecjax.runtime import start_jax
 
 
 @click.command("check")

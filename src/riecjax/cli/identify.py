@@ -17,9 +17,9 @@ from riecjax.cli.options import (
 )
 from riecjax.cli.recordings import Recording, RecordingOptions, common_steps, load, record_options
 from riecjax.cli.refinement import RefinementOptions, refinement_options
-from riecjax.cli.runtime import start_jax
 from riecjax.errors import RiecjaxError
 from riecjax.findings import Finding
+from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
     from jaxtyping import Array

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from riecjax.cli.options import json_option, out_option, seed_option
-from riecjax.cli.runtime import start_jax
+from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from riecjax.cli.options import POSITIVE, json_option, seed_option, set_option
-from riecjax.cli.runtime import start_jax
+from riecjax.runtime import start_jax
 
 
 @click.command("simulate")

@@ -6,7 +6,15 @@ grid that is indexed instead of searched costs nothing. That is why `FixedStep` 
 scan over the samples: the same diffrax tableau inside `diffeqsolve`, which looks up its interval
 and saves by interpolation at each step, measured about five times slower on the quarter car.
 `Adaptive` is that `diffeqsolve`, for reference solutions, unfamiliar systems and stiff ones.
+
+A step of a small system is a few dozen additions, and what it costs is how they are started. Where
+XLA compiles loops whole (see `riecjax.runtime`), the components of the state are carried apart: all
+of a step is then one kernel, which a batch of simulations runs in vector instructions. Where XLA
+starts kernels one by one, the state is one vector, so that there are few of them.
 """
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,6 +35,7 @@ from diffrax import (
 from jaxtyping import Array, Float, Int
 
 from riecjax.errors import ModelError
+from riecjax.runtime import compiles_loops_whole
 from riecjax.simulation.system import AbstractSystem
 
 
@@ -47,6 +56,24 @@ class SimulationStatus(eqx.Enumeration):
 
 Trajectory = tuple[Float[Array, "n states"], SimulationStatus, Int[Array, ""]]
 """States at the samples, status, and number of samples that were reached."""
+
+
+class _Tableau(NamedTuple):
+    """Coefficients of an explicit Runge-Kutta method, which can be compared and hashed."""
+
+    nodes: tuple[float, ...]
+    lower: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...]
+
+
+def _comparable(tableau: "ButcherTableau | _Tableau") -> _Tableau:
+    if isinstance(tableau, _Tableau):
+        return tableau
+    lower = tuple(tuple(float(a) for a in row) for row in tableau.a_lower)
+    return _Tableau(
+        tuple(float(c) for c in tableau.c), lower, tuple(float(b) for b in tableau.b_sol)
+    )
+
 
 # The classical fourth-order method: four stages, each reading only its predecessor, which makes it
 # the cheapest per unit of accuracy at steps of a few milliseconds on systems of a few states.
@@ -83,7 +110,9 @@ class FixedStep(AbstractMethod):
     """
 
     steps_per_sample: int = eqx.field(static=True, default=8)
-    tableau: ButcherTableau = eqx.field(static=True, default=CLASSICAL_RUNGE_KUTTA)
+    tableau: _Tableau = eqx.field(
+        static=True, default=_comparable(CLASSICAL_RUNGE_KUTTA), converter=_comparable
+    )
 
     def __check_init__(self):
         if self.steps_per_sample < 1:
@@ -99,24 +128,29 @@ class FixedStep(AbstractMethod):
         """States at the samples; see the base class."""
         count = self.steps_per_sample
         step = time_step / count
+        split = _components if compiles_loops_whole() else _whole
+        start = split(initial_state)
+
+        def slope(state: _State, level: Array) -> _State:
+            return split(system.derivative(_vector(state), level))
 
         def between_samples(carry, ends):
             state, running = carry
             first, last = ends
-            slope = (last - first) / count
+            rise = (last - first) / count
 
             def one_step(k, x):
-                return _runge_kutta_step(self.tableau, system, x, first + slope * k, slope, step)
+                return _runge_kutta_step(self.tableau, slope, x, first + rise * k, rise, step)
 
             # A lost lane restarts from its initial state, unseen, so that no infinity enters later
             # steps or their derivatives; the state it shows stays at its last finite value.
-            moved = jax.lax.fori_loop(0, count, one_step, jnp.where(running, state, initial_state))
-            running = running & jnp.all(jnp.isfinite(moved))
-            state = jnp.where(running, moved, state)
-            return (state, running), (state, running)
+            moved = jax.lax.fori_loop(0, count, one_step, _where(running, state, start))
+            running = running & jnp.all(jnp.isfinite(_vector(moved)))
+            state = _where(running, moved, state)
+            return (state, running), (_vector(state), running)
 
         _, (states, running) = jax.lax.scan(
-            between_samples, (initial_state, jnp.array(True)), (inputs[:-1], inputs[1:])
+            between_samples, (start, jnp.array(True)), (inputs[:-1], inputs[1:])
         )
         status = SimulationStatus.where(
             running[-1], SimulationStatus.successful, SimulationStatus.diverged
@@ -199,24 +233,48 @@ def _status_of(result: DIFFRAX_RESULTS, complete: Array) -> SimulationStatus:
     return SimulationStatus.where(result == DIFFRAX_RESULTS.successful, finished, failed)
 
 
+_State = tuple[Array, ...]
+"""The state as one vector, or as its components."""
+
+
+def _whole(state: Float[Array, " states"]) -> _State:
+    return (state,)
+
+
+def _components(state: Float[Array, " states"]) -> _State:
+    return tuple(state[i] for i in range(state.shape[0]))
+
+
+def _vector(state: _State) -> Float[Array, " states"]:
+    return state[0] if state[0].ndim else jnp.stack(state)
+
+
+def _where(condition: Array, state: _State, otherwise: _State) -> _State:
+    return tuple(jnp.where(condition, a, b) for a, b in zip(state, otherwise))
+
+
 def _runge_kutta_step(
-    tableau: ButcherTableau,
-    system: AbstractSystem,
-    state: Float[Array, " states"],
+    tableau: _Tableau,
+    slope: Callable[[_State, Array], _State],
+    state: _State,
     level: Float[Array, " inputs"],
     rise: Float[Array, " inputs"],
     step: Float[Array, ""],
-) -> Float[Array, " states"]:
+) -> _State:
     """One step over which the inputs go from `level` to `level + rise`."""
-    slopes = [system.derivative(state, level)]
-    for node, weights in zip(tableau.c, tableau.a_lower):
-        at = state + step * _weighted_sum(weights, slopes)
-        slopes.append(system.derivative(at, level + float(node) * rise))
-    return state + step * _weighted_sum(tableau.b_sol, slopes)
+    slopes = [slope(state, level)]
+    for node, weights in zip(tableau.nodes, tableau.lower):
+        at = _moved(state, step, weights, slopes)
+        slopes.append(slope(at, level + node * rise))
+    return _moved(state, step, tableau.weights, slopes)
 
 
-def _weighted_sum(weights: np.ndarray, slopes: list[Array]) -> Array:
-    return sum(
-        (float(w) * slope for w, slope in zip(weights, slopes) if w != 0),
-        start=jnp.zeros_like(slopes[0]),
+def _moved(
+    state: _State, step: Float[Array, ""], weights: tuple[float, ...], slopes: list[_State]
+) -> _State:
+    """The state, moved along the weighted sum of slopes."""
+    used = [(weight, each) for weight, each in zip(weights, slopes) if weight != 0]
+    return tuple(
+        x + step * sum((weight * each[i] for weight, each in used), start=jnp.zeros_like(x))
+        for i, x in enumerate(state)
     )

@@ -5,6 +5,7 @@ says; their constants are reconstructed, see `riecjax.models.quarter_car.reconst
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -69,21 +70,21 @@ class DigressiveDamper(eqx.Module):
     knees: Float[Array, " 2"]
 
     def _side(self, velocity: Array) -> tuple[Array, Array]:
+        """c of the velocity's direction, and 1 / sqrt(1 + (v / v_knee)^2)."""
         rebound = velocity > 0
         rate = jnp.where(rebound, self.high_speed_rates[1], self.high_speed_rates[0])
-        return rate, jnp.where(rebound, self.knees[1], self.knees[0])
+        knee = jnp.where(rebound, self.knees[1], self.knees[0])
+        return rate, jax.lax.rsqrt(1 + (velocity / knee) ** 2)
 
     def __call__(self, velocity: Array) -> Array:
         """Force in N at a velocity in m/s."""
-        rate, knee = self._side(velocity)
-        return velocity * (
-            rate + (self.low_speed_rate - rate) / jnp.sqrt(1 + (velocity / knee) ** 2)
-        )
+        rate, bend = self._side(velocity)
+        return velocity * (rate + (self.low_speed_rate - rate) * bend)
 
     def slope(self, velocity: Array) -> Array:
         """dF/dv in N s/m."""
-        rate, knee = self._side(velocity)
-        return rate + (self.low_speed_rate - rate) * (1 + (velocity / knee) ** 2) ** -1.5
+        rate, bend = self._side(velocity)
+        return rate + (self.low_speed_rate - rate) * bend**3
 
 
 class BumpStopSpring(eqx.Module):
