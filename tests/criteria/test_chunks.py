@@ -65,8 +65,9 @@ def test_a_million_samples_in_32_bit_agree_with_64_bit():
         assert single.theta.dtype == jnp.float32
     # An offset of five amplitudes; eps is 6e-8.
     np.testing.assert_allclose(np.asarray(single.theta, float), exact.theta, rtol=2e-5)
-    # The jackknife takes differences of estimates that agree in four digits.
-    np.testing.assert_allclose(np.asarray(single.standard_errors), exact.standard_errors, rtol=0.05)
+    # Leaving out a block moves an estimate by less than eps; the change itself is solved for.
+    errors = np.asarray(single.standard_errors)
+    np.testing.assert_allclose(errors, exact.standard_errors, rtol=5e-3)
 
 
 def test_a_long_record_equals_its_running_sums_in_exact_arithmetic():

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.laws import LagBins
+from riecjax.criteria.running_sums import running_sum
 
 
 class Starts(NamedTuple):
@@ -43,12 +44,12 @@ class _Sums(NamedTuple):
     """What a bin of lags adds to the moments.
 
     **Fields:** `inner`, what each sample is multiplied with; `squares`, how many times each sample
-    is multiplied with itself; `number` of windows.
+    is multiplied with itself; `number` of windows, in all or from each start.
     """
 
     inner: Float[Array, "columns n"]
     squares: Float[Array, " n"]
-    number: Float[Array, ""]
+    number: Float[Array, "*starts"]
 
 
 Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
@@ -58,7 +59,7 @@ Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
 def moments_in_blocks(
     values: Float[Array, "columns n"],
     mean: Float[Array, " columns"],
-    present: Bool[Array, " n"],
+    present: Bool[Array, " n"] | None,
     bins: LagBins,
     *,
     order: int,
@@ -70,10 +71,28 @@ def moments_in_blocks(
     """Moments of all windows, for `count` blocks of `block` starts each, from `first` on.
 
     **Arguments:** `values` and `mean` of the columns' primitives, whose differences of order
-    `order` (1 for the boxcar, 2 for the hat) are the rows; `bins` of lags; `reach`, no window is
-    longer in samples.
+    `order` (1 for the boxcar, 2 for the hat) are the rows; `present` samples, `None` where all
+    are; `bins` of lags; `reach`, no window is longer in samples.
     """
+    if order == 1 and present is None and reach <= block:
+        # Running sums over shorter stretches lose fewer digits; of four windows' length, what
+        # they reach beyond themselves is still little to sum twice.
+        parts = 1
+        while block % (2 * parts) == 0 and block // (2 * parts) >= 4 * reach:
+            parts *= 2
+        moments, number = unbroken_boxcar_moments(
+            values,
+            mean,
+            bins,
+            first=first,
+            count=count * parts,
+            block=block // parts,
+            reach=reach,
+        )
+        moments = moments.reshape(count, parts, *moments.shape[1:])
+        return jnp.sum(moments, axis=1), jnp.sum(number.reshape(count, parts), axis=1)
     n = values.shape[1]
+    present = jnp.ones(n, bool) if present is None else present
     width = min(block + reach, n)
     moments = boxcar_moments if order == 1 else hat_moments
 
@@ -143,6 +162,101 @@ def moments_of_rows(
     return total
 
 
+def unbroken_boxcar_moments(
+    values: Float[Array, "columns n"],
+    mean: Float[Array, " columns"],
+    bins: LagBins,
+    *,
+    first: Int[Array, ""] | int,
+    count: int,
+    block: int,
+    reach: int,
+) -> Moments:
+    """Moments of all boxcar rows, for blocks of starts, where no sample is missing.
+
+    Nothing has to be looked up then: every sum is a running sum, shifted, and what is left of the
+    outer products is one matrix product Z over the block, and a shorter one over the windows' ends
+    beyond it; the moments are Z + Z^T. All blocks go side by side. `reach` is at most `block`.
+    """
+    n = values.shape[1]
+    blocks = _side_by_side(values, mean, first, count, block, reach)
+    start = jnp.arange(block)
+    left = n - first - block * jnp.arange(count)[:, None]
+    end = jnp.arange(block + reach)
+
+    def of_bin(which: LagBins) -> _Sums:
+        def shifted(by: Array) -> Array:
+            return jax.lax.dynamic_slice_in_dim(blocks.running, by, block, axis=2)
+
+        lags = which.last - which.first + 1
+        number = jnp.clip(left - start[None, :] - which.first, 0, lags)
+        inner = shifted(which.last + 1) - shifted(which.first)
+        # How many windows of a block end at each place.
+        earliest = jnp.maximum(end - which.last, 0)
+        ends = jnp.maximum(jnp.minimum(end - which.first, block - 1) - earliest + 1, 0)
+        return jax.tree.map(
+            lambda leaf: which.weight * leaf.astype(values.dtype), _Sums(inner, ends, number)
+        )
+
+    total = _over_bins(bins, of_bin)
+    own, beyond = blocks.phi[:, :, :block], blocks.phi[:, :, block:]
+    weight = 0.5 * (total.number + total.squares[None, :block])
+    half = _products(own, weight[None] * own - total.inner)
+    half = half + _products(beyond, 0.5 * total.squares[None, None, block:] * beyond)
+    return half + jnp.swapaxes(half, 1, 2), jnp.sum(total.number, axis=1)
+
+
+class _Blocks(NamedTuple):
+    """Blocks of starts, each with the samples beyond it that its windows reach.
+
+    **Fields:** `phi`, referred to the block's mean, zero beyond the record; `running`, the sum of
+    phi over the block's samples before each.
+    """
+
+    phi: Float[Array, "columns blocks reached"]
+    running: Float[Array, "columns blocks 1+reached"]
+
+
+def _side_by_side(
+    values: Float[Array, "columns n"],
+    mean: Float[Array, " columns"],
+    first: Int[Array, ""] | int,
+    count: int,
+    block: int,
+    reach: int,
+) -> _Blocks:
+    """Primitives with their polynomial put back, in blocks.
+
+    A block and the beginning of the next one are what its windows see. The next one's running sum
+    is taken over from there, with the constant by which the two references differ.
+    """
+    columns, n = values.shape
+    whole = (count + 1) * block
+    padded = jnp.pad(values, ((0, 0), (0, whole)))
+    parts = jax.lax.dynamic_slice_in_dim(padded, first, whole, axis=1)
+    parts = parts.reshape(columns, count + 1, block)
+    held = jnp.clip(n - first - block * jnp.arange(count + 1), 0, block)
+    inside = jnp.arange(block)[None, :] < held[:, None]
+    place = jnp.arange(block) - (block - 1) / 2
+    parts = jnp.where(inside[None], parts + mean[:, None, None] * place[None, None, :], 0.0)
+    reference = jnp.sum(parts, axis=2) / jnp.maximum(held, 1)[None, :]
+    parts = jnp.where(inside[None], parts - reference[:, :, None], 0.0)
+    running = running_sum(parts.reshape(-1, block)).reshape(parts.shape)
+    total = running[:, :-1, -1:]
+    step = (jnp.diff(reference, axis=1) + block * mean[:, None])[:, :, None]
+    further = jnp.where(inside[None, 1:, :reach], parts[:, 1:, :reach] + step, 0.0)
+    counted = jnp.minimum(jnp.arange(1, reach + 1)[None, :], held[1:, None])
+    beyond = total + running[:, 1:, :reach] + step * counted[None]
+    running = jnp.concatenate([jnp.zeros_like(total), running[:, :-1], beyond], axis=2)
+    return _Blocks(jnp.concatenate([parts[:, :-1], further], axis=2), running)
+
+
+def _products(
+    one: Float[Array, "columns blocks samples"], other: Float[Array, "columns blocks samples"]
+) -> Float[Array, "blocks columns columns"]:
+    return jnp.einsum("ibs,jbs->bij", one, other, precision=jax.lax.Precision.HIGHEST)
+
+
 def boxcar_moments(
     phi: Float[Array, "columns n"], present: Bool[Array, " n"], starts: Starts, bins: LagBins
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
@@ -199,16 +313,23 @@ def _moments(
     def weighted(which: LagBins) -> _Sums:
         return jax.tree.map(lambda leaf: which.weight * leaf, of_bin(which.first, which.last))
 
-    def add(total: _Sums, which: LagBins) -> tuple[_Sums, None]:
-        return jax.tree.map(jnp.add, total, weighted(which)), None
-
-    total = weighted(LagBins(*(values[0] for values in bins)))
-    if bins.first.shape[0] > 1:
-        # Backwards each bin is computed again, rather than all of them kept.
-        rest = LagBins(*(values[1:] for values in bins))
-        total, _ = jax.lax.scan(jax.checkpoint(add), total, rest)
+    total = _over_bins(bins, weighted)
     cross = phi @ total.inner.T
     return (phi * total.squares[None, :]) @ phi.T + cross + cross.T, total.number
+
+
+def _over_bins(bins: LagBins, of_bin: Callable[[LagBins], _Sums]) -> _Sums:
+    """What all bins add up to."""
+
+    def add(total: _Sums, which: LagBins) -> tuple[_Sums, None]:
+        return jax.tree.map(jnp.add, total, of_bin(which)), None
+
+    total = of_bin(LagBins(*(values[0] for values in bins)))
+    if bins.first.shape[0] == 1:
+        return total
+    # Backwards each bin is computed again, rather than all of them kept.
+    rest = LagBins(*(values[1:] for values in bins))
+    return jax.lax.scan(jax.checkpoint(add), total, rest)[0]
 
 
 def _places(
@@ -228,7 +349,7 @@ def _between(
 ) -> Float[Array, "columns n"]:
     """Sum of phi from the sample `first` to the sample `last`, both included."""
     n = phi.shape[1]
-    running = jnp.pad(jnp.cumsum(phi, axis=1), ((0, 0), (1, 0)))
+    running = jnp.pad(running_sum(phi), ((0, 0), (1, 0)))
     return running[:, jnp.clip(last + 1, 0, n)] - running[:, jnp.clip(first, 0, n)]
 
 

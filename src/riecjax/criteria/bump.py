@@ -166,7 +166,7 @@ class Bump(AbstractTestFunction):
                 else jnp.zeros_like(sampled.values)
                 for term, sampled in zip(equation.terms, read)
             ]
-            by_order.append(sum_columns(equation.terms, blocks, equation.parameters))
+            by_order.append(sum_columns(zip(equation.terms, blocks), equation.parameters))
         return jnp.stack(by_order), equation.present(record, read)
 
 

@@ -9,16 +9,13 @@ from jaxtyping import Array, Int
 
 from riecjax.records.record import Record
 
-CHUNK = 2**17
-"""Samples to a chunk: small beside a long record, large beside a window."""
-CHUNK_32_BIT = 2**14
-"""The same in 32-bit, where running integrals over more samples would lose digits."""
+CHUNK = 2**14
+"""Samples to a chunk: large beside a window, and its columns fit into a processor's cache."""
 
 
 def chunk_length(record: Record, block: int, reach: int) -> int:
     """Starts to a chunk, a whole number of blocks; the whole record if it is not much longer."""
-    target = CHUNK if record.time_step.dtype == jnp.float64 else CHUNK_32_BIT
-    wanted = max(target, 4 * reach)
+    wanted = max(CHUNK, 4 * reach)
     return record.sample_count if record.sample_count <= wanted else -(-wanted // block) * block
 
 

@@ -202,7 +202,7 @@ class DOLS(AbstractCriterion):
         read = [term.samples(record, term.derivative) for term in equation.terms]
         kept = equation.present(record, read)
         blocks = [sampled.values for sampled in read]
-        columns = sum_columns(equation.terms, blocks, equation.parameters)
+        columns = sum_columns(zip(equation.terms, blocks), equation.parameters)
         return Rows.of(columns, jnp.arange(record.sample_count), equation.parameters, kept)
 
     def describe(self) -> dict[str, object]:

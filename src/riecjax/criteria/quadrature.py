@@ -4,6 +4,8 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from riecjax.criteria.running_sums import running_sum
+
 ORDERS = (2, 4, 6, 8)
 
 
@@ -25,7 +27,7 @@ def running_integral(
     if order > 2:
         higher = _interval_integrals(samples, order)
         areas = higher if present is None else jnp.where(_intact(present, order), higher, areas)
-    return jnp.pad(jnp.cumsum(areas, axis=1), ((0, 0), (1, 0)))
+    return jnp.pad(running_sum(areas), ((0, 0), (1, 0)))
 
 
 def interval_weights(order: int, interval: int) -> Float[np.ndarray, " order"]:

@@ -22,7 +22,7 @@ from riecjax.criteria.chunks import in_chunks
 from riecjax.criteria.quadrature import ORDERS, running_integral
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import AbstractTerm, Sampled, sum_columns
+from riecjax.equations.term import sum_columns
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 
@@ -139,34 +139,33 @@ class _Differences(AbstractTestFunction):
     def primitives(self, equation: Equation, record: Record) -> Primitives:
         """Primitives of the target (first row) and of every named coefficient's column."""
         s = self.smoothness
-        read = [
-            (term, term.samples(record, max(term.derivative - s, 0))) for term in equation.terms
-        ]
-        present = equation.present(record, [sampled for _, sampled in read])
-        parts = [self._primitive(term, sampled, record, present) for term, sampled in read]
-        terms, names = equation.terms, equation.parameters
-        return Primitives(
-            sum_columns(terms, [part.values for part in parts], names),
-            sum_columns(terms, [part.mean[:, None] for part in parts], names)[:, 0],
-            sum_columns(terms, [part.bend for part in parts], names),
-            present,
-            s,
-        )
+        read = [term.samples(record, max(term.derivative - s, 0)) for term in equation.terms]
+        present = equation.present(record, read)
 
-    def _primitive(
-        self, term: AbstractTerm, sampled: Sampled, record: Record, present: Array | None
-    ) -> Primitives:
-        s = self.smoothness
-        values = sampled.values
-        bend = jnp.zeros_like(values[:, :-1])
-        mean = jnp.zeros_like(values[:, 0])
-        for repeat in range(max(s - term.derivative, 0)):
+        def columns(derivative: int) -> Float[Array, "columns n"]:
+            held = [
+                (term, sampled.values)
+                for term, sampled in zip(equation.terms, read)
+                if min(term.derivative, s) == derivative
+            ]
+            shape = (1 + len(equation.parameters), record.sample_count)
+            return (
+                sum_columns(held, equation.parameters)
+                if held
+                else jnp.zeros(shape, record.time_step.dtype)
+            )
+
+        # A term with a derivative joins the others when they have been integrated as often.
+        values = columns(0)
+        mean, bend = jnp.zeros_like(values[:, 0]), jnp.zeros_like(values[:, 1:])
+        for integrated in range(1, s + 1):
             values = values * record.time_step
             average = jnp.mean(values, axis=1)
             # The mean of a later integrand belongs to a polynomial whose differences vanish.
-            mean = average * record.time_step ** (s - 1) if repeat + term.derivative == 0 else mean
+            mean = average * record.time_step ** (s - 1) if integrated == 1 else mean
             bend = jnp.diff(values, axis=1)
             values = running_integral(values - average[:, None], self.quadrature, present)
+            values = values + columns(integrated)
         return Primitives(values, mean, bend, present, s)
 
     def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
@@ -191,11 +190,10 @@ class _Differences(AbstractTestFunction):
 
         def of_chunk(part: Record, first: Int[Array, ""] | int, count: int) -> Moments:
             primitives = self.primitives(equation, part)
-            present = primitives.present
             return moments_in_blocks(
                 primitives.values,
                 primitives.mean,
-                jnp.ones(part.sample_count, bool) if present is None else present,
+                primitives.present,
                 bins,
                 order=order,
                 first=first,

@@ -17,8 +17,8 @@ from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 from riecjax.records.record import Record
 
-MOST_BLOCKS = 4096
-"""Blocks of starts to a record at most: more would only take memory."""
+MOST_BLOCKS = 1024
+"""Blocks of starts to a record at most: more would only take memory and time."""
 FEW_BLOCKS = 64
 """Blocks of starts where each must look at the whole record."""
 

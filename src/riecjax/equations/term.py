@@ -1,6 +1,6 @@
 """One term of an equation of motion: a coefficient times a derivative of a signal expression."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
@@ -277,16 +277,16 @@ def merge_known(terms: tuple[AbstractTerm, ...]) -> Mapping[str, Leaf]:
 
 
 def sum_columns(
-    terms: tuple[AbstractTerm, ...],
-    columns: list[Float[Array, "columns n"]],
-    parameters: tuple[str, ...],
+    terms: Iterable[tuple[AbstractTerm, Float[Array, "columns n"]]], parameters: tuple[str, ...]
 ) -> Float[Array, "1+parameters n"]:
-    """Add up the columns that belong to one coefficient; the first row takes the known terms."""
+    """Add up the columns that belong to one coefficient; the first row takes the known terms.
+
+    The row of a coefficient that has no term here is zero.
+    """
     rows: dict[str | None, Array] = {}
-    for term, block in zip(terms, columns):
+    for term, block in terms:
         for name, column in zip(term.parameters or (None,), block):
             rows[name] = rows[name] + column if name in rows else column
-    template = columns[0][0]
-    known = rows.get(None, jnp.zeros_like(template))
+    zero = jnp.zeros_like(next(iter(rows.values())))
     # The terms sum to zero, so the known ones change sides and are regressed on the rest.
-    return jnp.stack([-known, *(rows[name] for name in parameters)])
+    return jnp.stack([-rows.get(None, zero), *(rows.get(name, zero) for name in parameters)])

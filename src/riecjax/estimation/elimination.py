@@ -21,21 +21,29 @@ def solve_scaled(
 
 
 def eliminate(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
-    """matrix^-1 right by Gauss and Jordan's elimination, without pivots.
+    """matrix^-1 right, see [`eliminate_with_pivots`][]."""
+    return eliminate_with_pivots(matrix, right)[0]
 
-    For matrices whose leading blocks are positive definite, which need none; scale them to a
+
+def eliminate_with_pivots(
+    matrix: Float[Array, "p p"], right: Float[Array, "p k"]
+) -> tuple[Float[Array, "p k"], Float[Array, " p"]]:
+    """matrix^-1 right by Gauss and Jordan's elimination, and its pivots, which are not exchanged.
+
+    For matrices whose leading blocks are positive definite, which need no exchange; scale them to a
     diagonal of ones first (see [`solve_scaled`][]). A compiler turns it into vector instructions
     over thousands of small matrices, where LAPACK is called once for each.
     """
     size = matrix.shape[0]
 
-    def step(table: Array, k: Array) -> tuple[Array, None]:
+    def step(table: Array, k: Array) -> tuple[Array, Array]:
         row = table[k] / table[k, k]
         cleared = table - table[:, k][:, None] * row[None, :]
-        return cleared.at[k].set(row), None
+        return cleared.at[k].set(row), table[k, k]
 
-    table, _ = jax.lax.scan(step, jnp.concatenate([matrix, right], axis=1), jnp.arange(size))
-    return table[:, size:]
+    table = jnp.concatenate([matrix, right], axis=1)
+    table, pivots = jax.lax.scan(step, table, jnp.arange(size))
+    return table[:, size:], pivots
 
 
 def unit_scale(diagonal: Float[Array, " p"]) -> Float[Array, " p"]:
