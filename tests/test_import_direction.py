@@ -24,7 +24,7 @@ STAGES = (
 )
 OUTSIDE = ("models", "paper", "reporting", "cli")
 """What the engine never imports."""
-SHARED = ("errors", "findings", "leaves")
+SHARED = ("errors", "findings", "leaves", "runtime", "tails")
 """Modules beside the stages that all may import, and that import nothing of the package."""
 ROOT = Path(riecjax.__file__).parent
 MODULES = sorted(path.relative_to(ROOT) for path in ROOT.glob("*/**/*.py"))

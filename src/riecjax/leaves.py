@@ -5,10 +5,11 @@ anew. Numbers that users set therefore become arrays at the border; NumPy ones, 
 model at import time makes no JAX array.
 """
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
@@ -31,6 +32,14 @@ def on_host(tree: Tree) -> Tree:
     JAX compiles a slice for each of them.
     """
     return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
+
+
+def namespace(*trees: object) -> Any:
+    """`numpy` where every number is known, `jax.numpy` where one is being traced.
+
+    For little arithmetic on results: done by JAX, each operation would be compiled.
+    """
+    return np if is_concrete(*trees) else jnp
 
 
 def is_concrete(*trees: object) -> bool:

@@ -2,8 +2,6 @@
 
 import os
 
-from riecjax.errors import RiecjaxError
-
 SMALL_LOOP_BYTES = 10**6
 """Loops that touch less memory than this in a turn are compiled whole; XLA's own limit is 1024."""
 _SMALL_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
@@ -22,13 +20,13 @@ def start_jax() -> None:
 
     Simulations are then two to six times as fast. What is already in `XLA_FLAGS` stays as it is.
 
-    **Raises:** `RiecjaxError` if JAX has started, and would no longer see these settings.
+    **Raises:** `RuntimeError` if JAX has started, and would no longer see these settings.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     flags = os.environ.get("XLA_FLAGS", "")
     missing = [flag for name, flag in _FLAGS.items() if name not in flags]
     if missing and _has_started():
-        raise RiecjaxError(
+        raise RuntimeError(
             "start_jax() comes too late: call it before the first JAX array is made."
         )
     os.environ["XLA_FLAGS"] = " ".join([flags, *missing]).strip()

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf, as_leaf, is_concrete
+from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 
 
 class LagBins(NamedTuple):
@@ -54,7 +54,7 @@ class UniformLaw(AbstractLaw):
         self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
     ) -> LagBins:
         """One bin."""
-        return LagBins(shortest[None], longest[None], jnp.ones(1, unit.dtype))
+        return LagBins(shortest[None], longest[None], namespace(unit).ones(1, unit.dtype))
 
     def describe(self) -> dict[str, object]:
         """Nothing: it is what one expects."""

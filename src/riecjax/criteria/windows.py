@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from riecjax.criteria.chunks import is_chunked
 from riecjax.criteria.laws import AbstractLaw, LagBins, as_law
 from riecjax.errors import DataError, ModelError
-from riecjax.leaves import Leaf, as_leaf, is_concrete
+from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 from riecjax.records.record import Record
 
 MOST_BLOCKS = 1024
@@ -77,10 +77,11 @@ class AbstractWindows(eqx.Module):
         self, sample_count: int, time_step: Float[Array, ""], multiple: int = 1
     ) -> tuple[Int[Array, ""], Int[Array, ""]]:
         """Shortest and longest window in multiples of samples, at least 1, within the record."""
-        unit, most = multiple * time_step, (sample_count - 1) // multiple
-        shortest = jnp.clip(jnp.round(self.alpha / unit), 1, most)
-        longest = jnp.clip(jnp.round(self.beta / unit), shortest, most)
-        return shortest.astype(jnp.int32), longest.astype(jnp.int32)
+        xp = namespace(self.alpha, self.beta, time_step)
+        unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
+        shortest = xp.clip(xp.round(xp.divide(self.alpha, unit)), 1, most)
+        longest = xp.clip(xp.round(xp.divide(self.beta, unit)), shortest, most)
+        return shortest.astype(np.int32), longest.astype(np.int32)
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""

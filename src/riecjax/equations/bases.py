@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
@@ -43,7 +44,7 @@ class RoofFunctions(AbstractBasis):
         points = self.break_points
         if points.ndim != 1 or points.shape[0] < 2:
             raise ModelError("roof functions need at least two break points.")
-        if is_concrete(points) and not bool(jnp.all(jnp.diff(points) > 0)):
+        if is_concrete(points) and not bool(np.all(np.diff(points) > 0)):
             raise ModelError(f"break points must increase; got {points.tolist()}.")
 
     @property

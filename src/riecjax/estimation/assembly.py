@@ -20,6 +20,7 @@ from riecjax.estimation.normal_equations import (
 )
 from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sharing import Sharing
+from riecjax.leaves import namespace
 from riecjax.records.record import Record
 
 
@@ -80,9 +81,10 @@ def _block_of_row(rows: Rows, samples: int, count: int) -> Int[Array, " rows"]:
 def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> ShortBlocks:
     """The short blocks of each record that normal equations are kept for."""
     samples = [criterion.block_samples(record) for record in records]
+    xp = namespace([record.time_step for record in records])
     return ShortBlocks(
         tuple(-(-record.sample_count // k) for record, k in zip(records, samples)),
-        jnp.stack([k * record.time_step for record, k in zip(records, samples)]),
+        xp.stack([xp.multiply(k, record.time_step) for record, k in zip(records, samples)]),
     )
 
 

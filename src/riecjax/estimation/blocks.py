@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.leaves import Leaf, namespace
 
 MOST_BLOCKS = 64
 """Blocks of a record at most: enough for a quantile of Student's t, and long blocks forgive errors
@@ -40,14 +41,15 @@ class ShortBlocks(NamedTuple):
         return self.seconds * np.array(self.number)
 
 
-def blocks_in_use(short: ShortBlocks, length: Float[Array, ""]) -> Int[Array, " records"]:
+def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " records"]:
     """How many blocks of about a length in seconds to make of each record: 2 at least.
 
     Of a whole number of short blocks each, so that they come out even.
     """
     number = np.array(short.number)
-    each = jnp.maximum(jnp.round(length / short.seconds), 1)
-    return jnp.clip(number // each, 2, np.minimum(number, MOST_BLOCKS)).astype(jnp.int32)
+    xp = namespace(length, short.seconds)
+    each = xp.maximum(xp.round(xp.divide(length, short.seconds)), 1)
+    return xp.clip(number // each, 2, np.minimum(number, MOST_BLOCKS)).astype(np.int32)
 
 
 def put_together(

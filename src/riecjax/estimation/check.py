@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
@@ -19,6 +18,7 @@ from riecjax.estimation.identify import record_keys, signals_read
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
+from riecjax.leaves import on_host
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.quality import check_signals
 from riecjax.records.record import Record
@@ -68,7 +68,9 @@ def check(
     recordings = [records] if isinstance(records, Record) else list(records)
     read = [signals_read(procedure, record, criterion) for record in recordings]
     criterion = criterion.fitted(recordings)
-    excitations = excitation(procedure, recordings, criterion, key=key, known=known, own=own)
+    excitations = on_host(
+        excitation(procedure, recordings, criterion, key=key, known=known, own=own)
+    )
     held = constant_sides(procedure, recordings, {*(known or {}), *procedure.known})
     findings = [
         *_sensors(procedure, recordings, read),
@@ -181,10 +183,12 @@ def _quadrature(
         all_rows(procedure, sharing, records, criterion, keys),
         all_rows(procedure, sharing, records, finer, keys),
     ):
-        error = jnp.sum((rows.columns - better.columns) ** 2, axis=1)
-        size = jnp.sum(better.columns**2, axis=1)
+        fine = np.asarray(better.columns)
         # Terms that are not finite are for the fit to refuse.
-        shares = np.asarray(jnp.nan_to_num(jnp.sqrt(error / jnp.maximum(size, 1e-300)), posinf=0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = np.sum((np.asarray(rows.columns) - fine) ** 2, axis=1)
+            size = np.sum(fine**2, axis=1)
+            shares = np.nan_to_num(np.sqrt(error / np.maximum(size, 1e-300)), posinf=0)
         at = int(np.argmax(shares))
         if shares[at] > share:
             worst, share = ("the known terms", *rows.parameters)[at], float(shares[at])

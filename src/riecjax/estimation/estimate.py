@@ -13,6 +13,7 @@ from riecjax.estimation.intervals import Uncertainty
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import StageSolution
 from riecjax.findings import Finding
+from riecjax.leaves import namespace
 
 FEWEST_BLOCKS = 7
 """Blocks of time below which intervals are rough; ten stretches of twice the longest window may
@@ -71,20 +72,23 @@ class Estimate(AbstractEstimate):
 
         The number of rows, times the ratio of naive to actual variance.
         """
-        rows = jnp.concatenate([jnp.full(len(s.parameters), s.count) for s in self.stages])
+        xp = namespace(self.naive)
+        rows = xp.concatenate([xp.full(len(s.parameters), s.count) for s in self.stages])
         variance = self.standard_errors**2
-        ratio = self.naive**2 / jnp.where(variance > 0, variance, 1.0)
-        return jnp.where(variance > 0, rows * ratio, rows)
+        ratio = xp.square(self.naive) / xp.where(variance > 0, variance, 1.0)
+        return xp.where(variance > 0, rows * ratio, rows)
 
     @property
     def condition_number(self) -> Float[Array, ""]:
         """The largest among the stages, of the regressors with columns scaled to unit length."""
-        return jnp.max(jnp.stack([stage.solution.condition_number for stage in self.stages]))
+        xp = namespace(self.theta)
+        return xp.max(xp.stack([stage.solution.condition_number for stage in self.stages]))
 
     @property
     def rank(self) -> Array:
         """Sum of the stages' ranks; the number of parameters when all can be told apart."""
-        return sum((stage.solution.rank for stage in self.stages), start=jnp.array(0))
+        xp = namespace(self.theta)
+        return xp.sum(xp.stack([stage.solution.rank for stage in self.stages]), axis=0)
 
     def findings(self) -> list[Finding]:
         """What a user should know before trusting this estimate (not under jit)."""

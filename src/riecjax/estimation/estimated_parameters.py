@@ -3,13 +3,13 @@
 from collections.abc import Iterator, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.errors import ModelError
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.findings import Finding
+from riecjax.leaves import namespace
 
 LOST_SHARE = 0.05
 """Share of the bootstrap's replicates that may leave a parameter undetermined."""
@@ -63,7 +63,8 @@ class AbstractEstimate(eqx.Module):
     @property
     def standard_errors(self) -> Float[Array, " p"]:
         """Square roots of the covariance's diagonal."""
-        return jnp.sqrt(jnp.diagonal(self.covariance))
+        xp = namespace(self.covariance)
+        return xp.sqrt(xp.diagonal(self.covariance))
 
     def standard_error(self, name: str) -> Float[Array, ""]:
         """Standard error of one estimated parameter."""
@@ -80,7 +81,8 @@ class AbstractEstimate(eqx.Module):
     def correlation(self) -> Float[Array, "p p"]:
         """Correlation matrix of theta."""
         errors = self.standard_errors
-        scale = jnp.where(errors > 0, 1 / jnp.where(errors > 0, errors, 1.0), 0.0)
+        xp = namespace(errors)
+        scale = xp.where(errors > 0, 1 / xp.where(errors > 0, errors, 1.0), 0.0)
         return self.covariance * scale[:, None] * scale[None, :]
 
     def negative_values(self) -> Iterator[Finding]:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
@@ -64,7 +63,7 @@ class Excitation(eqx.Module):
             ]
         direction = np.asarray(self.weakest_direction)
         share = float(self.weakest_share)
-        noise = float(jnp.sqrt(jnp.sum((self.weakest_direction * self.noise_share) ** 2)))
+        noise = float(np.sqrt(np.sum(np.square(direction * np.asarray(self.noise_share)))))
         which = combination(self.parameters, direction)
         remedy = (
             f"Excite the system more richly, or hold one of them at a known value (on the command "
@@ -119,9 +118,7 @@ def excitation(
     given = known_values(procedure, sharing, known or {})
     plan = plan_stages(procedure, sharing, given)
     keys = record_keys(key, len(recordings))
-    noisy = [
-        with_noise(r, jax.random.fold_in(jax.random.key(0), i)) for i, r in enumerate(recordings)
-    ]
+    noisy = [with_noise(record, seed) for seed, record in enumerate(recordings)]
     clean_rows = all_rows(procedure, sharing, recordings, criterion, keys)
     noisy_rows = all_rows(procedure, sharing, noisy, criterion, keys)
     return [
@@ -131,14 +128,13 @@ def excitation(
     ]
 
 
-@eqx.filter_jit
-def with_noise(record: Record, key: Key[Array, ""]) -> Record:
+def with_noise(record: Record, seed: int) -> Record:
     """The record with as much white noise again on every signal as it seems to have."""
-    keys = jax.random.split(key, len(record.arrays))
-    disturbed = {
-        name: values + noise_level(values) * jax.random.normal(k, values.shape)
-        for k, (name, values) in zip(keys, record.arrays.items())
-    }
+    rng = np.random.default_rng(seed)
+    disturbed = {}
+    for name, signal in record.arrays.items():
+        values = np.asarray(signal)
+        disturbed[name] = values + noise_level(values) * rng.standard_normal(values.shape)
     return record.with_signals(disturbed, missing=record.missing)
 
 

@@ -1,8 +1,9 @@
 """Whether recordings agree; if not, blocks of time within them tell too little of the scatter."""
 
 import jax.numpy as jnp
-import scipy.stats
 from jaxtyping import Array, Float
+
+from riecjax import tails
 
 LEVEL = 0.01
 
@@ -29,10 +30,10 @@ def record_inflation(
     within = (jnp.sum(influence**2, axis=1) - moved**2 / used) * used / (used - 1)
     some = within > 0
     ratio = jnp.where(some, moved**2 / jnp.where(some, within, 1.0), 0.0)
-    disagree = jnp.sum(ratio, axis=0) > float(scipy.stats.chi2.isf(LEVEL, count - 1))
+    disagree = jnp.sum(ratio, axis=0) > tails.chi_square(LEVEL, count - 1)
     between = count / (count - 1) * jnp.sum(moved**2, axis=0)
     pooled = jnp.sum(influence**2, axis=(0, 1))
     known = pooled > 0
-    reach = float(scipy.stats.t.isf(0.025, count - 1) / scipy.stats.norm.isf(0.025))
+    reach = float(tails.student(0.025, count - 1)) / tails.normal(0.025)
     grown = reach * jnp.sqrt(between / jnp.where(known, pooled, 1.0))
     return jnp.where(disagree & known, jnp.maximum(grown, 1.0), 1.0)

@@ -109,7 +109,7 @@ def identify(
 
     units = {name: unit for name, unit in sharing.values(procedure.units).items()}
     return Estimate(
-        theta=jnp.concatenate([stage.solution.theta for stage in solved.stages]),
+        theta=solved.theta,
         uncertainty=solved.uncertainty,
         naive=solved.naive,
         inflation=solved.inflation,
@@ -119,7 +119,7 @@ def identify(
         parameters=tuple(name for stage in solved.stages for name in stage.parameters),
         units=tuple(units.items()),
         stage_names=tuple(plan[stage.stage][0] for stage in solved.stages),
-        block_count=jnp.sum(solved.used),
+        block_count=solved.block_count,
         block_length=solved.length,
         rows_offered=tuple(
             _rows_offered(procedure.stages[stage.stage], recordings, criterion)
@@ -149,13 +149,14 @@ def signals_read(
 
 class _Solved(NamedTuple):
     """Solutions of the stages with their uncertainty, grown by `inflation` where records disagree;
-    `used` blocks of each record, of `length` seconds on average."""
+    `block_count` blocks of all records, of `length` seconds on average."""
 
+    theta: Float[Array, " p"]
     stages: list[StageSolution]
     uncertainty: Uncertainty
     naive: Float[Array, " p"]
     inflation: Float[Array, " p"]
-    used: Int[Array, " records"]
+    block_count: Int[Array, ""]
     length: Float[Array, ""]
 
 
@@ -175,14 +176,15 @@ def _solve(
     # What belongs to one recording cannot differ between recordings.
     shared = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
     judged = judge(stages, known, values, short, longest_window, shared, intervals)
-    used = judged.evidence.used
+    block_count = jnp.sum(judged.evidence.used)
     return _Solved(
+        jnp.concatenate([stage.solution.theta for stage in solutions]),
         solutions,
         judged.uncertainty,
         jnp.sqrt(jnp.diagonal(naive_covariance(judged.evidence))),
         judged.inflation,
-        used,
-        jnp.sum(short.durations) / jnp.sum(used),
+        block_count,
+        jnp.sum(short.durations) / block_count,
     )
 
 
@@ -245,7 +247,7 @@ def _worst_condition(solutions: list[StageSolution]) -> float:
 
 def _raise_if_empty(stages: list[NormalEquations], plan: list[tuple[str, tuple[str, ...]]]) -> None:
     for equations, (label, unknown) in zip(stages, plan):
-        if unknown and not bool(jnp.sum(equations.count) > 0):
+        if unknown and not bool(np.sum(equations.count) > 0):
             raise DataError(
                 f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
                 f"or repair the record's gaps."
@@ -256,7 +258,7 @@ def _raise_if_not_finite(
     stages: list[NormalEquations], plan: list[tuple[str, tuple[str, ...]]]
 ) -> None:
     for equations, (label, _) in zip(stages, plan):
-        if not bool(jnp.all(jnp.isfinite(equations.moments))):
+        if not bool(np.all(np.isfinite(equations.moments))):
             raise DataError(
                 f"{label}: its terms are not finite numbers on this record: a division by zero, a "
                 f"root of a negative number, or values too large to be squared. Scale the signals "

@@ -10,9 +10,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import Array, Float, Int
 
+from riecjax import tails
 from riecjax.errors import ModelError
 from riecjax.estimation.blocks import MOST_BLOCKS, ShortBlocks
 from riecjax.estimation.bootstrap import studentized_replicates, uniform_draws
@@ -78,7 +78,7 @@ class Uncertainty(eqx.Module):
         """
         tail = (1 - level) / 2
         dof = np.maximum(np.asarray(self.degrees_of_freedom), 1)
-        student = np.asarray(scipy.stats.t.isf(tail, dof))
+        student = tails.student(tail, dof)
         if self.studentized is None:
             return student, student
         replicates = np.asarray(self.studentized)
@@ -86,7 +86,7 @@ class Uncertainty(eqx.Module):
         exact = np.asarray(~np.isfinite(replicates).any(axis=-2))
         replicates = np.where(exact[..., None, :], 0.0, replicates)
         low, high = np.nanquantile(replicates, [tail, 1 - tail], axis=-2)
-        wider = student / scipy.stats.norm.isf(tail)
+        wider = student / tails.normal(tail)
         return np.where(exact, student, high * wider), np.where(exact, student, -low * wider)
 
 

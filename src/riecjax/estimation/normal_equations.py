@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import Rows
 from riecjax.errors import ModelError
+from riecjax.leaves import namespace
 
 
 class NormalEquations(eqx.Module):
@@ -124,11 +125,13 @@ def stack_normal_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
     """Of one record after another; where one has fewer blocks than another, empty ones follow."""
     most = max(part.count.shape[0] for part in parts)
 
+    xp = namespace(parts)
+
     def filled_up(blocks: Array) -> Array:
-        return jnp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
+        return xp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
 
     return NormalEquations(
-        jnp.stack([filled_up(part.moments) for part in parts]),
-        jnp.stack([filled_up(part.count) for part in parts]),
+        xp.stack([filled_up(part.moments) for part in parts]),
+        xp.stack([filled_up(part.count) for part in parts]),
         parts[0].parameters,
     )

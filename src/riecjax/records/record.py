@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError
+from riecjax.leaves import namespace
 from riecjax.records.time_base import time_base
 
 
@@ -160,14 +161,15 @@ class Record(eqx.Module):
     @property
     def duration(self) -> Float[Array, ""]:
         """Seconds recorded, pauses left out: t_max of eq. (15)."""
-        return self.time_step * (self.sample_count - 1)
+        return namespace(self.time_step).multiply(self.time_step, self.sample_count - 1)
 
     @property
     def time(self) -> Float[Array, " n"]:
         """Time of each sample in seconds."""
         if self.stamps is not None:
             return self.stamps
-        return self.start_time + self.time_step * jnp.arange(self.sample_count)
+        xp = namespace(self.start_time, self.time_step)
+        return xp.add(self.start_time, xp.multiply(self.time_step, xp.arange(self.sample_count)))
 
     def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
         """True where none of these signals lacks its sample; `None` where none ever does."""

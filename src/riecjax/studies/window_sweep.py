@@ -10,9 +10,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import Array, Float, Int, Key
 
+from riecjax import tails
 from riecjax.criteria.criterion import RIEC
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError
@@ -29,6 +29,7 @@ from riecjax.estimation.procedure import (
 )
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
+from riecjax.leaves import namespace
 from riecjax.records.record import Record
 
 FEWEST_SAMPLES = 4
@@ -70,12 +71,14 @@ class WindowSweep(eqx.Module):
     @property
     def standard_errors(self) -> Float[Array, "bands p"]:
         """Standard error of each estimate."""
-        return jnp.sqrt(self._factor * jnp.sum(self.influence**2, axis=1))
+        xp = namespace(self.influence)
+        return xp.sqrt(self._factor * xp.sum(xp.square(self.influence), axis=1))
 
     @property
     def _factor(self) -> Array:
         # The scores of n blocks sum to zero at the solution.
-        return jnp.asarray(self.block_count / jnp.maximum(self.block_count - 1, 1))
+        xp = namespace(self.block_count)
+        return xp.divide(self.block_count, xp.maximum(self.block_count - 1, 1))
 
     def drift(self, name: str) -> tuple[int, int, float, float]:
         """The two lengths between which a parameter differs most significantly (not under jit).
@@ -106,7 +109,7 @@ class WindowSweep(eqx.Module):
         bands = self.theta.shape[0]
         pairs = bands * (bands - 1) / 2
         dof = max(int(self.block_count) - 1, 1)
-        limit = float(scipy.stats.t.isf(LEVEL / (2 * pairs), dof))
+        limit = float(tails.student(LEVEL / (2 * pairs), dof))
         units = dict(self.units)
         found = []
         for j, name in enumerate(self.parameters):
@@ -166,7 +169,7 @@ def window_sweep(
     beta = 2 * alpha
     # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
     lengthy = _with_windows(criterion, alpha[-1], beta[-1]).fitted(recordings)
-    used = blocks_in_use(short_blocks(recordings, lengthy), jnp.asarray(FEWEST_WINDOWS * beta[-1]))
+    used = blocks_in_use(short_blocks(recordings, lengthy), np.asarray(FEWEST_WINDOWS * beta[-1]))
     theta, influence, residual = _estimates(
         procedure,
         sharing,
@@ -185,7 +188,7 @@ def window_sweep(
         theta=theta,
         influence=influence,
         relative_rms=residual,
-        block_count=jnp.sum(used),
+        block_count=namespace(used).sum(used),
         parameters=tuple(name for _, unknown in stages for name in unknown),
         units=tuple(units.items()),
         stage_names=tuple(label for label, _ in stages),

@@ -18,7 +18,7 @@ from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import values_of_record
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record
 
 
@@ -64,12 +64,14 @@ class EquationError(eqx.Module):
     @property
     def relative_rms(self) -> Float[Array, ""]:
         """Root mean square of the error against the target's; zero of a silent target."""
-        energy = jnp.sum(self.target**2)
-        share = jnp.sum(self.error**2) / jnp.where(energy > 0, energy, 1.0)
-        return jnp.sqrt(jnp.where(energy > 0, share, 0.0))
+        xp = namespace(self.error, self.explained)
+        energy = xp.sum(xp.square(self.target))
+        share = xp.sum(xp.square(self.error)) / xp.where(energy > 0, energy, 1.0)
+        return xp.sqrt(xp.where(energy > 0, share, 0.0))
 
     def centred(self, samples: Float[Array, " n"]) -> Float[Array, " values"]:
         """A signal at the middle of each window, from its samples."""
+        samples = namespace(samples).asarray(samples)
         return 0.5 * (samples[1:] + samples[:-1]) if self.span == 1 else samples[1:-1]
 
 

@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
-import scipy.stats
 from jaxtyping import Bool, Float, Int
+
+from riecjax import tails
 
 LEVEL = 0.05
 """Probability that chance alone passes a bound."""
@@ -70,7 +71,7 @@ def autocorrelation(
     return Autocorrelation(
         forward * time_step,
         found,
-        float(scipy.stats.norm.isf(LEVEL / 2) / np.sqrt(max(present.sum(), 1))),
+        float(tails.normal(LEVEL / 2) / np.sqrt(max(present.sum(), 1))),
         time_step * float(1 + 2 * np.sum(found[1:] ** 2)),
         time_step * float(1 + 2 * np.sum(taper * found[1:])),
     )
@@ -98,7 +99,7 @@ def cross_correlation(
     variance = bartlett_variance(one, other)
     # Correlations at lags closer than the series' own memory, n times the variance, are one test.
     apart = max(both.size / max(variance * present.sum(), 1.0), 1.0)
-    quantile = scipy.stats.norm.isf(LEVEL / (2 * apart * signals))
+    quantile = tails.normal(LEVEL / (2 * apart * signals))
     return CrossCorrelation(name, both * time_step, values, float(quantile * np.sqrt(variance)))
 
 

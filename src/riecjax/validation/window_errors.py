@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
 from jaxtyping import Float
 
+from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.validation.equation_error import EquationError
 from riecjax.validation.error_spectrum import unbroken
@@ -168,7 +168,7 @@ def _p_value(stretches: list[list[_Block]]) -> float:
     if len(squares) < FEWEST_STRETCHES or min(flat) == max(flat):
         return float("nan")
     floor = SILENT * max(flat)
-    return float(scipy.stats.f_oneway(*(np.log(np.maximum(s, floor)) for s in squares)).pvalue)
+    return tails.equal_means([np.log(np.maximum(s, floor)) for s in squares])
 
 
 def _correlation(records: list[list[_Block]]) -> float:

@@ -31,6 +31,7 @@ STAMP = (
 _NUMBER = {sign: re.compile(pattern) for sign, pattern in NUMBER.items()}
 _STAMP = re.compile(STAMP)
 _MISSING = frozenset(MISSING)
+_MISSING_PATTERN = "^(?:" + "|".join(re.escape(word) for word in MISSING) + ")$"
 DAY = 86400.0
 
 
@@ -56,7 +57,8 @@ def present(text: Any) -> Any:
     pc = compute()
 
     stripped = pc.utf8_trim_whitespace(text)
-    missing = pc.is_in(stripped, value_set=pa.array(MISSING))
+    # By a pattern: PyArrow imports pandas, where there is one, for a list of words.
+    missing = pc.match_substring_regex(stripped, _MISSING_PATTERN)
     return pc.if_else(missing, pa.scalar(None, pa.string()), stripped)
 
 
