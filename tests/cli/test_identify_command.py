@@ -178,8 +178,9 @@ def test_every_kind_of_interval_is_the_library_s(from_file, drive_record):
         assert {"naive": "as if all windows were independent"}.get(kind, kind) in method
         bounds = {n: e["interval95"] for n, e in documents[kind]["parameters"].items()}
         widths[kind] = {name: high - low for name, (low, high) in bounds.items()}
-        # The estimates do not depend on how their uncertainty is judged.
-        assert values(documents[kind]) == values(documents["bootstrap"])
+        # The estimates do not depend on how their uncertainty is judged, but for the last digit of
+        # what is compiled together with it.
+        assert values(documents[kind]) == pytest.approx(values(documents["bootstrap"]), rel=1e-13)
     for name in PARAMETERS:
         assert widths["naive"][name] < 0.5 * widths["bootstrap"][name]
         assert widths["naive"][name] < 0.5 * widths["sandwich"][name]

@@ -4,7 +4,7 @@ import click
 
 from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import json_option, own_option, seed_option, set_option
-from riecjax.cli.recordings import RecordingOptions, common_steps, load, record_options
+from riecjax.cli.recordings import RecordingOptions, are_small, common_steps, load, record_options
 from riecjax.runtime import start_jax
 
 
@@ -36,7 +36,7 @@ def command(
     how each parameter is excited. The exit status is 1 if some parameter cannot be found.
     """
     criteria.require_sense()
-    start_jax()
+    start_jax(once=are_small(recordings.files), keep_compiled=True)
     import jax
 
     from riecjax.estimation.check import check

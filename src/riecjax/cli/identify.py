@@ -15,7 +15,14 @@ from riecjax.cli.options import (
     seed_option,
     set_option,
 )
-from riecjax.cli.recordings import Recording, RecordingOptions, common_steps, load, record_options
+from riecjax.cli.recordings import (
+    Recording,
+    RecordingOptions,
+    are_small,
+    common_steps,
+    load,
+    record_options,
+)
 from riecjax.cli.refinement import RefinementOptions, refinement_options
 from riecjax.errors import RiecjaxError
 from riecjax.findings import Finding
@@ -118,23 +125,19 @@ def command(
         )
     criteria.require_sense()
     refining.require_sense()
-    start_jax()
+    start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
     import jax
+    from rich.console import Console
 
-    from riecjax.estimation.check import check
     from riecjax.estimation.identify import identify
     from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
     from riecjax.leaves import on_host
     from riecjax.models.resolve import find_model
-    from riecjax.reporting.identification import (
-        Identification,
-        identification_document,
-        print_identification,
-    )
-    from riecjax.reporting.identification_figures import identification_figures
-    from riecjax.reporting.identification_page import identification_page
-    from riecjax.reporting.output import emit
+    from riecjax.reporting.estimate import estimate_entries, print_estimate
+    from riecjax.reporting.output import emit, require_folder
 
+    if out is not None:
+        require_folder(out)
     model = find_model(model_name)
     criterion = criteria.build(model)
     procedure = model.build_procedure()
@@ -144,10 +147,25 @@ def command(
     records = [recording.record for recording in estimating]
     key = jax.random.key(seed)
     settings = {"key": key, "known": known, "own": own}
-    checked = check(procedure, records, criterion, **settings)
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
     judge = kinds[intervals]
     estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
+    # What is asked for first is shown first: all that follows is about how far to trust it.
+    shown = not as_json and refining.refine == "none"
+    if shown:
+        print_estimate(estimate_entries(model.name, estimate), Console())
+
+    from riecjax.estimation.check import check
+    from riecjax.reporting.identification import (
+        Identification,
+        identification_document,
+        print_identification,
+        print_judgement,
+    )
+    from riecjax.reporting.identification_figures import identification_figures
+    from riecjax.reporting.identification_page import identification_page
+
+    checked = check(procedure, records, criterion, **settings)
     refined = refining.run(model, records, estimate, own=own, key=key, intervals=judge)
     found = estimate if refined is None else refined
     to_simulate = _to_simulate(held, further)
@@ -179,7 +197,7 @@ def command(
         identification_document(result),
         as_json=as_json,
         out=out,
-        show=print_identification,
+        show=print_judgement if shown else print_identification,
         charts=lambda: identification_figures(result),
         page=identification_page,
     )

@@ -153,6 +153,15 @@ class Recording(NamedTuple):
     findings: list[Finding]
 
 
+SMALL_FILES = 2**24
+"""Bytes of all recordings below which compiling code takes longer than running it."""
+
+
+def are_small(files: Sequence[Path]) -> bool:
+    """Whether these recordings are so short that what works on them runs in no time."""
+    return sum(file.stat().st_size for file in files if file.exists()) < SMALL_FILES
+
+
 def load(
     files: Sequence[Path], options: RecordingOptions, model: "Model", criterion: "AbstractCriterion"
 ) -> list[Recording]:

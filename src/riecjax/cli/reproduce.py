@@ -42,7 +42,7 @@ def command(
         raise click.UsageError(
             "--roads excludes --full and --quick, which set the number of roads."
         )
-    start_jax()
+    start_jax(keep_compiled=True)
     if full or quick:
         _study(seed, quick, as_json, out)
     else:

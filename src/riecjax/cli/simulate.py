@@ -64,7 +64,7 @@ def command(
 
     The file holds time `t` in seconds, the input, and the model's signals in SI units.
     """
-    start_jax()
+    start_jax(keep_compiled=True)
     from riecjax.cli.drive import drive
     from riecjax.models.resolve import find_model
     from riecjax.records.writing import check_writable, write_record

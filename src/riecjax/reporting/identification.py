@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, Key
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import Estimate
@@ -15,6 +13,7 @@ from riecjax.estimation.procedure import Procedure
 from riecjax.findings import Finding
 from riecjax.records.record import Record
 from riecjax.reporting.checking import excitation_entries
+from riecjax.reporting.estimate import estimate_entries, print_estimate
 from riecjax.reporting.output import Document, finite, number, versions
 from riecjax.reporting.parameters import parameter_entries
 from riecjax.reporting.refinement import (
@@ -86,34 +85,12 @@ class Identification:
 def identification_document(result: Identification) -> Document:
     """The document that `--json` prints and results.json holds."""
     estimate = result.estimate
-    stages = [
-        {
-            "equation": name,
-            "parameters": list(stage.parameters),
-            "relative_rms": float(stage.relative_rms),
-            "rms": float(stage.residual_rms),
-            "rows": int(stage.count),
-            "condition_number": finite(float(stage.solution.condition_number)),
-            "rank": int(stage.solution.rank),
-        }
-        for name, stage in zip(estimate.stage_names, estimate.stages)
-    ]
-    units = dict(estimate.units)
-    identified = _identified(estimate)
+    found = estimate_entries(result.model, estimate)
+    identified = found["parameters"]
+    if result.refinement is not None:
+        found["parameters"] = parameter_entries(result.refinement.refined)
     return {
-        "schema": 1,
-        "model": result.model,
-        "criterion": estimate.criterion.describe(),
-        "parameters": identified
-        if result.refinement is None
-        else parameter_entries(result.refinement.refined),
-        "known": {
-            name: {"value": float(value), "unit": units.get(name, "")}
-            for name, value in estimate.known.items()
-        },
-        "condition_number": finite(float(estimate.condition_number)),
-        "rank": int(estimate.rank),
-        "residual": {"relative_rms": stages[-1]["relative_rms"], "stages": stages},
+        **found,
         "excitation": excitation_entries(result.checked),
         "correlation": _correlation(estimate),
         "residual_tests": None if result.residuals is None else result.residuals.describe(),
@@ -144,17 +121,6 @@ def identification_document(result: Identification) -> Document:
             "versions": versions(),
         },
     }
-
-
-def _identified(estimate: Estimate) -> dict[str, Any]:
-    """Of each parameter, what only the linear estimate says of its windows too."""
-    entries = parameter_entries(estimate)
-    for i, name in enumerate(estimate.parameters):
-        entries[name] |= {
-            "naive_std_error": finite(float(estimate.naive[i])),
-            "effective_windows": finite(float(estimate.effective_windows[i])),
-        }
-    return entries
 
 
 def _correlation(estimate: Estimate) -> dict[str, Any]:
@@ -194,18 +160,12 @@ def _sweep_entries(sweep: WindowSweep) -> dict[str, Any]:
 
 def print_identification(document: Document, console: Console) -> None:
     """Tables for a reader."""
-    criterion = document["criterion"]
-    settings = ", ".join(f"{k} {v}" for k, v in criterion.items() if k != "name")
-    heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
-    console.print(heading, highlight=False, markup=False)
-    console.print(_parameter_table(document))
-    for stage in document["residual"]["stages"]:
-        console.print(
-            f"{stage['equation']}: relative residual {100 * stage['relative_rms']:.3g} %, "
-            f"condition number {number(stage['condition_number'], 3)}, {stage['rows']} rows",
-            highlight=False,
-            markup=False,
-        )
+    print_estimate(document, console)
+    print_judgement(document, console)
+
+
+def print_judgement(document: Document, console: Console) -> None:
+    """What was done with the estimate, and what it rests on."""
     if document["refinement"] is not None:
         for line in refinement_in_words(document["refinement"]):
             console.print(line, highlight=False, markup=False)
@@ -239,25 +199,3 @@ def windows_in_words(document: Document) -> Iterator[str]:
             f"windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s: half periods of "
             f"{high:.3g} to {low:.3g} Hz. {choice['reason']}"
         )
-
-
-def _parameter_table(document: Document) -> Table:
-    identified = (document["refinement"] or {}).get("identified", {})
-    before = ["identified"] if identified else []
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for column in ("parameter", *before, "value", "std error", "95 % interval", "unit"):
-        table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
-    for name, entry in document["parameters"].items():
-        start = [number(identified[name]["value"]) for _ in before]
-        table.add_row(
-            Text(name),
-            *start,
-            number(entry["value"]),
-            number(entry["std_error"], 2),
-            " .. ".join(number(end) for end in entry["interval95"]),
-            Text(entry["unit"]),
-        )
-    for name, entry in document["known"].items():
-        value = number(entry["value"])
-        table.add_row(Text(name), *("" for _ in before), value, "", "known", Text(entry["unit"]))
-    return table

@@ -78,6 +78,19 @@ def write_folder(folder: Path, document: Document, charts: Mapping[str, Chart], 
         shutil.rmtree(made, ignore_errors=True)
 
 
+def require_folder(folder: Path) -> None:
+    """Make sure, before any work is done, that a folder can be written.
+
+    **Raises:** `DataError` if not, or if a package for reports is missing.
+    """
+    require_report_packages()
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.")).rmdir()
+    except OSError as error:
+        raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
+
+
 def versions() -> dict[str, str]:
     """Versions of everything that a number depends on."""
     import platform

@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy.signal
 import scipy.special
 
 LARGEST_BLOCK = 2**22
@@ -32,7 +31,9 @@ class LowPass(NamedTuple):
 
     def half_length(self, density: float) -> float:
         """Samples to each side that have a weight, at `density` samples per slower sample."""
-        taps, _ = scipy.signal.kaiserord(self.attenuation, 2 * self.transition)
+        from scipy.signal import kaiserord  # takes half a second, which few records need
+
+        taps, _ = kaiserord(self.attenuation, 2 * self.transition)
         return 0.5 * float(taps) * density
 
     def reach(self, density: float) -> int:
@@ -42,7 +43,9 @@ class LowPass(NamedTuple):
     def weights(self, offsets: np.ndarray, density: float) -> np.ndarray:
         """Weight of samples that lie `offsets` samples away."""
         share = offsets / self.half_length(density)
-        beta = scipy.signal.kaiser_beta(self.attenuation)
+        from scipy.signal import kaiser_beta
+
+        beta = kaiser_beta(self.attenuation)
         window = scipy.special.i0(beta * np.sqrt(np.maximum(1 - share**2, 0.0)))
         return np.where(np.abs(share) < 1, np.sinc(self.cutoff / density * offsets) * window, 0.0)
 

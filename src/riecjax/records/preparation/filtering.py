@@ -1,7 +1,6 @@
 """Filters without phase, and the removal of offset and drift."""
 
 import numpy as np
-import scipy.signal
 
 from riecjax.errors import DataError
 from riecjax.records.preparation.stretches import (
@@ -48,14 +47,16 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
             f"samples are lost at each end. Raise the cut-off, or record for longer."
         )
 
+    from scipy.signal import butter, sosfiltfilt  # take half a second, which few records need
+
     def filtered(name: str) -> np.ndarray:
-        sections = scipy.signal.butter(FILTER_ORDER, cutoffs[name] / nyquist, output="sos")
+        sections = butter(FILTER_ORDER, cutoffs[name] / nyquist, output="sos")
 
         def step(samples: np.ndarray) -> np.ndarray:
             found = np.full(samples.size, np.nan)
             if samples.size > _shortest(lost[name]):
                 inner = slice(lost[name], -lost[name])
-                found[inner] = scipy.signal.sosfiltfilt(sections, samples)[inner]
+                found[inner] = sosfiltfilt(sections, samples)[inner]
             return found
 
         return on_stretches(record, name, step)

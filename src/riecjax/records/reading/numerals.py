@@ -57,9 +57,9 @@ def present(text: Any) -> Any:
     pc = compute()
 
     stripped = pc.utf8_trim_whitespace(text)
-    # By a pattern: PyArrow imports pandas, where there is one, for a list of words.
+    # No list of words and no scalar: for these PyArrow imports pandas, where there is one.
     missing = pc.match_substring_regex(stripped, _MISSING_PATTERN)
-    return pc.if_else(missing, pa.scalar(None, pa.string()), stripped)
+    return pc.if_else(missing, pa.nulls(1, pa.string())[0], stripped)
 
 
 def numbers(text: Any, decimal: str, grouped: bool) -> np.ndarray | None:

@@ -1,0 +1,128 @@
+"""The paper's seven-state source model, eqs (19)-(20), for SciPy, in Python's own numbers."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.integrate
+from jaxtyping import Float
+
+from benchmarks.baselines.sampled_input import first_order_hold
+from riecjax.models.quarter_car.curves import BumpStopSpring, DigressiveDamper, HardeningMount
+from riecjax.models.quarter_car.source import QuarterCarSource
+
+
+class Car(NamedTuple):
+    """The source model's numbers, in SI units."""
+
+    wheel_mass: float
+    body_mass: float
+    engine_mass: float
+    tyre_stiffness: float
+    lift_off_force: float
+    damper_compliance: float
+    slope_at_rest: float
+    compression_slope: float
+    rebound_slope: float
+    compression_knee: float
+    rebound_knee: float
+    spring_rate: float
+    compression_gap: float
+    rebound_gap: float
+    compression_stop: float
+    rebound_stop: float
+    mount_rate: float
+    mount_cubic: float
+    mount_damping: float
+
+
+def car_of(source: QuarterCarSource) -> Car:
+    """The numbers of a source model with the curves of the reconstruction."""
+    damper, spring, mount = source.damper, source.spring, source.mount
+    assert isinstance(damper, DigressiveDamper)
+    assert isinstance(spring, BumpStopSpring)
+    assert isinstance(mount, HardeningMount)
+    values = (
+        source.wheel_mass,
+        source.body_mass,
+        source.engine_mass,
+        source.tyre_stiffness,
+        source.lift_off_force,
+        source.damper_compliance,
+        damper.low_speed_rate,
+        *damper.high_speed_rates,
+        *damper.knees,
+        spring.rate,
+        *spring.gaps,
+        *spring.stop_rates,
+        mount.rate,
+        mount.cubic,
+        source.mount_damping,
+    )
+    return Car(*(float(value) for value in values))
+
+
+def right_hand_side(
+    car: Car, velocity: Float[np.ndarray, " n"], rate: float
+) -> Callable[[float, np.ndarray], list[float]]:
+    """The state's time derivative, as `solve_ivp` calls it, on a sampled road velocity."""
+    road = first_order_hold(velocity, rate)
+    # Names in the enclosing scope are read faster than fields.
+    wheel, body, engine = car.wheel_mass, car.body_mass, car.engine_mass
+    stiffness, lift_off, compliance = car.tyre_stiffness, car.lift_off_force, car.damper_compliance
+    down, down_knee = car.compression_slope, car.compression_knee
+    up, up_knee = car.rebound_slope, car.rebound_knee
+    down_excess, up_excess = car.slope_at_rest - down, car.slope_at_rest - up
+    spring_rate = car.spring_rate
+    down_gap, down_stop = -car.compression_gap, car.compression_stop
+    up_gap, up_stop = car.rebound_gap, car.rebound_stop
+    mount_rate, mount_cubic, mount_damping = car.mount_rate, car.mount_cubic, car.mount_damping
+    sqrt = math.sqrt
+
+    def derivative(time: float, state: np.ndarray) -> list[float]:
+        x1, x2, x3, x4, x5, x6, x7 = state.tolist()
+        if x7 > 0:
+            slope, excess, ratio = up, up_excess, x7 / up_knee
+        else:
+            slope, excess, ratio = down, down_excess, x7 / down_knee
+        bend = 1 / sqrt(1 + ratio * ratio)
+        suspension = spring_rate * x2 + x7 * (slope + excess * bend)
+        if x2 < down_gap:
+            suspension += down_stop * (x2 - down_gap)
+        elif x2 > up_gap:
+            suspension += up_stop * (x2 - up_gap)
+        across, stretch = x3 - x4, x4 - x6
+        mount = x5 * (mount_rate + mount_cubic * x5 * x5) + mount_damping * stretch
+        tyre = stiffness * x1
+        if tyre > lift_off:
+            tyre = lift_off
+        return [
+            road(time) - x3,
+            across,
+            (tyre - suspension) / wheel,
+            (suspension - mount) / body,
+            stretch,
+            mount / engine,
+            compliance * (across - x7) / (slope + excess * bend * bend * bend),
+        ]
+
+    return derivative
+
+
+def scipy_solution(
+    car: Car, velocity: Float[np.ndarray, " n"], rate: float, rtol: float
+) -> Float[np.ndarray, "n 7"]:
+    """States at the samples of a road velocity, from rest."""
+    time = np.arange(velocity.size) / rate
+    solution = scipy.integrate.solve_ivp(
+        right_hand_side(car, velocity, rate),
+        (0.0, time[-1]),
+        np.zeros(7),
+        method="RK45",
+        t_eval=time,
+        rtol=rtol,
+        atol=rtol * 1e-3,
+        max_step=1 / rate,
+    )
+    return solution.y.T

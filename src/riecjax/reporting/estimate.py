@@ -1,0 +1,91 @@
+"""An estimate in plain data, and as tables on a terminal."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from riecjax.estimation.estimate import Estimate
+from riecjax.reporting.output import Document, finite, number
+from riecjax.reporting.parameters import parameter_entries
+
+
+def estimate_entries(model: str, estimate: Estimate) -> Document:
+    """What is known as soon as a model is identified: the first part of the document."""
+    stages = [
+        {
+            "equation": name,
+            "parameters": list(stage.parameters),
+            "relative_rms": float(stage.relative_rms),
+            "rms": float(stage.residual_rms),
+            "rows": int(stage.count),
+            "condition_number": finite(float(stage.solution.condition_number)),
+            "rank": int(stage.solution.rank),
+        }
+        for name, stage in zip(estimate.stage_names, estimate.stages)
+    ]
+    units = dict(estimate.units)
+    return {
+        "schema": 1,
+        "model": model,
+        "criterion": estimate.criterion.describe(),
+        "parameters": _identified(estimate),
+        "known": {
+            name: {"value": float(value), "unit": units.get(name, "")}
+            for name, value in estimate.known.items()
+        },
+        "condition_number": finite(float(estimate.condition_number)),
+        "rank": int(estimate.rank),
+        "residual": {"relative_rms": stages[-1]["relative_rms"], "stages": stages},
+    }
+
+
+def _identified(estimate: Estimate) -> dict[str, Any]:
+    """Of each parameter, what only the linear estimate says of its windows too."""
+    entries = parameter_entries(estimate)
+    effective = estimate.effective_windows
+    for i, name in enumerate(estimate.parameters):
+        entries[name] |= {
+            "naive_std_error": finite(float(estimate.naive[i])),
+            "effective_windows": finite(float(effective[i])),
+        }
+    return entries
+
+
+def print_estimate(document: Document, console: Console) -> None:
+    """Parameters, refined ones where there are, and what each equation leaves."""
+    criterion = document["criterion"]
+    settings = ", ".join(f"{k} {v}" for k, v in criterion.items() if k != "name")
+    heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
+    console.print(heading, highlight=False, markup=False)
+    console.print(_parameter_table(document))
+    for stage in document["residual"]["stages"]:
+        console.print(
+            f"{stage['equation']}: relative residual {100 * stage['relative_rms']:.3g} %, "
+            f"condition number {number(stage['condition_number'], 3)}, {stage['rows']} rows",
+            highlight=False,
+            markup=False,
+        )
+
+
+def _parameter_table(document: Document) -> Table:
+    identified = (document.get("refinement") or {}).get("identified", {})
+    before = ["identified"] if identified else []
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for column in ("parameter", *before, "value", "std error", "95 % interval", "unit"):
+        table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
+    for name, entry in document["parameters"].items():
+        start = [number(identified[name]["value"]) for _ in before]
+        table.add_row(
+            Text(name),
+            *start,
+            number(entry["value"]),
+            number(entry["std_error"], 2),
+            " .. ".join(number(end) for end in entry["interval95"]),
+            Text(entry["unit"]),
+        )
+    for name, entry in document["known"].items():
+        value = number(entry["value"])
+        table.add_row(Text(name), *("" for _ in before), value, "", "known", Text(entry["unit"]))
+    return table
