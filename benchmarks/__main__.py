@@ -1,29 +1,74 @@
-"""Run every benchmark and write `benchmarks/results.json`: `python -m benchmarks`."""
+"""Speed against what users would write instead: `python -m benchmarks [--small] [--check]`.
 
+Writes `benchmarks/results.json` (`results_small.json` for the small size), with `--check` nothing:
+it fails where a ratio has fallen under half of what is recorded there.
+"""
+
+import argparse
 import json
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
-import jax
+from riecjax.runtime import start_jax
 
-from benchmarks import identification, simulation
+FOLDER = Path(__file__).parent
 
-RESULTS = Path(__file__).parent / "results.json"
+
+def measured(small: bool, only: list[str]) -> Iterator[dict]:
+    start_jax()
+    from benchmarks import timing
+    from benchmarks.suite import all_windows, estimation, simulation, study
+
+    size = timing.SMALL if small else timing.FULL
+    for module in (all_windows, simulation, estimation, study):
+        if only and not {module.__name__.rpartition(".")[2]} & set(only):
+            continue
+        for comparison in module.run(size):
+            print(line(comparison._asdict()), flush=True)
+            yield comparison._asdict()
+
+
+def line(result: dict) -> str:
+    verdict = "met" if result["met"] else "NOT MET"
+    return (
+        f"{result['name']:<18} ours {result['ours_s']:10.5f} s  baseline "
+        f"{result['baseline_s']:10.5f} s  ratio {result['ratio']:8.2f}  target "
+        f"{result['target']:g}  {verdict}  {result['accuracy']}"
+    )
+
+
+def fallen(results: list[dict], recorded: list[dict]) -> list[str]:
+    """What is less than half as good, against the baseline, as when it was recorded."""
+    before = {result["name"]: result["ratio"] for result in recorded}
+    return [
+        f"{r['name']}: ratio {r['ratio']:.2f}, recorded {before[r['name']]:.2f}"
+        for r in results
+        if r["name"] in before and r["ratio"] < 0.5 * before[r["name"]]
+    ]
 
 
 def main() -> None:
-    jax.config.update("jax_enable_x64", True)
-    results = []
-    for module in (simulation, identification):
-        for comparison in module.run():
-            results.append(comparison._asdict())
-            print(
-                f"{comparison.name:<16} ours {comparison.ours_s:9.4f} s   baseline "
-                f"{comparison.baseline_s:9.4f} s   ratio {comparison.ratio:8.2f}   target "
-                f"{comparison.target:g}   {'met' if comparison.met else 'NOT MET'}   "
-                f"{comparison.accuracy}",
-                flush=True,
-            )
-    RESULTS.write_text(json.dumps(results, indent=2) + "\n")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--small", action="store_true", help="less of everything, in a minute")
+    parser.add_argument("--check", action="store_true", help="compare with what is recorded")
+    parser.add_argument("--only", nargs="*", default=[], help="files of benchmarks/suite")
+    arguments = parser.parse_args()
+    file = FOLDER / ("results_small.json" if arguments.small else "results.json")
+    results = list(measured(arguments.small, arguments.only))
+    recorded = json.loads(file.read_text()) if file.exists() else []
+    if arguments.check:
+        slower = fallen(results, recorded)
+        # Another program on the machine slows one side only: what is really slower stays so.
+        if slower:
+            print("again, for " + "; ".join(slower))
+            slower = fallen(list(measured(arguments.small, arguments.only)), recorded)
+        sys.exit("\n".join(slower) or 0)
+    from benchmarks.writing import write_json
+
+    names = {result["name"] for result in results}
+    kept = [result for result in recorded if result["name"] not in names]
+    write_json(file, [*kept, *results] if arguments.only else results)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Fair timing: both sides in one process, warmed up, blocked on, medians over repeats."""
+"""Fair timing: both sides in one process, warmed up, blocked on, in turn, medians over repeats."""
 
 import time
 from collections.abc import Callable
@@ -6,6 +6,27 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+
+
+class Size(NamedTuple):
+    """How much work is measured.
+
+    **Fields:** `long_samples` of the long record; `seeds` of windows, of which NumPy does
+    `numpy_seeds`; `batch` of roads; `replicates` that NumPy refits; `roads` of the study; repeats
+    of each side.
+    """
+
+    long_samples: int
+    seeds: int
+    numpy_seeds: int
+    batch: int
+    replicates: int
+    roads: int
+    repeats: int
+
+
+FULL = Size(4_000_000, 1000, 50, 64, 2000, 16, 9)
+SMALL = Size(400_000, 100, 20, 16, 200, 4, 5)
 
 
 class Comparison(NamedTuple):
@@ -21,25 +42,37 @@ class Comparison(NamedTuple):
     accuracy: dict[str, float]
 
 
-def median_seconds(work: Callable[[], Any], repeats: int) -> float:
-    """Median time of `work` after one warm-up, until its result is there."""
+def seconds(work: Callable[[], Any]) -> float:
+    """Time of `work` until its result is there."""
+    began = time.perf_counter()
     jax.block_until_ready(work())
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        jax.block_until_ready(work())
-        times.append(time.perf_counter() - began)
-    return float(np.median(times))
+    return time.perf_counter() - began
 
 
 def compare(
     name: str,
-    ours: float,
+    ours: Callable[[], Any],
     baseline: str,
-    baseline_s: float,
+    theirs: Callable[[], Any],
     target: float,
     accuracy: dict[str, float],
+    *,
+    repeats: int,
+    their_repeats: int | None = None,
+    scale: float = 1.0,
 ) -> Comparison:
-    """Put both times side by side."""
-    ratio = baseline_s / ours
-    return Comparison(name, ours, baseline, baseline_s, ratio, target, ratio >= target, accuracy)
+    """Time both sides in turn, after one call of each.
+
+    **Arguments:** `their_repeats`, fewer where the baseline takes long; `scale`, by which the
+    baseline's time is multiplied where it does only a part of the work.
+    """
+    seconds(ours)
+    seconds(theirs)
+    here, there = [], []
+    for turn in range(repeats):
+        here.append(seconds(ours))
+        if turn < (repeats if their_repeats is None else their_repeats):
+            there.append(scale * seconds(theirs))
+    ours_s, baseline_s = float(np.median(here)), float(np.median(there))
+    ratio = baseline_s / ours_s
+    return Comparison(name, ours_s, baseline, baseline_s, ratio, target, ratio >= target, accuracy)

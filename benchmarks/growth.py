@@ -1,0 +1,171 @@
+"""Seconds and peak memory against the size of the problem: `python -m benchmarks.growth`.
+
+Every point is a process of its own, since its peak of memory is what is measured; the second of two
+calls is timed. Writes benchmarks/growth.json and docs/images/growth.png.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.writing import write_json
+from riecjax.runtime import start_jax
+
+FOLDER = Path(__file__).parent
+PICTURE = FOLDER.parent / "docs" / "images" / "growth.png"
+PIECE = 2**20
+"""Samples that are in memory at once where a record is streamed."""
+POINTS = {
+    "samples": [10**4, 10**5, 10**6, 10**7, 10**8],
+    "windows": [10**3, 10**4, 10**5, 10**6, 10**7],
+    "seeds": [10, 100, 1000, 10000],
+    "roads": [1, 4, 16, 64, 256],
+    "parameters": [2, 4, 8, 16, 30, 60],
+}
+
+
+def record_of(samples: int, columns: int) -> Any:
+    from riecjax.records.record import Record
+
+    rng = np.random.default_rng(0)
+    return Record({f"s{i}": rng.normal(size=samples) for i in range(columns)}, 1e-3)
+
+
+def equation_of(parameters: int) -> Any:
+    from riecjax.equations.equation import Equation
+    from riecjax.equations.term import Term
+
+    unknown = [Term(f"p{i}", f"s{i}") for i in range(parameters)]
+    return Equation(*unknown, -Term(1.0, f"s{parameters}"))
+
+
+def all_windows(record: Any, parameters: int) -> Callable[[], Any]:
+    import equinox as eqx
+
+    from riecjax.criteria.criterion import RIEC
+    from riecjax.criteria.windows import AllWindows
+
+    criterion = RIEC(AllWindows(0.02, 0.2)).fitted([record])
+    equation = equation_of(parameters)
+    moments = eqx.filter_jit(lambda r: criterion.moments(equation, r)[0].sum(0))
+    return lambda: moments(record)
+
+
+def samples(count: int) -> Callable[[], Any]:
+    """Normal equations add up: a record that does not fit is summed in pieces."""
+    piece = all_windows(record_of(min(count, PIECE), 4), 3)
+    pieces = -(-count // PIECE)
+
+    def streamed() -> np.ndarray:
+        return np.sum([np.asarray(piece()) for _ in range(pieces)], axis=0)
+
+    return streamed
+
+
+def windows(count: int) -> Callable[[], Any]:
+    import equinox as eqx
+    import jax
+
+    from riecjax.criteria.criterion import RIEC
+    from riecjax.criteria.windows import RandomWindows
+    from riecjax.estimation.normal_equations import normal_equations
+
+    criterion = RIEC(RandomWindows(0.02, 0.2, count))
+    equation, record = equation_of(5), record_of(8000, 6)
+    drawn = eqx.filter_jit(lambda r, k: normal_equations(criterion.rows(equation, r, k)).moments)
+    return lambda: drawn(record, jax.random.key(0))
+
+
+def seeds(count: int) -> Callable[[], Any]:
+    import jax
+
+    from benchmarks.suite.all_windows import over_seeds
+    from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+    from riecjax.paper.reproduction import identification_record
+
+    source = quarter_car_source(reconstructed())
+    record = identification_record(source, jax.random.key(0)).record.select("x2", "x3", "x4")
+    keys = jax.random.split(jax.random.key(1), count)
+    return lambda: over_seeds(record, keys)
+
+
+def roads(count: int) -> Callable[[], Any]:
+    import jax
+
+    from benchmarks.suite.simulation import many_roads, noise
+    from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+
+    source = quarter_car_source(reconstructed())
+    velocities = jax.vmap(noise)(jax.random.split(jax.random.key(1), count))
+    return lambda: many_roads(source, velocities)
+
+
+def parameters(count: int) -> Callable[[], Any]:
+    return all_windows(record_of(10**5, count + 1), count)
+
+
+KINDS = {f.__name__: f for f in (samples, windows, seeds, roads, parameters)}
+
+
+def point(kind: str, count: int) -> dict[str, float]:
+    start_jax()
+    from benchmarks.timing import seconds
+
+    work = KINDS[kind](count)
+    first = seconds(work)
+    second = seconds(work)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"count": count, "first_s": first, "seconds": second, "peak_MiB": peak}
+
+
+def draw(found: dict[str, list[dict[str, float]]]) -> None:
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, len(found), figsize=(15, 6), sharex="col")
+    for (kind, points), (above, below) in zip(found.items(), axes.T):
+        counts = np.array([p["count"] for p in points])
+        times = np.array([p["seconds"] for p in points])
+        above.loglog(counts, times, "o-")
+        above.loglog(counts, times[-1] * counts / counts[-1], "k:", label="proportional")
+        below.semilogx(counts, [p["peak_MiB"] for p in points], "s-", color="C1")
+        below.set_ylim(bottom=0)
+        below.set_xlabel(kind)
+        above.grid(alpha=0.3)
+        below.grid(alpha=0.3)
+    axes[0, 0].set_ylabel("seconds, warm")
+    axes[1, 0].set_ylabel("peak memory of the process, MiB")
+    axes[0, 0].legend()
+    figure.tight_layout()
+    PICTURE.parent.mkdir(exist_ok=True)
+    figure.savefig(PICTURE, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--point", nargs=2, metavar=("KIND", "COUNT"), help="measure this one only")
+    arguments = parser.parse_args()
+    if arguments.point:
+        kind, count = arguments.point
+        print(json.dumps(point(kind, int(count))))
+        return
+    found = {}
+    for kind, counts in POINTS.items():
+        found[kind] = []
+        for count in counts:
+            command = [sys.executable, "-m", "benchmarks.growth", "--point", kind, str(count)]
+            run = subprocess.run(command, capture_output=True, text=True, check=True)
+            found[kind].append(json.loads(run.stdout.splitlines()[-1]))
+            print(kind, found[kind][-1], flush=True)
+    write_json(FOLDER / "growth.json", found)
+    draw(found)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What `make bench` compares, one file for each piece of work."""
