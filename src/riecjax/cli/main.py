@@ -1,5 +1,6 @@
 """Entry point of the command line."""
 
+import gc
 import importlib
 import os
 import sys
@@ -34,8 +35,13 @@ def cli() -> None:
     """Identify physical parameters of reduced mechanical models from recorded motion."""
 
 
+COLLECT_AFTER = 100_000
+"""New objects after which Python looks for cycles: tracing makes many, and hardly any cycle."""
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 no answer from these data, 2 wrong usage."""
+    gc.set_threshold(COLLECT_AFTER)
     sys.exit(run(arguments))
 
 

@@ -1,0 +1,41 @@
+"""A budget of compilation for each command: what is compiled is what a first run waits for."""
+
+import json
+
+import pytest
+from benchmarks.compilation import COMMANDS, FILE, compiled_by
+
+BUDGET = {
+    "models": (0, 0.0),
+    "simulate": (48, 6.0),
+    "check": (16, 4.0),
+    "identify": (24, 12.0),
+    "identify, refined": (68, 15.0),
+}
+"""Functions, and seconds of tracing and compiling: about three times those of a quiet machine."""
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compiled")
+    return {name: compiled_by(arguments, folder) for name, arguments in COMMANDS.items()}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_compile_no_more_than_their_budget(compiled, name):
+    functions, seconds = BUDGET[name]
+    assert compiled[name]["functions"] <= functions
+    assert compiled[name]["tracing_s"] + compiled[name]["compiling_s"] <= seconds
+
+
+def test_what_needs_no_jax_does_not_import_it(compiled):
+    assert not compiled["models"]["jax"]
+    assert compiled["identify"]["jax"]
+
+
+def test_the_recorded_figures_are_of_these_commands():
+    recorded = json.loads(FILE.read_text())
+    assert list(recorded) == list(COMMANDS)
+    for name, (functions, seconds) in BUDGET.items():
+        assert recorded[name]["functions"] <= functions
+        assert recorded[name]["tracing_s"] + recorded[name]["compiling_s"] <= seconds
