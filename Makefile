@@ -7,7 +7,7 @@ BIN := .venv/bin
 OUT := out
 
 .DELETE_ON_ERROR:
-.PHONY: run test setup lint format docs bench calibrate clean
+.PHONY: run test setup lint format docs bench bench-check calibrate clean
 
 run: .venv/installed
 	$(BIN)/riecjax reproduce --out $(OUT)/reproduce
@@ -37,8 +37,16 @@ format: .venv/installed
 docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-bench: .venv/installed
+bench: .venv/bench
 	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks.table
+
+bench-check: .venv/bench
+	$(BIN)/python -m benchmarks --small --check
+
+.venv/bench: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,bench]'
+	touch $@
 
 calibrate: .venv/installed
 	$(BIN)/python -m benchmarks.reconstruct_curves

@@ -1,1 +1,1 @@
-"""What benchmarks are compared with: plain NumPy, SciPy, numba, PySINDy and lmfit."""
+"""What benchmarks are compared with: plain NumPy, SciPy, numba and PySINDy."""

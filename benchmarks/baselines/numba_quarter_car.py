@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
+from numba import njit  # pyright: ignore[reportMissingImports]  (of the bench extra)
 
 from benchmarks.baselines.quarter_car import Car
 

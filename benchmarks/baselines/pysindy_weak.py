@@ -1,7 +1,7 @@
 """The oscillator with drag by PySINDy's weak form: x'' on x, x', u and x'|x'|."""
 
 import numpy as np
-import pysindy
+import pysindy  # pyright: ignore[reportMissingImports]  (of the bench extra)
 from jaxtyping import Float
 
 

@@ -1,0 +1,42 @@
+"""The page on speed shows what was recorded, and the suite notices what has become slow."""
+
+import json
+
+import pytest
+from benchmarks import table
+from benchmarks.__main__ import fallen
+
+NAMES = [
+    "all-windows-long",
+    "all-windows-paper",
+    "seeds",
+    "simulate-one",
+    "simulate-one-limit",
+    "simulate-batch",
+    "bootstrap",
+    "refine",
+    "weak-peer",
+    "study",
+]
+
+
+def test_the_table_is_what_was_recorded():
+    assert table.PAGE.read_text(encoding="utf-8") == table.page()
+
+
+@pytest.mark.parametrize("file", ["results.json", "results_small.json"])
+def test_results_hold_every_benchmark_and_its_own_arithmetic(file):
+    results = json.loads((table.FOLDER / file).read_text())
+    assert [result["name"] for result in results] == NAMES
+    for r in results:
+        assert r["ratio"] == pytest.approx(r["baseline_s"] / r["ours_s"])
+        assert r["met"] == (r["ratio"] >= r["target"])
+        assert r["accuracy"]
+
+
+def test_half_of_a_recorded_ratio_is_too_slow():
+    recorded = [{"name": "a", "ratio": 10.0}, {"name": "b", "ratio": 2.0}]
+    assert fallen([{"name": "a", "ratio": 5.1}, {"name": "new", "ratio": 0.1}], recorded) == []
+    (message,) = fallen([{"name": "a", "ratio": 4.9}, {"name": "b", "ratio": 2.0}], recorded)
+    assert "a" in message
+    assert "4.90" in message
