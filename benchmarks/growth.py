@@ -127,6 +127,7 @@ def point(kind: str, count: int) -> dict[str, float]:
 
 def draw(found: dict[str, list[dict[str, float]]]) -> None:
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
 
     figure, axes = plt.subplots(2, len(found), figsize=(15, 6), sharex="col")
     for (kind, points), (above, below) in zip(found.items(), axes.T):
@@ -135,7 +136,8 @@ def draw(found: dict[str, list[dict[str, float]]]) -> None:
         above.loglog(counts, times, "o-")
         above.loglog(counts, times[-1] * counts / counts[-1], "k:", label="proportional")
         below.semilogx(counts, [p["peak_MiB"] for p in points], "s-", color="C1")
-        below.set_ylim(bottom=0)
+        below.set_ylim(0, 1.1 * max(p["peak_MiB"] for p in points))
+        below.xaxis.set_minor_formatter(NullFormatter())
         below.set_xlabel(kind)
         above.grid(alpha=0.3)
         below.grid(alpha=0.3)
