@@ -1,5 +1,9 @@
 """Repetition over keys: chunks change the work, never the numbers."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -71,3 +75,34 @@ def test_all_chunks_and_further_studies_share_one_compilation():
     over_keys(counted, KEY, 10, jnp.array(1.0), chunk=4)
     over_keys(counted, jax.random.key(1), 6, jnp.array(2.0), chunk=4)
     assert len(TRACES) == 1
+
+
+ON_SEVERAL = """
+import sys
+from riecjax.runtime import start_jax
+start_jax(devices=2)
+import jax, numpy as np
+assert jax.local_device_count() == 2
+from test_monte_carlo import KEY, draw
+from riecjax.studies.monte_carlo import over_keys
+for chunk in (1, 4, 5):
+    found = over_keys(draw, KEY, 9, 2.0, chunk=chunk)
+    np.savez(f"{sys.argv[1]}/{chunk}.npz", **found)
+placed = over_keys(draw, KEY, 4, 2.0, chunk=4)["values"]
+print(len(placed.sharding.device_set))
+"""
+
+
+def test_results_do_not_depend_on_the_number_of_devices(tmp_path):
+    run = subprocess.run(
+        [sys.executable, "-c", ON_SEVERAL, str(tmp_path)],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    expected = over_keys(draw, KEY, 9, 2.0)
+    for chunk in (1, 4, 5):
+        found = np.load(tmp_path / f"{chunk}.npz")
+        assert_equal_trees({name: found[name] for name in expected}, expected)
+    assert run.stdout.split() == ["2"]

@@ -1,5 +1,6 @@
 """`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
+import os
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,7 +43,7 @@ def command(
         raise click.UsageError(
             "--roads excludes --full and --quick, which set the number of roads."
         )
-    start_jax(keep_compiled=True)
+    start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
     if full or quick:
         _study(seed, quick, as_json, out)
     else:

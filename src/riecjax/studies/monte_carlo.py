@@ -1,4 +1,8 @@
-"""One experiment repeated over many random keys, vmapped in chunks."""
+"""One experiment repeated over many random keys, vmapped in chunks, on all devices that there are.
+
+XLA keeps small batched operations on one core of a CPU; told that the CPU is several devices (see
+`riecjax.start_jax`), a chunk is shared out among them.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,6 +10,8 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Key
 
 
@@ -51,4 +57,22 @@ def keys_of(key: Key[Array, ""], count: int, first: int = 0) -> Key[Array, " cou
 def _batch(
     experiment: Callable[..., Any], keys: Key[Array, " chunk"], args: tuple[Any, ...]
 ) -> Any:
-    return jax.vmap(lambda key: experiment(key, *args))(keys)
+    arrays, others = eqx.partition(args, eqx.is_array)
+
+    def all_of(keys: Key[Array, " some"], arrays: tuple[Any, ...]) -> Any:
+        given = eqx.combine(arrays, others)
+        return jax.vmap(lambda key: experiment(key, *given))(keys)
+
+    devices = jax.local_devices()
+    if len(devices) == 1 or keys.shape[0] % len(devices):
+        return all_of(keys, arrays)
+    mesh = Mesh(np.array(devices), ("device",))
+    shared = PartitionSpec("device")
+    return jax.shard_map(
+        all_of,
+        mesh=mesh,
+        in_specs=(shared, PartitionSpec()),
+        out_specs=shared,
+        # Nothing is exchanged between devices, so there is nothing to check.
+        check_vma=False,
+    )(keys, arrays)
