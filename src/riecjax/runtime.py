@@ -1,6 +1,8 @@
 """JAX's global settings, which no import makes: the command line does, or whoever asks for it."""
 
 import os
+import platform
+import zlib
 from pathlib import Path
 
 SMALL_LOOP_BYTES = 10**6
@@ -63,7 +65,7 @@ def _keep_compiled() -> None:
     import jax
 
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(base) / "riecjax"
+    folder = Path(base) / "riecjax" / _processor()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -75,6 +77,16 @@ def _keep_compiled() -> None:
     # Small functions too: there are many of them.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _processor() -> str:
+    """A name for what compiled code may run on: homes are shared between machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.machine()
+    abilities = "".join(sorted({line for line in lines if line.startswith(("flags", "Features"))}))
+    return f"{platform.machine()}-{zlib.crc32(abilities.encode()):08x}"
 
 
 def _has_started() -> bool:

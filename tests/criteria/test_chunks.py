@@ -44,6 +44,7 @@ def test_chunks_add_up_to_the_whole(weight, gaps, monkeypatch):
     windows = AllWindows(0.1, 0.9).fitted([record])
     criterion = RIEC(windows, weight)
     (whole,) = stage_normal_equations(staged(EQUATION), record, criterion, None)
+    monkeypatch.setattr(chunks, "WHOLE", 700)
     monkeypatch.setattr(chunks, "CHUNK", 700)
     jax.clear_caches()
     assert windows.in_chunks(record)
@@ -96,6 +97,7 @@ def test_an_expression_that_mixes_samples_is_refused_where_it_would_see_only_a_c
     record = Record(arrays_of(5000), STEP)
     criterion = RIEC(AllWindows(0.1, 0.9))
     assert np.isfinite(identify(mixing, record, criterion)["k"])
+    monkeypatch.setattr(chunks, "WHOLE", 700)
     monkeypatch.setattr(chunks, "CHUNK", 700)
     with pytest.raises(ModelError, match="mixes samples"):
         identify(mixing, record, criterion)

@@ -11,12 +11,18 @@ from riecjax.records.record import Record
 
 CHUNK = 2**14
 """Samples to a chunk: large beside a window, and its columns fit into a processor's cache."""
+WHOLE = 2**17
+"""Samples up to which a record is not cut, so that expressions may look at all of it."""
+WHOLE_32_BIT = 2**14
+"""The same in 32-bit, where running integrals over more samples would lose digits."""
 
 
 def chunk_length(record: Record, block: int, reach: int) -> int:
     """Starts to a chunk, a whole number of blocks; the whole record if it is not much longer."""
-    wanted = max(CHUNK, 4 * reach)
-    return record.sample_count if record.sample_count <= wanted else -(-wanted // block) * block
+    uncut = WHOLE if record.time_step.dtype == jnp.float64 else WHOLE_32_BIT
+    if record.sample_count <= max(uncut, 4 * reach):
+        return record.sample_count
+    return -(-max(CHUNK, 4 * reach) // block) * block
 
 
 def is_chunked(record: Record, block: int, reach: int) -> bool:

@@ -1,0 +1,56 @@
+"""Global settings, each in a process of its own."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+CLEAN = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_", "XDG_"))}
+COMPILED = "import jax, jax.numpy as jnp; jax.jit(lambda x: jnp.sin(x) + 1)(jnp.ones(3))"
+
+
+def process(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code], env=CLEAN | environment, capture_output=True, text=True
+    )
+
+
+def test_it_turns_on_64_bit_and_keeps_what_stands_in_xla_flags():
+    run = process(
+        "import os; from riecjax import start_jax; start_jax()\n"
+        "import jax.numpy as jnp\n"
+        "print(jnp.ones(1).dtype, os.environ['XLA_FLAGS'])",
+        XLA_FLAGS="--xla_cpu_multi_thread_eigen=true",
+    )
+    dtype, *flags = run.stdout.split()
+    assert dtype == "float64"
+    assert flags[0] == "--xla_cpu_multi_thread_eigen=true"
+    assert sum("multi_thread_eigen" in flag for flag in flags) == 1
+    assert any("small_while_loop" in flag for flag in flags)
+
+
+def test_too_late_is_said_and_a_second_time_is_no_harm():
+    run = process(f"{COMPILED}\nfrom riecjax import start_jax; start_jax()")
+    assert "RuntimeError: start_jax() is too late" in run.stderr
+    again = "from riecjax import start_jax; start_jax()"
+    assert process(f"{again}\n{COMPILED}\n{again}").returncode == 0
+
+
+def test_what_is_compiled_is_kept_where_it_can_be(tmp_path):
+    code = f"from riecjax import start_jax; start_jax(keep_compiled=True)\n{COMPILED}"
+    assert process(code, XDG_CACHE_HOME=str(tmp_path)).returncode == 0
+    assert list(tmp_path.glob("riecjax/*/*-cache"))
+    elsewhere = tmp_path / "elsewhere"
+    chosen = {"XDG_CACHE_HOME": str(elsewhere), "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "own")}
+    assert process(code, **chosen).returncode == 0
+    assert not elsewhere.exists()
+    (tmp_path / "file").write_text("")
+    run = process(code, XDG_CACHE_HOME=str(tmp_path / "file"))
+    assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize("package", ["riecjax", "riecjax.runtime"])
+def test_imports_change_nothing(package):
+    run = process(f"import os; import {package}; print(os.environ.get('XLA_FLAGS'))")
+    assert run.stdout.split() == ["None"]
