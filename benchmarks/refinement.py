@@ -17,15 +17,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-import scipy.integrate
-import scipy.optimize
 
+from benchmarks.baselines import scipy_drag
 from benchmarks.drag_problem import (
     BOUND,
     RATE,
     START,
     TRUTH,
-    force,
     oscillator,
     record,
 )
@@ -36,6 +34,7 @@ from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
 from riecjax.refinement.refined import Refined
 from riecjax.refinement.shots import Tiles
+from riecjax.runtime import start_jax
 from riecjax.simulation.method import FixedStep
 from riecjax.studies.recovery import recovery_map
 
@@ -88,27 +87,10 @@ def warm(repeats: int = 9) -> float:
 def by_scipy(seed: int = 1) -> tuple[float, list[float]]:
     """Seconds and values of `least_squares` over RK45, its step far above the solver's noise."""
     own = record(seed)
-    measured = [np.asarray(own["x"]), np.asarray(own["dx"])]
-    times = np.asarray(own.time)
-
-    def residual(p: np.ndarray) -> np.ndarray:
-        m, r, r2, k, x0, v0 = p
-        run = scipy.integrate.solve_ivp(
-            lambda t, s: [s[1], (force(t) - r * s[1] - r2 * s[1] * abs(s[1]) - k * s[0]) / m],
-            (0, times[-1]),
-            [x0, v0],
-            t_eval=times,
-            rtol=1e-6,
-            atol=1e-8,
-        )
-        return np.concatenate([(run.y[i] - y) / y.std() for i, y in enumerate(measured)])
-
+    t, x, v, u = (np.asarray(values) for values in (own.time, own["x"], own["dx"], own["u"]))
     began = time.perf_counter()
-    start = [*START.values(), 0.0, 0.0]
-    found = scipy.optimize.least_squares(
-        residual, start, diff_step=1e-4, x_scale=[1, 1, 1, 10, 0.1, 0.1]
-    )
-    return time.perf_counter() - began, [float(value) for value in found.x[:4]]
+    found = scipy_drag.fit(t, x, v, u)
+    return time.perf_counter() - began, [found[name] for name in TRUTH]
 
 
 def recovery(starts: int) -> dict[str, Any]:
@@ -149,7 +131,7 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=256)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/refinement.json"))
     arguments = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
+    start_jax()
     if arguments.cold:
         print(cold())
         return
