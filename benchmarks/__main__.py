@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from benchmarks.writing import write_json
 from riecjax.runtime import start_jax
 
 FOLDER = Path(__file__).parent
@@ -64,8 +65,6 @@ def main() -> None:
             print("again, for " + "; ".join(slower))
             slower = fallen(list(measured(arguments.small, arguments.only)), recorded)
         sys.exit("\n".join(slower) or 0)
-    from benchmarks.writing import write_json
-
     names = {result["name"] for result in results}
     kept = [result for result in recorded if result["name"] not in names]
     write_json(file, [*kept, *results] if arguments.only else results)

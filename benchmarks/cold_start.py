@@ -5,7 +5,6 @@ one kept; `riecjax models`. Written to benchmarks/cold_start.json.
 """
 
 import argparse
-import os
 import statistics
 import subprocess
 import sys
@@ -13,6 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from benchmarks.afresh import environment
 from benchmarks.writing import write_json
 
 FILE = Path(__file__).with_name("cold_start.json")
@@ -25,15 +25,11 @@ TARGETS = {"identify_first_s": 4.0, "identify_again_s": 2.5, "models_s": 0.5}
 
 def until(last: str, arguments: tuple[str, ...], folder: Path, cache: str) -> tuple[float, float]:
     """Seconds until a line that begins with `last`, and until the end."""
-    environment = {
-        **{k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_"))},
-        "XDG_CACHE_HOME": cache,
-    }
     began, shown = time.perf_counter(), 0.0
     with subprocess.Popen(
         [*RIECJAX, *arguments],
         cwd=folder,
-        env=environment,
+        env=environment(cache),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

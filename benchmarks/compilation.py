@@ -5,12 +5,12 @@ runs in a process of its own that finds nothing compiled before.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.afresh import environment
 from benchmarks.writing import write_json
 
 FILE = Path(__file__).with_name("compilation.json")
@@ -53,13 +53,9 @@ sys.exit(status)
 def compiled_by(arguments: tuple[str, ...], folder: Path) -> dict[str, float]:
     """Functions that a command compiles, and seconds of tracing and of compiling."""
     with tempfile.TemporaryDirectory() as empty:
-        environment = {
-            **{k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_"))},
-            "XDG_CACHE_HOME": empty,
-        }
         command = [sys.executable, "-c", COUNTER, *arguments]
         run = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, check=True
+            command, cwd=folder, env=environment(empty), capture_output=True, text=True, check=True
         )
     return json.loads(run.stderr.splitlines()[-1])
 

@@ -49,15 +49,13 @@ def equation_of(parameters: int) -> Any:
 
 
 def all_windows(record: Any, parameters: int) -> Callable[[], Any]:
-    import equinox as eqx
-
+    from benchmarks.suite.all_windows import moments
     from riecjax.criteria.criterion import RIEC
     from riecjax.criteria.windows import AllWindows
 
     criterion = RIEC(AllWindows(0.02, 0.2)).fitted([record])
     equation = equation_of(parameters)
-    moments = eqx.filter_jit(lambda r: criterion.moments(equation, r)[0].sum(0))
-    return lambda: moments(record)
+    return lambda: moments(equation, record, criterion)
 
 
 def samples(count: int) -> Callable[[], Any]:

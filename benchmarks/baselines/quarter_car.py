@@ -114,18 +114,7 @@ def scipy_solution(
     car: Car, velocity: Float[np.ndarray, " n"], rate: float, rtol: float
 ) -> Float[np.ndarray, "n 7"]:
     """States at the samples of a road velocity, from rest."""
-    time = np.arange(velocity.size) / rate
-    solution = scipy.integrate.solve_ivp(
-        right_hand_side(car, velocity, rate),
-        (0.0, time[-1]),
-        np.zeros(7),
-        method="RK45",
-        t_eval=time,
-        rtol=rtol,
-        atol=rtol * 1e-3,
-        max_step=1 / rate,
-    )
-    return solution.y.T
+    return _integrated(right_hand_side(car, velocity, rate), velocity.size, rate, rtol)
 
 
 def numpy_solution(
@@ -158,10 +147,22 @@ def numpy_solution(
             ]
         )
 
+    return _integrated(derivative, velocity.size, rate, rtol)
+
+
+def _integrated(
+    derivative: Callable[[float, np.ndarray], list[float] | np.ndarray],
+    count: int,
+    rate: float,
+    rtol: float,
+) -> Float[np.ndarray, "n 7"]:
+    """By RK45, whose steps are no longer than a sample."""
+    time = np.arange(count) / rate
     run = scipy.integrate.solve_ivp(
         derivative,
         (0.0, time[-1]),
         np.zeros(7),
+        method="RK45",
         t_eval=time,
         rtol=rtol,
         atol=rtol * 1e-3,

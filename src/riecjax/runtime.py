@@ -2,6 +2,7 @@
 
 import os
 import platform
+import sys
 import zlib
 from pathlib import Path
 
@@ -90,8 +91,6 @@ def _processor() -> str:
 
 
 def _has_started() -> bool:
-    import sys
-
     if "jax" not in sys.modules:
         return False
     from jax._src import xla_bridge

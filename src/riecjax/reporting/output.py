@@ -56,11 +56,7 @@ def write_folder(folder: Path, document: Document, charts: Mapping[str, Chart], 
     from riecjax.reporting.charts.printed import print_chart
     from riecjax.reporting.rendering import render
 
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    except OSError as error:
-        raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
+    made = _folder_beside(folder)
     try:
         (made / "results.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
         pictures = {name: made / f"{name}.png" for name in charts}
@@ -84,9 +80,14 @@ def require_folder(folder: Path) -> None:
     **Raises:** `DataError` if not, or if a package for reports is missing.
     """
     require_report_packages()
+    _folder_beside(folder).rmdir()
+
+
+def _folder_beside(folder: Path) -> Path:
+    """A temporary folder next to one that is to be written."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.")).rmdir()
+        return Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     except OSError as error:
         raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
 
