@@ -2,35 +2,27 @@
 
 import gc
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from riecjax.runtime import start_jax
+from riecjax.runtime import processor, start_jax
 
-# What one worker or one process of the command line has compiled, no other compiles again. The
-# first process to come here makes the folder; those that it starts find its name.
-COMPILED = None
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    COMPILED = tempfile.mkdtemp(prefix="riecjax-tests-")
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = COMPILED
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+ROOT = Path(__file__).parents[1]
+PRODUCTION = os.environ.get("RIECJAX_TESTS") == "production"
+"""Whether to compile as users' processes do, rather than quickly."""
 
-# As the command line does.
-start_jax()
+# What one worker, run or process of the command line has compiled, no other compiles again.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "compiled" / processor()))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+
+# Compiling is four fifths of what the tests take, and most of what they call they call once.
+start_jax(once=not PRODUCTION)
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
-
-
-def pytest_unconfigure() -> None:
-    if COMPILED is not None:
-        shutil.rmtree(COMPILED, ignore_errors=True)
-
 
 MOST_MAPS = 20_000
 """Memory maps of a process past which compiled functions are forgotten; Linux allows 65530."""

@@ -66,7 +66,7 @@ def _keep_compiled() -> None:
     import jax
 
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(base) / "riecjax" / _processor()
+    folder = Path(base) / "riecjax" / processor()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -80,7 +80,7 @@ def _keep_compiled() -> None:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def _processor() -> str:
+def processor() -> str:
     """A name for what compiled code may run on: homes are shared between machines."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
