@@ -1,13 +1,14 @@
 # make run    reproduces the paper's tables, then simulates a recording and identifies it
-# make test   runs the tests
-# Both build .venv first. PYTHON=python3.12 picks another interpreter.
+# make test   runs the tests, compiled quickly
+# make nightly  runs all of them, slow ones too, compiled as for users
+# Each builds .venv first. PYTHON=python3.12 picks another interpreter.
 
 PYTHON ?= python3
 BIN := .venv/bin
 OUT := out
 
 .DELETE_ON_ERROR:
-.PHONY: run test setup lint format docs bench bench-check calibrate clean
+.PHONY: run test nightly setup lint format docs bench bench-check calibrate clean
 
 run: .venv/installed
 	$(BIN)/riecjax reproduce --out $(OUT)/reproduce
@@ -16,6 +17,9 @@ run: .venv/installed
 
 test: .venv/installed
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+nightly: .venv/installed
+	RIECJAX_TESTS=production $(BIN)/python -m pytest -n 2 --dist loadfile -m "slow or not slow"
 
 setup: .venv/installed
 
@@ -52,4 +56,4 @@ calibrate: .venv/installed
 	$(BIN)/python -m benchmarks.reconstruct_curves
 
 clean:
-	rm -rf .venv $(OUT) site
+	rm -rf .venv .cache $(OUT) site

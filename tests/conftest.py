@@ -18,8 +18,14 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 # Compiling is four fifths of what the tests take, and most of what they call they call once.
 start_jax(once=not PRODUCTION)
 
+import hypothesis  # noqa: E402
 import jax  # noqa: E402
 import pytest  # noqa: E402
+
+# The same cases in every run; new ones where a night is there to look at what they find.
+hypothesis.settings.register_profile("repeated", derandomize=True, deadline=None)
+hypothesis.settings.register_profile("searching", deadline=None)
+hypothesis.settings.load_profile("searching" if PRODUCTION else "repeated")
 
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -1,18 +1,11 @@
-"""A budget of compilation for each command: what is compiled is what a first run waits for."""
+"""A budget of functions that each command compiles: what a first run waits for."""
 
 import json
 
 import pytest
 from benchmarks.compilation import COMMANDS, FILE, compiled_by
 
-BUDGET = {
-    "models": (0, 0.0),
-    "simulate": (48, 6.0),
-    "check": (16, 4.0),
-    "identify": (24, 12.0),
-    "identify, refined": (68, 15.0),
-}
-"""Functions, and seconds of tracing and compiling: about three times those of a quiet machine."""
+BUDGET = {"models": 0, "simulate": 48, "check": 16, "identify": 24, "identify, refined": 68}
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +16,7 @@ def compiled(tmp_path_factory):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_commands_compile_no_more_than_their_budget(compiled, name):
-    functions, seconds = BUDGET[name]
-    assert compiled[name]["functions"] <= functions
-    assert compiled[name]["tracing_s"] + compiled[name]["compiling_s"] <= seconds
+    assert compiled[name]["functions"] <= BUDGET[name]
 
 
 def test_what_needs_no_jax_does_not_import_it(compiled):
@@ -36,6 +27,5 @@ def test_what_needs_no_jax_does_not_import_it(compiled):
 def test_the_recorded_figures_are_of_these_commands():
     recorded = json.loads(FILE.read_text())
     assert list(recorded) == list(COMMANDS)
-    for name, (functions, seconds) in BUDGET.items():
+    for name, functions in BUDGET.items():
         assert recorded[name]["functions"] <= functions
-        assert recorded[name]["tracing_s"] + recorded[name]["compiling_s"] <= seconds

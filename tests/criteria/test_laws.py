@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,15 +34,22 @@ def record_of(n=400, gaps=3):
     return Record.from_samples({"x": x, "dx": dx, "u": u}, time_step=STEP)
 
 
+@eqx.filter_jit
+def integrated(weight, record, windows):
+    return weight.integrals(EQUATION, record, windows)
+
+
 def one_by_one(record, weight, length_weights):
     """Weighted least squares over every window; `length_weights`: samples to weight."""
     columns = 1 + len(EQUATION.parameters)
     total = np.zeros((columns, columns))
     for samples, w in length_weights.items():
-        start = np.arange(record.sample_count - samples)
+        # One shape for all lengths: windows past the last start are drawn again, and left out.
+        every = np.arange(record.sample_count)
+        start = np.minimum(every, record.sample_count - samples - 1)
         windows = WindowSet(jnp.asarray(start), jnp.asarray(start + samples))
-        integrals, whole = weight.integrals(EQUATION, record, windows)
-        rows = np.asarray(integrals)[:, np.asarray(whole)]
+        integrals, whole = integrated(weight, record, windows)
+        rows = np.asarray(integrals)[:, np.asarray(whole) & (start == every)]
         total = total + w * rows @ rows.T
     return np.linalg.solve(total[1:, 1:], total[1:, 0])
 

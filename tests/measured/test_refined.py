@@ -20,7 +20,6 @@ def test_friction_that_rises_from_rest_explains_the_controlled_axis_better():
     assert found["q"] < 0.00075
 
 
-@pytest.mark.slow
 def test_silverbox_is_simulated_below_the_best_black_boxes_of_the_literature():
     record = silverbox.load_silverbox(measured_data("silverbox"))
     fine = upsample(record, silverbox.FACTOR)

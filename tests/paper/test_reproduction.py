@@ -117,7 +117,6 @@ def test_road_identifies_on_its_own_record_and_windows(criterion, alone, trainin
             np.testing.assert_allclose(found[variant][name], expected[variant][name], rtol=1e-7)
 
 
-@pytest.mark.slow
 def test_vmapped_roads_equal_one_by_one(alone):
     together = eqx.filter_jit(jax.vmap(road_result))(KEYS)
     assert bool(jnp.all(together.successful))

@@ -15,8 +15,6 @@ from riecjax.cli.main import run
 from riecjax.reporting.output import write_folder
 from riecjax.reporting.page import Page, Section, Table
 
-pytestmark = pytest.mark.slow
-
 WIDTHS = (390, 1280)
 
 

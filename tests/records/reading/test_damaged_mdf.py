@@ -1,6 +1,5 @@
 """MDF files are read in a process of their own, whose end, by whatever cause, is one line here."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +67,7 @@ LIBRARIES = {
     "fails": "def MDF(stream):\n    raise RuntimeError('two\\nlines')",
     "out of memory": "def MDF(stream):\n    raise MemoryError",
     "asks for too much": "def MDF(stream):\n    return bytearray(2**40)",
-    "hangs": "import time\ntime.sleep(60)",
+    "hangs": "import time\ntime.sleep(10**6)",
 }
 
 
@@ -78,14 +77,12 @@ def test_whatever_the_library_does(tmp_path, monkeypatch, capfd, library):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(measurement, "PATIENCE", 2.0 if library == "hangs" else 60.0)
     (tmp_path / "a.mf4").write_bytes(b"MDF     4.10    ")
-    began = time.monotonic()
     if library in ("out of memory", "asks for too much"):
         with pytest.raises(MemoryError):
             read_channels(tmp_path / "a.mf4")
     else:
         with pytest.raises(DataError, match=r"^a\.mf4: not a readable MDF file: .*\.$|: two$"):
             read_channels(tmp_path / "a.mf4")
-    assert time.monotonic() - began < 30
     assert capfd.readouterr() == ("", "")
 
 
