@@ -1,6 +1,5 @@
 """Refinement on measured recordings: a model is judged by what it simulates."""
 
-import pytest
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 
 from conftest import measured_data
