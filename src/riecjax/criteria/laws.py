@@ -90,7 +90,7 @@ class SteppedLaw(AbstractLaw):
 
     def describe(self) -> dict[str, object]:
         """The weights."""
-        return {"law": [float(weight) for weight in np.asarray(self.weights)]}
+        return {"law": np.asarray(self.weights).tolist()}
 
 
 class RatioLaw(AbstractLaw):
@@ -122,7 +122,7 @@ class RatioLaw(AbstractLaw):
 
     def describe(self) -> dict[str, object]:
         """The weights."""
-        return {"law": [float(w) for w in np.asarray(self.weights)], "parts": "equal ratios"}
+        return {"law": np.asarray(self.weights).tolist(), "parts": "equal ratios"}
 
 
 class DensityLaw(AbstractLaw):

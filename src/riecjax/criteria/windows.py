@@ -189,7 +189,7 @@ class AllWindows(AbstractWindows):
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
-        band = {"alpha": float(self.alpha), "beta": float(self.beta)}
+        band = {"alpha": np.asarray(self.alpha).tolist(), "beta": np.asarray(self.beta).tolist()}
         return {**band, "windows": "all", **self.law.describe()}
 
 
@@ -240,8 +240,8 @@ class RandomWindows(AbstractWindows):
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
         return {
-            "alpha": float(self.alpha),
-            "beta": float(self.beta),
+            "alpha": np.asarray(self.alpha).tolist(),
+            "beta": np.asarray(self.beta).tolist(),
             "windows": self.count,
         }
 

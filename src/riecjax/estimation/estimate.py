@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate
+from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import StageSolution
@@ -32,7 +32,9 @@ class Estimate(AbstractEstimate):
     """Parameters with units and uncertainty, and how they were obtained.
 
     A pytree: `theta` and `covariance` differentiate and vmap. Reading values one by one works as
-    with a mapping: `estimate["M_s"]`.
+    with a mapping: `estimate["M_s"]`. Under `jax.vmap` it becomes a batch, whose axes come first:
+    `estimate["M_s"]` then has the batch's shape, printing shows the distribution over the batch,
+    and `estimate.member(3)` is one of its estimates.
 
     **Fields:**
 
@@ -52,46 +54,46 @@ class Estimate(AbstractEstimate):
       that is known.
     """
 
-    theta: Float[Array, " p"]
+    theta: Float[Array, "*batch p"]
     uncertainty: Uncertainty
-    naive: Float[Array, " p"]
-    inflation: Float[Array, " p"]
+    naive: Float[Array, "*batch p"]
+    inflation: Float[Array, "*batch p"]
     stages: tuple[StageSolution, ...]
     known: dict[str, Array]
     criterion: AbstractCriterion
-    block_count: Int[Array, ""]
-    block_length: Float[Array, ""]
+    block_count: Int[Array, "*batch"]
+    block_length: Float[Array, "*batch"]
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
     rows_offered: tuple[float | None, ...] = eqx.field(static=True)
 
     @property
-    def effective_windows(self) -> Float[Array, " p"]:
+    def effective_windows(self) -> Float[Array, "*batch p"]:
         """How many independent windows would tell each parameter as well as all of them do.
 
         The number of rows, times the ratio of naive to actual variance.
         """
         xp = namespace(self.naive)
-        rows = xp.concatenate([xp.full(len(s.parameters), s.count) for s in self.stages])
+        counts = [stage.count[..., None] for stage in self.stages for _ in stage.parameters]
+        rows = xp.concatenate(counts, axis=-1)
         variance = self.standard_errors**2
         ratio = xp.square(self.naive) / xp.where(variance > 0, variance, 1.0)
         return xp.where(variance > 0, rows * ratio, rows)
 
     @property
-    def condition_number(self) -> Float[Array, ""]:
+    def condition_number(self) -> Float[Array, "*batch"]:
         """The largest among the stages, of the regressors with columns scaled to unit length."""
         xp = namespace(self.theta)
-        return xp.max(xp.stack([stage.solution.condition_number for stage in self.stages]))
+        return xp.max(xp.stack([stage.solution.condition_number for stage in self.stages]), axis=0)
 
     @property
-    def rank(self) -> Array:
+    def rank(self) -> Int[Array, "*batch"]:
         """Sum of the stages' ranks; the number of parameters when all can be told apart."""
         xp = namespace(self.theta)
         return xp.sum(xp.stack([stage.solution.rank for stage in self.stages]), axis=0)
 
-    def findings(self) -> list[Finding]:
-        """What a user should know before trusting this estimate (not under jit)."""
+    def _findings(self) -> list[Finding]:
         return [
             *self._conditioning(),
             *self._wide_intervals(),
@@ -187,7 +189,7 @@ class Estimate(AbstractEstimate):
 
     def weakest_combination(self) -> str:
         """The combination of parameters that the data tells least about, in words."""
-        worst = max(self.stages, key=lambda stage: float(stage.solution.condition_number))
+        worst = max(self.single().stages, key=lambda stage: float(stage.solution.condition_number))
         return combination(worst.parameters, np.asarray(worst.solution.weakest_direction))
 
     def _rounding(self) -> float:
@@ -198,12 +200,12 @@ class Estimate(AbstractEstimate):
     def __str__(self) -> str:
         lines = [*self.parameter_lines()]
         lines.append(
-            f"intervals: {self.uncertainty.label}, {int(self.block_count)} blocks of "
-            f"{float(self.block_length):.3g} s"
+            f"intervals: {self.uncertainty.label}, {span(self.block_count, 'd')} blocks of "
+            f"{span(self.block_length)} s"
         )
-        lines.append(f"condition number {float(self.condition_number):.3g}")
+        lines.append(f"condition number {span(self.condition_number)}")
         lines.extend(
-            f"{label}: relative residual {100 * float(stage.relative_rms):.3g} %"
+            f"{label}: relative residual {span(100 * np.asarray(stage.relative_rms))} %"
             for label, stage in zip(self.stage_names, self.stages)
         )
         lines.extend(f"warning [{code}] {message}" for code, message in self.findings())

@@ -1,15 +1,18 @@
 """Parameters with units and uncertainty, however they were estimated."""
 
 from collections.abc import Iterator, Mapping
+from typing import Any, Self
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.findings import Finding
-from riecjax.leaves import namespace
+from riecjax.leaves import namespace, on_host
 
 LOST_SHARE = 0.05
 """Share of the bootstrap's replicates that may leave a parameter undetermined."""
@@ -27,25 +30,30 @@ NEVER_NEGATIVE = {
 class AbstractEstimate(eqx.Module):
     """Estimated and known parameters, read one by one as from a mapping: `estimate["M_s"]`.
 
+    Of `jax.vmap` it is a batch: every array has the batch's axes first, whatever is read by name
+    has the batch's shape, and [`member`][riecjax.Estimate.member] takes one estimate out.
+
     **Fields:**
 
-    - `theta`: estimated values, in the order of `parameters`, shape `(p,)`.
+    - `theta`: estimated values, in the order of `parameters`, shape `(..., p)`.
     - `uncertainty`: covariance of theta and what makes intervals.
     - `known`: parameters that were not estimated, with their values.
     - `parameters`: names of those that were estimated.
     - `units`: pairs of name and unit, of known parameters too.
     """
 
-    theta: eqx.AbstractVar[Float[Array, " p"]]
+    theta: eqx.AbstractVar[Float[Array, "*batch p"]]
     uncertainty: eqx.AbstractVar[Uncertainty]
     known: eqx.AbstractVar[dict[str, Array]]
     parameters: eqx.AbstractVar[tuple[str, ...]]
     units: eqx.AbstractVar[tuple[tuple[str, str], ...]]
 
-    def __getitem__(self, name: str) -> Float[Array, ""]:
-        if name in self.known:
-            return self.known[name]
-        return self.theta[self._index(name)]
+    def __getitem__(self, name: str) -> Float[Array, "*batch"]:
+        if name not in self.known:
+            return self.theta[..., self._index(name)]
+        value, shape = self.known[name], self.batch_shape
+        # What is known may be one value for all of a batch.
+        return value if value.shape == shape else namespace(value).broadcast_to(value, shape)
 
     def __iter__(self) -> Iterator[str]:
         return iter((*self.parameters, *self.known))
@@ -56,34 +64,102 @@ class AbstractEstimate(eqx.Module):
         return {name: self[name] for name in self}
 
     @property
-    def covariance(self) -> Float[Array, "p p"]:
+    def batch_shape(self) -> tuple[int, ...]:
+        """Axes that `jax.vmap` added: `()` of one estimate."""
+        return self.theta.shape[:-1]
+
+    def member(self, *index: int) -> Self:
+        """One estimate of a batch: `batch.member(3)`, or `batch.member(3, 0)` of a nested one.
+
+        **Raises:** `ModelError` if there is none at this place.
+        """
+        shape = self.batch_shape
+        if len(index) > len(shape) or any(not -n <= i < n for i, n in zip(index, shape)):
+            raise ModelError(f"no member {index} in a batch of shape {shape}.")
+
+        def taken(leaf: Any) -> Any:
+            return leaf[index] if eqx.is_array(leaf) and leaf.shape[: len(shape)] == shape else leaf
+
+        return jax.tree.map(taken, self)
+
+    def single(self) -> Self:
+        """This estimate.
+
+        **Raises:** `ModelError` if it is a batch.
+        """
+        if self.batch_shape:
+            raise ModelError(
+                f"one estimate is wanted, not a batch of shape {self.batch_shape}: take one out "
+                f"by member(0), or go over all of them by jax.vmap."
+            )
+        return self
+
+    @property
+    def covariance(self) -> Float[Array, "*batch p p"]:
         """Covariance of theta."""
         return self.uncertainty.covariance
 
     @property
-    def standard_errors(self) -> Float[Array, " p"]:
+    def standard_errors(self) -> Float[Array, "*batch p"]:
         """Square roots of the covariance's diagonal."""
         xp = namespace(self.covariance)
-        return xp.sqrt(xp.diagonal(self.covariance))
+        return xp.sqrt(xp.diagonal(self.covariance, axis1=-2, axis2=-1))
 
-    def standard_error(self, name: str) -> Float[Array, ""]:
+    def standard_error(self, name: str) -> Float[Array, "*batch"]:
         """Standard error of one estimated parameter."""
-        return self.standard_errors[self._index(name)]
+        return self.standard_errors[..., self._index(name)]
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval (not under jit); see [`Uncertainty.reach`][]."""
+    def interval(self, name: str, level: float = 0.95) -> tuple[Any, Any]:
+        """Ends of the confidence interval (not under jit); see [`Uncertainty.reach`][].
+
+        Floats, or of a batch arrays of its shape.
+        """
         index = self._index(name)
+        low, high = (ends[..., index] for ends in self.intervals(level))
+        return (low, high) if self.batch_shape else (float(low), float(high))
+
+    def intervals(
+        self, level: float = 0.95
+    ) -> tuple[Float[np.ndarray, "*batch p"], Float[np.ndarray, "*batch p"]]:
+        """Lower and upper ends of the confidence intervals of all `parameters` (not under jit)."""
         below, above = self.uncertainty.reach(level)
-        value, error = float(self[name]), float(self.standard_error(name))
-        return value - float(below[index]) * error, value + float(above[index]) * error
+        theta, errors = np.asarray(self.theta), np.asarray(self.standard_errors)
+        return theta - below * errors, theta + above * errors
 
     @property
-    def correlation(self) -> Float[Array, "p p"]:
+    def correlation(self) -> Float[Array, "*batch p p"]:
         """Correlation matrix of theta."""
         errors = self.standard_errors
         xp = namespace(errors)
         scale = xp.where(errors > 0, 1 / xp.where(errors > 0, errors, 1.0), 0.0)
-        return self.covariance * scale[:, None] * scale[None, :]
+        return self.covariance * scale[..., :, None] * scale[..., None, :]
+
+    def findings(self) -> list[Finding]:
+        """What a user should know before trusting this (not under jit).
+
+        Of a batch, each code once: how many members it concerns, and what it says of the first.
+        """
+        host = on_host(self)
+        if not self.batch_shape:
+            return host._findings()
+        first: dict[str, str] = {}
+        concerned: dict[str, int] = {}
+        for place in np.ndindex(self.batch_shape):
+            at = ", ".join(map(str, place))
+            said = host.member(*place)._findings()
+            for code, message in said:
+                first.setdefault(code, f"first in member {at}: {message}")
+            for code in {code for code, _ in said}:
+                concerned[code] = concerned.get(code, 0) + 1
+        size = int(np.prod(self.batch_shape))
+        return [
+            Finding(code, f"in {concerned[code]} of {size} members, {message}")
+            for code, message in first.items()
+        ]
+
+    def _findings(self) -> list[Finding]:
+        """Of one estimate."""
+        raise NotImplementedError
 
     def negative_values(self) -> Iterator[Finding]:
         """Masses and dampers whose whole interval lies below zero (not under jit)."""
@@ -118,16 +194,44 @@ class AbstractEstimate(eqx.Module):
 
     def parameter_lines(self) -> Iterator[str]:
         """A table with value, interval and unit of each parameter (not under jit)."""
+        host = on_host(self)
+        yield from host._batch_lines() if self.batch_shape else host._lines()
+
+    def _lines(self) -> Iterator[str]:
         width = max(9, *(len(name) for name in self))
         units = dict(self.units)
         yield f"{'parameter':<{width}}  {'value':>12}  95 % interval"
+        ends = dict(zip(self.parameters, zip(*self.intervals())))
         for name in self:
-            if name in self.known:
-                reach = "known"
-            else:
-                low, high = self.interval(name)
-                reach = f"[{low:.6g}, {high:.6g}]"
+            reach = "known" if name in self.known else "[{:.6g}, {:.6g}]".format(*ends[name])
             line = f"{name:<{width}}  {float(self[name]):>12.6g}  {reach} {units.get(name, '')}"
+            yield line.rstrip()
+
+    def _batch_lines(self) -> Iterator[str]:
+        """Of each parameter, how it is distributed over the batch.
+
+        Scatter over members is not uncertainty of one of them, so both are told.
+        """
+        width = max(9, *(len(name) for name in self))
+        units = dict(self.units)
+        finite = np.isfinite(self.theta).all(axis=-1)
+        size, lost = finite.size, int(np.sum(~finite))
+        kept = finite if lost < size else np.full(finite.shape, True)
+        left_out = f", {lost} of them not finite and left out of this table" if lost else ""
+        yield f"batch of {' x '.join(map(str, self.batch_shape))} estimates{left_out}"
+        yield (
+            f"{'parameter':<{width}}  {'mean':>12}  {'std over batch':>14}  "
+            f"{'mean std error':>14}  min .. max"
+        )
+        for name in self:
+            values, error = self[name][kept], "known"
+            if name not in self.known:
+                error = f"{np.mean(self.standard_error(name)[kept]):.3g}"
+            scatter = np.std(values - values[0], ddof=min(1, values.size - 1))
+            line = (
+                f"{name:<{width}}  {np.mean(values):>12.6g}  {scatter:>14.3g}  {error:>14}  "
+                f"{span(values, '.6g')} {units.get(name, '')}"
+            )
             yield line.rstrip()
 
     def _index(self, name: str) -> int:
@@ -137,3 +241,12 @@ class AbstractEstimate(eqx.Module):
             raise ModelError(
                 f"no estimated parameter '{name}'; there are: {', '.join(self.parameters)}."
             ) from None
+
+
+def span(values: ArrayLike, form: str = ".3g") -> str:
+    """A number in words, or of a batch its least and largest."""
+    numbers = np.ravel(np.asarray(values))
+    finite = numbers[np.isfinite(numbers)]
+    ends = (finite.min(), finite.max()) if finite.size else (numbers[0], numbers[0])
+    low, high = (f"{end:{form}}" for end in ends)
+    return low if low == high else f"{low} .. {high}"

@@ -140,7 +140,7 @@ def _setup(
     if isinstance(start, AbstractEstimate):
         units = {**units, **dict(start.units)} if not names else units
         known = {**start.known, **known}
-        start = {name: start[name] for name in start.parameters}
+        start = {name: start.single()[name] for name in start.parameters}
     given = {**start, **known}
     local = names or tuple(dict.fromkeys(_local(name, own) for name in given))
     sharing = Sharing(local, own, len(records))

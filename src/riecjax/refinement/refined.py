@@ -1,5 +1,6 @@
 """What a refinement found, and how far it can be trusted."""
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
@@ -7,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate
+from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.findings import Finding
 from riecjax.refinement.optimum import RefinementStatus
@@ -16,7 +17,8 @@ from riecjax.refinement.optimum import RefinementStatus
 class Refined(AbstractEstimate):
     """Refined parameters with units and uncertainty, and how they were found.
 
-    A pytree that differentiates and vmaps; values are read one by one as from a mapping.
+    A pytree that differentiates and vmaps; values are read one by one as from a mapping, of a
+    batch with the batch's shape.
 
     **Fields:**
 
@@ -32,7 +34,7 @@ class Refined(AbstractEstimate):
     - `by`: what was made small, in plain data.
     """
 
-    theta: Float[Array, " p"]
+    theta: Float[Array, "*batch p"]
     uncertainty: Uncertainty
     known: dict[str, Array]
     status: RefinementStatus
@@ -54,17 +56,19 @@ class Refined(AbstractEstimate):
     by: tuple[tuple[str, Any], ...] = eqx.field(static=True)
 
     @property
-    def converged(self) -> Bool[Array, ""]:
+    def converged(self) -> Bool[Array, "*batch"]:
         """Whether the search ended at an optimum."""
         return self.status == RefinementStatus.converged
 
     @property
     def reason(self) -> str:
-        """How the search ended, in words (not under jit)."""
-        return RefinementStatus[self.status]
+        """How the search ended, in words, of a batch with numbers of members (not under jit)."""
+        if not self.batch_shape:
+            return RefinementStatus[self.status]
+        ended = (self.member(*place).reason for place in np.ndindex(self.batch_shape))
+        return ", ".join(f"{number} x {words}" for words, number in Counter(ended).items())
 
-    def findings(self) -> list[Finding]:
-        """What a user should know before trusting this (not under jit)."""
+    def _findings(self) -> list[Finding]:
         return [
             *self._not_converged(),
             *self._bounds(),
@@ -112,12 +116,9 @@ class Refined(AbstractEstimate):
                 )
 
     def __str__(self) -> str:
-        lines = [*self.parameter_lines(), f"{self.reason} after {int(self.steps)} steps"]
-        lines += [
-            f"{name}: {float(before):.4g} -> {float(after):.4g} {unit} r.m.s.".replace("  ", " ")
-            for name, before, after, unit in zip(
-                self.quantities, self.rms_before, self.rms, self.quantity_units
-            )
-        ]
+        lines = [*self.parameter_lines(), f"{self.reason} after {span(self.steps, 'd')} steps"]
+        for i, (name, unit) in enumerate(zip(self.quantities, self.quantity_units)):
+            left = [span(np.asarray(rms)[..., i], ".4g") for rms in (self.rms_before, self.rms)]
+            lines.append(f"{name}: {' -> '.join(left)} {unit} r.m.s.".replace("  ", " "))
         lines.extend(f"warning [{code}] {message}" for code, message in self.findings())
         return "\n".join(lines)

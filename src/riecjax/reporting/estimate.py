@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+from jaxtyping import Array
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -12,16 +14,19 @@ from riecjax.reporting.parameters import parameter_entries
 
 
 def estimate_entries(model: str, estimate: Estimate) -> Document:
-    """What is known as soon as a model is identified: the first part of the document."""
+    """What is known as soon as a model is identified: the first part of the document.
+
+    Numbers of a batch are nested lists of its shape.
+    """
     stages = [
         {
             "equation": name,
             "parameters": list(stage.parameters),
-            "relative_rms": float(stage.relative_rms),
-            "rms": float(stage.residual_rms),
-            "rows": int(stage.count),
-            "condition_number": finite(float(stage.solution.condition_number)),
-            "rank": int(stage.solution.rank),
+            "relative_rms": finite(stage.relative_rms),
+            "rms": finite(stage.residual_rms),
+            "rows": _whole(stage.count),
+            "condition_number": finite(stage.solution.condition_number),
+            "rank": _whole(stage.solution.rank),
         }
         for name, stage in zip(estimate.stage_names, estimate.stages)
     ]
@@ -32,13 +37,17 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
         "criterion": estimate.criterion.describe(),
         "parameters": _identified(estimate),
         "known": {
-            name: {"value": float(value), "unit": units.get(name, "")}
-            for name, value in estimate.known.items()
+            name: {"value": finite(estimate[name]), "unit": units.get(name, "")}
+            for name in estimate.known
         },
-        "condition_number": finite(float(estimate.condition_number)),
-        "rank": int(estimate.rank),
+        "condition_number": finite(estimate.condition_number),
+        "rank": _whole(estimate.rank),
         "residual": {"relative_rms": stages[-1]["relative_rms"], "stages": stages},
     }
+
+
+def _whole(number: Array) -> Any:
+    return np.asarray(number).astype(int).tolist()
 
 
 def _identified(estimate: Estimate) -> dict[str, Any]:
@@ -47,8 +56,8 @@ def _identified(estimate: Estimate) -> dict[str, Any]:
     effective = estimate.effective_windows
     for i, name in enumerate(estimate.parameters):
         entries[name] |= {
-            "naive_std_error": finite(float(estimate.naive[i])),
-            "effective_windows": finite(float(effective[i])),
+            "naive_std_error": finite(estimate.naive[..., i]),
+            "effective_windows": finite(effective[..., i]),
         }
     return entries
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
+from numpy.typing import ArrayLike
 from rich.console import Console
 
 from riecjax.errors import DataError
@@ -122,6 +124,9 @@ def number(value: float | None, digits: int = 6) -> str:
     return "none" if value is None else f"{value:.{digits}g}"
 
 
-def finite(value: float) -> float | None:
-    """The value, or `None` where JSON has no word for it."""
-    return value if math.isfinite(value) else None
+def finite(value: ArrayLike) -> Any:
+    """The number, or `None` where JSON has no word for it; of an array, nested lists of them."""
+    if np.ndim(value):
+        return [finite(each) for each in np.asarray(value)]
+    number = np.asarray(value).item()
+    return number if math.isfinite(number) else None

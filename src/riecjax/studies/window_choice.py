@@ -130,7 +130,7 @@ def window_choice(
     missing signal or records of unequal time steps.
     """
     recordings = [records] if isinstance(records, Record) else list(records)
-    values = estimate.values if isinstance(estimate, Estimate) else estimate
+    values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     criterion = estimate.criterion if isinstance(estimate, Estimate) else None
     if isinstance(criterion, RIEC):
         windows = windows or criterion.windows

@@ -217,7 +217,7 @@ def residual_tests(
     records of unequal time steps or too short ones.
     """
     recordings = [records] if isinstance(records, Record) else list(records)
-    values = estimate.values if isinstance(estimate, Estimate) else estimate
+    values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     windows = windows_of(estimate) if windows is None else windows
     errors = errors_over_records(model, recordings, values)
     if lags is None:
