@@ -11,7 +11,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.estimation.least_squares import gram_condition_limit
-from riecjax.estimation.procedure import StageSolution
+from riecjax.estimation.procedure import EquationFit, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import namespace
 
@@ -26,6 +26,11 @@ MATTERING_SHARE = 0.02
 """Share of the target that an uncertain term must reach to be worth a warning."""
 LARGE_RESIDUAL = 0.5
 """Share of the target past which a model is called wrong."""
+NOTABLE_SHRINKAGE = 0.01
+"""Share by which an equation without a known term may shrink its coefficients; less is notable too
+if it is more than a standard error."""
+LEAST_SHRINKAGE = 0.001
+"""Share of shrinkage that is never notable."""
 
 
 class Estimate(AbstractEstimate):
@@ -50,6 +55,7 @@ class Estimate(AbstractEstimate):
     - `criterion`: what was made small.
     - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
       length in seconds (rule: `block_length` in `estimation.blocks`).
+    - `stage_names`, `equation_names`: of each stage, and of each equation in it.
     - `rows_offered`: for each stage, how many rows there would be without gaps and masks, if
       that is known.
     """
@@ -66,7 +72,17 @@ class Estimate(AbstractEstimate):
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
+    equation_names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
     rows_offered: tuple[float | None, ...] = eqx.field(static=True)
+
+    @property
+    def equations(self) -> dict[str, EquationFit]:
+        """What is left of each equation, by name: a stage of several may hide that one fails."""
+        return {
+            name: fit
+            for names, stage in zip(self.equation_names, self.stages)
+            for name, fit in zip(names, stage.equations)
+        }
 
     @property
     def effective_windows(self) -> Float[Array, "*batch p"]:
@@ -99,6 +115,7 @@ class Estimate(AbstractEstimate):
             *self._wide_intervals(),
             *self.negative_values(),
             *self._residuals(),
+            *self._shrinking(),
             *self._disagreement(),
             *self._coverage(),
             *self._few_windows(),
@@ -129,12 +146,27 @@ class Estimate(AbstractEstimate):
                 )
 
     def _residuals(self) -> Iterator[Finding]:
-        for label, stage in zip(self.stage_names, self.stages):
-            if float(stage.relative_rms) > LARGE_RESIDUAL:
+        for name, equation in self.equations.items():
+            if (share := float(equation.relative_rms)) > LARGE_RESIDUAL:
                 yield Finding(
                     "large_residual",
-                    f"{label}: the model leaves {100 * float(stage.relative_rms):.0f} % of the "
-                    f"signal unexplained, so it is wrong in some important way.",
+                    f"{name}: the model leaves {100 * share:.0f} % of the signal unexplained, so "
+                    f"it is wrong in some important way.",
+                )
+
+    def _shrinking(self) -> Iterator[Finding]:
+        """Equations without a known term that move their coefficients by more than chance."""
+        errors, values = dict(zip(self.parameters, self.standard_errors)), self.values
+        for name, equation in self.equations.items():
+            share = float(equation.shrinkage)
+            chance = [float(errors[n] / abs(values[n])) for n in equation.parameters if values[n]]
+            if share > np.clip(min(chance, default=0.0), LEAST_SHRINKAGE, NOTABLE_SHRINKAGE):
+                yield Finding(
+                    "no_known_term",
+                    f"{name}: no term of it is known, so that its residual pulls "
+                    f"{', '.join(equation.parameters)} towards zero, by about {100 * share:.2g} %. "
+                    f"Solve it after the equations that set their scale (riecjax.staged), or hold "
+                    f"one of them at a known value (on the command line: --set NAME=VALUE).",
                 )
 
     def _disagreement(self) -> Iterator[Finding]:
@@ -204,10 +236,12 @@ class Estimate(AbstractEstimate):
             f"{span(self.block_length)} s"
         )
         lines.append(f"condition number {span(self.condition_number)}")
-        lines.extend(
-            f"{label}: relative residual {span(100 * np.asarray(stage.relative_rms))} %"
-            for label, stage in zip(self.stage_names, self.stages)
-        )
+        for label, names, stage in zip(self.stage_names, self.equation_names, self.stages):
+            apart = zip(names, stage.equations) if len(names) > 1 else ()
+            lines.extend(
+                f"{name}: relative residual {span(100 * np.asarray(fit.relative_rms))} %"
+                for name, fit in ((label, stage), *apart)
+            )
         lines.extend(f"warning [{code}] {message}" for code, message in self.findings())
         return "\n".join(lines)
 

@@ -14,8 +14,7 @@ from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import raise_if_samples_mix
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
-from riecjax.estimation.assembly import all_normal_equations, all_rows
-from riecjax.estimation.blocks import ShortBlocks
+from riecjax.estimation.assembly import Assembled, all_normal_equations, all_rows
 from riecjax.estimation.constant_side import raise_if_only_constant
 from riecjax.estimation.estimate import Estimate, combination
 from riecjax.estimation.evidence import judge
@@ -93,10 +92,11 @@ def identify(
 
     _raise_if_samples_mix(procedure, recordings, criterion)
     keys = record_keys(key, len(recordings))
-    stages, short = all_normal_equations(procedure, sharing, recordings, criterion, keys)
+    assembled = all_normal_equations(procedure, sharing, recordings, criterion, keys)
+    stages = assembled.stages
     intervals = BlockBootstrap() if intervals is None else intervals
     window = jnp.asarray(criterion.block_length)
-    solved = _solve(stages, given, short, window, sharing, intervals, None)
+    solved = _solve(assembled, given, window, sharing, intervals, None)
     if is_concrete(solved.stages):
         _raise_if_empty(stages, plan)
         raise_if_only_constant(procedure, recordings, given)
@@ -104,7 +104,7 @@ def identify(
         past_gram = _worst_condition(solved.stages) > gram_condition_limit(window.dtype)
         if past_gram and not criterion.in_closed_form:
             rows = all_rows(procedure, sharing, recordings, criterion, keys)
-            solved = _solve(stages, given, short, window, sharing, intervals, rows)
+            solved = _solve(assembled, given, window, sharing, intervals, rows)
         _raise_if_unidentifiable(solved.stages, plan)
 
     units = {name: unit for name, unit in sharing.values(procedure.units).items()}
@@ -119,6 +119,7 @@ def identify(
         parameters=tuple(name for stage in solved.stages for name in stage.parameters),
         units=tuple(units.items()),
         stage_names=tuple(plan[stage.stage][0] for stage in solved.stages),
+        equation_names=tuple(procedure.equation_names[stage.stage] for stage in solved.stages),
         block_count=solved.block_count,
         block_length=solved.length,
         rows_offered=tuple(
@@ -162,16 +163,16 @@ class _Solved(NamedTuple):
 
 @eqx.filter_jit
 def _solve(
-    stages: list[NormalEquations],
+    assembled: Assembled,
     known: Mapping[str, Array],
-    short: ShortBlocks,
     longest_window: Float[Array, ""],
     sharing: Sharing,
     intervals: AbstractIntervals,
     rows: list[Rows] | None,
 ) -> _Solved:
-    flat = [stage.flattened() for stage in stages]
-    solutions = solve_stages(flat, known, rows)
+    stages, short = assembled.stages, assembled.short
+    apart = [[equation.flattened() for equation in stage] for stage in assembled.equations]
+    solutions = solve_stages([stage.flattened() for stage in stages], known, rows, apart)
     values = found_values(solutions, known)
     # What belongs to one recording cannot differ between recordings.
     shared = np.array([n not in sharing.individual for s in solutions for n in s.parameters])

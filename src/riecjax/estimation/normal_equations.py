@@ -58,6 +58,12 @@ class NormalEquations(eqx.Module):
         """The sum over the axis of blocks."""
         return NormalEquations(self.moments.sum(0), self.count.sum(0), self.parameters)
 
+    def in_one_block(self) -> "NormalEquations":
+        """The sum over the axis of blocks, which stays with length one."""
+        return NormalEquations(
+            self.moments.sum(0, keepdims=True), self.count.sum(0, keepdims=True), self.parameters
+        )
+
     def flattened(self) -> "NormalEquations":
         """The same with one leading axis for all that there are."""
         shape = self.moments.shape[-2:]

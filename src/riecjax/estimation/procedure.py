@@ -5,16 +5,18 @@ earlier stages found is known to later ones. The paper's three stages are `stage
 equations; its remark that all parameters may be estimated at once is `simultaneous(...)`.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError
+from riecjax.estimation.elimination import solve_scaled
 from riecjax.estimation.least_squares import Solution, solve, solve_rows
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.leaves import Leaf
@@ -37,6 +39,12 @@ class Procedure(eqx.Module):
             tuple(dict.fromkeys(name for equation in stage for name in equation.parameters))
             for stage in self.stages
         ]
+
+    @property
+    def equation_names(self) -> list[tuple[str, ...]]:
+        """Names of the equations of each stage, numbered where several are called the same."""
+        names = iter(told_apart([e.name for stage in self.stages for e in stage]))
+        return [tuple(next(names) for _ in stage) for stage in self.stages]
 
     @property
     def units(self) -> dict[str, str]:
@@ -111,9 +119,38 @@ def staged(*equations: Equation) -> Procedure:
 def simultaneous(*equations: Equation) -> Procedure:
     """Solve equations together for all their parameters: one Gram matrix, summed over them.
 
-    The equations' residuals are weighted alike, so they should be in the same unit.
+    The equations' residuals are weighted alike, so they should be in the same unit. An equation
+    all of whose terms are unknown pulls its coefficients towards zero, where its residual vanishes:
+    by how much is a finding, `no_known_term`, and solving it after the others by [`staged`][]
+    avoids it.
     """
     return Procedure((equations,))
+
+
+def told_apart(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, numbered where several are equal: `spring (1)`, `spring (2)`."""
+    place = {name: 0 for name in names}
+    unique = []
+    for name in names:
+        place[name] += 1
+        unique.append(f"{name} ({place[name]})" if names.count(name) > 1 else name)
+    return tuple(unique)
+
+
+class EquationFit(eqx.Module):
+    """What is left of one equation, in a stage that may have several.
+
+    **Fields:** `relative_rms` of the residual against the equation's target, or against its largest
+    term where it has none (or nothing in it is unknown); `residual_rms` in the unit of the rows;
+    `count` of rows; `shrinkage`: of an equation without a target, share by which it makes its
+    coefficients smaller than the stage's other equations would have them; `parameters` found here.
+    """
+
+    relative_rms: Float[Array, ""]
+    residual_rms: Float[Array, ""]
+    count: Float[Array, ""]
+    shrinkage: Float[Array, ""]
+    parameters: tuple[str, ...] = eqx.field(static=True)
 
 
 class StageSolution(eqx.Module):
@@ -121,8 +158,8 @@ class StageSolution(eqx.Module):
 
     **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
     the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
-    per unit of its parameter; `parameters` found here; `stage` its place in the
-    procedure.
+    per unit of its parameter; `equations`, what is left of each; `parameters` found here; `stage`
+    its place in the procedure.
     """
 
     solution: Solution
@@ -130,6 +167,7 @@ class StageSolution(eqx.Module):
     residual_rms: Float[Array, ""]
     count: Float[Array, ""]
     relative_size: Float[Array, " p"]
+    equations: tuple[EquationFit, ...]
     parameters: tuple[str, ...] = eqx.field(static=True)
     stage: int = eqx.field(static=True)
 
@@ -148,10 +186,12 @@ def solve_stages(
     stages: list[NormalEquations],
     known: Mapping[str, Array],
     rows: list[Rows] | None = None,
+    apart: list[list[NormalEquations]] | None = None,
 ) -> list[StageSolution]:
     """Solve each stage's normal equations (blocks along the leading axis) in turn.
 
     Given `rows`, they are solved instead of the Gram matrices, which is slower and more accurate.
+    Of a stage of several equations what each leaves is told if they are given `apart`.
     """
     found = dict(known)
     solutions = []
@@ -162,17 +202,80 @@ def solve_stages(
         solution = solve(equations) if rows is None else solve_rows(rows[i].fix(found))
         residual = equations.residual_energy(solution.theta)
         positive = equations.energy > 0
-        share = jnp.where(positive, residual / jnp.where(positive, equations.energy, 1.0), 0.0)
+        relative, absolute = _rms(residual, equations.energy, equations.count)
+        alone = EquationFit(
+            relative, absolute, equations.count, jnp.zeros_like(relative), equations.parameters
+        )
+        before = found
+        found = found | dict(zip(equations.parameters, solution.theta))
+        several = apart[i] if apart else []
+        fits = [_equation_fit(part.total(), equations, before, found) for part in several]
         solutions.append(
             StageSolution(
                 solution,
-                jnp.sqrt(share),
-                jnp.sqrt(residual / jnp.maximum(equations.count, 1)),
+                relative,
+                absolute,
                 equations.count,
                 jnp.sqrt(jnp.diagonal(equations.gram) / jnp.where(positive, equations.energy, 1.0)),
+                tuple(fits) or (alone,),
                 equations.parameters,
                 i,
             )
         )
-        found |= dict(zip(equations.parameters, solution.theta))
     return solutions
+
+
+def _rms(energy: Array, reference: Array, count: Array) -> tuple[Array, Array]:
+    """Root mean squares relative to a reference (0 where that is silent), and absolute."""
+    positive = reference > 0
+    share = jnp.where(positive, energy / jnp.where(positive, reference, 1.0), 0.0)
+    return jnp.sqrt(share), jnp.sqrt(energy / jnp.maximum(count, 1))
+
+
+def _equation_fit(
+    part: NormalEquations,
+    stage: NormalEquations,
+    before: Mapping[str, Array],
+    found: Mapping[str, Array],
+) -> EquationFit:
+    """What a stage leaves of one of its equations.
+
+    **Arguments:** `part`, the equation with all its coefficients; `stage`, with those that it
+    finds; `before` and `found`, what is known before the stage and after it.
+    """
+    equation = part.fix(before)
+    unknown = equation.parameters
+    theta = jnp.stack([found[name] for name in unknown]) if unknown else jnp.zeros(0)
+    energy = equation.residual_energy(theta)
+    values = jnp.stack([jnp.asarray(found[name]) for name in part.parameters])
+    largest = jnp.maximum(part.energy, jnp.max(values**2 * jnp.diagonal(part.gram)))
+    has_target = (equation.energy > 0) & bool(unknown)
+    relative, absolute = _rms(
+        energy, jnp.where(has_target, equation.energy, largest), equation.count
+    )
+    shrinkage = jnp.zeros_like(relative)
+    if unknown:
+        shrinkage = jnp.where(has_target, 0.0, _shrinkage(equation, stage, theta, energy))
+    return EquationFit(relative, absolute, equation.count, shrinkage, unknown)
+
+
+def _shrinkage(
+    equation: NormalEquations, stage: NormalEquations, theta: Float[Array, " own"], energy: Array
+) -> Float[Array, ""]:
+    """Share by which an equation without a target shrinks its coefficients theta.
+
+    Its residual A theta is homogeneous: scaled with s, theta costs s^2 |A theta|^2, and the minimum
+    of the sum trades that against what the stage's other equations ask for. With S their curvature
+    along theta, all other parameters following, the sum's slope vanishes at s = 1 and theirs alone
+    at 1 + |A theta|^2 / S.
+    """
+    own = np.array([stage.parameters.index(name) for name in equation.parameters])
+    others = np.setdiff1d(np.arange(len(stage.parameters)), own)
+    rest = stage.gram - equation.embed(stage.parameters).gram
+    pulled = rest[:, own] @ theta
+    curvature = theta @ pulled[own]
+    if others.size:
+        follow = solve_scaled(rest[np.ix_(others, others)], pulled[others][:, None])[:, 0]
+        curvature = curvature - pulled[others] @ follow
+    both = energy + jnp.maximum(curvature, 0.0)
+    return jnp.where(both > 0, energy / jnp.where(both > 0, both, 1.0), 0.0)

@@ -10,7 +10,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.assembly import all_normal_equations, short_blocks
 from riecjax.estimation.blocks import ShortBlocks
 from riecjax.estimation.normal_equations import NormalEquations
-from riecjax.estimation.procedure import Procedure
+from riecjax.estimation.procedure import Procedure, told_apart
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
@@ -35,7 +35,7 @@ class IntegralMisfit(AbstractMisfit):
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the equations."""
-        return tuple(name for name, _ in self.equation_labels)
+        return told_apart([name for name, _ in self.equation_labels])
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -104,13 +104,13 @@ class IntegralMisfit(AbstractMisfit):
             balance.expanded(record, own, free, smoothness)
             for record, own in zip(self.records, values)
         ]
-        (equations,), _ = all_normal_equations(
+        (equations,) = all_normal_equations(
             Procedure(((expanded[0][0],),)),
             self.sharing,
             [record for _, record in expanded],
             self.criterion,
             self.keys,
-        )
+        ).stages
         # What is free in some record may be fixed in another: it does not change.
         fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
         return equations.fix(fixed).embed(self.names)

@@ -1,5 +1,6 @@
 """An estimate in plain data, and as tables on a terminal."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,11 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
             "rows": _whole(stage.count),
             "condition_number": finite(stage.solution.condition_number),
             "rank": _whole(stage.solution.rank),
+            "equations": list(names),
         }
-        for name, stage in zip(estimate.stage_names, estimate.stages)
+        for name, names, stage in zip(
+            estimate.stage_names, estimate.equation_names, estimate.stages
+        )
     ]
     units = dict(estimate.units)
     return {
@@ -42,7 +46,18 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
         },
         "condition_number": finite(estimate.condition_number),
         "rank": _whole(estimate.rank),
-        "residual": {"relative_rms": stages[-1]["relative_rms"], "stages": stages},
+        "residual": {
+            "relative_rms": stages[-1]["relative_rms"],
+            "stages": stages,
+            "equations": {
+                name: {
+                    "relative_rms": finite(fit.relative_rms),
+                    "rms": finite(fit.residual_rms),
+                    "rows": _whole(fit.count),
+                }
+                for name, fit in estimate.equations.items()
+            },
+        },
     }
 
 
@@ -69,13 +84,27 @@ def print_estimate(document: Document, console: Console) -> None:
     heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
     console.print(heading, highlight=False, markup=False)
     console.print(_parameter_table(document))
-    for stage in document["residual"]["stages"]:
-        console.print(
+    for line in _residuals_in_words(document["residual"]):
+        console.print(line, highlight=False, markup=False)
+
+
+def _residuals_in_words(residual: Document) -> Iterator[str]:
+    """What each stage leaves, and each equation of a stage of several."""
+    for stage in residual["stages"]:
+        yield (
             f"{stage['equation']}: relative residual {100 * stage['relative_rms']:.3g} %, "
-            f"condition number {number(stage['condition_number'], 3)}, {stage['rows']} rows",
-            highlight=False,
-            markup=False,
+            f"condition number {number(stage['condition_number'], 3)}, {stage['rows']} rows"
         )
+        for name in several(stage):
+            left = residual["equations"][name]
+            yield (
+                f"{name}: relative residual {100 * left['relative_rms']:.3g} %, {left['rows']} rows"
+            )
+
+
+def several(stage: Document) -> list[str]:
+    """Names of the equations of a stage that has more than one."""
+    return stage["equations"] if len(stage["equations"]) > 1 else []
 
 
 def _parameter_table(document: Document) -> Table:

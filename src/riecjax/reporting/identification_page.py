@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from riecjax.reporting.estimate import several
 from riecjax.reporting.identification import windows_in_words
 from riecjax.reporting.output import Document, number
 from riecjax.reporting.page import Page, Section, Table
@@ -114,16 +115,20 @@ def _before_after(run: Document, name: str) -> Iterator[str]:
 
 
 def _fit(document: Document) -> Section:
-    rows = [
-        (
-            stage["equation"],
-            ", ".join(stage["parameters"]),
-            _percent(stage["relative_rms"], 3),
-            number(stage["condition_number"], 3),
-            str(stage["rows"]),
+    residual, rows = document["residual"], []
+    for stage in residual["stages"]:
+        rows.append(
+            (
+                stage["equation"],
+                ", ".join(stage["parameters"]),
+                _percent(stage["relative_rms"], 3),
+                number(stage["condition_number"], 3),
+                str(stage["rows"]),
+            )
         )
-        for stage in document["residual"]["stages"]
-    ]
+        for name in several(stage):
+            left = residual["equations"][name]
+            rows.append((name, "", _percent(left["relative_rms"], 3), "", str(left["rows"])))
     header = ("equation", "estimates", "relative residual / %", "condition number", "rows")
     return Section("Fit", tables=[Table(header, rows)], charts=("fit",))
 

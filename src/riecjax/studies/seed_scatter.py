@@ -77,8 +77,8 @@ def _estimates(
 ) -> Float[Array, "seeds p"]:
     def with_key(key: Key[Array, ""]) -> Float[Array, " p"]:
         own_keys = record_keys(key, len(records))
-        stages, _ = all_normal_equations(procedure, sharing, records, criterion, own_keys)
-        flat = [stage.flattened() for stage in stages]
+        assembled = all_normal_equations(procedure, sharing, records, criterion, own_keys)
+        flat = [stage.flattened() for stage in assembled.stages]
         totals = [stage.total() for stage in flat]
         plan = unknowns(flat, known)
         return in_order(plan, staged_values(totals, plan, known, lambda e: solve(e).theta))

@@ -230,10 +230,10 @@ def _estimates(
     lengths: tuple[Float[Array, " bands"], Float[Array, " bands"]],
 ) -> tuple[Float[Array, "bands p"], Float[Array, "bands blocks p"], Float[Array, "bands stages"]]:
     def at_length(length: tuple[Array, Array]) -> tuple[Array, Array, Array, Array]:
-        fine, short = all_normal_equations(
+        fine = all_normal_equations(
             procedure, sharing, records, _with_windows(criterion, *length), keys
         )
-        stages = [put_together(stage, short, used) for stage in fine]
+        stages = [put_together(stage, fine.short, used) for stage in fine.stages]
         solutions = solve_stages(stages, given)
         return (
             jnp.concatenate([stage.solution.theta for stage in solutions]),

@@ -17,7 +17,7 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.procedure import HasProcedure, Procedure
+from riecjax.estimation.procedure import HasProcedure, Procedure, told_apart
 from riecjax.findings import Finding
 from riecjax.records.record import Record
 from riecjax.validation.equation_error import (
@@ -226,7 +226,10 @@ def residual_tests(
         wanted = LAGS if windows is None else round(float(windows.beta) / step)
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     return ResidualTests(
-        tuple(_residual(of_equation, recordings, windows, lags) for of_equation in errors)
+        tuple(
+            _residual(name, of_equation, recordings, windows, lags)
+            for name, of_equation in zip(told_apart([e[0].name for e in errors]), errors)
+        )
     )
 
 
@@ -237,6 +240,7 @@ def windows_of(estimate: Estimate | Mapping[str, float | Array]) -> AbstractWind
 
 
 def _residual(
+    name: str,
     errors: list[EquationError],
     records: list[Record],
     windows: AbstractWindows | None,
@@ -253,7 +257,7 @@ def _residual(
     target, _ = moving_average(np.asarray(error.target), present, count)
     energy = np.sum(target**2)
     return EquationResidual(
-        error.name,
+        name,
         error.unit,
         float(error.relative_rms),
         error,
