@@ -31,7 +31,7 @@ class AbstractEstimate(eqx.Module):
     """Estimated and known parameters, read one by one as from a mapping: `estimate["M_s"]`.
 
     Of `jax.vmap` it is a batch: every array has the batch's axes first, whatever is read by name
-    has the batch's shape, and [`member`][riecjax.Estimate.member] takes one estimate out.
+    has the batch's shape, and `member` takes one estimate out.
 
     **Fields:**
 
