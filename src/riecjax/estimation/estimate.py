@@ -165,8 +165,9 @@ class Estimate(AbstractEstimate):
                     "no_known_term",
                     f"{name}: no term of it is known, so that its residual pulls "
                     f"{', '.join(equation.parameters)} towards zero, by about {100 * share:.2g} %. "
-                    f"Solve it after the equations that set their scale (riecjax.staged), or hold "
-                    f"one of them at a known value (on the command line: --set NAME=VALUE).",
+                    f"Solve it after the equations that set their scale (riecjax.staged); where "
+                    f"those do not determine them, hold one at a known value (on the command "
+                    f"line: --set NAME=VALUE).",
                 )
 
     def _disagreement(self) -> Iterator[Finding]:
