@@ -231,7 +231,8 @@ TRUTH = {"m1": 2.0, "k0": 600.0, "c0": 6.0, "k": 400.0, "c": 4.0}
 def two_masses(hidden_stiffness, noise=0.0):
     t = np.arange(2000) * STEP
     rng = np.random.default_rng(1)
-    force = scipy.signal.lfilter(*scipy.signal.butter(4, 0.12), 100 * rng.normal(size=t.size))
+    filtering = np.asarray(scipy.signal.butter(4, 0.12, output="sos"))
+    force = np.asarray(scipy.signal.sosfilt(filtering, 100 * rng.normal(size=t.size)))
     m1, k0, c0, k, c = TRUTH.values()
     h, d = hidden_stiffness, 0.002 * hidden_stiffness
     stiffness = np.array([[k0 + k, -k, 0], [-k, k + h, -h], [0, -h, h]])

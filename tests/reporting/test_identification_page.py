@@ -23,6 +23,7 @@ DOCUMENT: dict[str, Any] = {
                 "relative_rms": 0.05,
                 "condition_number": None,
                 "rows": 500,
+                "equations": ["motion"],
             }
         ]
     },
