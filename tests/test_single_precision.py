@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.windows import RandomWindows, WindowSet
+from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
@@ -120,3 +121,39 @@ def test_windows_of_32_bit_stay_within_the_record():
             assert start.min() >= 0
             assert stop.max() <= 119
             assert (stop > start).all()
+
+
+MANY = 300_000
+"""Samples, of which there are up to 3e10 windows."""
+
+
+def samples_of_many(gap):
+    rng = np.random.default_rng(0)
+    a, b, error = rng.normal(size=(3, MANY))
+    u = 2.0 * a + 3.0 * b + 0.5 * error
+    if gap is not None:
+        a[gap] = np.nan
+    return {"a": a, "b": b, "u": u}
+
+
+# The first number of windows rounds down in 32-bit, by which no window is left out.
+@pytest.mark.parametrize(
+    ("weight", "longest", "gap"),
+    [(Boxcar(), 119_000, None), (Hat(), 120_000, None), (Boxcar(), 120_000, MANY // 2)],
+)
+def test_more_windows_than_32_bit_integers_hold_are_counted(weight, longest, gap):
+    multiple = weight.length_multiple
+    lengths = np.arange(multiple, longest + 1, multiple, dtype=np.int64)
+    runs = [MANY] if gap is None else [gap, MANY - 1 - gap]
+    expected = sum(int(np.sum(np.maximum(run - lengths, 0))) for run in runs)
+    equation = Equation(Term("p", "a"), Term("q", "b"), -Term(1.0, "u"))
+    criterion = RIEC(AllWindows(1e-3, 1e-3 * longest), weight)
+    found = {}
+    for bits in (64, 32):
+        with jax.enable_x64(bits == 64):
+            record = Record.from_samples(samples_of_many(gap), time_step=1e-3)
+            found[bits] = identify(equation, record, criterion)
+        assert float(found[bits].stages[0].count) == pytest.approx(expected, rel=1e-6)
+        codes = [finding.code for finding in found[bits].findings()]
+        assert ("rows_left_out" in codes) == (gap is not None)
+    np.testing.assert_allclose(found[32].naive, found[64].naive, rtol=2e-2)

@@ -304,7 +304,8 @@ def hat_moments(
 
 
 def _sums(inner: Array, squares: Int[Array, " n"], count: Int[Array, " n"]) -> _Sums:
-    return _Sums(inner, squares.astype(inner.dtype), jnp.sum(count).astype(inner.dtype))
+    # Windows are counted in real numbers: a long record's are more than 32-bit integers hold.
+    return _Sums(inner, squares.astype(inner.dtype), jnp.sum(count, dtype=inner.dtype))
 
 
 def _moments(

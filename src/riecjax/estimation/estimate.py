@@ -20,8 +20,8 @@ FEWEST_BLOCKS = 7
 come out as no more."""
 FEWEST_WINDOWS = 10
 """Independent windows below which an interval is rough."""
-ROUNDING = 1e-9
-"""Share of rows that is missing only because their number was rounded."""
+ROUNDING = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-6}
+"""Share of rows that may be missing only because their number was rounded, by precision."""
 MATTERING_SHARE = 0.02
 """Share of the target that an uncertain term must reach to be worth a warning."""
 LARGE_RESIDUAL = 0.5
@@ -183,7 +183,7 @@ class Estimate(AbstractEstimate):
     def _coverage(self) -> Iterator[Finding]:
         for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
             lost = 0.0 if offered is None else 1 - float(stage.count) / offered
-            if lost > ROUNDING:
+            if lost > ROUNDING[stage.count.dtype]:
                 yield Finding(
                     "rows_left_out",
                     f"{label}: {100 * lost:.2g} % of the windows (or samples) touch a missing or "
