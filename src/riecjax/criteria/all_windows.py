@@ -16,14 +16,16 @@ small as a window's change. Starts are therefore taken in blocks, and phi is ref
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.running_sums import running_sum
+from riecjax.errors import ModelError
 
 
 class Starts(NamedTuple):
@@ -56,6 +58,7 @@ Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
 """Sums of outer products of rows, and numbers of rows, for blocks of starts."""
 
 
+@eqx.filter_custom_jvp
 def moments_in_blocks(
     values: Float[Array, "columns n"],
     mean: Float[Array, " columns"],
@@ -72,8 +75,59 @@ def moments_in_blocks(
 
     **Arguments:** `values` and `mean` of the columns' primitives, whose differences of order
     `order` (1 for the boxcar, 2 for the hat) are the rows; `present` samples, `None` where all
-    are; `bins` of lags; `reach`, no window is longer in samples.
+    are; `bins` of lags, whose edges make it differentiable by alpha and beta; `reach`, no window is
+    longer in samples.
+
+    **Raises:** `ModelError` when a derivative is differentiated by alpha or beta that was not taken
+    by these too.
     """
+    bins = bins._replace(edges=None)
+    return _of_bins(values, mean, present, bins, order, first, count, block, reach)
+
+
+@moments_in_blocks.def_jvp
+def _moments_in_blocks_jvp(primals: Any, tangents: Any, **settings: Any) -> Any:
+    """Edges cost two bins each, so they are put among the bins only where they move."""
+    edges, moved = primals[3].edges, tangents[3].edges
+    moving = moved is not None and moved.position is not None
+    if edges is not None and not moving:
+        primals = (_at_fixed_edges(primals[0], edges.position), *primals[1:])
+
+    def moments(values: Array, mean: Array, present: Array | None, bins: LagBins) -> Moments:
+        most = settings["reach"] // settings["order"]
+        bins = bins.with_edges_as_bins(most) if moving else bins._replace(edges=None)
+        return _of_bins(values, mean, present, bins, **settings)
+
+    return eqx.filter_jvp(moments, primals, tangents)
+
+
+@eqx.filter_custom_jvp
+def _at_fixed_edges(values: Array, position: Array) -> Array:
+    return values
+
+
+@_at_fixed_edges.def_jvp
+def _at_fixed_edges_jvp(primals: Any, tangents: Any) -> tuple[Array, Array | None]:
+    if tangents[1] is not None:
+        raise ModelError(
+            "a derivative of all windows cannot be differentiated by alpha or beta unless it was "
+            "taken by them too: differentiate by both at once, as in jax.hessian of a function of "
+            "one vector that holds alpha or beta and the rest."
+        )
+    return primals[0], tangents[0]
+
+
+def _of_bins(
+    values: Float[Array, "columns n"],
+    mean: Float[Array, " columns"],
+    present: Bool[Array, " n"] | None,
+    bins: LagBins,
+    order: int,
+    first: Int[Array, ""] | int,
+    count: int,
+    block: int,
+    reach: int,
+) -> Moments:
     if order == 1 and present is None and reach <= block:
         # Running sums over shorter stretches lose fewer digits; of four windows' length, what
         # they reach beyond themselves is still little to sum twice.
@@ -325,11 +379,11 @@ def _over_bins(bins: LagBins, of_bin: Callable[[LagBins], _Sums]) -> _Sums:
     def add(total: _Sums, which: LagBins) -> tuple[_Sums, None]:
         return jax.tree.map(jnp.add, total, of_bin(which)), None
 
-    total = of_bin(LagBins(*(values[0] for values in bins)))
+    total = of_bin(jax.tree.map(lambda values: values[0], bins))
     if bins.first.shape[0] == 1:
         return total
     # Backwards each bin is computed again, rather than all of them kept.
-    rest = LagBins(*(values[1:] for values in bins))
+    rest = jax.tree.map(lambda values: values[1:], bins)
     return jax.lax.scan(jax.checkpoint(add), total, rest)[0]
 
 

@@ -2,12 +2,16 @@
 
 The paper draws T uniformly (eq. 14). Any other law is a weight for each length; running sums
 handle a stretch of equally weighted lengths, a bin, at once, so a law is a list of bins.
+
+Lengths are rounded to samples, so that what is summed over them is a staircase in alpha and beta.
+Its derivative is taken to be that of the law without rounding; see `LagBins.with_edges_as_bins`.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -17,28 +21,74 @@ from riecjax.errors import ModelError
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 
 
+class Edges(NamedTuple):
+    """Where the weight of a law jumps: all that alpha and beta move.
+
+    **Fields:** `position` in lags, a real number; `jump`, the weight of lags below it less that of
+    lags above it.
+    """
+
+    position: Float[Array, " edges"]
+    jump: Float[Array, " edges"]
+
+
 class LagBins(NamedTuple):
     """Stretches of window lengths that count alike.
 
     **Fields:** `first` and `last` lag of each bin, in multiples of samples, both included; empty
-    where `last < first`; `weight` of each lag in it, 1 on average over all lags.
+    where `last < first`; `weight` of each lag in it, 1 on average over all lags; `edges` of the law
+    before it is rounded to lags, for derivatives by alpha and beta only.
     """
 
     first: Int[Array, " bins"]
     last: Int[Array, " bins"]
     weight: Float[Array, " bins"]
+    edges: Edges | None = None
+
+    def with_edges_as_bins(self, most: int) -> "LagBins":
+        """The same law, whose weights hold what its edges move.
+
+        A sum over lags S = sum_k w[k] M[k] is a staircase in the position e of an edge. Let M(k) be
+        linear between lags; the integral of w(k) M(k) then has the derivative jump M(e), which on
+        samples is the central difference of S over one sample to either side. So the lags next to
+        an edge get weights that are zero, with the derivatives of
+
+            jump (d - d'),  jump d',    d = e - e0,  d' = (f^2 - f0^2) / 2,  f = e - floor(e0)
+
+        where e0 is the edge's position, not differentiated, and f0 the share f there.
+
+        **Arguments:** `most`, no lag is longer.
+        """
+        assert self.edges is not None
+        position, jump = self.edges
+        below = jnp.floor(jax.lax.stop_gradient(position))
+        share = position - below
+        moved = _change(share)
+        above = _change(0.5 * share**2)
+        lag = jnp.concatenate([below, below + 1]).astype(self.first.dtype)
+        lag = jnp.clip(lag, 1, most)
+        weight = jnp.concatenate([jump * (moved - above), jump * above])
+        return LagBins(
+            jnp.concatenate([self.first, lag]),
+            jnp.concatenate([self.last, lag]),
+            jnp.concatenate([self.weight, weight.astype(self.weight.dtype)]),
+        )
 
 
 class AbstractLaw(eqx.Module):
     """A weight for every window length from alpha to beta; only ratios of weights matter."""
 
     def bins(
-        self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
+        self,
+        shortest: Float[Array, ""],
+        longest: Float[Array, ""],
+        unit: Float[Array, ""],
+        most: int,
     ) -> LagBins:
         """The law in bins.
 
-        **Arguments:** `shortest` and `longest` lag; `unit`, seconds to a lag; `most`, no lag is
-        longer.
+        **Arguments:** `shortest` and `longest` window in lags, to be rounded; `unit`, seconds to a
+        lag; `most`, no lag is longer.
         """
         raise NotImplementedError
 
@@ -51,10 +101,17 @@ class UniformLaw(AbstractLaw):
     """Every length alike: eq. (14)."""
 
     def bins(
-        self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
+        self,
+        shortest: Float[Array, ""],
+        longest: Float[Array, ""],
+        unit: Float[Array, ""],
+        most: int,
     ) -> LagBins:
         """One bin."""
-        return LagBins(shortest[None], longest[None], namespace(unit).ones(1, unit.dtype))
+        xp = namespace(shortest, longest, unit)
+        first, last = rounded(shortest), rounded(longest)
+        edges = Edges(xp.stack([shortest - 0.5, longest + 0.5]), xp.asarray([-1.0, 1.0]))
+        return LagBins(first[None], last[None], xp.ones(1, unit.dtype), edges)
 
     def describe(self) -> dict[str, object]:
         """Nothing: it is what one expects."""
@@ -78,15 +135,20 @@ class SteppedLaw(AbstractLaw):
         self.weights = _weights(weights)
 
     def bins(
-        self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
+        self,
+        shortest: Float[Array, ""],
+        longest: Float[Array, ""],
+        unit: Float[Array, ""],
+        most: int,
     ) -> LagBins:
         """One bin for each weight."""
-        count = self.weights.shape[0]
+        low, high = rounded(shortest), rounded(longest)
+        share = jnp.linspace(0.0, 1.0, self.weights.shape[0] + 1)
         # Real numbers: lags times bins may pass 32-bit integers.
-        edges = jnp.round(jnp.linspace(0.0, 1.0, count + 1) * (longest - shortest + 1))
-        first = shortest + edges[:-1].astype(shortest.dtype)
-        last = shortest + edges[1:].astype(shortest.dtype) - 1
-        return _normalised(first, last, jnp.asarray(self.weights, unit.dtype))
+        first = low + rounded(share * (high - low + 1))
+        position = shortest - 0.5 + share * (longest - shortest + 1)
+        weight = jnp.asarray(self.weights, unit.dtype)
+        return _normalised(first[:-1], first[1:] - 1, weight, Edges(position, _jumps(weight)))
 
     def describe(self) -> dict[str, object]:
         """The weights."""
@@ -111,14 +173,24 @@ class RatioLaw(AbstractLaw):
         self.weights = _weights(weights)
 
     def bins(
-        self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
+        self,
+        shortest: Float[Array, ""],
+        longest: Float[Array, ""],
+        unit: Float[Array, ""],
+        most: int,
     ) -> LagBins:
         """One bin for each part; empty where it holds no length on samples."""
         count = self.weights.shape[0]
-        low = shortest.astype(unit.dtype)
-        ratio = (longest.astype(unit.dtype) + 1) / low
-        edges = jnp.round(low * ratio ** (jnp.arange(count + 1) / count)).astype(shortest.dtype)
-        return _normalised(edges[:-1], edges[1:] - 1, jnp.asarray(self.weights, unit.dtype))
+        share = jnp.arange(count + 1) / count
+
+        def edges(low: Array, high: Array) -> Float[Array, " edges"]:
+            low, high = low.astype(unit.dtype), high.astype(unit.dtype)
+            return low * ((high + 1) / low) ** share
+
+        first = rounded(edges(rounded(shortest), rounded(longest)))
+        position = edges(jnp.asarray(shortest), jnp.asarray(longest)) - 0.5
+        weight = jnp.asarray(self.weights, unit.dtype)
+        return _normalised(first[:-1], first[1:] - 1, weight, Edges(position, _jumps(weight)))
 
     def describe(self) -> dict[str, object]:
         """The weights."""
@@ -137,18 +209,26 @@ class DensityLaw(AbstractLaw):
     density: Callable[[Float[Array, " lengths"]], Float[Array, " lengths"]]
 
     def bins(
-        self, shortest: Int[Array, ""], longest: Int[Array, ""], unit: Float[Array, ""], most: int
+        self,
+        shortest: Float[Array, ""],
+        longest: Float[Array, ""],
+        unit: Float[Array, ""],
+        most: int,
     ) -> LagBins:
         """One bin for each lag.
 
         **Raises:** `ModelError` for weights below zero, not finite, or all zero (not under jit).
         """
-        lag = shortest + jnp.arange(most)
-        inside = lag <= longest
-        length = jnp.minimum(lag, longest) * unit
-        weight = jnp.broadcast_to(jnp.asarray(self.density(length), unit.dtype), (most,))
+        high = rounded(longest)
+        lag = rounded(shortest) + jnp.arange(most)
+        weight = self._at(jnp.minimum(lag, high) * unit)
         _require_weights(weight)
-        return _normalised(lag, jnp.where(inside, lag, lag - 1), weight)
+        position = jnp.stack([shortest - 0.5, longest + 0.5])
+        edges = Edges(position, self._at(position * unit) * np.array([-1.0, 1.0]))
+        return _normalised(lag, jnp.where(lag <= high, lag, lag - 1), weight, edges)
+
+    def _at(self, lengths: Float[Array, " lengths"]) -> Float[Array, " lengths"]:
+        return jnp.broadcast_to(jnp.asarray(self.density(lengths), lengths.dtype), lengths.shape)
 
     def describe(self) -> dict[str, object]:
         """The function's name."""
@@ -165,9 +245,27 @@ def as_law(law: "AbstractLaw | ArrayLike | Callable[[Array], Array] | None") -> 
     return DensityLaw(law) if callable(law) else SteppedLaw(law)
 
 
-def _normalised(first: Array, last: Array, weight: Array) -> LagBins:
+def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
+    """The nearest whole numbers."""
+    return namespace(lags).round(lags).astype(np.int32)
+
+
+def _normalised(first: Array, last: Array, weight: Array, edges: Edges) -> LagBins:
     held = (last - first + 1).astype(weight.dtype)
-    return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
+    moved = _change(edges.position)
+    number = jnp.sum(held) + moved[-1] - moved[0]
+    scale = number / (jnp.sum(weight * held) + jnp.sum(edges.jump * moved))
+    return LagBins(first, last, weight * scale, Edges(edges.position, edges.jump * scale))
+
+
+def _jumps(weight: Float[Array, " bins"]) -> Float[Array, " edges"]:
+    """At the edges of bins that follow one another."""
+    return -jnp.diff(jnp.pad(weight, 1))
+
+
+def _change(value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Zero, with the derivatives of the value."""
+    return value - jax.lax.stop_gradient(value)
 
 
 def _weights(weights: ArrayLike | Array) -> Leaf:

@@ -208,7 +208,7 @@ class _Differences(AbstractTestFunction):
     def window_count(self, windows: AllWindows, record: Record) -> float:
         """Starts times lengths, as far as windows end in the record."""
         n, multiple = record.sample_count, self.length_multiple
-        first, last, weight = windows.bins(n, record.time_step, multiple)
+        first, last, weight, _ = windows.bins(n, record.time_step, multiple)
         # In real numbers: windows may be more than 32-bit integers hold.
         first, last = (np.asarray(edge, float) for edge in (first, last))
         starts = n - multiple * (first + last) / 2

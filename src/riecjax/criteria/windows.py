@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.chunks import is_chunked
-from riecjax.criteria.laws import AbstractLaw, LagBins, as_law
+from riecjax.criteria.laws import AbstractLaw, LagBins, as_law, rounded
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 from riecjax.records.record import Record
@@ -76,16 +76,43 @@ class AbstractWindows(eqx.Module):
     def lags(
         self, sample_count: int, time_step: Float[Array, ""], multiple: int = 1
     ) -> tuple[Int[Array, ""], Int[Array, ""]]:
-        """Shortest and longest window in multiples of samples, at least 1, within the record."""
-        xp = namespace(self.alpha, self.beta, time_step)
-        unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
-        shortest = xp.clip(xp.round(xp.divide(self.alpha, unit)), 1, most)
-        longest = xp.clip(xp.round(xp.divide(self.beta, unit)), shortest, most)
-        return shortest.astype(np.int32), longest.astype(np.int32)
+        """Shortest and longest window in multiples of samples, at least 1, within the record.
+
+        **Raises:** `ModelError` when it is differentiated by alpha or beta.
+        """
+        alpha, beta = self.alpha, self.beta
+        if not is_concrete(alpha, beta):
+            alpha, beta = _rounded_away((alpha, beta))
+        shortest, longest = _in_lags(alpha, beta, sample_count, time_step, multiple)
+        return rounded(shortest), rounded(longest)
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
         raise NotImplementedError
+
+
+def _in_lags(
+    alpha: Leaf, beta: Leaf, sample_count: int, time_step: Float[Array, ""], multiple: int
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Shortest and longest window in multiples of samples, not rounded."""
+    xp = namespace(alpha, beta, time_step)
+    unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
+    shortest = xp.clip(xp.divide(alpha, unit), 1, most)
+    return shortest, xp.clip(xp.divide(beta, unit), shortest, most)
+
+
+@jax.custom_jvp
+def _rounded_away(band: tuple[Leaf, Leaf]) -> tuple[Leaf, Leaf]:
+    return band
+
+
+@_rounded_away.defjvp
+def _rounded_away_jvp(primals: Any, tangents: Any) -> Any:
+    raise ModelError(
+        "these windows have no derivative by alpha or beta: their lengths are rounded to samples. "
+        "Differentiate AllWindows(...) with Boxcar() or Hat(), or RandomWindows(..., "
+        "between_samples=True) with Boxcar(), or hold alpha and beta by jax.lax.stop_gradient."
+    )
 
 
 def _require_order(alpha: Leaf, beta: Leaf) -> None:
@@ -173,9 +200,9 @@ class AllWindows(AbstractWindows):
 
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
         """The law of lags, which are multiples of so many samples."""
-        shortest, longest = self.lags(sample_count, time_step, multiple)
+        band = _in_lags(self.alpha, self.beta, sample_count, time_step, multiple)
         most = self.reach(sample_count) // multiple
-        return self.law.bins(shortest, longest, multiple * time_step, most)
+        return self.law.bins(*band, multiple * time_step, most)
 
     def weights(
         self, sample_count: int, time_step: Float[Array, ""], lengths: Int[Array, " lengths"]

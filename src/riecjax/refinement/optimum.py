@@ -168,8 +168,9 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     """The gradient stays zero: its slope by the point times the point's change, with the whole
     second derivative, takes up its slope by the problem times the problem's change."""
     point, problem = primals
-    moving, fixed = eqx.partition(problem, eqx.is_inexact_array)
-    change = jax.tree.map(_change, moving, tangents[1], is_leaf=lambda leaf: leaf is None)
+    change = tangents[1]
+    moves = jax.tree.map(lambda t: t is not None, change, is_leaf=lambda t: t is None)
+    moving, fixed = eqx.partition(problem, moves)
     flat, unravel = ravel_pytree(point)
 
     def gradient(at: Array, problem_leaves: Any) -> Array:
@@ -184,10 +185,3 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     identity = jnp.eye(flat.shape[0], dtype=flat.dtype)
     inverse = solve_scaled(hessian + jnp.diag(held.astype(flat.dtype)), identity)
     return point, unravel(-(inverse @ pushed))
-
-
-def _change(leaf: Any, along: Any) -> Any:
-    """A tangent for every leaf that may have one: zero where nothing moves it."""
-    if leaf is None or along is not None:
-        return along
-    return jnp.zeros_like(leaf)
