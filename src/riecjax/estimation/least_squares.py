@@ -65,12 +65,22 @@ def solve(equations: NormalEquations) -> Solution:
     return _solution(theta * scale, singular_values, vectors[:, 0], tolerance**0.5)
 
 
-# One matrix at a time, under vmap as well. LAPACK's batched calls wait for threads of the pool that
-# they run on: two at once, on a machine of two cores, wait for each other for ever (jaxlib 0.10.2).
-@jax.custom_batching.sequential_vmap
 def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
-    """Eigenvalues of a symmetric matrix, least first, and eigenvectors in columns."""
-    return jnp.linalg.eigh(matrix)
+    """Eigenvalues of a symmetric matrix, least first, and eigenvectors in columns.
+
+    Under vmap, a CPU takes one matrix at a time; other devices take them all at once.
+    """
+    return jax.lax.platform_dependent(matrix, cpu=_one_by_one, default=_eigen)
+
+
+def _eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
+    values, vectors = jnp.linalg.eigh(matrix)
+    return values, vectors
+
+
+# LAPACK's batched calls wait for threads of the pool that they run on: two at once, on a machine of
+# two cores, wait for each other for ever (jaxlib 0.10.2).
+_one_by_one = jax.custom_batching.sequential_vmap(_eigen)
 
 
 def solve_rows(rows: Rows) -> Solution:
