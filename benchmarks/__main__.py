@@ -5,6 +5,7 @@ it fails where a ratio has fallen under half of what is recorded there.
 """
 
 import argparse
+import importlib
 import json
 import sys
 from collections.abc import Iterator
@@ -14,18 +15,16 @@ from benchmarks.writing import write_json
 from riecjax.runtime import start_jax
 
 FOLDER = Path(__file__).parent
+SUITE = ("all_windows", "simulation", "estimation", "study", "bypassed")
 
 
 def measured(small: bool, only: list[str]) -> Iterator[dict]:
     start_jax()
     from benchmarks import timing
-    from benchmarks.suite import all_windows, estimation, simulation, study
 
     size = timing.SMALL if small else timing.FULL
-    for module in (all_windows, simulation, estimation, study):
-        if only and not {module.__name__.rpartition(".")[2]} & set(only):
-            continue
-        for comparison in module.run(size):
+    for name in only or SUITE:
+        for comparison in importlib.import_module(f"benchmarks.suite.{name}").run(size):
             print(line(comparison._asdict()), flush=True)
             yield comparison._asdict()
 
@@ -53,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--small", action="store_true", help="less of everything, in a minute")
     parser.add_argument("--check", action="store_true", help="compare with what is recorded")
-    parser.add_argument("--only", nargs="*", default=[], help="files of benchmarks/suite")
+    parser.add_argument("--only", nargs="*", default=[], choices=SUITE, help="files")
     arguments = parser.parse_args()
     file = FOLDER / ("results_small.json" if arguments.small else "results.json")
     results = list(measured(arguments.small, arguments.only))

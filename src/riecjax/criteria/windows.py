@@ -129,6 +129,10 @@ class AllWindows(AbstractWindows):
     What random windows converge to as their number grows: the same estimate without sampling
     noise, in closed form (see `all_windows`). The cost does not depend on how many there are.
 
+    Alpha and beta are rounded to samples. With boxcars and hats, derivatives by them are those of
+    the law without rounding (see `LagBins.with_edges_as_bins`): the central difference over one
+    sample to either side where they lie on samples.
+
     **Arguments:**
 
     - `alpha`, `beta`: shortest and longest window in seconds.
@@ -139,7 +143,8 @@ class AllWindows(AbstractWindows):
       the record is worked through in. Found out where beta is a plain number; under `jit` or
       `vmap` over beta it should be given, or every block spans the record.
 
-    **Raises:** `ModelError` unless 0 < alpha < beta, or for a law that is none.
+    **Raises:** `ModelError` unless 0 < alpha < beta, or for a law that is none; when it is
+    differentiated by alpha or beta with a bump.
     """
 
     alpha: Leaf
@@ -236,7 +241,8 @@ class RandomWindows(AbstractWindows):
       between its samples, instead of rounding both to samples. The default, on samples, is
       faster, and its expectation is a finite sum over pairs of samples.
 
-    **Raises:** `ModelError` unless 0 < alpha < beta and count >= 1.
+    **Raises:** `ModelError` unless 0 < alpha < beta and count >= 1; when it is differentiated by
+    alpha or beta on samples.
     """
 
     alpha: Leaf

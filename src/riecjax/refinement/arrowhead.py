@@ -8,7 +8,9 @@ as the parameters are few: the cost grows with the number of windows, not with i
 A least-squares solver needs of the residuals only their moments with their derivatives. Ours takes
 these as they are; for any other solver of optimistix, residual and Jacobian are rotated into a
 triangle of as many rows as there are columns, which changes neither a sum of squares nor a step.
-Either way, what is carried from step to step does not grow with the record.
+Either way, what is carried from step to step does not grow with the record. Of one window, ours is
+as fast as optimistix's Levenberg-Marquardt at equal error, of 20 windows with starts two to three
+times as fast: `python -m benchmarks --only bypassed`.
 """
 
 from typing import Any
