@@ -17,6 +17,12 @@ NAMES = [
     "refine",
     "weak-peer",
     "study",
+    "scan-or-steps",
+    "scan-or-diffeqsolve",
+    "scan-or-steps-batch",
+    "search-one-window",
+    "search-one-window-start",
+    "search-many-windows",
 ]
 
 

@@ -292,7 +292,9 @@ class RIEC(AbstractCriterion):
             return windows.count
         if not is_concrete(windows, record.time_step):
             return None
-        return self.test_function.window_count(windows, record)
+        # Inside a jitted function, JAX would trace arithmetic on known numbers too.
+        with jax.ensure_compile_time_eval():
+            return self.test_function.window_count(windows, record)
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
         """One row for each window. The same key draws the same windows for every equation.
