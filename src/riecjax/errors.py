@@ -1,13 +1,14 @@
 """Errors that a user can act on: each message says what is wrong and what to do about it."""
 
 import contextlib
+import os
+import site
+import sysconfig
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
 MOST_WORDS = 300
-NOT_THE_USERS = ("site-packages", "/riecjax/", "\\riecjax\\", "importlib", "<")
-"""What the paths of frames hold that are not of the user's own code."""
 
 
 class RiecjaxError(ValueError):
@@ -58,9 +59,23 @@ def users_code(name: object) -> Iterator[None]:
 
 def _line_of(error: BaseException) -> str:
     """The last line of a file of the user's that an exception passed through."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if not any(part in frame.filename for part in NOT_THE_USERS)]
+    own = [f for f in traceback.extract_tb(error.__traceback__) if _is_users_own(f.filename)]
     return f" at line {own[-1].lineno} of {Path(own[-1].filename).name}" if own else ""
+
+
+def _is_users_own(filename: str) -> bool:
+    """Whether a file belongs neither to this package nor to an installed one nor to Python."""
+    if filename.startswith("<"):
+        return False
+    installed = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+    folders = [
+        Path(__file__).parent,
+        *installed,
+        *site.getsitepackages(),
+        site.getusersitepackages(),
+    ]
+    path = Path(os.path.abspath(filename))
+    return not any(path.is_relative_to(folder) for folder in folders)
 
 
 def _hint(error: BaseException) -> str:

@@ -1,0 +1,34 @@
+import runpy
+
+import pytest
+
+from riecjax.errors import ModelError, users_code
+
+FAILING = """
+import json
+
+
+def fails():
+    return json.loads("no number")
+
+
+fails()
+"""
+
+
+@pytest.mark.parametrize("folder", ["plain", "riecjax", "site-packages", "importlib"])
+def test_the_line_is_the_users_wherever_the_file_lies(tmp_path, folder):
+    file = tmp_path / folder / "mine.py"
+    file.parent.mkdir()
+    file.write_text(FAILING)
+    # json.loads fails deeper, in Python's own library.
+    words = r"mine failed at line 6 of mine\.py: JSONDecodeError"
+    with pytest.raises(ModelError, match=words), users_code("mine"):
+        runpy.run_path(str(file))
+
+
+def test_an_error_of_no_file_of_the_users_names_no_line():
+    code = compile("{}['a']", "<string>", "eval")
+    with pytest.raises(ModelError, match=r"^mine failed") as caught, users_code("mine"):
+        eval(code)
+    assert "<string>" not in str(caught.value)
