@@ -12,15 +12,21 @@ MOST_WORDS = 300
 
 
 class RiecjaxError(ValueError):
-    """Base of every error that riecjax raises on purpose."""
+    """Base of every error that riecjax raises on purpose; `code` names its kind for scripts."""
+
+    code = "error"
 
 
 class DataError(RiecjaxError):
     """The recorded data does not allow what was asked of it (missing signal, NaN, too short)."""
 
+    code = "data"
+
 
 class MissingSignalError(DataError):
     """A record lacks a signal; `signal` is its name, `available` what the record has."""
+
+    code = "missing_signal"
 
     def __init__(self, signal: str, available: tuple[str, ...]):
         self.signal = signal
@@ -34,13 +40,24 @@ class MissingSignalError(DataError):
 class ModelError(RiecjaxError):
     """A model, equation or criterion is put together wrongly, or a name in it is unknown."""
 
+    code = "model"
+
 
 class IdentifiabilityError(RiecjaxError):
-    """The data cannot tell the parameters apart: regressors are collinear or carry no signal."""
+    """The data cannot tell the parameters apart: regressors are collinear or carry no signal.
+
+    `code` is that of the finding behind it: `unidentifiable`, `not_excited`, `constant_target`.
+    """
+
+    def __init__(self, message: str, code: str = "unidentifiable"):
+        self.code = code
+        super().__init__(message)
 
 
 class SimulationError(RiecjaxError):
     """A simulation lost its solution where one was needed."""
+
+    code = "simulation"
 
 
 @contextlib.contextmanager

@@ -1,3 +1,4 @@
+import json
 import os
 import pickle
 import subprocess
@@ -505,6 +506,12 @@ def test_process_exits_with_the_status_and_one_line(status, arguments):
     Path("head.csv").write_text("t,x1\n")
     done = run_process(*arguments)
     assert done.returncode == status
-    assert done.stdout == ""
     assert done.stderr.startswith("riecjax: ")
     assert done.stderr.count("\n") == 1
+    if status == 2:
+        assert done.stdout == ""
+        return
+    document = json.loads(done.stdout)
+    assert document["schema"] == 1
+    assert f"riecjax: {document['error']['message']}\n" == done.stderr
+    assert document["error"]["code"] == "data"

@@ -204,9 +204,24 @@ def test_check_refuses_a_step_with_an_offset_and_names_the_direction(capsys):
     document = call(capsys, "check", "step.csv", *options, "--json").document
     assert document["answerable"] is False
     assert "unidentifiable" in codes(document)
-    # The fit goes ahead, for the noise makes it possible in numbers, but not in silence.
-    fit = call(capsys, "identify", "step.csv", *options, "--json").document
-    assert "unidentifiable" in codes(fit)
+    # The noise would make a fit possible in numbers; it is refused in the same words.
+    fit = call(capsys, "identify", "step.csv", *options, "--json")
+    assert fit.status == 1
+    assert fit.document == {"schema": 1, "error": document["error"]}
+    assert document["error"]["code"] == "constant_target"
+    assert fit.err == f"riecjax: {document['error']['message']}\n"
+
+
+def test_what_only_noise_tells_apart_is_refused_by_check_and_identify_alike(capsys):
+    data = motion()
+    data["q2"] = data["q"] + 1e-4 * np.random.default_rng(1).normal(size=COUNT)
+    second = '    rx.Term("k2", "q2"),\n    rx.Term("offset"'
+    Path("machine.py").write_text(MODEL.replace('    rx.Term("offset"', second))
+    write_csv(Path("run.csv"), data)
+    checked = call(capsys, "check", "run.csv", *IDENTIFY, "--json")
+    fit = call(capsys, "identify", "run.csv", *IDENTIFY, "--json")
+    assert (checked.status, fit.status) == (1, 1)
+    assert fit.document["error"]["code"] == checked.document["error"]["code"] == "unidentifiable"
 
 
 def test_check_names_a_silent_parameter(capsys):

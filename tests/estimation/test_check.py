@@ -11,7 +11,7 @@ from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term, Terms
-from riecjax.errors import IdentifiabilityError, MissingSignalError
+from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError
 from riecjax.estimation.check import check
 from riecjax.estimation.excitation import excitation
 from riecjax.estimation.identify import identify
@@ -101,15 +101,16 @@ SPRING = Equation(
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_an_offset_beside_a_force_that_never_varies_is_unidentifiable(noise):
+def test_an_offset_beside_a_force_that_never_varies_is_a_constant_target(noise):
     record = oscillator_under_a_constant_force(noise)
     criterion = RIEC(CRITERION.windows, Hat(4))
     found = check(SPRING, record, criterion, key=KEY)
     assert not found.answerable
-    (message,) = [f.message for f in found.findings if f.code == "unidentifiable"]
+    (message,) = [f.message for f in found.findings if f.code == "constant_target"]
     assert "offset alone explains all of it and leaves m, k at zero" in message
-    with pytest.raises(IdentifiabilityError, match="--set offset=VALUE"):
+    with pytest.raises(IdentifiabilityError, match="--set offset=VALUE") as refused:
         identify(SPRING, record, criterion, key=KEY)
+    assert refused.value.code == "constant_target"
     held = identify(SPRING, record, criterion, key=KEY, known={"offset": 0.0})
     assert float(held["k"]) == pytest.approx(25.0, rel=0.05)
 
@@ -118,7 +119,16 @@ def test_a_force_that_steps_inside_the_record_is_fine():
     record = oscillator_under_a_constant_force()
     stepping = record.with_signals({"F": jnp.where(record.time < 2, 0.0, record["F"])})
     found = check(SPRING, stepping, RIEC(CRITERION.windows, Hat(4)), key=KEY)
-    assert "unidentifiable" not in [f.code for f in found.findings]
+    assert found.answerable
+
+
+def test_what_a_fit_refuses_before_it_solves_a_check_refuses_too():
+    never_whole = record_of(a=np.where(np.arange(4000) % 9, 1.0, np.nan))
+    infinite = record_of(a=np.full(4000, 1e200))
+    for record, words in ((never_whole, "every window touches"), (infinite, "not finite")):
+        for verb in (check, identify):
+            with pytest.raises(DataError, match=words):
+                verb(equation("a", "b"), record, CRITERION, key=KEY)
 
 
 @pytest.mark.parametrize(

@@ -129,6 +129,7 @@ def command(
     import jax
     from rich.console import Console
 
+    from riecjax.estimation.check import check
     from riecjax.estimation.identify import identify
     from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
     from riecjax.leaves import on_host
@@ -150,12 +151,14 @@ def command(
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
     judge = kinds[intervals]
     estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
+    # What `riecjax check` refuses is refused here, before any of it is shown.
+    checked = check(procedure, records, criterion, **settings)
+    checked.raise_if_unanswerable()
     # What is asked for first is shown first: all that follows is about how far to trust it.
     shown = not as_json and refining.refine == "none"
     if shown:
         print_estimate(estimate_entries(model.name, estimate), Console())
 
-    from riecjax.estimation.check import check
     from riecjax.reporting.identification import (
         Identification,
         identification_document,
@@ -165,7 +168,6 @@ def command(
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.identification_page import identification_page
 
-    checked = check(procedure, records, criterion, **settings)
     refined = refining.run(model, records, estimate, own=own, key=key, intervals=judge)
     found = estimate if refined is None else refined
     to_simulate = _to_simulate(held, further)

@@ -2,6 +2,7 @@
 
 import gc
 import importlib
+import json
 import os
 import sys
 
@@ -46,7 +47,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run the command line; the exit status is returned, every message is one line."""
+    """Run the command line; the exit status is returned, every message is one line.
+
+    Where the status is 1, `--json` prints `{"schema": 1, "error": {"code": ..., "message": ...}}`.
+    """
+    given = sys.argv[1:] if arguments is None else arguments
     try:
         status = cli.main(arguments, prog_name="riecjax", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -58,14 +63,21 @@ def run(arguments: list[str] | None = None) -> int:
     except click.Abort:
         return _fail("interrupted.", 1)
     except RiecjaxError as error:
-        return _fail(str(error), 1)
+        return _no_answer(str(error), error.code, given)
     except BrokenPipeError:
         # The reader of our output went away (`| head`); leave quietly.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except MemoryError:
-        return _fail("not enough memory for this record.", 1)
+        return _no_answer("not enough memory for this record.", "memory", given)
     return status if isinstance(status, int) else 0
+
+
+def _no_answer(message: str, code: str, arguments: list[str]) -> int:
+    if "--json" in arguments:
+        error = {"code": code, "message": message}
+        click.echo(json.dumps({"schema": 1, "error": error}, indent=2))
+    return _fail(message, 1)
 
 
 def _fail(message: str, status: int) -> int:

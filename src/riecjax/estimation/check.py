@@ -11,11 +11,12 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms, evaluate
+from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.assembly import all_rows
-from riecjax.estimation.constant_side import constant_sides
+from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.excitation import Excitation, excitation
-from riecjax.estimation.identify import record_keys, signals_read
-from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.estimation.identify import pose, record_keys, signals_read
+from riecjax.estimation.procedure import HasProcedure, Procedure
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
@@ -29,7 +30,7 @@ FEWEST_STRETCHES = 10
 """Stretches of twice the longest window that the records should hold."""
 QUADRATURE_ERROR = 0.01
 """Share of a regressor that the integrals' error may reach."""
-FATAL = ("not_excited", "unidentifiable")
+FATAL = ("constant_target", "not_excited", "unidentifiable")
 """Codes of findings that leave no answer, rather than a doubtful one."""
 
 
@@ -44,9 +45,20 @@ class Check(NamedTuple):
     signals: tuple[str, ...]
 
     @property
+    def refusal(self) -> Finding | None:
+        """What rules an answer out, the first of its kind in `FATAL`; `None` if nothing does."""
+        fatal = [finding for finding in self.findings if finding.code in FATAL]
+        return min(fatal, key=lambda finding: FATAL.index(finding.code), default=None)
+
+    @property
     def answerable(self) -> bool:
         """Whether nothing found rules an answer out."""
-        return not any(finding.code in FATAL for finding in self.findings)
+        return self.refusal is None
+
+    def raise_if_unanswerable(self) -> None:
+        """Raise `IdentifiabilityError` with the message and code of the [`Check.refusal`][]."""
+        if self.refusal is not None:
+            raise IdentifiabilityError(self.refusal.message, self.refusal.code)
 
 
 def check(
@@ -64,20 +76,18 @@ def check(
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    procedure = as_procedure(model)
-    recordings = [records] if isinstance(records, Record) else list(records)
+    asked = pose(model, records, criterion, key=key, known=known, own=own)
+    procedure, recordings, criterion = asked.procedure, asked.records, asked.criterion
     read = [signals_read(procedure, record, criterion) for record in recordings]
-    criterion = criterion.fitted(recordings)
     excitations = on_host(
         excitation(procedure, recordings, criterion, key=key, known=known, own=own)
     )
-    held = constant_sides(procedure, recordings, {*(known or {}), *procedure.known})
     findings = [
         *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),
         *_quadrature(procedure, recordings, criterion, key),
         *_break_points(procedure, recordings),
-        *(Finding("unidentifiable", message) for message in held),
+        *constant_targets(procedure, asked.sharing, recordings, criterion, asked.given),
         *(finding for stage in excitations for finding in stage.findings()),
     ]
     return Check(findings, excitations, tuple(dict.fromkeys(n for names in read for n in names)))

@@ -11,10 +11,9 @@ from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import combination
-from riecjax.estimation.identify import known_values, plan_stages, record_keys
+from riecjax.estimation.identify import pose, raise_if_nothing_to_fit
 from riecjax.estimation.noise import noise_level
-from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.procedure import HasProcedure, Procedure
 from riecjax.findings import Finding
 from riecjax.records.record import Record
 
@@ -111,16 +110,17 @@ def excitation(
 
     The noise of a signal is estimated from its differences of sixth order, which no smooth motion
     survives, and sent through the equation once: rows with that noise less rows without.
+
+    **Raises:** as `identify`, but for what a fit alone shows.
     """
-    procedure = as_procedure(model)
-    recordings = [records] if isinstance(records, Record) else list(records)
-    sharing = Sharing(procedure.parameters, own, len(recordings))
-    given = known_values(procedure, sharing, known or {})
-    plan = plan_stages(procedure, sharing, given)
-    keys = record_keys(key, len(recordings))
+    asked = pose(model, records, criterion, key=key, known=known, own=own)
+    procedure, recordings, criterion, sharing, _, plan, keys = asked
     noisy = [with_noise(record, seed) for seed, record in enumerate(recordings)]
     clean_rows = all_rows(procedure, sharing, recordings, criterion, keys)
     noisy_rows = all_rows(procedure, sharing, noisy, criterion, keys)
+    with np.errstate(over="ignore", invalid="ignore"):
+        energies = [np.sum(np.square(np.asarray(rows.columns))) for rows in clean_rows]
+    raise_if_nothing_to_fit(plan, [rows.count() for rows in clean_rows], energies)
     return [
         _excitation(clean, disturbed, unknown, label)
         for clean, disturbed, (label, unknown) in zip(clean_rows, noisy_rows, plan)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
+from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.criteria.windows import DEFAULT_BAND
@@ -15,7 +16,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import raise_if_samples_mix
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
 from riecjax.estimation.assembly import Assembled, all_normal_equations, all_rows
-from riecjax.estimation.constant_side import raise_if_only_constant
+from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate, combination
 from riecjax.estimation.evidence import judge
 from riecjax.estimation.intervals import (
@@ -75,32 +76,19 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    procedure = as_procedure(model)
     if criterion is None:
         criterion = RIEC.of_band(getattr(model, "band", None) or DEFAULT_BAND)
-    recordings = [records] if isinstance(records, Record) else list(records)
-    if not recordings:
-        raise DataError("identification needs at least one record.")
-    sharing = Sharing(procedure.parameters, own, len(recordings))
-    given = known_values(procedure, sharing, known or {})
-    plan = plan_stages(procedure, sharing, given)
-    if criterion.needs_key and key is None:
-        raise ModelError("random windows need a key: key=jax.random.key(seed).")
-    for record in recordings:
-        criterion.check(record)
-    criterion = criterion.fitted(recordings)
-
-    _raise_if_samples_mix(procedure, recordings, criterion)
-    keys = record_keys(key, len(recordings))
+    asked = pose(model, records, criterion, key=key, known=known, own=own)
+    procedure, recordings, criterion, sharing, given, plan, keys = asked
     assembled = all_normal_equations(procedure, sharing, recordings, criterion, keys)
     stages = assembled.stages
     intervals = BlockBootstrap() if intervals is None else intervals
     window = jnp.asarray(criterion.block_length)
     solved = _solve(assembled, given, window, sharing, intervals, None)
     if is_concrete(solved.stages):
-        _raise_if_empty(stages, plan)
-        raise_if_only_constant(procedure, recordings, given)
-        _raise_if_not_finite(stages, plan)
+        raise_if_nothing_to_fit(plan, [s.count for s in stages], [s.moments for s in stages])
+        for finding in constant_targets(procedure, sharing, recordings, criterion, given):
+            raise IdentifiabilityError(finding.message, finding.code)
         past_gram = _worst_condition(solved.stages) > gram_condition_limit(window.dtype)
         if past_gram and not criterion.in_closed_form:
             rows = all_rows(procedure, sharing, recordings, criterion, keys)
@@ -127,6 +115,52 @@ def identify(
             for stage in solved.stages
         ),
     )
+
+
+class Question(NamedTuple):
+    """What is asked of records, before any arithmetic; see [`identify`][] for the arguments.
+
+    **Fields:** `procedure`; `records`; `criterion` fitted to them; `sharing` of parameters; `given`
+    values by name over all records; `plan`, (stage name, parameters it finds); `keys` of records.
+    """
+
+    procedure: Procedure
+    records: list[Record]
+    criterion: AbstractCriterion
+    sharing: Sharing
+    given: dict[str, Array]
+    plan: list[tuple[str, tuple[str, ...]]]
+    keys: list[Key[Array, ""] | None]
+
+
+def pose(
+    model: Equation | Procedure | HasProcedure,
+    records: Record | Sequence[Record],
+    criterion: AbstractCriterion,
+    *,
+    key: Key[Array, ""] | None,
+    known: Mapping[str, float | Array] | None,
+    own: Sequence[str],
+) -> Question:
+    """Everything that can be refused before arithmetic, for [`identify`][] and for a check alike.
+
+    **Raises:** `ModelError` and `DataError` as [`identify`][].
+    """
+    procedure = as_procedure(model)
+    recordings = [records] if isinstance(records, Record) else list(records)
+    if not recordings:
+        raise DataError("identification needs at least one record.")
+    sharing = Sharing(procedure.parameters, own, len(recordings))
+    given = known_values(procedure, sharing, known or {})
+    plan = plan_stages(procedure, sharing, given)
+    if criterion.needs_key and key is None:
+        raise ModelError("random windows need a key: key=jax.random.key(seed).")
+    for record in recordings:
+        criterion.check(record)
+    criterion = criterion.fitted(recordings)
+    _raise_if_samples_mix(procedure, recordings, criterion)
+    keys = record_keys(key, len(recordings))
+    return Question(procedure, recordings, criterion, sharing, given, plan, keys)
 
 
 def signals_read(
@@ -246,20 +280,25 @@ def _worst_condition(solutions: list[StageSolution]) -> float:
     return max(float(stage.solution.condition_number) for stage in solutions)
 
 
-def _raise_if_empty(stages: list[NormalEquations], plan: list[tuple[str, tuple[str, ...]]]) -> None:
-    for equations, (label, unknown) in zip(stages, plan):
-        if unknown and not bool(np.sum(equations.count) > 0):
+def raise_if_nothing_to_fit(
+    plan: list[tuple[str, tuple[str, ...]]],
+    counts: Sequence[ArrayLike],
+    sums: Sequence[ArrayLike],
+) -> None:
+    """Refuse a stage without rows, or with sums that are not finite numbers (not under jit).
+
+    **Arguments:** of each stage of the `plan`, `counts` of its rows and `sums` of their products.
+
+    **Raises:** `DataError` naming the stage.
+    """
+    for (label, unknown), count in zip(plan, counts):
+        if unknown and not bool(np.sum(count) > 0):
             raise DataError(
                 f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
                 f"or repair the record's gaps."
             )
-
-
-def _raise_if_not_finite(
-    stages: list[NormalEquations], plan: list[tuple[str, tuple[str, ...]]]
-) -> None:
-    for equations, (label, _) in zip(stages, plan):
-        if not bool(np.all(np.isfinite(equations.moments))):
+    for (label, _), values in zip(plan, sums):
+        if not bool(np.all(np.isfinite(values))):
             raise DataError(
                 f"{label}: its terms are not finite numbers on this record: a division by zero, a "
                 f"root of a negative number, or values too large to be squared. Scale the signals "

@@ -22,9 +22,11 @@ def check_document(
     records: Sequence[Record],
     steps: Sequence[str],
 ) -> Document:
-    """The document that `riecjax check --json` prints."""
+    """The document that `riecjax check --json` prints, with an `error` if that exits with 1."""
+    refusal = checked.refusal
     return {
         "schema": 1,
+        **({} if refusal is None else {"error": refusal._asdict()}),
         "model": model,
         "criterion": criterion.describe(),
         "answerable": checked.answerable,

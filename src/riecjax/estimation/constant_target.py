@@ -1,0 +1,245 @@
+"""A target that does not vary: one term reproduces it, and nothing of the machine is known.
+
+With a force that never varies, an unknown offset alone explains all of it: the offset takes the
+force's value, every other parameter zero, and the residual vanishes, while the regressors are not
+collinear at all. A position that hardly moves about a large mean does the same: k takes the ratio
+of two constants, wherever its sensor has its zero, and free motion ties all others to k.
+
+Let b be the target, a_j the regressors, and b', a_j' what they vary about their means (in each
+record of its own where a parameter is). An equation says nothing of its parameters if
+
+1. |b'| is a small share of |b|: the target is constant, and
+2. a' explains little of b': what varies of it is noise or drift, and
+3. one term's columns, or all those that do not move, reproduce b, and leave others over that
+   stand in no other equation of the stage.
+
+Where motion explains how a target varies (a step that begins late, a force that varies by 5 %),
+the second fails and the fit is sound. Equations are averaged by hats as long as the criterion's
+windows, which need no recorded derivative; for [`DOLS`][] each sample counts.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.criteria.criterion import RIEC, AbstractCriterion
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import AbstractTerm, both_present
+from riecjax.estimation.procedure import Procedure
+from riecjax.estimation.sharing import Sharing
+from riecjax.findings import Finding
+from riecjax.records.record import Record
+
+CONSTANT = 0.1
+"""Share of a target, rms, that may vary where it counts as constant."""
+STILL = 0.05
+"""Share of a regressor that may vary where it counts as one that does not move."""
+EXPLAINED = 0.5
+"""Share of a target's variance past which motion explains how it varies."""
+ROUNDING = 1e-7
+"""Share of a column that double sums over a long record may leave as rounding."""
+MOST_ROWS = 4000
+"""Rows of a record that are looked at."""
+
+Rows = Float[np.ndarray, " rows"]
+
+
+# Values too large to be squared are for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def constant_targets(
+    procedure: Procedure,
+    sharing: Sharing,
+    records: list[Record],
+    criterion: AbstractCriterion,
+    given: Mapping[str, Array],
+) -> list[Finding]:
+    """Equations whose constant target one term reproduces (not under jit).
+
+    **Arguments:** `given`, known values by name over all records.
+    """
+    settled, findings = set(given), []
+    for stage in procedure.stages:
+        for equation in stage:
+            seen = _Averaged(equation, sharing, records, criterion, given, settled)
+            elsewhere = {
+                name for other in stage if other is not equation for name in other.parameters
+            }
+            if message := _message(seen, set(sharing.everywhere(sorted(elsewhere)))):
+                findings.append(Finding("constant_target", f"{equation.name}: {message}"))
+        settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
+    return findings
+
+
+def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
+    """In words, that one term alone explains the target; empty if it does not."""
+    target = seen.target()
+    size = _norm(target)
+    varying = _norm(seen.moving(target))
+    # Negated, so that what is not finite is passed over.
+    if not (size > 0 and varying <= CONSTANT * size):
+        return ""
+    columns = seen.columns()
+    if varying > ROUNDING * size and seen.explained(target, columns) > EXPLAINED:
+        return ""
+    for names in seen.candidates(columns):
+        hidden = [name for name in columns if name not in names and name not in elsewhere]
+        left = _norm(_residual(target, [columns[name] for name in names]))
+        if hidden and left <= np.hypot(varying, STILL * size):
+            still = all(ROUNDING < seen.share(columns[name]) <= STILL for name in names)
+            return _words(names, hidden, still)
+    return ""
+
+
+def _words(names: list[str], hidden: list[str], still: bool) -> str:
+    who, others, one = ", ".join(names), ", ".join(hidden), len(names) == 1
+    explains, leaves = ("explains", "leaves") if one else ("explain", "leave")
+    if still:
+        why = (
+            f"neither the input nor what {who} multiplies varies, so {who} alone {explains} the "
+            f"input, as a ratio of two constants that every sensor's zero shifts, and "
+            f"{others} follow{'s' * (len(hidden) == 1)} from that."
+        )
+    else:
+        why = (
+            f"the input never varies, so {who} alone {explains} all of it and {leaves} {others} at "
+            f"zero: the record cannot tell {who} from the rest."
+        )
+    return (
+        f"{why} Record from before the step on, excite the system more richly, or hold {names[0]} "
+        f"at a known value (on the command line: --set {names[0]}=VALUE)."
+    )
+
+
+class _View(NamedTuple):
+    """How one record is averaged: hats of `half` samples to a side (none for 0) about `centres`."""
+
+    record: Record
+    half: int
+    centres: np.ndarray
+
+    @property
+    def independent(self) -> float:
+        """Rows that share no data."""
+        return self.record.sample_count / max(2 * self.half, 1)
+
+    def rows(self, term: AbstractTerm) -> list[Rows]:
+        """The term's columns, each row a mean of d^k/dt^k of it, weighted by a hat."""
+        order = 0 if self.half else term.derivative
+        samples = np.asarray(term.samples(self.record, order).values)
+        if not self.half:
+            return [column[self.centres] for column in samples]
+        step, h, c = float(self.record.time_step), self.half, self.centres
+        found = []
+        for column in samples:
+            # By parts: the second difference of what is integrated twice, less derivatives.
+            for _ in range(2 - term.derivative):
+                column = step * np.cumsum(np.append(0.0, 0.5 * (column[1:] + column[:-1])))
+            found.append((column[c + h] - 2 * column[c] + column[c - h]) / (h * step) ** 2)
+        return found
+
+
+def _view(equation: Equation, record: Record, criterion: AbstractCriterion) -> _View:
+    half = 0
+    if isinstance(criterion, RIEC):
+        length = np.sqrt(float(criterion.windows.alpha) * float(criterion.windows.beta))
+        most = (record.sample_count - 2) // 2
+        half = int(np.clip(round(length / (2 * float(record.time_step))), 1, max(most, 1)))
+    centres = np.arange(half, record.sample_count - half)
+    if record.missing or equation.where is not None:
+        read = equation.signals_read(record, 2 if half else 0)
+        present = both_present(equation.trusted(record), record.present(read))
+        if present is not None:
+            absent = np.append(0, np.cumsum(~np.asarray(present)))
+            centres = centres[absent[centres + half + 1] == absent[centres - half]]
+    return _View(record, half, centres[:: max(centres.size // MOST_ROWS, 1)])
+
+
+class _Averaged:
+    """One equation's target and regressors on all records, one record's rows after the other."""
+
+    def __init__(
+        self,
+        equation: Equation,
+        sharing: Sharing,
+        records: list[Record],
+        criterion: AbstractCriterion,
+        given: Mapping[str, Array],
+        settled: set[str],
+    ):
+        self.equation, self.sharing = equation, sharing
+        self.given, self.settled = given, settled
+        self.views = [_view(equation, record, criterion) for record in records]
+        individual = bool(sharing.own.intersection(equation.parameters))
+        sizes = [view.centres.size for view in self.views]
+        self.record_of_row = np.repeat(np.arange(len(sizes)) * individual, sizes)
+
+    def _terms(self, free: bool) -> Iterator[tuple[int, AbstractTerm, tuple[str, ...]]]:
+        """Terms with an unknown coefficient, or those without, with their names, by record."""
+        for i in range(len(self.views)):
+            for term in self.equation.terms:
+                names = self.sharing.of_record(term.parameters, i)
+                if bool(set(names) - self.settled) == free:
+                    yield i, term, names
+
+    def target(self) -> Rows:
+        """What the known terms amount to. What an earlier stage finds counts as one."""
+        parts = [np.zeros(view.centres.size) for view in self.views]
+        for i, term, names in self._terms(free=False):
+            rows = self.views[i].rows(term)
+            values = [float(self.given.get(name, 1.0)) for name in names] or [1.0]
+            parts[i] -= sum(value * row for value, row in zip(values, rows))
+        return np.concatenate(parts)
+
+    def columns(self) -> dict[str, Rows]:
+        """The unknown coefficients' regressors."""
+        edges = np.cumsum([0, *(view.centres.size for view in self.views)])
+        found: dict[str, Rows] = {}
+        for i, term, names in self._terms(free=True):
+            for name, row in zip(names, self.views[i].rows(term)):
+                column = found.setdefault(name, np.zeros(edges[-1]))
+                column[edges[i] : edges[i + 1]] += row
+        return {name: column for name, column in found.items() if name not in self.settled}
+
+    def moving(self, rows: Rows) -> Rows:
+        """Rows less their mean, in each record of its own where a parameter is."""
+        count = np.maximum(np.bincount(self.record_of_row), 1)
+        return rows - (np.bincount(self.record_of_row, rows) / count)[self.record_of_row]
+
+    def share(self, column: Rows) -> float:
+        """How much of a column moves."""
+        size = _norm(column)
+        return _norm(self.moving(column)) / size if size > 0 else 0.0
+
+    def explained(self, target: Rows, columns: Mapping[str, Rows]) -> float:
+        """Share of the target's variance that the regressors' motion explains, chance taken off."""
+        moving = [self.moving(column) for column in columns.values()]
+        there = [m for m, c in zip(moving, columns.values()) if _norm(m) > ROUNDING * _norm(c)]
+        varying = self.moving(target)
+        left = (_norm(_residual(varying, there)) / _norm(varying)) ** 2
+        free = sum(view.independent for view in self.views) - 1
+        return 1 - left * free / (free - len(there)) if free > len(there) else 0.0
+
+    def candidates(self, columns: Mapping[str, Rows]) -> list[list[str]]:
+        """Columns that may stand for all: of each term, still ones first, and of all that are."""
+        groups: list[list[str]] = []
+        for _, term, _ in self._terms(free=True):
+            names = [name for name in self.sharing.everywhere(term.parameters) if name in columns]
+            if names not in groups:
+                groups.append(names)
+        groups.sort(key=lambda names: max(self.share(columns[name]) for name in names))
+        return [*groups, [name for name, c in columns.items() if self.share(c) <= STILL]]
+
+
+def _residual(target: Rows, columns: list[Rows]) -> Rows:
+    """What least squares leave of a target."""
+    sizes = [_norm(column) for column in columns]
+    matrix = np.stack([c / s for c, s in zip(columns, sizes) if s > 0] or [0 * target], axis=1)
+    if not np.isfinite(matrix).all():
+        return target
+    return target - matrix @ np.linalg.lstsq(matrix, target, rcond=ROUNDING)[0]
+
+
+def _norm(rows: Rows) -> float:
+    return float(np.linalg.norm(rows))

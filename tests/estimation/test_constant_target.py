@@ -1,0 +1,154 @@
+"""An oscillator m x'' + c x' + k x = F in closed form, under forces that vary, or hardly do."""
+
+import numpy as np
+import pytest
+
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.windows import AllWindows
+from riecjax.equations.bases import roof
+from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant
+from riecjax.equations.term import Term, Terms
+from riecjax.errors import IdentifiabilityError
+from riecjax.estimation.constant_target import constant_targets
+from riecjax.estimation.identify import identify, pose
+from riecjax.estimation.procedure import simultaneous, staged
+from riecjax.records.record import Record
+
+M, C, K, FORCE = 2.0, 3.0, 80.0, 40.0
+RATE = 100
+TIME = np.arange(2000) / RATE
+HATS = RIEC(AllWindows(0.1, 0.8), Hat())
+
+INERTIA = Term("m", "x", derivative=2, measured=("v", "a"))
+DAMPER = Term("c", "x", derivative=1, measured=("v",))
+SPRING, OFFSET, INPUT = Term("k", "x"), Term("offset", constant), Term(-1.0, "F")
+AXIS = Equation(INERTIA, DAMPER, SPRING, INPUT, name="axis")
+WITH_OFFSET = Equation(INERTIA, DAMPER, SPRING, OFFSET, INPUT, name="axis")
+CURVE = Equation(INERTIA, DAMPER, Terms("f", roof([0.0, 0.3, 0.6, 1]), "x"), INPUT, name="axis")
+
+
+def ringing(t, amplitude):
+    """Free motion, zero before t = 0: position, velocity, acceleration."""
+    root = np.roots([M, C, K])[0]
+    # From rest at -amplitude.
+    z = -amplitude / (1 - root / np.conj(root))
+    free = [2 * np.real(z * root**n * np.exp(root * np.maximum(t, 0))) for n in range(3)]
+    return np.where(t < 0, 0.0, free)
+
+
+def stepped(start):
+    """A step of the force, from rest."""
+    position, velocity, acceleration = ringing(TIME - start, FORCE / K)
+    on = start <= TIME
+    return position + on * FORCE / K, velocity, acceleration, FORCE * on
+
+
+def swaying(share, frequency=0.8):
+    """A force that varies by a share of its mean, with its steady response."""
+    w = 2 * np.pi * frequency
+    z = share * FORCE / (K - M * w**2 + 1j * C * w)
+    x, v, a = (np.imag(z * (1j * w) ** n * np.exp(1j * w * TIME)) for n in range(3))
+    return x + FORCE / K, v, a, FORCE * (1 + share * np.sin(w * TIME))
+
+
+def record(motion, noise=0.0, mean=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    x, v, a, force = motion
+    signals = {"x": x + mean, "v": v, "a": a, "F": force}
+    sizes = {"x": np.ptp(x), "v": np.std(v), "a": np.std(a), "F": FORCE}
+    disturbed = {n: s + noise * sizes[n] * rng.normal(size=s.size) for n, s in signals.items()}
+    return Record.from_samples(disturbed, time_step=1 / RATE)
+
+
+def findings(model, records, criterion=HATS, **settings):
+    records = records if isinstance(records, list) else [records]
+    asked = pose(model, records, criterion, **{"key": None, "known": None, "own": (), **settings})
+    return constant_targets(
+        asked.procedure, asked.sharing, asked.records, asked.criterion, asked.given
+    )
+
+
+DRIFT = FORCE * (1 + 0.02 * np.sin(0.4 * TIME + 1))
+HUM = FORCE * (1 + 0.02 * np.sin(2 * np.pi * 49 * TIME))
+NOTHING_TOLD = {
+    "a step before the record, beside an offset": (WITH_OFFSET, stepped(0), 0.0, "offset"),
+    "with a force that drifts": (WITH_OFFSET, (*stepped(0)[:3], DRIFT), 0.0, "offset"),
+    "with hum": (WITH_OFFSET, (*stepped(0)[:3], HUM), 0.0, "offset"),
+    "a position with a large mean": (AXIS, stepped(0), 20.0, "k"),
+    "a position with a huge mean": (AXIS, stepped(0), 800.0, "k"),
+    "both": (WITH_OFFSET, stepped(0), 20.0, "offset"),
+    "a curve, which can be level": (CURVE, stepped(0), 0.0, "f_1, f_2, f_3, f_4"),
+}
+
+
+@pytest.mark.parametrize("criterion", [HATS, DOLS()])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("case", NOTHING_TOLD)
+def test_a_constant_force_that_one_term_reproduces(case, noise, criterion):
+    model, motion, mean, alone = NOTHING_TOLD[case]
+    (finding,) = findings(model, record(motion, noise, mean), criterion)
+    assert finding.code == "constant_target"
+    assert f"so {alone} alone explain" in finding.message
+    assert f"--set {alone.partition(',')[0]}=VALUE" in finding.message
+
+
+ANSWERABLE = {
+    "a step in the middle": (WITH_OFFSET, stepped(9.0), {}),
+    "a step soon": (WITH_OFFSET, stepped(0.4), {}),
+    "a step before the record, from rest, without an offset": (AXIS, stepped(0), {}),
+    "a known stiffness": (WITH_OFFSET, stepped(0), {"k": K}),
+    "a known mass": (WITH_OFFSET, stepped(0), {"m": M}),
+    "a force that varies by 5 %": (AXIS, swaying(0.05), {}),
+    "a force that varies by 5 %, beside an offset": (WITH_OFFSET, swaying(0.05), {}),
+    "a force that varies by 5 %, beside a curve": (CURVE, swaying(0.05), {}),
+    "no force, a known mass": (WITH_OFFSET, (*ringing(TIME, 0.5), 0 * TIME), {"m": M}),
+    "a known mass at free decay": (AXIS, (*ringing(TIME, 0.5), 0 * TIME), {"m": M}),
+}
+
+
+@pytest.mark.parametrize("criterion", [HATS, DOLS()])
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("case", ANSWERABLE)
+def test_what_motion_explains_is_an_answer(case, noise, criterion):
+    model, motion, known = ANSWERABLE[case]
+    assert not findings(model, record(motion, noise), criterion, known=known)
+
+
+def test_one_parameter_alone_hides_none():
+    assert not findings(Equation(SPRING, INPUT), record(stepped(0), mean=20.0))
+
+
+def test_the_stiffness_that_a_sensor_s_zero_makes_is_not_given():
+    shifted = record(stepped(0), mean=800.0)
+    with pytest.raises(IdentifiabilityError, match="a ratio of two constants") as refused:
+        identify(AXIS, shifted, HATS)
+    assert refused.value.code == "constant_target"
+    told = identify(AXIS, record(stepped(0)), HATS)
+    assert float(told["k"]) == pytest.approx(K, rel=1e-3)
+
+
+def test_loads_that_differ_between_records_tell_the_stiffness():
+    x, v, a, force = stepped(0)
+    half = [record((0.5 * x, 0.5 * v, 0.5 * a, 0.5 * force)), record((x, v, a, force))]
+    assert not findings(WITH_OFFSET, half)
+    # An offset for each record takes that away again.
+    (finding,) = findings(WITH_OFFSET, half, own=("offset",))
+    assert "so offset[1], offset[2] alone explain" in finding.message
+
+
+def test_a_parameter_that_another_equation_tells_is_not_hidden():
+    base = Equation(Term(1.0, "F2"), Term("k", "x"), Term("c", "v"), Term("m", "a"), name="base")
+    both = record(stepped(0)).with_signals({"F2": -record(stepped(0))["x"] * K})
+    assert [f.message[:5] for f in findings(simultaneous(WITH_OFFSET, base), both)] == []
+    assert not findings(staged(base, WITH_OFFSET), both)
+    assert findings(staged(WITH_OFFSET, base), both)
+
+
+def test_gaps_are_left_out():
+    motion = stepped(9.0)
+    lost = record((*motion[:3], np.where((TIME > 8) & (TIME < 14), np.nan, motion[3])))
+    assert not findings(WITH_OFFSET, lost)
+    lost = record((*motion[:3], np.where(TIME < 9.5, np.nan, motion[3])))
+    assert findings(WITH_OFFSET, lost)
