@@ -24,17 +24,31 @@ class DataError(RiecjaxError):
 
 
 class MissingSignalError(DataError):
-    """A record lacks a signal; `signal` is its name, `available` what the record has."""
+    """A record lacks a signal; `signal` is its name, `available` what the record has.
+
+    `derivative_of` names the signal whose time derivative it is, where that is known.
+    """
 
     code = "missing_signal"
 
-    def __init__(self, signal: str, available: tuple[str, ...]):
+    def __init__(self, signal: str, available: tuple[str, ...], derivative_of: str = ""):
         self.signal = signal
         self.available = available
-        super().__init__(
-            f"the record has no signal '{signal}'; it has: {', '.join(available) or 'none'}. "
-            f"Rename a column to it (on the command line: --map {signal}=COLUMN)."
-        )
+        listed = ", ".join(available) or "none"
+        rename = f"Rename a column to it (on the command line: --map {signal}=COLUMN)"
+        if derivative_of:
+            message = (
+                f"the record has no signal '{signal}', the derivative of {derivative_of}; it has: "
+                f"{listed}. {rename}, form it (--differentiate {signal}={derivative_of}), or write "
+                f"its terms as derivatives of {derivative_of}, which hats take off the motion "
+                f"(--test-function hat)."
+            )
+        else:
+            message = (
+                f"the record has no signal '{signal}'; it has: {listed}. {rename}, or form it of "
+                f"others (--differentiate {signal}=SIGNAL, --derive {signal}=FORMULA)."
+            )
+        super().__init__(message)
 
 
 class ModelError(RiecjaxError):
@@ -58,6 +72,23 @@ class SimulationError(RiecjaxError):
     """A simulation lost its solution where one was needed."""
 
     code = "simulation"
+
+
+def require(what: str, value: object, kinds: type | tuple[type, ...], write: str) -> None:
+    """Raise `ModelError` unless the argument `what` is of these kinds; `write` says what to write.
+
+    For slips that would fail far from their cause: a name, a class or a list in place of an object.
+    """
+    if isinstance(value, kinds):
+        return
+    if isinstance(value, type):
+        given = f"the class {value.__name__}, not an object of it"
+    elif isinstance(value, str):
+        given = f"the text '{value}'"
+    else:
+        kind = type(value).__name__
+        given = f"{'an' if kind[0] in 'AEIOU' else 'a'} {kind}"
+    raise ModelError(f"{what} is {given}. Write {write}.")
 
 
 @contextlib.contextmanager

@@ -24,6 +24,7 @@ from riecjax.equations.term import Term
 from riecjax.estimation.procedure import simultaneous, staged
 from riecjax.models.model import Model, Quantity
 """
+POSITION = '"x", derivative=2, measured=("v", "a")'
 EQUATION = 'Equation(Term("m", "a"), Term("c", "v"), -Term(1.0, "f"), name="cart")'
 
 
@@ -194,7 +195,6 @@ def test_models_that_fail(capsys, case):
     ("reference", "words"),
     [
         ("none.py:thing", "no file 'none.py'"),
-        ("mine.py", "path/to/file.py:object"),
         ("mine.py:", "mine.py"),
         (":thing", "unknown model"),
         ("mine.txt:thing", "unknown model"),
@@ -203,6 +203,59 @@ def test_models_that_fail(capsys, case):
 def test_references(capsys, reference, words):
     model(IMPORTS + f"thing = {EQUATION}\n")
     assert words in rejected(capsys, 1, "identify", "cart.csv", "--model", reference)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"cart = {EQUATION}",
+        f"cart = {EQUATION}\nprocedure = staged(cart)",
+        f"_part = {EQUATION}\nboth = staged(_part)\nsame = both",
+        f"cart = {EQUATION}\nthing = Model('it', '', procedure=lambda: cart)",
+    ],
+)
+def test_the_one_model_of_a_file_needs_no_name(capsys, text):
+    model(IMPORTS + text)
+    document = identified(capsys, "mine.py", "--criterion", "dols", "--no-sweep")
+    assert list(document["parameters"]) == ["m", "c"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"one = {EQUATION}\ntwo = {EQUATION}", "holds 2 models: one, two. Say which: mine.py:one"),
+        (f"def make():\n    return {EQUATION}", "name the function that returns one: mine.py:NAME"),
+    ],
+)
+def test_a_file_of_no_model_or_of_several_asks_for_a_name(capsys, text, words):
+    model(IMPORTS + text)
+    assert words in rejected(capsys, 1, "identify", "cart.csv", "--model", "mine.py")
+
+
+DERIVED = """
+import jax.numpy as jnp
+import riecjax as rx
+
+cart = rx.Equation(
+    rx.Term("m", "v", derivative=1, measured=("a",)), rx.Term("c", "v"), -rx.Term(1.0, "f")
+)
+"""
+
+
+def test_a_velocity_that_was_not_recorded_is_to_be_differentiated(capsys):
+    lines = [line.split(",") for line in Path("cart.csv").read_text().splitlines()]
+    Path("cart.csv").write_text("\n".join(f"{t},{p},{f}" for t, p, _, _, f in lines))
+    model(DERIVED)
+    arguments = ("identify", "cart.csv", "--model", "mine.py", "--map", "x=p")
+    message = rejected(capsys, 1, *arguments)
+    for remedy in ("--map v=COLUMN", "--differentiate v=SIGNAL", "--derive v=FORMULA"):
+        assert remedy in message
+    model(DERIVED.replace('"v", derivative=1, measured=("a",)', POSITION))
+    for test_function, whose in (("boxcar", "derivative of x"), ("hat", "the derivative of x")):
+        message = rejected(capsys, 1, *arguments, "--test-function", test_function)
+        assert whose in message
+        for remedy in ("--map v=COLUMN", "--differentiate v=x", "--test-function hat"):
+            assert remedy in message
 
 
 def test_an_equation_cannot_be_simulated(capsys):

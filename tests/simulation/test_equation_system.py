@@ -376,7 +376,16 @@ def acceleration(*rest):
         (acceleration(), {"m": [1.0, 2.0]}, "one number"),
         (acceleration(Term("m", "z", derivative=2)), {"m": 1.0}, "1 equation.* 2 unknown"),
         (acceleration(Term("k", squared_acceleration)), {"m": 1.0, "k": 1.0}, "linearly"),
-        (acceleration(Term("k", momentum, derivative=1)), {"m": 1.0, "k": 1.0}, "derivatives of"),
+        (
+            acceleration(Term("k", momentum, derivative=1)),
+            {"m": 1.0, "k": 1.0},
+            r"derivatives of m_dot, v.* write Term\('NAME', 'm_dot', derivative=2, measured=\(",
+        ),
+        (
+            Equation(Term("J", momentum, derivative=1), -Term(1.0, "u")),
+            {"J": 1.0},
+            r"derivative of the expression momentum \(of .*--derive NAME=FORMULA",
+        ),
         (
             acceleration(Term("k", fails)),
             {"m": 1.0, "k": 1.0},

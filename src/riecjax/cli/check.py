@@ -14,7 +14,7 @@ from riecjax.runtime import start_jax
     "--model",
     "model_name",
     required=True,
-    help="A built-in model (see 'riecjax models') or path/to/file.py:object.",
+    help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
 )
 @criterion_options
 @set_option

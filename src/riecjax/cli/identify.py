@@ -63,7 +63,7 @@ class ValidationPart(NamedTuple):
     "--model",
     "model_name",
     required=True,
-    help="A built-in model (see 'riecjax models') or path/to/file.py:object.",
+    help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
 )
 @criterion_options
 @refinement_options

@@ -13,7 +13,7 @@ from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AllWindows, RandomWindows, half_periods
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import sum_columns
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 
@@ -224,6 +224,18 @@ class RIEC(AbstractCriterion):
 
     windows: RandomWindows | AllWindows
     test_function: AbstractTestFunction = eqx.field(default_factory=Boxcar)
+
+    def __check_init__(self):
+        require(
+            "what RIEC takes its windows from",
+            self.windows,
+            (RandomWindows, AllWindows),
+            "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in "
+            "seconds, or rx.RIEC(rx.RandomWindows(0.05, 0.5, 8000))",
+        )
+        require(
+            "the test function", self.test_function, AbstractTestFunction, "rx.Hat(), an object"
+        )
 
     @classmethod
     def of_band(

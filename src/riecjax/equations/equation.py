@@ -8,12 +8,13 @@ from jaxtyping import Array, Bool
 from riecjax.equations.term import (
     AbstractTerm,
     Sampled,
+    Term,
     both_present,
     evaluate,
     merge_known,
     read_expression,
 )
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signals
 
@@ -36,7 +37,7 @@ class Equation(eqx.Module):
     trusted, such as [`faster_than`][]`("dq", 1e-3)` where a sign of dq is noise. No window
     touches the others.
 
-    **Raises:** `ModelError` if there is no unknown coefficient.
+    **Raises:** `ModelError` if there is no unknown coefficient, or for what is no term.
     """
 
     terms: tuple[AbstractTerm, ...]
@@ -51,6 +52,14 @@ class Equation(eqx.Module):
         unit: str = "",
         where: Callable[[Signals], Array] | None = None,
     ):
+        for term in terms:
+            require(
+                f"{name}: a term",
+                term,
+                AbstractTerm,
+                "rx.Equation(rx.Term('m', 'x', derivative=2), -rx.Term(1.0, 'F')): terms one by "
+                "one, rx.Equation(*terms) of a list",
+            )
         self.terms = terms
         self.where = where
         self.name = name
@@ -80,6 +89,16 @@ class Equation(eqx.Module):
     def has_target(self) -> bool:
         """Whether a term without an unknown name sets the scale of the solution."""
         return any(not term.parameters for term in self.terms)
+
+    @property
+    def derivatives(self) -> tuple[tuple[str, str], ...]:
+        """Signals with those that the terms call their time derivatives."""
+        return tuple(
+            pair
+            for term in self.terms
+            if isinstance(term, Term) and isinstance(term.of, str)
+            for pair in zip((term.of, *term.measured), term.measured)
+        )
 
     def trusted(self, record: Record) -> Bool[Array, " n"] | None:
         """Where `where` holds and its signals are present; `None` without `where`."""

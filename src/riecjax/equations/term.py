@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.bases import AbstractBasis
-from riecjax.errors import DataError, ModelError, users_code
+from riecjax.errors import DataError, ModelError, require, users_code
 from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record, Signals
 
@@ -144,12 +144,22 @@ class Term(AbstractTerm):
         known: float | Array | None = None,
         sign: float | Array = 1.0,
     ):
+        if not callable(of):
+            require(
+                "what a term is of", of, str, "a signal's name or a function: rx.Term('m', 'x')"
+            )
+        require(
+            "measured",
+            measured,
+            (tuple, list),
+            f"measured=('{measured}',): a tuple of names, of the first derivative on",
+        )
         named = isinstance(coefficient, str)
         self.name = coefficient if isinstance(coefficient, str) else None
         self.number = as_leaf(sign if isinstance(coefficient, str) else coefficient * sign)
         self.of = of
         self.derivative = derivative
-        self.measured = measured
+        self.measured = tuple(measured)
         self.unit = unit
         self.known = None if known is None else as_leaf(known)
         if derivative not in (0, 1, 2):
@@ -190,7 +200,8 @@ class Terms(AbstractTerm):
     - `of`: signal name or function of the signals, in which the basis is evaluated.
     - `unit`: unit of the coefficients; several, one for each function, where they differ.
 
-    **Raises:** `ModelError` if there are several units and not one for each function.
+    **Raises:** `ModelError` if there are several units and not one for each function, or for what
+    is no basis.
     """
 
     prefix: str = eqx.field(static=True)
@@ -209,6 +220,7 @@ class Terms(AbstractTerm):
         unit: str | tuple[str, ...] = "",
         sign: float | Array = 1.0,
     ):
+        require("the basis", basis, AbstractBasis, "rx.Terms('F', rx.roof([-1, 0, 1]), 'v')")
         self.prefix = prefix
         self.basis = basis
         self.of = of
@@ -254,17 +266,23 @@ def _derivative_name(term: Term, record: Record, order: int) -> str:
         raise DataError(
             f"this criterion needs the {which} time derivative of {label}, and the equation names "
             f"no signal that holds it. Use windows that need no derivative, rx.Hat() (on the "
-            f"command line: --test-function hat), or name the recorded derivative by measured=."
+            f"command line: --test-function hat), or name the recorded derivative: "
+            f"derivative={term.derivative}, measured=(...)."
         )
     name = term.measured[order - 1]
     if name not in record.signals:
         raise DataError(
             f"this criterion needs the {which} time derivative of {label}, as signal '{name}'; the "
             f"record has: {', '.join(record.signals)}. Rename a column to it (on the command line: "
-            f"--map {name}=COLUMN), or use windows that need no derivative, rx.Hat() (on the "
-            f"command line: --test-function hat)."
+            f"--map {name}=COLUMN), form it (--differentiate {name}={_below(term, order)}), or use "
+            f"windows that need no derivative, rx.Hat() (on the command line: --test-function hat)."
         )
     return name
+
+
+def _below(term: Term, order: int) -> str:
+    """The signal whose first derivative the derivative of this order is."""
+    return (term.of if isinstance(term.of, str) else "SIGNAL", *term.measured)[order - 1]
 
 
 def merge_known(terms: tuple[AbstractTerm, ...]) -> Mapping[str, Leaf]:

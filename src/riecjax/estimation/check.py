@@ -10,7 +10,7 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, Terms, evaluate
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.constant_target import constant_targets
@@ -99,21 +99,18 @@ def _sensors(
     findings = []
     for i, (record, names) in enumerate(zip(records, read)):
         prefix = f"record {i + 1}: " if len(records) > 1 else ""
-        pairs = [pair for pair in _derivatives(procedure) if set(pair) <= set(names)]
+        pairs = [
+            pair
+            for stage in procedure.stages
+            for equation in stage
+            for pair in equation.derivatives
+            if set(pair) <= set(names)
+        ]
         findings += [
             Finding(finding.code, prefix + finding.message)
             for finding in (*check_signals(record, names), *check_derivatives(record, pairs))
         ]
     return findings
-
-
-def _derivatives(procedure: Procedure) -> Iterator[tuple[str, str]]:
-    """Signals with those that the equations call their derivatives."""
-    for stage in procedure.stages:
-        for equation in stage:
-            for term in equation.terms:
-                if isinstance(term, Term) and isinstance(term.of, str):
-                    yield from zip((term.of, *term.measured), term.measured)
 
 
 def _break_points(procedure: Procedure, records: list[Record]) -> Iterator[Finding]:

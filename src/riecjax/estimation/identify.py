@@ -1,6 +1,7 @@
 """The verb of this library: identify a model's parameters from records."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,7 +15,7 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import raise_if_samples_mix
-from riecjax.errors import DataError, IdentifiabilityError, ModelError
+from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError, ModelError, require
 from riecjax.estimation.assembly import Assembled, all_normal_equations, all_rows
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate, combination
@@ -22,6 +23,7 @@ from riecjax.estimation.evidence import judge
 from riecjax.estimation.intervals import (
     AbstractIntervals,
     BlockBootstrap,
+    Naive,
     Uncertainty,
     naive_covariance,
 )
@@ -37,7 +39,7 @@ from riecjax.estimation.procedure import (
 )
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import is_concrete
-from riecjax.records.record import Record
+from riecjax.records.record import Record, as_records
 
 
 def identify(
@@ -80,6 +82,7 @@ def identify(
         criterion = RIEC.of_band(getattr(model, "band", None) or DEFAULT_BAND)
     asked = pose(model, records, criterion, key=key, known=known, own=own)
     procedure, recordings, criterion, sharing, given, plan, keys = asked
+    require("intervals", intervals or Naive(), AbstractIntervals, "intervals=rx.BlockBootstrap()")
     assembled = all_normal_equations(procedure, sharing, recordings, criterion, keys)
     stages = assembled.stages
     intervals = BlockBootstrap() if intervals is None else intervals
@@ -147,9 +150,11 @@ def pose(
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
     procedure = as_procedure(model)
-    recordings = [records] if isinstance(records, Record) else list(records)
-    if not recordings:
-        raise DataError("identification needs at least one record.")
+    require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
+    require_key(key)
+    require("known", known or {}, Mapping, "known={'m': 2.0}: values by name")
+    require("own", own, (list, tuple, set, frozenset), f"own=('{own}',): a tuple of names")
+    recordings = as_records(records)
     sharing = Sharing(procedure.parameters, own, len(recordings))
     given = known_values(procedure, sharing, known or {})
     plan = plan_stages(procedure, sharing, given)
@@ -161,6 +166,19 @@ def pose(
     _raise_if_samples_mix(procedure, recordings, criterion)
     keys = record_keys(key, len(recordings))
     return Question(procedure, recordings, criterion, sharing, given, plan, keys)
+
+
+WRITE_CRITERION = (
+    "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, or "
+    "rx.DOLS()"
+)
+
+
+def require_key(key: object) -> None:
+    """Raise `ModelError` for a seed in place of a key."""
+    if isinstance(key, int | float | str | np.integer | type):
+        seed = key if isinstance(key, int | np.integer) else 0
+        require("the key", key, (), f"key=jax.random.key({int(seed)})")
 
 
 def signals_read(
@@ -177,9 +195,21 @@ def signals_read(
     read: set[str] = set()
     for stage in procedure.stages:
         for equation in stage:
-            read |= equation.signals_read(record, criterion.smoothness)
+            with _saying_whose_derivative(equation):
+                read |= equation.signals_read(record, criterion.smoothness)
             eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
     return tuple(name for name in record.arrays if name in read)
+
+
+@contextlib.contextmanager
+def _saying_whose_derivative(equation: Equation) -> Iterator[None]:
+    """Of a missing signal that the equation calls a derivative, say whose it is."""
+    try:
+        yield
+    except MissingSignalError as error:
+        below = [of for of, name in equation.derivatives if name == error.signal]
+        known = next((of for of in below if of in error.available), "")
+        raise MissingSignalError(error.signal, error.available, known) from None
 
 
 class _Solved(NamedTuple):

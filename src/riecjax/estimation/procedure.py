@@ -15,11 +15,12 @@ from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.equation import Equation
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.estimation.elimination import solve_scaled
 from riecjax.estimation.least_squares import Solution, solve, solve_rows
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.leaves import Leaf
+from riecjax.records.record import Record
 
 
 class Procedure(eqx.Module):
@@ -105,14 +106,46 @@ class HasProcedure(Protocol):
 
 
 def as_procedure(model: Equation | Procedure | HasProcedure) -> Procedure:
-    """The procedure of an equation, of a model, or itself."""
+    """The procedure of an equation, of a model, or itself.
+
+    **Raises:** `ModelError` for anything else, saying what to write.
+    """
     if isinstance(model, Procedure):
         return model
-    return staged(model) if isinstance(model, Equation) else model.build_procedure()
+    if isinstance(model, Equation):
+        return staged(model)
+    require_no_slip(model)
+    if not hasattr(model, "build_procedure"):
+        require("the model", model, (Equation, Procedure), SOME_MODEL)
+    return model.build_procedure()
+
+
+SOME_MODEL = "an rx.Equation(...), rx.staged(...) of several, or rx.find_model('quarter-car')"
+
+
+def require_no_slip(model: object) -> None:
+    """Raise `ModelError` for what is often taken for a model, saying what to write."""
+    if isinstance(model, str):
+        write = f"rx.find_model('{model}') for a built-in model or one of a file"
+    elif isinstance(model, list | tuple):
+        write = "rx.staged(*equations), or rx.simultaneous(*equations) to solve them together"
+    elif isinstance(model, Record):
+        write = "the model first, then its records"
+    elif isinstance(model, type) and (
+        issubclass(model, Equation | Procedure) or hasattr(model, "build_procedure")
+    ):
+        write = SOME_MODEL
+    else:
+        return
+    require("the model", model, (), write)
 
 
 def staged(*equations: Equation) -> Procedure:
-    """Solve equations one after the other; each takes what came before as known."""
+    """Solve equations one after the other; each takes what came before as known.
+
+    **Raises:** `ModelError` for what is no `Equation`.
+    """
+    _require_equations(equations, "staged")
     return Procedure(tuple((equation,) for equation in equations))
 
 
@@ -123,8 +156,23 @@ def simultaneous(*equations: Equation) -> Procedure:
     all of whose terms are unknown pulls its coefficients towards zero, where its residual vanishes:
     by how much is a finding, `no_known_term`, and solving it after the others by [`staged`][]
     avoids it.
+
+    **Raises:** `ModelError` for what is no `Equation`.
     """
+    _require_equations(equations, "simultaneous")
     return Procedure((equations,))
+
+
+def _require_equations(equations: tuple[object, ...], name: str) -> None:
+    for equation in equations:
+        require(
+            f"an equation of {name}(...)",
+            equation,
+            Equation,
+            f"rx.{name}(first, second): equations one by one, rx.{name}(*equations) of a list",
+        )
+    if not equations:
+        raise ModelError(f"{name}(...) needs at least one equation.")
 
 
 def told_apart(names: Sequence[str]) -> tuple[str, ...]:

@@ -190,7 +190,7 @@ def built_in_model(name: str) -> Model:
     """
     if name not in MODELS:
         raise ModelError(
-            f"unknown model '{name}'; built in are: {', '.join(MODELS)}. A model of your own is "
-            f"named path/to/file.py:object."
+            f"unknown model '{name}'; built in are: {', '.join(MODELS)}. Name a model of your own "
+            f"by its file: path/to/file.py:object, or path/to/file.py where that holds one."
         )
     return MODELS[name]

@@ -2,10 +2,12 @@
 
 import importlib.util
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from types import ModuleType
 
 from riecjax.equations.equation import Equation
-from riecjax.errors import ModelError, users_code
+from riecjax.errors import ModelError, require, users_code
 from riecjax.estimation.procedure import Procedure
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.model import Model, Quantity
@@ -15,14 +17,24 @@ def find_model(reference: str) -> Model:
     """A built-in model by name, or `path/to/file.py:object` of the user's own.
 
     The object may be a `Model`, an `Equation`, a `Procedure`, or a function without arguments
-    that returns one of these.
+    that returns one of these. It need not be named where the file holds one such object: one
+    `Model`, or else one `Equation` or `Procedure` that is no part of another.
 
     **Raises:** `ModelError` if there is no such model, file or object.
     """
+    require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
     path, separator, attribute = reference.rpartition(":")
-    if not separator or not path.endswith(".py"):
+    if reference.endswith(".py"):
+        path = reference
+        module = _load(Path(path))
+        attribute = _only_model(path, vars(module))
+    elif not separator or not path.endswith(".py"):
         return built_in_model(reference)
-    found = _load(Path(path), attribute)
+    else:
+        module = _load(Path(path))
+    if not hasattr(module, attribute):
+        raise ModelError(f"{path} has no object '{attribute}'.")
+    found = getattr(module, attribute)
     if not isinstance(found, Model | Equation | Procedure) and callable(found):
         with users_code(path):
             found = found()
@@ -42,7 +54,33 @@ def _model_of(name: str, found: Equation | Procedure) -> Model:
     return Model(name, "your own equation", procedure=lambda: found, parameters=parameters)
 
 
-def _load(path: Path, attribute: str) -> object:
+def _only_model(path: str, objects: Mapping[str, object]) -> str:
+    """The name of the one model in a file."""
+    public = {name: thing for name, thing in objects.items() if not name.startswith("_")}
+    procedures = [thing for thing in public.values() if isinstance(thing, Procedure)]
+    parts = {id(e) for procedure in procedures for stage in procedure.stages for e in stage}
+    models = [thing for thing in public.values() if isinstance(thing, Model)]
+    whole = models or [
+        thing
+        for thing in public.values()
+        if isinstance(thing, Equation | Procedure) and id(thing) not in parts
+    ]
+    # One object may have two names.
+    names = {id(thing): name for name, thing in public.items()}
+    found = list(dict.fromkeys(names[id(thing)] for thing in whole))
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise ModelError(
+            f"{path} holds no Model, Equation or Procedure. Give one a name there, or name the "
+            f"function that returns one: {path}:NAME."
+        )
+    raise ModelError(
+        f"{path} holds {len(found)} models: {', '.join(found)}. Say which: {path}:{found[0]}."
+    )
+
+
+def _load(path: Path) -> ModuleType:
     if not path.is_file():
         raise ModelError(f"there is no file '{path}'.")
     spec = importlib.util.spec_from_file_location(f"riecjax_user_{path.stem}", path)
@@ -52,6 +90,4 @@ def _load(path: Path, attribute: str) -> object:
     sys.modules[spec.name] = module
     with users_code(path):
         spec.loader.exec_module(module)
-    if not hasattr(module, attribute):
-        raise ModelError(f"{path} has no object '{attribute}'.")
-    return getattr(module, attribute)
+    return module

@@ -1,7 +1,8 @@
 """A recording: uniformly sampled, named signals."""
 
 import functools
-from collections.abc import Iterable, Iterator, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from riecjax.errors import DataError, MissingSignalError
+from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.leaves import namespace
 from riecjax.records.time_base import time_base
 
@@ -268,6 +269,27 @@ class Record(eqx.Module):
             {name: thin(mask) for name, mask in self.missing.items()},
             None if self.stamps is None else self.stamps[..., samples],
         )
+
+
+def as_records(records: Record | Sequence[Record]) -> list[Record]:
+    """One record or several as a list.
+
+    **Raises:** `ModelError` for anything else, saying what to write; `DataError` for none at all.
+    """
+    if isinstance(records, Record):
+        return [records]
+    single = (
+        f"rx.read_record('{records}')"
+        if isinstance(records, str | os.PathLike)
+        else "rx.Record.from_samples({'x': samples, ...}, time_step=...) of samples by name, or "
+        "rx.from_dataframe(frame); the model comes first, then its records"
+    )
+    require("the record", records, (list, tuple), single)
+    for record in records:
+        require("one of the records", record, Record, single)
+    if not records:
+        raise DataError("at least one record is needed.")
+    return list(records)
 
 
 def stack_records(records: list[Record]) -> Record:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, Term, both_present
 from riecjax.errors import DataError, ModelError, users_code
-from riecjax.estimation.procedure import HasProcedure, Procedure
+from riecjax.estimation.procedure import HasProcedure, Procedure, require_no_slip
 from riecjax.records.record import Record, Signals
 from riecjax.refinement.parametric import AbstractParametric, ByFields, Values
 
@@ -221,6 +221,8 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
 
     **Raises:** `ModelError` for something that holds none.
     """
+    if not isinstance(model, list | tuple):
+        require_no_slip(model)
     if isinstance(model, AbstractBalance):
         return (ParametricBalance(ByFields(model)),)
     if isinstance(model, Equation | AbstractParametric):

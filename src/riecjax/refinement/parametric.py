@@ -10,7 +10,7 @@ import numpy as np
 
 from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError
-from riecjax.estimation.procedure import Procedure
+from riecjax.estimation.procedure import Procedure, require_no_slip
 from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import EquationSystem, equation_system
@@ -188,6 +188,7 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
 
     **Raises:** `ModelError` if it cannot be simulated.
     """
+    require_no_slip(model)
     if isinstance(model, AbstractParametric):
         return model
     if isinstance(model, AbstractSystem):

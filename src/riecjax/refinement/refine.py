@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import ModelError, require
 from riecjax.estimation.elimination import solve_scaled, unit_scale
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.evidence import judge
-from riecjax.estimation.identify import record_keys
+from riecjax.estimation.identify import record_keys, require_key
 from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
 from riecjax.estimation.least_squares import symmetric_eigen
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.record import Record
+from riecjax.records.record import Record, as_records
 from riecjax.refinement.coordinates import Bounds, Laws, Prior
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
 from riecjax.refinement.objective import AbstractObjective, Setup
@@ -85,9 +85,10 @@ def refine(
     that cannot be simulated; `DataError` for missing signals or records that are too short. A
     search that fails raises nothing: see `status` of the result.
     """
-    recordings = [records] if isinstance(records, Record) else list(records)
-    if not recordings:
-        raise DataError("refinement needs at least one record.")
+    recordings = as_records(records)
+    require_key(key)
+    require("start", start, (AbstractEstimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
+    require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
     objective = (OutputError() if by is None else by).suited(model)
     setup = _setup(objective, model, recordings, start, dict(known or {}), tuple(own), key)
     laws = Laws.of(setup.names, setup.values, dict(bounds or {}), dict(priors or {}))

@@ -325,11 +325,26 @@ def _motions(
             chain.append(names.get(chain[-1], f"d{chain[-1]}"))
         motions.append(_Motion(signal, rise, tuple(chain)))
     if not motions:
-        raise ModelError(
-            f"{label} cannot be simulated: it holds no derivative of a signal, so it is static "
-            f"and says nothing about motion."
-        )
+        raise ModelError(f"{label} cannot be simulated: {_why_static(equations)}")
     return tuple(motions)
+
+
+def _why_static(equations: tuple[Equation, ...]) -> str:
+    """Why no signal is a state, and what to write."""
+    for equation in equations:
+        for term in equation.terms:
+            if term.derivative and not isinstance(term.of, str):
+                read = ", ".join(_reads(term.of))
+                return (
+                    f"it holds a derivative of the expression {_label(term.of)} (of {read}) and no "
+                    f"derivative of a signal, so that no signal is a state. Make the expression a "
+                    f"signal first (on the command line: --derive NAME=FORMULA), and write the "
+                    f"term of that name."
+                )
+    return (
+        "it holds no derivative of a signal, so it is static and says nothing about motion. Write "
+        "what moves as a derivative, such as Term('m', 'x', derivative=2)."
+    )
 
 
 def _derivative_name(signal: str, term: AbstractTerm, motions: tuple[_Motion, ...]) -> str:
@@ -468,8 +483,10 @@ def _check_derivatives(label: str, system: EquationSystem) -> None:
             if beyond := [name for name in _reads(term.of) if name not in allowed]:
                 raise ModelError(
                     f"{label} cannot be simulated: derivative {term.derivative} of the expression "
-                    f"{_label(term.of)} needs derivatives of {', '.join(beyond)} that no equation "
-                    f"gives."
+                    f"{_label(term.of)} needs derivatives of {', '.join(beyond)}, which no "
+                    f"equation leads to. Where a term reads a recorded derivative, write "
+                    f"Term('NAME', '{beyond[0]}', derivative=2, measured=('d{beyond[0]}', "
+                    f"'dd{beyond[0]}')) instead (derivative=1 of a velocity)."
                 )
 
 

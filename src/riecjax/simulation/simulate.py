@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from riecjax.errors import SimulationError
+from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
@@ -68,8 +68,17 @@ def simulate(
     - `initial_state`: state name to value at the first sample; those not named start at zero.
 
     **Raises:** `DataError` if an input is missing from the record, `ModelError` for an unknown
-    state. Losing the solution raises nothing: it is in the result's `status`.
+    state, or for what is no system, record or method. Losing the solution raises nothing: it is in
+    the result's `status`.
     """
+    require(
+        "the system",
+        system,
+        AbstractSystem,
+        "rx.find_model('duffing').build_system({}), or rx.equation_system(equation, values)",
+    )
+    require("the inputs", inputs, Record, "rx.Record.from_samples({'u': force}, time_step=h)")
+    require("the method", method or FixedStep(), AbstractMethod, "method=rx.FixedStep(8)")
     start = dict(initial_state or {})
     system.require_states(start)
     levels = _levels(system, inputs)

@@ -20,7 +20,7 @@ from riecjax.estimation.influence import in_order, staged_values, unknowns
 from riecjax.estimation.least_squares import solve
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import Sharing
-from riecjax.records.record import Record
+from riecjax.records.record import Record, as_records
 
 
 class SeedScatter(eqx.Module):
@@ -57,7 +57,7 @@ def seed_scatter(
     if seeds < 2:
         raise ModelError(f"scatter needs at least two seeds; got {seeds}.")
     procedure = as_procedure(model)
-    recordings = [records] if isinstance(records, Record) else list(records)
+    recordings = as_records(records)
     sharing = Sharing(procedure.parameters, own, len(recordings))
     given = known_values(procedure, sharing, known or {})
     plan = plan_stages(procedure, sharing, given)

@@ -20,7 +20,7 @@ from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.procedure import HasProcedure, Procedure
-from riecjax.records.record import Record
+from riecjax.records.record import Record, as_records
 from riecjax.studies.expected_gain import expected_gain, window_gain
 from riecjax.validation.equation_error import EquationError, errors_over_records, joined
 from riecjax.validation.error_spectrum import ErrorSpectrum, error_spectrum
@@ -129,7 +129,7 @@ def window_choice(
     **Raises:** `ModelError` without windows or for a parameter without a value; `DataError` for a
     missing signal or records of unequal time steps.
     """
-    recordings = [records] if isinstance(records, Record) else list(records)
+    recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     criterion = estimate.criterion if isinstance(estimate, Estimate) else None
     if isinstance(criterion, RIEC):

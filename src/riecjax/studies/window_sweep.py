@@ -30,7 +30,7 @@ from riecjax.estimation.procedure import (
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
 from riecjax.leaves import namespace
-from riecjax.records.record import Record
+from riecjax.records.record import Record, as_records
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window of a sweep spans at least."""
@@ -160,7 +160,7 @@ def window_sweep(
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
     """
     procedure = as_procedure(model)
-    recordings = [records] if isinstance(records, Record) else list(records)
+    recordings = as_records(records)
     sharing = Sharing(procedure.parameters, own, len(recordings))
     given = known_values(procedure, sharing, known or {})
     plan = plan_stages(procedure, sharing, given)

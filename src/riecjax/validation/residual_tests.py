@@ -19,7 +19,7 @@ from riecjax.equations.equation import Equation
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.procedure import HasProcedure, Procedure, told_apart
 from riecjax.findings import Finding
-from riecjax.records.record import Record
+from riecjax.records.record import Record, as_records
 from riecjax.validation.equation_error import (
     EquationError,
     errors_over_records,
@@ -216,7 +216,7 @@ def residual_tests(
     **Raises:** `ModelError` for a parameter without a value; `DataError` for a missing signal,
     records of unequal time steps or too short ones.
     """
-    recordings = [records] if isinstance(records, Record) else list(records)
+    recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     windows = windows_of(estimate) if windows is None else windows
     errors = errors_over_records(model, recordings, values)
