@@ -267,7 +267,7 @@ OPTIONS = {
     "--criterion dols --test-function hat": (2, "belong to --criterion riec"),
     "--hold-out 1": (2, "must lie between 0 and 1"),
     "--own foo": (1, "unknown parameter 'foo'"),
-    "--from 5": (1, "the record lasts from 0 to"),
+    "--from 5": (1, "the record lasts from 0 to 1.995 s, counted from its first sample"),
     "--derive x9=import(os)": (1, "import"),
     "--upsample 0": (2, "'--upsample'"),
     "--remove-offset foo": (1, "'foo'"),

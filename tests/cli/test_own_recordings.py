@@ -267,3 +267,32 @@ def test_the_report_holds_everything_that_was_found(capsys):
         assert word in page or word == "provenance"
     stored = json.loads(Path("result/results.json").read_text())
     assert stored["excitation"]["M"]["own_share"] > 0.3
+
+
+def test_times_are_seconds_from_the_first_sample_whatever_the_stamps(capsys):
+    data = motion(offset=4.0)
+    data["q"][[1400, 3000]] += 3.0
+    data["q"][4000:4050] = np.nan
+    said = {}
+    for start in (0.0, 1.7e9):
+        write_csv(Path("run.csv"), {**data, "t": start + data["t"]})
+        options = ("--from", "6", "--to", "900", "--no-sweep", "--json", "--out", f"at {start:g}")
+        document = call(capsys, "identify", "run.csv", *IDENTIFY, *options).document
+        assert document["provenance"]["records"][0].pop("start_time") == start
+        said[start] = {w["code"]: w["message"] for w in document["warnings"]}
+        assert document["provenance"]["preparation"] == ["cut from 6 s to the end"]
+        assert "first at 7 s" in said[start]["outliers"]
+        assert "first at 20 s" in said[start]["missing_samples"]
+        assert "up to 900 s removes nothing" in said[start]["nothing_cut"]
+    for code, message in said[0.0].items():
+        assert said[1.7e9][code].replace(", stamped 1700000000", "") == message
+
+
+def test_a_cut_by_absolute_stamps_says_where_the_clock_begins(capsys):
+    data = motion(count=600)
+    write_csv(Path("run.csv"), {**data, "t": 1.7e9 + data["t"]})
+    result = call(capsys, "identify", "run.csv", *IDENTIFY, "--from", "1700000001")
+    assert result.status == 1
+    assert (
+        "lasts from 0 to 2.995 s, counted from its first sample, stamped 1700000000." in result.err
+    )

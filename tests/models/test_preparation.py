@@ -88,3 +88,40 @@ def test_every_step_of_a_preparation_is_taken_in_order():
 def test_a_cut_outside_the_record_is_refused_with_its_times():
     with pytest.raises(DataError, match=r"lasts from 0 to 3\.999 s"):
         prepare(record(q=TIME), AXIS, Preparation(start=7.0))
+
+
+EPOCH = 1.7e9
+
+
+def test_a_cut_counts_from_the_first_sample_whatever_its_stamp():
+    stamped = Record.from_samples({"q": TIME}, time=EPOCH + TIME)
+    prepared, words = prepare(stamped, Model("none", ""), Preparation(start=1.0, stop=2.5))
+    np.testing.assert_allclose(np.asarray(prepared["q"])[[0, -1]], [1.0, 2.5])
+    assert words == ["cut from 1 s to 2.5 s"]
+    # The recording's clock goes on, and its own stamps are kept.
+    # Their rounding, 2.4e-7 s, is in the time step.
+    np.testing.assert_allclose(np.asarray(prepared.elapsed)[[0, -1]], [1.0, 2.5], atol=3e-7)
+    assert float(prepared.start_time) == pytest.approx(EPOCH + 1.0, abs=3e-7)
+    again, _ = prepare(prepared, Model("none", ""), Preparation(start=2.0))
+    assert float(again["q"][0]) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (Preparation(start=0.0), ["from 0 s on removes nothing"]),
+        (Preparation(start=-2.0, stop=9.0), ["from -2 s on", "up to 9 s removes nothing"]),
+        (Preparation(start=1.0, stop=9.0), ["up to 9 s removes nothing: the record lasts from 0"]),
+        (Preparation(start=1.0, stop=2.0), []),
+    ],
+)
+def test_a_cut_that_removes_nothing_is_not_said_to_be_made(asked, words):
+    stamped = Record.from_samples({"q": TIME}, time=EPOCH + TIME)
+    idle = list(asked.idle_cuts(stamped).values())
+    assert len(idle) == len(words)
+    assert all(word in message for word, message in zip(words, idle))
+    assert all("to 3.999 s, counted from its first sample, stamped 1700000000." in m for m in idle)
+    _, steps = prepare(stamped, Model("none", ""), asked)
+    assert steps == (
+        [] if asked.start in (0, -2) else [f"cut from 1 s to {'the end' if words else '2 s'}"]
+    )

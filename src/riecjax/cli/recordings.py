@@ -42,16 +42,26 @@ RECORD_OPTIONS = (
         metavar="HZ",
         help="Bring unevenly or differently sampled signals to one even rate, anti-aliased.",
     ),
-    click.option("--delimiter", help="Between columns of a text file. [default: found out]"),
+    click.option("--delimiter", help="Between columns of a text file. [default: detected]"),
     click.option(
         "--decimal",
         type=click.Choice([".", ","]),
-        help="Decimal sign of a text file. [default: found out]",
+        help="Decimal sign of a text file. [default: detected]",
     ),
     click.option(
-        "--from", "start", type=FINITE, metavar="S", help="Use the record from this time."
+        "--from",
+        "start",
+        type=FINITE,
+        metavar="S",
+        help="Use the record from this time on, in seconds from its first sample.",
     ),
-    click.option("--to", "stop", type=FINITE, metavar="S", help="Use the record up to this time."),
+    click.option(
+        "--to",
+        "stop",
+        type=FINITE,
+        metavar="S",
+        help="Use the record up to this time, in seconds from its first sample.",
+    ),
     click.option(
         "--remove-offset",
         "offsets",
@@ -187,6 +197,7 @@ def load(
                 notes = [*channels.notes, *_reading_steps(options)]
                 given = tuple(record.arrays)
                 record, mismatched = with_model_units(record, model, options)
+                idle = options.preparation().idle_cuts(record)
                 record, steps = prepare(record, model, options.preparation())
                 read = signals_read(procedure, record, criterion)
             unread = [name for name in record.arrays if name not in read]
@@ -196,6 +207,7 @@ def load(
                 for name, message in mismatched.items()
                 if name in read
             ]
+            doubts += [Finding("nothing_cut", f"{file.name}: {why}") for why in idle.values()]
             doubts += [
                 Finding(
                     "column_left_out",

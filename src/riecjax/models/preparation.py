@@ -1,7 +1,7 @@
 """From a record as read to the record that a model's equations read."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from riecjax.records.preparation import (
     upsample,
 )
 from riecjax.records.record import Record
+from riecjax.records.time_base import STEP_TOLERANCE
 
 
 class Step(NamedTuple):
@@ -32,12 +33,12 @@ class Preparation:
 
     **Fields:**
 
-    - `start`, `stop`: times in seconds to cut at, or `None`.
+    - `start`, `stop`: times to cut at in seconds from the recording's first sample, or `None`.
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
     - `cutoffs`: signal to cut-off in Hz of a low-pass.
     - `upsample`: factor of a band-limited interpolation.
     - `derivatives`: new signal to the signal whose derivative it is.
-    - `every`: use every so manieth sample.
+    - `every`: use every n-th sample.
     """
 
     start: float | None = None
@@ -48,6 +49,16 @@ class Preparation:
     upsample: int = 1
     derivatives: Mapping[str, str] = field(default_factory=dict)
     every: int = 1
+
+    def idle_cuts(self, record: Record) -> dict[str, str]:
+        """Of `start` and `stop`, those that cut nothing off a record, and that in words."""
+        time = np.asarray(record.elapsed)
+        idle = {}
+        if self.start is not None and self.start <= time[0]:
+            idle["start"] = f"a cut from {self.start:g} s on removes nothing: {_lasts(record)}"
+        if self.stop is not None and self.stop >= time[-1]:
+            idle["stop"] = f"a cut up to {self.stop:g} s removes nothing: {_lasts(record)}"
+        return idle
 
     def steps(self) -> list[Step]:
         """The steps in the order in which they are taken."""
@@ -96,6 +107,7 @@ def prepare(record: Record, model: Model, preparation: Preparation) -> tuple[Rec
 
     **Raises:** `DataError` for a missing signal or settings that the record does not allow.
     """
+    preparation = replace(preparation, **dict.fromkeys(preparation.idle_cuts(record)))
     steps = preparation.steps()
     thinning = steps[-1:] if preparation.every > 1 else []
     words = []
@@ -114,20 +126,28 @@ def prepare(record: Record, model: Model, preparation: Preparation) -> tuple[Rec
 
 
 def cut(start: float | None, stop: float | None, record: Record) -> Record:
-    """The samples between two times in seconds, both included.
+    """The samples between two times in seconds from the recording's first sample, both included.
 
     **Raises:** `DataError` if fewer than two samples lie there.
     """
-    time = np.asarray(record.time)
-    rounding = 1e-6 * float(record.time_step)
+    time = np.asarray(record.elapsed)
+    # Stamps since 1970 are rounded to a quarter of a microsecond, and the time step with them.
+    rounding = STEP_TOLERANCE * float(record.time_step)
     first = 0 if start is None else int(np.searchsorted(time, start - rounding))
     last = time.size if stop is None else int(np.searchsorted(time, stop + rounding))
     if last - first < 2:
-        raise DataError(
-            f"there are no two samples between these times; the record lasts from "
-            f"{time[0]:g} to {time[-1]:g} s."
-        )
+        raise DataError(f"there are no two samples between these times; {_lasts(record)}")
     return record.part(first, last)
+
+
+def _lasts(record: Record) -> str:
+    first, last = (float(time) for time in np.asarray(record.elapsed)[[0, -1]])
+    stamp = float(np.asarray(record.time)[0])
+    stamped = f", stamped {stamp - first:.15g}" if stamp != first else ""
+    return (
+        f"the record lasts from {first:.6g} to {last:.6g} s, counted from its first sample"
+        f"{stamped}."
+    )
 
 
 def _of_signal(step: Callable[..., Record], name: str, record: Record) -> Record:

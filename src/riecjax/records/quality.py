@@ -134,7 +134,7 @@ def _signal(record: Record, name: str) -> _Signal:
         name,
         dict(record.units).get(name, ""),
         values,
-        np.asarray(record.time),
+        np.asarray(record.elapsed),
         levels,
         counts,
         rounding,

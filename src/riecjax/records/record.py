@@ -63,6 +63,7 @@ class Record(eqx.Module):
     - `missing`: signal name to a mask, True where its sample is missing; only signals that lack
       some are named.
     - `stamps`: time of each sample in seconds where the record has pauses, else `None`.
+    - `skipped`: seconds of the recording that were cut off before the first sample, scalar.
     """
 
     arrays: dict[str, Float[Array, " n"]]
@@ -71,6 +72,7 @@ class Record(eqx.Module):
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     missing: dict[str, Bool[Array, " n"]]
     stamps: Float[Array, " n"] | None
+    skipped: Float[Array, ""]
 
     def __init__(
         self,
@@ -80,6 +82,7 @@ class Record(eqx.Module):
         units: Mapping[str, str] | tuple[tuple[str, str], ...] = (),
         missing: Mapping[str, ArrayLike | Array] | None = None,
         stamps: ArrayLike | Array | None = None,
+        skipped: ArrayLike | Array = 0.0,
     ):
         dtype = jnp.result_type(float)
         self.arrays = {name: jnp.asarray(values, dtype) for name, values in arrays.items()}
@@ -93,6 +96,7 @@ class Record(eqx.Module):
             if name in arrays
         }
         self.stamps = None if stamps is None else jnp.asarray(stamps, dtype)
+        self.skipped = jnp.asarray(skipped, dtype)
 
     def __check_init__(self):
         lengths = {name: values.shape for name, values in self.arrays.items()}
@@ -172,6 +176,17 @@ class Record(eqx.Module):
         xp = namespace(self.start_time, self.time_step)
         return xp.add(self.start_time, xp.multiply(self.time_step, xp.arange(self.sample_count)))
 
+    @property
+    def elapsed(self) -> Float[Array, " n"]:
+        """Time of each sample in seconds from the recording's first, cut off or not.
+
+        The clock of cuts, messages and figures: small numbers, also where `time` is of an epoch.
+        """
+        if self.stamps is not None:
+            return self.skipped + (self.stamps - self.stamps[0])
+        xp = namespace(self.skipped, self.time_step)
+        return xp.add(self.skipped, xp.multiply(self.time_step, xp.arange(self.sample_count)))
+
     def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
         """True where none of these signals lacks its sample; `None` where none ever does."""
         masks = [self.missing[name] for name in sorted(set(names)) if name in self.missing]
@@ -192,6 +207,7 @@ class Record(eqx.Module):
             {**dict(self.units), **(units or {})},
             {**kept, **(missing or {})},
             self.stamps,
+            self.skipped,
         )
 
     def select(self, *names: str) -> "Record":
@@ -203,6 +219,7 @@ class Record(eqx.Module):
             self.units,
             self.missing,
             self.stamps,
+            self.skipped,
         )
 
     def part(self, start: int, stop: int) -> "Record":
@@ -227,6 +244,7 @@ class Record(eqx.Module):
             self.units,
             {name: cut(mask) for name, mask in self.missing.items()},
             stamps,
+            self.elapsed[first],
         )
 
     def every(self, count: int) -> "Record":
@@ -268,6 +286,9 @@ class Record(eqx.Module):
             self.units,
             {name: thin(mask) for name, mask in self.missing.items()},
             None if self.stamps is None else self.stamps[..., samples],
+            self.skipped + (samples.start or 0) * self.time_step
+            if self.stamps is None
+            else self.elapsed[samples.start or 0],
         )
 
 

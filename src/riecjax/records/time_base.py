@@ -50,8 +50,8 @@ def time_base(stamps: np.ndarray) -> TimeBase:
         first = int(np.argmax(steps <= 0)) + 1
         raise DataError(
             f"time must increase from sample to sample; at sample {first} it goes from "
-            f"{stamps[first - 1]:g} to {stamps[first]:g} s. Sort the record or remove repeated "
-            f"rows."
+            f"{stamps[first - 1]:.15g} to {stamps[first]:.15g} s. Sort the record or remove "
+            f"repeated rows."
         )
     usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))
     rounding = _resolution(stamps, usual)

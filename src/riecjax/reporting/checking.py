@@ -35,6 +35,7 @@ def check_document(
                 "file": file,
                 "samples": record.sample_count,
                 "time_step": float(record.time_step),
+                "start_time": float(record.start_time - record.skipped),
                 "duration": float(record.duration),
                 "stretches": len(record.segments(checked.signals)),
             }

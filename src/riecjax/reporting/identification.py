@@ -109,6 +109,7 @@ def identification_document(result: Identification) -> Document:
                     "file": file,
                     "samples": record.sample_count,
                     "time_step": float(record.time_step),
+                    "start_time": float(record.start_time - record.skipped),
                 }
                 for file, record in zip(result.files, result.records)
             ],

@@ -123,7 +123,7 @@ def validation_figure(run: ValidationRun) -> Chart:
     """Measured and simulated signals over time."""
     names = list(run.held.signals)
     units = dict(run.measured.units)
-    time = np.asarray(run.measured.time)
+    time = np.asarray(run.measured.elapsed)
     rows = []
     for name in names:
         measured = Line(time, _shown(run.measured, name), "measured", GREY, width=1.8)
@@ -221,7 +221,7 @@ def _fit(
         target = -estimated[first] * held.pop(first)
     explained = sum((estimated[n] * column for n, column in held.items()), np.zeros(part.size))
     first_sample = np.floor(np.asarray(rows.position)[part]).astype(int)
-    return _Fit(target, explained, np.asarray(record.time)[first_sample])
+    return _Fit(target, explained, np.asarray(record.elapsed)[first_sample])
 
 
 def _fit_panel(explained: np.ndarray, measured: np.ndarray, name: str, unit: str) -> Panel:

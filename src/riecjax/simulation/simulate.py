@@ -119,5 +119,6 @@ def _simulate(
         dict(inputs.units) | units,
         {name: mask for name, mask in inputs.missing.items() if name in driving},
         inputs.stamps,
+        inputs.skipped,
     )
     return Simulation(record, status, reached)

@@ -37,6 +37,8 @@ class EquationError(eqx.Module):
     - `time_step`: seconds from each value to the next, scalar.
     - `span`: samples in a window: 1, or 2 where a second derivative had to be moved.
     - `name`, `unit`: of the equation.
+    - `times`: middle of each window in seconds from the recording's first sample, of the same
+      shape as `error`; where not given, the first window begins at zero.
     """
 
     error: Float[Leaf, " values"]
@@ -46,6 +48,14 @@ class EquationError(eqx.Module):
     span: int = eqx.field(static=True)
     name: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
+    times: Float[Leaf, " values"] | None = None
+
+    @property
+    def middle(self) -> Float[Leaf, " values"]:
+        """Middle of each window in seconds; see `times`."""
+        if self.times is not None:
+            return self.times
+        return (np.arange(self.error.shape[0]) + 0.5 * self.span) * self.time_step
 
     @property
     def target(self) -> Float[Leaf, " values"]:
@@ -127,13 +137,19 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
     """One equation's errors on several records, one record after the other.
 
     Between records stand `pad` values that are not present, so that no two values less than `pad`
-    apart belong to different records. Arrays are NumPy's, for tests and figures.
+    apart belong to different records, and times go on. Arrays are NumPy's, for tests and figures.
     """
     error, explained, present = (
         with_pads([np.asarray(getattr(part, field)) for part in errors], pad)
         for field in ("error", "explained", "present")
     )
     first = errors[0]
+    step = float(first.time_step)
+    times = [np.asarray(part.middle) for part in errors]
+    for i in range(1, len(times)):
+        between = times[i - 1][-1] + step * np.arange(1, pad + 1)
+        follow = times[i] - times[i][0] + (between[-1] if pad else times[i - 1][-1]) + step
+        times[i] = np.concatenate([between, follow])
     return EquationError(
         error,
         explained,
@@ -142,6 +158,7 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
         first.span,
         first.name,
         first.unit,
+        np.concatenate(times),
     )
 
 
@@ -176,7 +193,14 @@ def _error_of(
         target = -parts.pop(equation.parameters[0])
     explained = sum(parts.values(), start=jnp.zeros_like(target))
     return EquationError(
-        target - explained, explained, present, step, span, equation.name, equation.unit
+        target - explained,
+        explained,
+        present,
+        step,
+        span,
+        equation.name,
+        equation.unit,
+        0.5 * (record.elapsed[span:] + record.elapsed[:-span]),
     )
 
 

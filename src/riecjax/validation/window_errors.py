@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
-from riecjax.validation.equation_error import EquationError
+from riecjax.validation.equation_error import EquationError, joined
 from riecjax.validation.error_spectrum import unbroken
 
 LENGTHS = 4
@@ -37,8 +37,8 @@ class WindowErrors(NamedTuple):
     **Fields:**
 
     - `relative_rms`: root mean square of the windows' errors against the targets'.
-    - `start`, `stop`: first and last time of each stretch in seconds from the first record's
-      start, records one after the other; shape `(stretches,)`.
+    - `start`, `stop`: first and last time of each stretch in seconds from the first recording's
+      first sample, records one after the other; shape `(stretches,)`.
     - `mean_square`: mean square error of the windows of each stretch against that of all.
     - `target_mean_square`: the same of the target.
     - `p_value`: probability that stretches alike differ as much: analysis of variance of the
@@ -91,21 +91,23 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     longest = max(round(beta / step), 1)
     lags = np.unique(np.round(np.geomspace(max(alpha / step, 1), longest, LENGTHS)).astype(int))
     records = [list(_blocks(error, lags, BLOCK_LENGTH * longest)) for error in errors]
-    before = np.cumsum([0, *(error.error.size for error in errors)]) * step
+    middle = np.asarray(joined(errors, 0).middle)
+    before = np.cumsum([0, *(error.error.size for error in errors)])
     blocks = [block for of_record in records for block in of_record]
     if len(blocks) < 2:
         return None
     stretches = [
-        (float(offset), part)
+        (int(offset), part)
         for offset, of_record in zip(before, records)
         for part in _stretches(of_record, len(blocks))
     ]
     total = _total(blocks)
+    half = 0.5 * errors[0].span * step
     sizes = [error.error.size for error in errors]
     return WindowErrors(
         relative_rms=float(np.sqrt(_share(total.error_square, total.target_square))),
-        start=np.array([offset + part[0].start * step for offset, part in stretches]),
-        stop=np.array([offset + part[-1].stop * step for offset, part in stretches]),
+        start=np.array([middle[offset + part[0].start] for offset, part in stretches]) - half,
+        stop=np.array([middle[offset + part[-1].stop - 1] for offset, part in stretches]) + half,
         mean_square=_against_all([part for _, part in stretches], total, "error_square"),
         target_mean_square=_against_all([part for _, part in stretches], total, "target_square"),
         p_value=_p_value([part for _, part in stretches]),

@@ -164,10 +164,13 @@ def _common_grid(channels: Mapping[str, _Channel], rate: float) -> np.ndarray:
     last = {name: channel.stretches[-1].time[-1] for name, channel in channels.items()}
     latest, earliest = max(first, key=first.__getitem__), min(last, key=last.__getitem__)
     start, duration = first[latest], last[earliest] - first[latest]
+    earliest_start = min(first.values())
     if duration * rate < 1 - SAME_TIME:
         raise DataError(
-            f"the channels have no time in common at {rate:g} Hz: '{latest}' begins at {start:g} s "
-            f"and '{earliest}' ends at {last[earliest]:g} s. Leave one of them out."
+            f"the channels have no time in common at {rate:g} Hz: '{latest}' begins at "
+            f"{start - earliest_start:g} s and '{earliest}' ends at "
+            f"{last[earliest] - earliest_start:g} s, counted from the first sample of all. Leave "
+            f"one of them out."
         )
     if duration * rate * len(channels) > LARGEST_GRID:
         raise DataError(
@@ -258,6 +261,7 @@ def _resampled(record: Record, step: float, spacing: float) -> Record:
         record.units,
         gaps(columns),
         _stamps(pieces, step) if len(pieces) > 1 else None,
+        record.skipped + (pieces[0].start - record.time[0]),
     )
 
 

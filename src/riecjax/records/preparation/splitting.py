@@ -40,7 +40,7 @@ def _split(record: Record, at: int) -> tuple[Record, Record]:
         raise DataError(
             f"splitting {record.sample_count} samples into {at} and {record.sample_count - at} "
             f"leaves a part without two samples. The record lasts from "
-            f"{float(record.time[0]):g} to {float(record.time[-1]):g} s."
+            f"{float(record.time[0]):.12g} to {float(record.time[-1]):.12g} s."
         )
     parts = record.part(0, at), record.part(at, record.sample_count)
     for part, which in zip(parts, ("estimation", "validation")):
