@@ -193,3 +193,13 @@ def test_what_cannot_be_computed_says_so():
     slow = Record(oscillation().arrays, 0.02)
     with pytest.raises(DataError, match="one time step"):
         errors_over_records(velocity_equation(), [oscillation(), slow], {"m": 2.0, "c": 1.0})
+
+
+def test_times_count_from_the_recording_s_first_sample():
+    whole = oscillation()
+    stamped = Record(whole.arrays, STEP, 1.7e9).part(150, 300)
+    (left,) = equation_error(position_equation(), stamped, {"m": 2.0, "k": 1.0})
+    # Windows of two samples: the first has its middle at sample 151.
+    np.testing.assert_allclose(left.middle, 1.51 + STEP * np.arange(148), rtol=1e-12)
+    both = joined([left, left], pad=3)
+    np.testing.assert_allclose(both.middle, 1.51 + STEP * np.arange(2 * 148 + 3), rtol=1e-12)

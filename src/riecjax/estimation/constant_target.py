@@ -5,13 +5,13 @@ force's value, every other parameter zero, and the residual vanishes, while the 
 collinear at all. A position that hardly moves about a large mean does the same: k takes the ratio
 of two constants, wherever its sensor has its zero, and free motion ties all others to k.
 
-Let b be the target, a_j the regressors, and b', a_j' what they vary about their means (in each
-record of its own where a parameter is). An equation says nothing of its parameters if
+Let b be the target, a_j the regressors, and b', a_j' their deviations from the mean (of each record
+where a parameter differs between records). An equation says nothing of its parameters if
 
 1. |b'| is a small share of |b|: the target is constant, and
 2. a' explains little of b': what varies of it is noise or drift, and
-3. one term's columns, or all those that do not move, reproduce b, and leave others over that
-   stand in no other equation of the stage.
+3. one term's columns, or all those that do not move, reproduce b, while other parameters
+   appear in no other equation of the stage.
 
 Where motion explains how a target varies (a step that begins late, a force that varies by 5 %),
 the second fails and the fit is sound. Equations are averaged by hats as long as the criterion's
@@ -203,7 +203,7 @@ class _Averaged:
         return {name: column for name, column in found.items() if name not in self.settled}
 
     def moving(self, rows: Rows) -> Rows:
-        """Rows less their mean, in each record of its own where a parameter is."""
+        """Rows less their mean: of each record where a parameter differs between records."""
         count = np.maximum(np.bincount(self.record_of_row), 1)
         return rows - (np.bincount(self.record_of_row, rows) / count)[self.record_of_row]
 
