@@ -129,7 +129,8 @@ def command(
     import jax
     from rich.console import Console
 
-    from riecjax.estimation.check import check
+    from riecjax.estimation.check import check, raise_if_refused
+    from riecjax.estimation.excitation import excitation
     from riecjax.estimation.identify import identify
     from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
     from riecjax.leaves import on_host
@@ -152,8 +153,7 @@ def command(
     judge = kinds[intervals]
     estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
     # What `riecjax check` refuses is refused here, before any of it is shown.
-    checked = check(procedure, records, criterion, **settings)
-    checked.raise_if_unanswerable()
+    raise_if_refused(on_host(excitation(procedure, records, criterion, **settings)))
     # What is asked for first is shown first: all that follows is about how far to trust it.
     shown = not as_json and refining.refine == "none"
     if shown:
@@ -168,6 +168,7 @@ def command(
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.identification_page import identification_page
 
+    checked = check(procedure, records, criterion, **settings)
     refined = refining.run(model, records, estimate, own=own, key=key, intervals=judge)
     found = estimate if refined is None else refined
     to_simulate = _to_simulate(held, further)

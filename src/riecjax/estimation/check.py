@@ -1,6 +1,6 @@
 """Before a fit: whether these records can answer the question that a model asks."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,18 +47,27 @@ class Check(NamedTuple):
     @property
     def refusal(self) -> Finding | None:
         """What rules an answer out, the first of its kind in `FATAL`; `None` if nothing does."""
-        fatal = [finding for finding in self.findings if finding.code in FATAL]
-        return min(fatal, key=lambda finding: FATAL.index(finding.code), default=None)
+        return _refusal(self.findings)
 
     @property
     def answerable(self) -> bool:
         """Whether nothing found rules an answer out."""
         return self.refusal is None
 
-    def raise_if_unanswerable(self) -> None:
-        """Raise `IdentifiabilityError` with the message and code of the [`Check.refusal`][]."""
-        if self.refusal is not None:
-            raise IdentifiabilityError(self.refusal.message, self.refusal.code)
+
+def raise_if_refused(excitations: Iterable[Excitation]) -> None:
+    """Raise what a check refuses beside what `identify` raises, before the rest of it is done.
+
+    **Raises:** `IdentifiabilityError` with the finding's message and code.
+    """
+    refusal = _refusal(finding for stage in excitations for finding in stage.findings())
+    if refusal is not None:
+        raise IdentifiabilityError(refusal.message, refusal.code)
+
+
+def _refusal(findings: Iterable[Finding]) -> Finding | None:
+    fatal = [finding for finding in findings if finding.code in FATAL]
+    return min(fatal, key=lambda finding: FATAL.index(finding.code), default=None)
 
 
 def check(

@@ -35,7 +35,6 @@ def check_document(
                 "file": file,
                 "samples": record.sample_count,
                 "time_step": float(record.time_step),
-                "start_time": float(record.start_time - record.skipped),
                 "duration": float(record.duration),
                 "stretches": len(record.segments(checked.signals)),
             }
@@ -44,8 +43,17 @@ def check_document(
         "signals": list(checked.signals),
         "excitation": excitation_entries(checked),
         "warnings": [finding._asdict() for finding in checked.findings],
-        "provenance": {"preparation": list(steps), "versions": versions()},
+        "provenance": {
+            "start_times": start_times(records),
+            "preparation": list(steps),
+            "versions": versions(),
+        },
     }
+
+
+def start_times(records: Sequence[Record]) -> list[float]:
+    """The time stamp of each recording's first sample, from which all other times count."""
+    return [float(record.start_time - record.skipped) for record in records]
 
 
 def excitation_entries(checked: Check) -> dict[str, Any]:

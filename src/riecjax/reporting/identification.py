@@ -12,7 +12,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.procedure import Procedure
 from riecjax.findings import Finding
 from riecjax.records.record import Record
-from riecjax.reporting.checking import excitation_entries
+from riecjax.reporting.checking import excitation_entries, start_times
 from riecjax.reporting.estimate import estimate_entries, print_estimate
 from riecjax.reporting.output import Document, finite, number, versions
 from riecjax.reporting.parameters import parameter_entries
@@ -109,10 +109,10 @@ def identification_document(result: Identification) -> Document:
                     "file": file,
                     "samples": record.sample_count,
                     "time_step": float(record.time_step),
-                    "start_time": float(record.start_time - record.skipped),
                 }
                 for file, record in zip(result.files, result.records)
             ],
+            "start_times": start_times(result.records),
             "preparation": list(result.steps),
             "intervals": {
                 "method": estimate.uncertainty.label,
