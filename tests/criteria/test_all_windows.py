@@ -50,7 +50,7 @@ def test_all_windows_are_the_sum_over_every_single_one(
     # Bins of lags that count alike, some of them empty.
     held, weight = (np.array(values) for values in zip(*steps))
     last = shortest + np.cumsum(held) - 1
-    bins = LagBins(*(jnp.asarray(v) for v in (last - held + 1, last, weight)))
+    bins = LagBins(jnp.asarray(last - held + 1), jnp.asarray(last), jnp.asarray(weight))
     every = np.repeat(weight, held)
     expected, count = brute_force(phi, present, first, stop, shortest, every, hat)
     starts = Starts(jnp.asarray(first), jnp.asarray(stop))

@@ -47,7 +47,7 @@ def every_window(record, weight, shortest, longest):
     n, m = record.sample_count, weight.length_multiple
     pairs = [(t, t + m * lag) for lag in range(shortest, longest + 1) for t in range(n - m * lag)]
     start, stop = np.array(pairs).T
-    return WindowSet(start, stop)
+    return WindowSet(jnp.asarray(start), jnp.asarray(stop))
 
 
 @eqx.filter_jit
@@ -61,7 +61,7 @@ MOST_PAIRS = 16_000
 def least_squares(record, weight, windows):
     count = windows.start.shape[0]
     # One shape whatever their number: the first window fills up, and is left out again.
-    filled = WindowSet(*(jnp.asarray(np.resize(ends, MOST_PAIRS)) for ends in windows))
+    filled = WindowSet(*(jnp.asarray(np.resize(np.asarray(ends), MOST_PAIRS)) for ends in windows))
     assert count <= MOST_PAIRS
     columns, whole = integrated(record, weight, filled)
     rows = np.asarray(columns)[:, :count]
@@ -96,7 +96,7 @@ def test_bumps_are_summed_at_their_lengths_and_every_start():
     estimate = identify(EQUATION, record, RIEC(AllWindows(0.2, 0.6), weight))
     lengths = [20, 30, 40, 50, 60]
     pairs = np.array([(t, t + k) for k in lengths for t in range(333 - k)])
-    windows = WindowSet(pairs[:, 0], pairs[:, 1])
+    windows = WindowSet(jnp.asarray(pairs[:, 0]), jnp.asarray(pairs[:, 1]))
     expected, count = least_squares(record, weight, windows)
     assert int(estimate.stages[0].count) == count
     np.testing.assert_allclose(estimate.theta, expected, rtol=1e-9)

@@ -28,7 +28,6 @@ from riecjax.estimation.intervals import (
     naive_covariance,
 )
 from riecjax.estimation.least_squares import gram_condition_limit
-from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import (
     HasProcedure,
     Procedure,
