@@ -10,7 +10,7 @@ from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.identify import identify
-from riecjax.estimation.sharing import values_of_record
+from riecjax.estimation.sharing import Sharing, values_of_record
 from riecjax.records.record import Record
 
 EQUATION = Equation(
@@ -82,6 +82,39 @@ def test_own_parameters_may_be_known_all_at_once_or_one_by_one():
 def test_each_record_reads_its_own_values_under_the_models_names():
     values = {"M": 12.0, "offset[1]": 3.0, "offset[2]": -1.5}
     assert values_of_record(values, 1) == {**values, "offset": -1.5}
+
+
+def test_a_parameter_that_is_called_like_another_ones_own_keeps_its_value():
+    """As entries of an array are: no recording has an `offset` of its own here."""
+    values = {"offset": 1.0, "offset[1]": 3.0}
+    assert values_of_record(values, 0) == values
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_names_that_own_parameters_would_collide_with_are_refused(count):
+    equation = Equation(*EQUATION.terms, Term("offset[2]", "q"))
+    with pytest.raises(ModelError, match=r"called 'offset\[2\]'.*own=\['offset'\].*Rename"):
+        identify(equation, RECORDS[:count], DOLS(), own=["offset"])
+    apart = identify(equation, RECORDS[0], DOLS())
+    assert float(apart["offset"]) == pytest.approx(OFFSETS[0], rel=1e-6)
+    assert float(apart["offset[2]"]) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_known_value_of_one_record_goes_before_that_of_all():
+    for known in (
+        {"offset": 1.0, "offset[2]": OFFSETS[1]},
+        {"offset[2]": OFFSETS[1], "offset": 1.0},
+    ):
+        estimate = identify(EQUATION, RECORDS, DOLS(), own=["offset"], known=known)
+        assert [float(estimate[f"offset[{i}]"]) for i in (1, 2, 3)] == [1.0, OFFSETS[1], 1.0]
+
+
+def test_entries_of_an_array_may_be_own_and_known():
+    """The stage that finds `F[0]` is settled once every recording's value of it is known."""
+    sharing = Sharing(("M", "F[0]", "F[1]"), ["F[0]"], 2)
+    assert sharing.parameters == ("M", "F[0][1]", "F[0][2]", "F[1]")
+    assert "F[0]" in sharing.settled({"F[0][1]", "F[0][2]"})
+    assert "F[0]" not in sharing.settled({"F[0][1]"})
 
 
 def test_own_parameters_survive_the_solve_by_rows():

@@ -1,6 +1,6 @@
 """Which parameters several records share, and which take a value of their own in each."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import TypeVar
 
 from riecjax.errors import ModelError
@@ -14,7 +14,8 @@ class Sharing:
     **Arguments:** `parameters` of the model; `own`, those with a value of their own in each of
     `record_count` records, such as a sensor's offset; all others are shared.
 
-    **Raises:** `ModelError` for a name in `own` that the model does not have.
+    **Raises:** `ModelError` for a name in `own` that the model does not have, and for a parameter
+    that is already called as a recording's own one would be.
     """
 
     def __init__(self, parameters: tuple[str, ...], own: Iterable[str], record_count: int):
@@ -24,6 +25,14 @@ class Sharing:
             raise ModelError(
                 f"unknown parameter '{unknown[0]}'; the model has: {', '.join(parameters)}."
             )
+        for name in parameters:
+            base, number = _numbered(name)
+            if number and base in self.own:
+                raise ModelError(
+                    f"the model has a parameter called '{name}', and with own=['{base}'] that is "
+                    f"what {base} is called in recording {number}. Rename one of the two, or leave "
+                    f"{base} out of own."
+                )
         self.parameters = self.everywhere(parameters)
         self.individual = frozenset(self.everywhere(sorted(self.own)))
 
@@ -52,9 +61,15 @@ class Sharing:
         return tuple(expanded)
 
     def values(self, given: Mapping[str, Value]) -> dict[str, Value]:
-        """Values by name over all records: one for `offset` holds in every record."""
+        """Values by name over all records.
+
+        One for `offset` holds in every record but for those that have one by their own name.
+        """
         return {
-            expanded: value for name, value in given.items() for expanded in self.everywhere([name])
+            expanded: value
+            for name, value in given.items()
+            for expanded in self.everywhere([name])
+            if expanded == name or expanded not in given
         }
 
     def values_of(
@@ -71,15 +86,28 @@ class Sharing:
     def settled(self, names: Iterable[str]) -> set[str]:
         """Of the model's own names, those whose every record's value is among `names`."""
         known = set(names)
-        base = {name.partition("[")[0] if name not in self.own else name for name in known} | known
-        return {name for name in base if set(self.everywhere([name])) <= known}
+        among = known | {local_name(name, self.own) for name in known}
+        return {name for name in among if set(self.everywhere([name])) <= known}
 
 
 def values_of_record(values: Mapping[str, Value], index: int) -> dict[str, Value]:
     """Values as the record number `index` (from 0) knows them: its own `offset[2]` as `offset`.
 
-    Those of other records keep their names.
+    Those of other records keep their names, and so does `offset[2]` of a model that has an `offset`
+    beside it.
     """
     ending = f"[{index + 1}]"
     own = {name.removesuffix(ending): v for name, v in values.items() if name.endswith(ending)}
-    return {**values, **own}
+    return {**own, **values}
+
+
+def local_name(name: str, own: Container[str]) -> str:
+    """A name over all records as the model knows it: `offset` of `offset[2]`, if that is `own`."""
+    base, _ = _numbered(name)
+    return base if base in own else name
+
+
+def _numbered(name: str) -> tuple[str, str]:
+    """The parts of `offset[2]`, `offset` and `2`; of any other name, itself and nothing."""
+    base, bracket, number = name.removesuffix("]").rpartition("[")
+    return (base, number) if bracket and name.endswith("]") and number.isdigit() else (name, "")

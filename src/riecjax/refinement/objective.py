@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, Key
 
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.sharing import Sharing, Value
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.refinement.misfit import AbstractMisfit
@@ -42,6 +42,18 @@ class Setup(NamedTuple):
     def of_record(self, index: int) -> dict[str, Leaf]:
         """Values as one record knows them."""
         return self.sharing.values_of(self.local, self.values, index)
+
+    def of_free(self, given: Mapping[str, Value]) -> dict[str, Value]:
+        """What is given by name, over all records: of an own `offset`, for each that is free.
+
+        A name of which nothing is free stays as it is.
+        """
+        found: dict[str, Value] = {}
+        # What is given for one record comes after what is given for all, and replaces it.
+        for name in sorted(given, key=lambda name: name not in self.sharing.own):
+            free = [n for n in self.sharing.everywhere([name]) if n in self.names]
+            found |= dict.fromkeys(free or [name], given[name])
+        return found
 
 
 class Parameters(NamedTuple):

@@ -17,7 +17,7 @@ from riecjax.estimation.identify import record_keys, require_key
 from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
 from riecjax.estimation.least_squares import symmetric_eigen
 from riecjax.estimation.normal_equations import NormalEquations
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.sharing import Sharing, local_name
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record, as_records
 from riecjax.refinement.coordinates import Bounds, Laws, Prior
@@ -73,7 +73,8 @@ def refine(
     - `bounds`: (lower, upper) by name, `None` where there is none.
     - `priors`: normal laws (mean, standard deviation) by name, weighed against the scatter that the
       fit leaves.
-    - `own`: names of parameters that take a value of their own in each record.
+    - `own`: names of parameters that take a value of their own in each record. What is given for
+      `offset` holds in every record, but for those given by their own name, `offset[2]`.
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
@@ -91,7 +92,9 @@ def refine(
     require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
     objective = (OutputError() if by is None else by).suited(model)
     setup = _setup(objective, model, recordings, start, dict(known or {}), tuple(own), key)
-    laws = Laws.of(setup.names, setup.values, dict(bounds or {}), dict(priors or {}))
+    laws = Laws.of(
+        setup.names, setup.values, setup.of_free(bounds or {}), setup.of_free(priors or {})
+    )
     misfit = objective.misfit(setup)
     theta, starts = _stacked([setup.values[name] for name in setup.names]), misfit.first_starts()
     begun = _begin(misfit, theta, starts)
@@ -138,23 +141,25 @@ def _setup(
     if objective.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     names, defaults, units = objective.parameters(parametric)
+    carried: Mapping[str, float | Array] = {}
     if isinstance(start, AbstractEstimate):
         units = {**units, **dict(start.units)} if not names else units
-        known = {**start.known, **known}
+        carried = start.known
         start = {name: start.single()[name] for name in start.parameters}
-    given = {**start, **known}
-    local = names or tuple(dict.fromkeys(_local(name, own) for name in given))
+    given = {**start, **carried, **known}
+    local = names or tuple(dict.fromkeys(local_name(name, own) for name in given))
     sharing = Sharing(local, own, len(records))
     if unknown := [n for n in given if n not in (*local, *sharing.parameters)]:
         raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {', '.join(local)}.")
-    values = {**sharing.values(defaults), **sharing.values(start), **sharing.values(known)}
+    fixed = {**sharing.values(carried), **sharing.values(known)}
+    values = {**sharing.values(defaults), **sharing.values(start), **fixed}
     if missing := [name for name in sharing.parameters if name not in values]:
         raise ModelError(
             f"no value is given for {', '.join(missing)}. Name it in start (to refine it) or in "
             f"known (to hold it)."
         )
-    held = set(sharing.values(known))
-    free = tuple(n for n in sharing.parameters if n in sharing.values(start) and n not in held)
+    begun = sharing.values(start)
+    free = tuple(n for n in sharing.parameters if n in begun and n not in fixed)
     if not free:
         raise ModelError("every parameter is known; nothing is left to refine.")
     dtype = records[0].time_step.dtype
@@ -172,11 +177,6 @@ def _setup(
 
 def _number(value: float | Leaf, dtype: Any) -> Leaf:
     return np.asarray(value, dtype) if is_concrete(value) else jnp.asarray(value, dtype)
-
-
-def _local(name: str, own: tuple[str, ...]) -> str:
-    base = name.partition("[")[0]
-    return base if base in own else name
 
 
 class _Begun(NamedTuple):

@@ -189,7 +189,8 @@ def _fits(result: Identification) -> Iterator[tuple[int, _Fit]]:
     given = {name: float(value) for name, value in estimate.known.items()}
     found = {name: float(estimate[name]) for name in estimate.parameters}
     for i, (record, key) in enumerate(zip(records, record_keys(result.key, len(records)))):
-        known, estimated = values_of_record(given, i), values_of_record(found, i)
+        known = {n: v for n, v in values_of_record(given, i).items() if n not in found}
+        estimated = {n: v for n, v in values_of_record(found, i).items() if n not in given}
         # The check of this record has compiled the same function.
         for place, rows in enumerate(
             all_rows(procedure, single, [record], estimate.criterion, [key])
