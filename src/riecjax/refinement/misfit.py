@@ -63,6 +63,26 @@ class AbstractMisfit(eqx.Module):
         """Size of these components."""
         return jnp.ones(0)
 
+    def settled_starts(
+        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+    ) -> Float[Array, "windows s"]:
+        """The starts that leave least with these parameters, from others."""
+        return starts
+
+    @property
+    def steps_label(self) -> str:
+        """How finely it is simulated; empty where nothing is."""
+        return ""
+
+    def finer(self, factor: int) -> "AbstractMisfit | None":
+        """This misfit simulated in steps so many times as short; None where there are no steps."""
+        return None
+
+    @property
+    def room_for_steps(self) -> int:
+        """How many times as short its steps may be made without being asked; 1 for not at all."""
+        return 1
+
     def energy(
         self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
     ) -> Float[Array, " quantities"]:

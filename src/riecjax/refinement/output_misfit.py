@@ -1,7 +1,8 @@
 """Output error over windows: the model simulated from a start, compared with what was recorded."""
 
+import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,11 +18,25 @@ from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import Leaf
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
-from riecjax.simulation.method import AbstractMethod, SimulationStatus
+from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
 
 RIDGE = 1e-10
 """What keeps a start that no residual depends on from being divided by zero; relative."""
+SETTLED = 1e-6
+"""Share of the sum of squares that a better start would still take off, at which it is settled."""
+MOST_TRIALS = 8
+"""Starts that are tried for each window."""
+
+
+class _Settling(NamedTuple):
+    """Starts that were accepted, those to try, what the former leave, and whether to go on."""
+
+    starts: Float[Array, "windows s"]
+    trial: Float[Array, "windows s"]
+    energy: Float[Array, ""]
+    going: Array
+    left: Int[Array, ""]
 
 
 class Recorded(eqx.Module):
@@ -55,7 +70,10 @@ class Recorded(eqx.Module):
 
 
 class OutputMisfit(AbstractMisfit):
-    """Simulated minus recorded channels, in units of `sigma`, over all windows of all records."""
+    """Simulated minus recorded channels, in units of `sigma`, over all windows of all records.
+
+    `most_steps` between samples may be taken of a method that the user left open, else 0.
+    """
 
     system: AbstractParametric
     recorded: list[Recorded]
@@ -70,6 +88,7 @@ class OutputMisfit(AbstractMisfit):
     estimated: tuple[int, ...] = eqx.field(static=True)
     state_names: tuple[str, ...] = eqx.field(static=True)
     sharing: Sharing = eqx.field(static=True)
+    most_steps: int = eqx.field(static=True)
 
     @property
     def start_names(self) -> tuple[str, ...]:
@@ -100,6 +119,54 @@ class OutputMisfit(AbstractMisfit):
     def start_scale(self) -> Float[Array, " s"]:
         """Size of each estimated state."""
         return self.scale
+
+    def settled_starts(
+        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+    ) -> Float[Array, "windows s"]:
+        """By Gauss and Newton's method, for as long as it makes the sum of squares smaller."""
+        if not self.estimated:
+            return starts
+        values = {**self.known, **dict(zip(self.names, theta))}
+        # At its least, the sum of squares does not change with the starts.
+        held, starts = jax.lax.stop_gradient(
+            (dataclasses.replace(self, known=values, names=()), starts)
+        )
+        none = jnp.zeros(0, starts.dtype)
+
+        def tried(state: _Settling) -> _Settling:
+            moments = held.expansion(none, state.trial).moments()
+            energy = jnp.sum(moments[:, 0, 0]).astype(starts.dtype)
+            better = energy < state.energy
+            kept = jnp.where(better, state.trial, state.starts)
+            gradient = moments[:, 1:, :1]
+            step = -jax.vmap(lambda g, r: solve_scaled(g, r, RIDGE))(moments[:, 1:, 1:], gradient)
+            work = -jnp.sum(gradient * step)
+            going = better & (work > SETTLED * energy) & (state.left > 0)
+            return _Settling(
+                kept, kept + step[:, :, 0], jnp.minimum(energy, state.energy), going, state.left - 1
+            )
+
+        infinite = jnp.asarray(jnp.inf, starts.dtype)
+        first = _Settling(
+            starts, starts, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS)
+        )
+        return jax.lax.while_loop(lambda state: state.going, tried, first).starts
+
+    @property
+    def steps_label(self) -> str:
+        """The method."""
+        return self.method.label
+
+    def finer(self, factor: int) -> "OutputMisfit | None":
+        """By the method in shorter steps."""
+        method = self.method.finer(factor)
+        return None if method is None else eqx.tree_at(lambda m: m.method, self, method)
+
+    @property
+    def room_for_steps(self) -> int:
+        """As many as `most_steps` leaves."""
+        steps = self.method.steps_per_sample if isinstance(self.method, FixedStep) else 1
+        return max(self.most_steps // steps, 1)
 
     def energy(
         self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]

@@ -18,9 +18,10 @@ from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertaint
 from riecjax.estimation.least_squares import symmetric_eigen
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.sharing import Sharing, local_name
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.record import Record, as_records
 from riecjax.refinement.coordinates import Bounds, Laws, Prior
+from riecjax.refinement.halved_steps import Optimum, halve_steps, resolved
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
 from riecjax.refinement.objective import AbstractObjective, Setup
 from riecjax.refinement.optimum import Problem, RefinementStatus, Solver, find_optimum
@@ -99,10 +100,16 @@ def refine(
     theta, starts = _stacked([setup.values[name] for name in setup.names]), misfit.first_starts()
     begun = _begin(misfit, theta, starts)
     settings = (setup.sharing, intervals or Sandwich(), solver, max_steps, progress)
-    found = _Found(theta, starts, begun.status, jnp.array(0))
-    found, energy, judged = _search(misfit, laws, theta, found, begun.energy, *settings)
-    for _ in range(FURTHER_ROUNDS if priors else 0):
-        found, energy, judged = _search(misfit, laws, theta, found, energy, *settings)
+    found, energy = _Found(theta, starts, begun.status, jnp.array(0)), begun.energy
+    excess = np.inf
+    while True:
+        for _ in range(1 + FURTHER_ROUNDS if priors else 1):
+            found, energy, judged = _search(misfit, laws, theta, found, energy, *settings)
+        halved = halve_steps(misfit, _optimum(found, judged, theta))
+        finer, excess = resolved(misfit, halved, excess)
+        if finer is None:
+            break
+        misfit, begun = finer, _begin(finer, theta, starts)
     return Refined(
         theta=found.theta,
         uncertainty=judged.uncertainty,
@@ -116,8 +123,11 @@ def refine(
         starts=found.starts,
         at_bound=judged.at_bound,
         inflation=judged.inflation,
+        step_change=halved.change,
+        coarse=halved.coarse,
         block_count=judged.block_count,
         block_length=judged.block_length,
+        steps_label=misfit.steps_label,
         parameters=setup.names,
         units=tuple(setup.sharing.values(setup.units).items()),
         quantities=misfit.labels,
@@ -180,7 +190,7 @@ def _number(value: float | Leaf, dtype: Any) -> Leaf:
 
 
 class _Begun(NamedTuple):
-    """What the start leaves, and whether it can be started from."""
+    """What the start leaves, once starts of windows have settled, and whether it is finite."""
 
     energy: Float[Array, " quantities"]
     rms: Float[Array, " quantities"]
@@ -191,7 +201,7 @@ class _Begun(NamedTuple):
 def _begin(
     misfit: AbstractMisfit, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
 ) -> _Begun:
-    energy = misfit.energy(theta, starts)
+    energy = misfit.energy(theta, misfit.settled_starts(theta, starts))
     status = RefinementStatus.where(
         jnp.isfinite(jnp.sum(energy)), RefinementStatus.converged, RefinementStatus.not_finite
     )
@@ -216,6 +226,22 @@ class _Judged(NamedTuple):
     at_bound: Bool[Array, " p"]
     block_count: Int[Array, ""]
     block_length: Float[Array, ""]
+    moment: Float[Array, " p"]
+    information: Float[Array, "p p"]
+    errors: Float[Array, " p"]
+
+
+def _optimum(found: _Found, judged: _Judged, start: Float[Array, " p"]) -> Optimum:
+    settled = found.status == RefinementStatus.converged
+    return Optimum(
+        found.theta,
+        found.starts,
+        namespace(start).abs(start),
+        judged.moment,
+        judged.information,
+        judged.errors,
+        settled,
+    )
 
 
 @eqx.filter_jit
@@ -272,7 +298,8 @@ def _judge(
     variance = _variance(misfit, expansion.energy, at_bound.shape[0])
     # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
     # one that nothing depends on must not take the others with it.
-    gram = blocks.flattened().total().gram
+    total = blocks.flattened().total()
+    gram = total.gram
     curvature = jnp.diagonal(gram)
     known = variance * jnp.asarray(laws.prior_weight) ** 2
     tiny = SILENT * jnp.sum(expansion.energy)
@@ -301,6 +328,9 @@ def _judge(
         at_bound,
         used,
         jnp.sum(short.durations) / used,
+        total.moment,
+        jnp.diag(information),
+        jnp.sqrt(jnp.diagonal(covariance)),
     )
 
 

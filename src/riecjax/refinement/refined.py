@@ -25,11 +25,14 @@ class Refined(AbstractEstimate):
     - `theta`, `uncertainty`, `known`, `parameters`, `units`: as of an [`Estimate`][].
     - `status`: how the search ended; `steps` that it took.
     - `rms_before`, `rms`: root mean square of what is left of each of `quantities` (channels, or
-      equations), at the start and now, in `quantity_units`.
-    - `cost_before`, `cost`: sums of squared residuals.
+      equations), with the start's parameters and now, in `quantity_units`. Both over the same
+      windows, in the same steps, and from initial states that were estimated for each.
+    - `cost_before`, `cost`: sums of squared residuals, likewise.
     - `starts`: estimated initial states, one row for each window, columns `start_names`.
     - `at_bound`: which parameters sit on a bound; nothing is said of their uncertainty.
     - `inflation`: factor on each standard error because recordings disagree.
+    - `step_change`: change of `theta`, to first order, if the steps of the simulation are halved;
+      `coarse`, where that matters beside the standard error; `steps_label`, the method.
     - `block_count`, `block_length`: independent blocks of time behind the uncertainty.
     - `by`: what was made small, in plain data.
     """
@@ -46,8 +49,11 @@ class Refined(AbstractEstimate):
     starts: Float[Array, "windows s"]
     at_bound: Bool[Array, " p"]
     inflation: Float[Array, " p"]
+    step_change: Float[Array, " p"]
+    coarse: Bool[Array, " p"]
     block_count: Int[Array, ""]
     block_length: Float[Array, ""]
+    steps_label: str = eqx.field(static=True)
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     quantities: tuple[str, ...] = eqx.field(static=True)
@@ -71,6 +77,7 @@ class Refined(AbstractEstimate):
     def _findings(self) -> list[Finding]:
         return [
             *self._not_converged(),
+            *self._coarse_steps(),
             *self._bounds(),
             *self._undetermined(),
             *self.negative_values(),
@@ -82,6 +89,23 @@ class Refined(AbstractEstimate):
         if not bool(self.converged):
             yield Finding(
                 "refinement_not_converged", f"the refinement did not converge: {self.reason}"
+            )
+
+    def _coarse_steps(self) -> Iterator[Finding]:
+        changes = [
+            f"{name} by {float(change):.3g} ({abs(float(change / error)):.2g} standard errors)"
+            for name, change, coarse, error in zip(
+                self.parameters, self.step_change, self.coarse, self.standard_errors
+            )
+            if bool(coarse)
+        ]
+        if changes:
+            yield Finding(
+                "coarse_steps",
+                f"the steps of the simulation, {self.steps_label}, are part of the answer: halving "
+                f"them changes {', '.join(changes)}. Take shorter ones "
+                f"(OutputError(method=FixedStep(n))) or record faster; a stiff model needs "
+                f"Adaptive with an implicit solver, a force that jumps as sign(v) a width.",
             )
 
     def _bounds(self) -> Iterator[Finding]:

@@ -14,6 +14,7 @@ of a step is then one kernel, which a batch of simulations runs in vector instru
 starts kernels one by one, the state is one vector, so that there are few of them.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import RESULTS as DIFFRAX_RESULTS
 from diffrax import (
+    AbstractAdjoint,
     AbstractSolver,
     ButcherTableau,
     ClipStepSizeController,
@@ -99,6 +101,15 @@ class AbstractMethod(eqx.Module):
         """States at the samples of `inputs`; differentiable and vmappable."""
         raise NotImplementedError
 
+    def finer(self, factor: int) -> "AbstractMethod | None":
+        """The same with steps `factor` times as short, or None if it has none to shorten."""
+        return None
+
+    @property
+    def label(self) -> str:
+        """How it is written, for tables and messages."""
+        return type(self).__name__
+
 
 class FixedStep(AbstractMethod):
     """An explicit Runge-Kutta method with a fixed number of steps between samples.
@@ -118,6 +129,15 @@ class FixedStep(AbstractMethod):
     def __check_init__(self):
         if self.steps_per_sample < 1:
             raise ModelError(f"steps_per_sample must be at least 1; got {self.steps_per_sample}.")
+
+    def finer(self, factor: int) -> "FixedStep":
+        """With so many times more steps."""
+        return FixedStep(self.steps_per_sample * factor, self.tableau)
+
+    @property
+    def label(self) -> str:
+        """`FixedStep(8)`."""
+        return f"FixedStep({self.steps_per_sample})"
 
     def trajectory(
         self,
@@ -171,12 +191,32 @@ class Adaptive(AbstractMethod):
     - `rtol`, `atol`: relative and absolute tolerance of each step, to be chosen by the user.
     - `solver`: any diffrax solver, implicit ones for stiff systems included.
     - `max_steps`: steps in all; none left is the status `max_steps_reached`.
+    - `adjoint`: how it is differentiated, as for `diffeqsolve`. Forward by default (`jax.jvp`,
+      `jacfwd`, and `refine`, which forms its Jacobians forward); in reverse (`jax.grad`) by
+      `diffrax.RecursiveCheckpointAdjoint()`; both ways by `diffrax.DirectAdjoint()`, whose memory
+      grows with `max_steps`.
     """
 
     rtol: float = eqx.field(static=True)
     atol: float = eqx.field(static=True)
     solver: AbstractSolver = eqx.field(default_factory=Tsit5)
     max_steps: int = eqx.field(static=True, default=1_000_000)
+    adjoint: AbstractAdjoint = eqx.field(default_factory=ForwardMode)
+
+    def finer(self, factor: int) -> "Adaptive":
+        """At tolerances for steps about that much shorter, of a method of fourth order."""
+        share = float(factor) ** -5
+        return dataclasses.replace(
+            self,
+            rtol=self.rtol * share,
+            atol=self.atol * share,
+            max_steps=self.max_steps * factor,
+        )
+
+    @property
+    def label(self) -> str:
+        """`Adaptive(1e-06, 1e-09)`."""
+        return f"Adaptive({self.rtol:g}, {self.atol:g})"
 
     def trajectory(
         self,
@@ -189,7 +229,9 @@ class Adaptive(AbstractMethod):
         last = inputs.shape[0] - 1
 
         # Time is counted in samples, so that the sample below a time is found without a search.
-        def vector_field(position, state, inputs):
+        # All that may be differentiated by is an argument: some adjoints see no closure.
+        def vector_field(position, state, args):
+            system, inputs, time_step = args
             below = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, last - 1)
             share = position - below
             level = inputs[below] + share * (inputs[below + 1] - inputs[below])
@@ -203,14 +245,14 @@ class Adaptive(AbstractMethod):
             samples[-1],
             0.1,
             initial_state,
-            args=inputs,
+            args=(system, inputs, time_step),
             saveat=SaveAt(ts=samples),
             # The right-hand side has a kink at every sample; a step across one loses its order.
             stepsize_controller=ClipStepSizeController(
                 PIDController(rtol=self.rtol, atol=self.atol), jump_ts=samples[1:-1]
             ),
             max_steps=self.max_steps,
-            adjoint=ForwardMode(),
+            adjoint=self.adjoint,
             throw=False,
         )
         assert solution.ys is not None
