@@ -61,6 +61,8 @@ def test_output_error_and_what_it_did_to_predictions(recording, capsys, tmp_path
     left = document["refinement"]["left"]
     assert set(left) == {"x", "dx"}
     assert all(entry["after"] <= entry["before"] for entry in left.values())
+    basis = "the whole record, initial states estimated for each, FixedStep(1)"
+    assert document["refinement"]["basis"] == basis
     (simulated,) = document["refinement"]["simulations"]
     assert simulated["fitted"] is False
     assert simulated["after"]["signals"]["x"]["fit_percent"] > 90
@@ -73,6 +75,8 @@ def test_integral_refinement_prints_both_values(recording, capsys):
     assert "identified" in printed
     assert "refined by impulses of the equation error: converged" in printed
     assert "run.csv (fitted), fit before -> after" in printed
+    assert "left before and after, of impulses over the same windows" in printed
+    assert "from the state as recorded" in " ".join(printed.split())
 
 
 def test_windows_shorter_than_the_recording(recording, capsys):

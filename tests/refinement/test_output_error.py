@@ -1,5 +1,7 @@
 """Output-error refinement: against SciPy, over windows of any length, and what it says of it."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,42 +48,47 @@ def whole(noisy):
     return refine(oscillator(), noisy, START)
 
 
-def cost_by_scipy(seed, p):
-    """The same sum of squares by SciPy, simulated at tight tolerance."""
+def costs_by_scipy(seed, points):
+    """The same sum of squares by SciPy at several points, integrated side by side.
+
+    From sample to sample, since the input has a kink at each: no step crosses one.
+    """
     measured = signals(seed)
-    t = np.arange(COUNT) / RATE
-    m, r, r2, k, x0, v0 = p
+    m, r, r2, k, x, v = np.transpose(points)
+    motion = [np.concatenate([x, v])]
+    for low, high in itertools.pairwise(measured["u"]):
 
-    def derivative(at, s):
-        u = np.interp(at, t, measured["u"])
-        return [s[1], (u - r * s[1] - r2 * s[1] * abs(s[1]) - k * s[0]) / m]
+        def derivative(share, s, low=low, high=high):
+            x, v = np.split(s, 2)
+            force = low + share * (high - low)
+            return np.concatenate([v, (force - r * v - r2 * v * abs(v) - k * x) / m]) / RATE
 
-    run = scipy.integrate.solve_ivp(
-        derivative, (0, t[-1]), [x0, v0], t_eval=t, rtol=1e-7, atol=1e-9, max_step=0.1
-    )
-    scale = [measured["x"].std(), measured["dx"].std()]
-    error = [(run.y[i] - measured[n]) / scale[i] for i, n in enumerate(("x", "dx"))]
-    return float(np.sum(np.square(error)))
+        run = scipy.integrate.solve_ivp(
+            derivative, (0, 1), motion[-1], method="DOP853", rtol=1e-10, atol=1e-12
+        )
+        motion.append(run.y[:, -1])
+    x, v = np.split(np.transpose(motion), 2)
+    errors = [(s - measured[n]) / measured[n].std() for n, s in (("x", x), ("dx", v))]
+    return np.sum(np.square(errors), axis=(0, 2))
 
 
 def test_the_optimum_is_scipys(whole):
     """Along each parameter, SciPy's own cost is least where the refinement ended."""
     p = np.concatenate([whole.theta, whole.starts[0]])
-    reach = np.concatenate([whole.standard_errors, [3e-3, 1e-2]])
-    centre = cost_by_scipy(0, p)
-    # The input has a kink at every sample, which costs SciPy some of its order.
+    steps = np.diag(np.concatenate([whole.standard_errors, [3e-3, 1e-2]]))
+    centre, *around = costs_by_scipy(0, [p, *(p - steps), *(p + steps)])
     assert centre == pytest.approx(float(whole.cost), rel=1e-5)
-    for i, width in enumerate(reach):
-        step = width * (np.arange(6) == i)
-        below, above = cost_by_scipy(0, p - step), cost_by_scipy(0, p + step)
-        vertex = (below - above) / (2 * (below + above - 2 * centre))
-        assert abs(vertex) < 0.01
+    below, above = np.split(np.array(around), 2)
+    vertices = (below - above) / (2 * (below + above - 2 * centre))
+    assert np.all(np.abs(vertices) < 0.01)
 
 
 def test_it_says_what_it_did(whole):
     assert bool(whole.converged)
     assert 3 < int(whole.steps) < 15
     assert whole.findings() == []
+    # The motion is slow beside a sample: more would cost and change nothing.
+    assert whole.steps_label == "FixedStep(1)"
     x, v = motion()
     np.testing.assert_allclose(np.asarray(whole.rms), [0.05 * x.std(), 0.05 * v.std()], rtol=0.03)
     assert np.all(np.asarray(whole.rms_before) > 5 * np.asarray(whole.rms))
@@ -139,6 +146,13 @@ def test_a_state_that_is_not_recorded_is_estimated():
         assert low < true < high
 
 
+def test_before_and_after_are_on_one_basis(noisy, whole):
+    """From the answer as its start, there is nothing that could differ but the initial states."""
+    again = refine(oscillator(), noisy, whole.values)
+    np.testing.assert_allclose(again.rms_before, whole.rms, rtol=1e-6)
+    assert "initial states estimated for each, FixedStep(1)" in str(again)
+
+
 def test_an_equation_is_refined_from_its_integral_estimate(noisy, whole):
     equation = drag_oscillator_equation()
     estimate = identify(equation, noisy)
@@ -154,8 +168,12 @@ def test_known_values_stay_and_others_follow(noisy):
     assert float(refined["m"]) == pytest.approx(1.5, rel=0.01)
 
 
-def test_several_records_with_a_value_of_their_own():
-    heavier = 2.5
+HEAVIER = 2.5
+
+
+@pytest.fixture(scope="module")
+def two_masses():
+    """The oscillator and a heavier one, recorded for unequal lengths."""
 
     def run(mass, seed):
         _, r, r2, k = TRUTH.values()
@@ -175,13 +193,54 @@ def test_several_records_with_a_value_of_their_own():
         samples = {"u": force(t)[:count], "x": x[:count], "dx": v[:count]}
         return Record.from_samples(samples, time_step=1 / RATE)
 
-    refined = refine(oscillator(), [run(1.5, 0), run(heavier, 1)], START, own=("m",))
+    return [run(1.5, 0), run(HEAVIER, 1)]
+
+
+def test_several_records_with_a_value_of_their_own(two_masses):
+    refined = refine(oscillator(), two_masses, START, own=("m",))
     assert refined.parameters == ("m[1]", "m[2]", "r", "r2", "k")
-    for name, true in {"m[1]": 1.5, "m[2]": heavier, "r": 0.8, "r2": 0.5, "k": 20.0}.items():
+    for name, true in {"m[1]": 1.5, "m[2]": HEAVIER, "r": 0.8, "r2": 0.5, "k": 20.0}.items():
         low, high = refined.interval(name, 0.999)
         assert low < true < high
         assert float(refined[name]) == pytest.approx(true, rel=0.05)
     assert refined.starts.shape == (2, 2)
+
+
+def test_bounds_of_a_records_own_parameter_hold_in_each_or_in_one(two_masses):
+    def fit(bounds):
+        return refine(oscillator(), two_masses, START, own=("m",), bounds=bounds)
+
+    free = refine(oscillator(), two_masses, START, own=("m",))
+    wide = fit({"m": (0.0, 9.0)})
+    np.testing.assert_allclose(wide.theta, free.theta, rtol=1e-5)
+    both = fit({"m": (0.5, 1.4)})
+    np.testing.assert_array_equal(both.at_bound, [True, True, False, False, False])
+    # What is said of one recording goes before what is said of all, in either order.
+    for bounds in ({"m": (0.0, 9.0), "m[2]": (0.0, 2.0)}, {"m[2]": (0.0, 2.0), "m": (0.0, 9.0)}):
+        one = fit(bounds)
+        np.testing.assert_array_equal(one.at_bound, [False, True, False, False, False])
+        assert float(one["m[2]"]) == pytest.approx(2.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"priors": {"m": (1.0, 0.0)}}, r"prior of m\[1\] needs a positive"),
+        ({"bounds": {"m": (3.0, 4.0)}}, r"m\[1\] starts at 1, which is not between"),
+        ({"bounds": {"m[3]": (0.0, 4.0)}}, r"bounds are given for 'm\[3\]'"),
+        ({"bounds": {"m": (0.0, 4.0)}, "known": {"m": 1.0}}, "bounds are given for 'm'"),
+    ],
+)
+def test_bounds_and_priors_are_checked_in_each_record(two_masses, settings, words):
+    with pytest.raises(ModelError, match=words):
+        refine(oscillator(), two_masses, START, own=("m",), **settings)
+
+
+def test_a_prior_of_all_leaves_out_the_record_whose_value_is_known(two_masses):
+    settings = {"known": {"m[2]": HEAVIER}, "priors": {"m": Prior(1.4, 1e-4)}}
+    refined = refine(oscillator(), two_masses, START, own=("m",), **settings)
+    assert refined.parameters == ("m[1]", "r", "r2", "k")
+    assert float(refined["m[1]"]) == pytest.approx(1.4, abs=1e-3)
 
 
 def test_missing_samples_of_outputs_do_not_count_and_those_of_inputs_cut():

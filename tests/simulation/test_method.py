@@ -299,6 +299,19 @@ def test_adaptive_tangents_match_finite_differences():
     np.testing.assert_allclose(tangent, (ahead - behind) / 0.002, rtol=1e-4)
 
 
+def test_adaptive_gradients_in_reverse_are_those_forward():
+    inputs, first = jnp.asarray(2 * sampled(20, 1)), jnp.array([1.0, 0.0])
+
+    def last_angle(damping, adjoint):
+        method = Adaptive(1e-10, 1e-12, max_steps=4000, adjoint=adjoint)
+        return method.trajectory(Swing(damping), inputs, jnp.array(0.1), first)[0][-1, 0]
+
+    at = jnp.array(0.3)
+    forward = jax.jacfwd(last_angle)(at, diffrax.ForwardMode())
+    reverse = jax.grad(last_angle)(at, diffrax.RecursiveCheckpointAdjoint())
+    assert float(reverse) == pytest.approx(float(forward), rel=1e-9)
+
+
 def test_a_state_carried_apart_and_one_carried_as_a_vector_are_the_same(monkeypatch):
     inputs, first = sampled(40, 3), jnp.array([1.0, 0.2])
     found = {}

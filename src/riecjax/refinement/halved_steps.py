@@ -24,16 +24,29 @@ that of exact data is made of such changes."""
 OF_A_SIMULATION = 1e-5
 """Likewise, of what moves the simulation by its own size: of a parameter that is zero."""
 ORDER = 4
-"""Of the methods whose steps are chosen here."""
+"""Of the method whose steps are chosen here."""
+LEAST_FACTOR = 4
+"""By which steps are made shorter: each time, all is compiled anew."""
+MOST_EXCESS = 1e8
+"""Excess of a change beyond which it no longer says how many steps are needed."""
+HELPED = 0.5
+"""Share of a change that may be left after steps were made shorter."""
 
 
 class Halved(NamedTuple):
-    """How parameters change by halving the steps, whether that matters, and how much too large the
-    largest change is."""
+    """How parameters change by halving the steps, how much they may, and where they must not.
+
+    **Fields:** `change` of each; what of that is `allowed`; `coarse`, where it is more than that.
+    """
 
     change: Float[Array, " p"]
+    allowed: Float[Array, " p"]
     coarse: Bool[Array, " p"]
-    excess: Float[Array, ""]
+
+    def excess(self, change: Float[Array, " p"]) -> float:
+        """A change at its worst, in what is allowed here (not under jit)."""
+        share = np.abs(change) / np.asarray(self.allowed)
+        return float(np.max(np.where(np.isfinite(share), share, np.inf)))
 
 
 class Optimum(NamedTuple):
@@ -59,29 +72,28 @@ def halve_steps(misfit: AbstractMisfit, at: Optimum) -> Halved:
     Parameters that are not determined are passed over.
     """
     finer, xp = misfit.finer(2), namespace(at)
-    zero = xp.zeros(at.theta.shape, at.theta.dtype)
     if finer is None:
-        return Halved(zero, zero > 0, xp.max(zero))
-    again = _normal_equations(*jax.lax.stop_gradient((finer, at.theta, at.starts)))
-    gram, moment, rows = again
-    at = jax.tree.map(jax.lax.stop_gradient, at) if xp is jnp else at
+        zero = xp.zeros(at.theta.shape, at.theta.dtype)
+        return Halved(zero, zero, zero > 0)
+    # A check changes no derivative, and need not have one.
+    if xp is jnp:
+        finer, at = jax.lax.stop_gradient((finer, at))
+    gram, moment, rows = _normal_equations(finer, at.theta, at.starts)
+    finfo = np.finfo(at.theta.dtype)
     curvature = gram + at.information
-    scale = 1 / xp.sqrt(xp.maximum(xp.diagonal(curvature), xp.finfo(curvature.dtype).tiny))
-    scaled = curvature * scale[:, None] * scale[None, :]
-    usable = xp.all(xp.isfinite(scaled))
-    scaled = xp.where(usable, scaled, xp.eye(scale.shape[0], dtype=scaled.dtype))
-    change = scale * xp.linalg.solve(scaled, scale * (moment - at.moment))
-    change = xp.where(usable, change, np.nan)
-    rounding = np.sqrt(np.finfo(at.theta.dtype).eps)
-    of_value = max(OF_A_VALUE, rounding)
-    whole = xp.sqrt(rows / xp.maximum(xp.diagonal(gram), xp.finfo(gram.dtype).tiny))
-    allowed = xp.maximum(of_value * xp.maximum(xp.abs(at.theta), at.size), 0)
-    allowed = xp.maximum(allowed, of_value * OF_A_SIMULATION / OF_A_VALUE * whole)
-    allowed = xp.maximum(allowed, OF_AN_ERROR * at.errors)
+    scale = 1 / xp.sqrt(xp.maximum(xp.diagonal(curvature), finfo.tiny))
+    identity = xp.eye(scale.shape[0], dtype=curvature.dtype)
+    scaled = curvature * scale[:, None] * scale[None, :] + finfo.eps * identity
+    finite = xp.all(xp.isfinite(scaled))
+    slope = scale * (moment - at.moment)
+    change = scale * xp.linalg.solve(xp.where(finite, scaled, identity), slope)
+    change = xp.where(finite, change, np.nan)
+    of_value = max(OF_A_VALUE, float(np.sqrt(finfo.eps)))
+    whole = xp.sqrt(rows / xp.maximum(xp.diagonal(gram), finfo.tiny))
+    size = xp.maximum(xp.maximum(xp.abs(at.theta), at.size), OF_A_SIMULATION / OF_A_VALUE * whole)
     judged = at.settled & xp.isfinite(at.errors)
-    coarse = ~(xp.abs(change) <= allowed) & judged
-    share = xp.where(xp.isfinite(change), xp.abs(change) / allowed, np.inf)
-    return Halved(change, coarse, xp.max(xp.where(judged, share, 0.0), initial=0.0))
+    allowed = xp.maximum(of_value * size, xp.where(judged, OF_AN_ERROR * at.errors, np.inf))
+    return Halved(change, allowed, ~(xp.abs(change) <= allowed) & judged)
 
 
 @eqx.filter_jit
@@ -94,17 +106,17 @@ def _normal_equations(
 
 
 def resolved(
-    misfit: AbstractMisfit, halved: Halved, before: float
-) -> tuple[AbstractMisfit | None, float]:
-    """The misfit in steps that are short enough, or None to leave them, and the excess now.
+    misfit: AbstractMisfit, halved: Halved, before: Halved | None
+) -> AbstractMisfit | None:
+    """The misfit in steps that are short enough, or None to leave them as they are.
 
     They are left where they do not matter, where the user chose them, at their limit, and where
-    shortening them did not help the time `before`: at kinks no step ends.
+    shortening them after `before` did not help: no step ends at a kink.
     """
-    if not is_concrete(halved) or misfit.room_for_steps == 1:
-        return None, before
-    excess = float(halved.excess)
-    if excess <= 1 or (np.isfinite(before) and excess > before / 2):
-        return None, excess
-    factor = np.clip(np.ceil(excess ** (1 / ORDER)), 2, misfit.room_for_steps)
-    return misfit.finer(int(factor)), excess
+    if not is_concrete(halved) or misfit.room_for_steps == 1 or not np.any(halved.coarse):
+        return None
+    excess = halved.excess(halved.change)
+    if before is not None and before.excess(halved.change) > HELPED * before.excess(before.change):
+        return None
+    factor = np.ceil(min(excess, MOST_EXCESS) ** (1 / ORDER))
+    return misfit.finer(int(min(max(factor, LEAST_FACTOR), misfit.room_for_steps)))

@@ -272,9 +272,7 @@ def _recorded(
     )
 
 
-def _steps(
-    system: AbstractSystem, along: Sequence[Along], recorded: Sequence[Recorded]
-) -> int:
+def _steps(system: AbstractSystem, along: Sequence[Along], recorded: Sequence[Recorded]) -> int:
     """Steps between samples for the fastest motion of all recordings."""
     return max(
         suitable_steps(system, states, levels, float(part.time_step))

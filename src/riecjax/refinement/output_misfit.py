@@ -147,9 +147,7 @@ class OutputMisfit(AbstractMisfit):
             )
 
         infinite = jnp.asarray(jnp.inf, starts.dtype)
-        first = _Settling(
-            starts, starts, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS)
-        )
+        first = _Settling(starts, starts, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS))
         return jax.lax.while_loop(lambda state: state.going, tried, first).starts
 
     @property

@@ -101,12 +101,12 @@ def refine(
     begun = _begin(misfit, theta, starts)
     settings = (setup.sharing, intervals or Sandwich(), solver, max_steps, progress)
     found, energy = _Found(theta, starts, begun.status, jnp.array(0)), begun.energy
-    excess = np.inf
+    halved = None
     while True:
         for _ in range(1 + FURTHER_ROUNDS if priors else 1):
             found, energy, judged = _search(misfit, laws, theta, found, energy, *settings)
-        halved = halve_steps(misfit, _optimum(found, judged, theta))
-        finer, excess = resolved(misfit, halved, excess)
+        before, halved = halved, halve_steps(misfit, _optimum(found, judged, theta))
+        finer = resolved(misfit, halved, before)
         if finer is None:
             break
         misfit, begun = finer, _begin(finer, theta, starts)

@@ -67,6 +67,19 @@ class Refined(AbstractEstimate):
         return self.status == RefinementStatus.converged
 
     @property
+    def basis(self) -> str:
+        """What `rms_before` and `rms` are of, in words: windows, initial states, steps."""
+        by = dict(self.by)
+        if "starts" not in by:
+            return "impulses over the same windows"
+        windows = "the whole record" if by.get("windows") == "whole record" else "the same windows"
+        starts = {
+            "estimated": "initial states estimated for each",
+            "measured": "initial states as recorded",
+        }
+        return f"{windows}, {starts.get(by['starts'], 'known initial states')}, {self.steps_label}"
+
+    @property
     def reason(self) -> str:
         """How the search ended, in words, of a batch with numbers of members (not under jit)."""
         if not self.batch_shape:
@@ -141,6 +154,7 @@ class Refined(AbstractEstimate):
 
     def __str__(self) -> str:
         lines = [*self.parameter_lines(), f"{self.reason} after {span(self.steps, 'd')} steps"]
+        lines.append(f"left before -> after ({self.basis}):")
         for i, (name, unit) in enumerate(zip(self.quantities, self.quantity_units)):
             left = [span(np.asarray(rms)[..., i], ".4g") for rms in (self.rms_before, self.rms)]
             lines.append(f"{name}: {' -> '.join(left)} {unit} r.m.s.".replace("  ", " "))

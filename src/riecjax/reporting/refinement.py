@@ -50,6 +50,7 @@ def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Do
         "reason": refined.reason,
         "steps": int(refined.steps),
         "identified": identified,
+        "basis": refined.basis,
         "left": {
             name: {"before": finite(float(before)), "after": finite(float(after)), "unit": unit}
             for name, before, after, unit in zip(
@@ -81,6 +82,7 @@ def refinement_in_words(entries: Document) -> Iterator[str]:
         f"refined by {kind[entries['by']['refine']]}: {entries['reason']} "
         f"({entries['steps']} steps)"
     )
+    yield f"left before and after, of {entries['basis']}:"
     for name, left in entries["left"].items():
         yield (
             f"{name}: {_number(left['before'])} before, {_number(left['after'])} {left['unit']} "
@@ -92,7 +94,7 @@ def refinement_in_words(entries: Document) -> Iterator[str]:
             f"{name} {_fit(run['before'], name)} -> {_fit(run['after'], name)} %"
             for name in run["after"]["signals"]
         )
-        yield f"simulated on {where}, fit before -> after: {fits}"
+        yield f"simulated on {where}, fit before -> after: {fits} (from the state as recorded)"
     intervals = entries["intervals"]
     yield (
         f"refined intervals: {intervals['method']}, {intervals['blocks']} blocks of "

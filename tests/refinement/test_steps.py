@@ -1,0 +1,225 @@
+"""Steps of the simulation behind a refinement: chosen along the record, and judged by halving."""
+
+import itertools
+from typing import ClassVar
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+from jaxtyping import Array
+
+from riecjax.errors import ModelError
+from riecjax.models.oscillators import Duffing
+from riecjax.records.record import Record
+from riecjax.refinement.halved_steps import Halved, resolved
+from riecjax.refinement.misfit import AbstractMisfit
+from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.refine import _setup, refine
+from riecjax.refinement.shots import Tiles
+from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep
+from riecjax.simulation.system import AbstractSystem
+
+RATE = 100
+HARD = {"d": 2.0, "k1": 100.0, "k3": 3e6}
+
+
+def exact(slope, inputs, first) -> np.ndarray:
+    """States by SciPy at tight tolerance, from sample to sample of an input that is linear between.
+
+    `slope` has the arguments (state, input).
+    """
+    states = [np.asarray(first, float)]
+    for low, high in itertools.pairwise(inputs):
+        run = scipy.integrate.solve_ivp(
+            lambda share, s, low=low, high=high: slope(s, low + share * (high - low)) / RATE,
+            (0, 1),
+            states[-1],
+            method="DOP853",
+            rtol=1e-11,
+            atol=1e-13,
+            max_step=0.25,
+        )
+        states.append(run.y[:, -1])
+    return np.array(states)
+
+
+def duffing() -> Duffing:
+    return Duffing(*(jnp.asarray(v) for v in (1.0, 2.0, 100.0, 0.0, 3e6)))
+
+
+@pytest.fixture(scope="module")
+def hardening() -> dict[str, np.ndarray]:
+    """Slow at rest, ten times as fast where it is deflected most."""
+    t = np.arange(2001) / RATE
+    u = 60 * np.sin(2 * np.pi * t) * np.minimum(t / 2, 1)
+    y, dy = exact(
+        lambda s, u: np.array([s[1], u - 2 * s[1] - 100 * s[0] - 3e6 * s[0] ** 3]), u, [0, 0]
+    ).T
+    return {"u": u, "y": y, "dy": dy}
+
+
+def record_of(signals, *names) -> Record:
+    return Record.from_samples({name: signals[name] for name in names}, time_step=1 / RATE)
+
+
+@pytest.fixture(scope="module")
+def recording(hardening) -> Record:
+    return record_of(hardening, "u", "y", "dy")
+
+
+def test_a_spring_that_hardens_is_resolved_where_it_is_deflected(recording):
+    refined = refine(duffing(), recording, HARD)
+    assert bool(refined.converged)
+    assert [finding for finding in refined.findings() if finding.code == "coarse_steps"] == []
+    for name, true in HARD.items():
+        assert float(refined[name]) == pytest.approx(true, rel=1e-4)
+
+
+def test_steps_that_change_the_answer_are_a_finding_with_the_change(recording):
+    refined = refine(duffing(), recording, HARD, OutputError(method=FixedStep(1)))
+    assert float(refined["d"]) == pytest.approx(1.776, abs=0.01)
+    (finding,) = [finding for finding in refined.findings() if finding.code == "coarse_steps"]
+    assert "FixedStep(1), are part of the answer" in finding.message
+    assert "d by 0.2" in finding.message
+    # To first order, from so far off, a good part of the way to the truth.
+    for name in ("d", "k3"):
+        off = float(refined[name]) - HARD[name]
+        assert 0.5 < -float(refined.step_change[refined.parameters.index(name)]) / off < 1.2
+
+
+def steps_for(system, records, start, by=None) -> int:
+    """How many steps a sample a refinement begins with."""
+    by = OutputError() if by is None else by
+    records = records if isinstance(records, list) else [records]
+    method = by.misfit(_setup(by, system, records, start, {}, (), None)).method
+    assert isinstance(method, FixedStep)
+    return method.steps_per_sample
+
+
+def test_the_fastest_of_the_motion_counts_however_it_is_cut(hardening, recording):
+    broken = {name: values.copy() for name, values in hardening.items()}
+    broken["u"][500:510] = np.nan
+    beginning = record_of({n: v[:150] for n, v in hardening.items()}, "u", "y", "dy")
+    tiles = OutputError(Tiles(seconds=0.5))
+    known = OutputError(channels=("dy",), starts={"y": 0.0, "dy": 0.0})
+    # The spring at 0.033 m: sqrt((k1 + 3 k3 y^2) / m) is 100 rad/s, 1 rad a sample.
+    for records, by in (
+        (recording, None),
+        ([beginning, recording], None),
+        (record_of(broken, "u", "y", "dy"), None),
+        (recording, tiles),
+        # A state that is not recorded is simulated, and so is one whose start is known.
+        (record_of(hardening, "u", "dy"), None),
+        (record_of(hardening, "u", "y"), None),
+        (record_of(hardening, "u", "dy"), known),
+    ):
+        assert 6 <= steps_for(duffing(), records, HARD, by) <= 8
+
+
+def test_a_slow_motion_takes_one_step(hardening):
+    """The same spring, deflected a thousandth: sqrt(k1 / m) is 10 rad/s."""
+    small = {name: 1e-3 * values for name, values in hardening.items()}
+    assert steps_for(duffing(), record_of(small, "u", "y", "dy"), HARD) == 1
+
+
+class Valve(AbstractSystem):
+    """x' = -c x + g tanh(u / 0.1): slow to itself, sharp in its input."""
+
+    c: Array
+    g: Array
+
+    states: ClassVar = (("x", ""),)
+    inputs: ClassVar = (("u", ""),)
+
+    def derivative(self, state, inputs):
+        return -self.c * state + self.g * jnp.tanh(inputs / 0.1)
+
+
+@pytest.fixture(scope="module")
+def switched() -> Record:
+    u = np.sin(6 * np.pi * np.arange(400) / RATE)
+    x = exact(lambda s, u: -5 * s + 3 * np.tanh(u / 0.1), u, [0.0])[:, 0]
+    return Record.from_samples({"u": u, "x": x}, time_step=1 / RATE)
+
+
+VALVE, NEAR = Valve(jnp.asarray(1.0), jnp.asarray(1.0)), {"c": 4.0, "g": 2.0}
+
+
+def test_a_sharp_input_is_found_at_the_optimum_and_resolved(switched):
+    """No eigenvalue tells of it: it begins with one step and ends with what changes nothing."""
+    assert steps_for(VALVE, switched, NEAR) == 1
+    refined = refine(VALVE, switched, NEAR)
+    assert refined.findings() == []
+    assert refined.steps_label == "FixedStep(4)"
+    np.testing.assert_allclose(refined.theta, [5.0, 3.0], rtol=1e-4)
+    assert float(refined.cost) < 1e-6 * float(refined.cost_before)
+
+
+def test_a_batch_is_judged_lane_by_lane(switched):
+    by = OutputError(method=FixedStep(1))
+
+    def fit(noise):
+        x = switched["x"] + noise * jax.random.normal(jax.random.key(0), (400,))
+        return refine(VALVE, switched.with_signals({"x": x}), NEAR, by)
+
+    batch = jax.vmap(fit)(jnp.array([0.0, 0.5]))
+    # Beside noise, what one step a sample does to the answer does not matter.
+    np.testing.assert_array_equal(batch.coarse, [[True, False], [False, False]])
+    codes = [
+        [f.code for f in jax.tree.map(lambda leaf, i=i: leaf[i], batch).findings()] for i in (0, 1)
+    ]
+    assert codes == [["coarse_steps"], []]
+
+
+class Stepped(AbstractMisfit):
+    """A misfit of which nothing matters but its steps."""
+
+    names: tuple[str, ...] = ("a", "b")
+    steps: int = 2
+
+    @property
+    def room_for_steps(self) -> int:
+        return 64 // self.steps
+
+    def finer(self, factor: int) -> "Stepped":
+        return Stepped(self.names, self.steps * factor)
+
+
+def halved(change, coarse=True) -> Halved:
+    allowed = np.array([0.1, np.inf])
+    return Halved(np.array([change, 1e9]), allowed, np.array([coarse, False]))
+
+
+@pytest.mark.parametrize(
+    ("steps", "now", "before", "then"),
+    [
+        (2, halved(0.05, coarse=False), None, None),
+        (2, halved(1.0), None, 8),
+        (2, halved(0.1 * 6**4), None, 12),
+        (2, halved(1e9), None, 64),
+        (2, halved(np.nan), None, 64),
+        (32, halved(1.0), None, 64),
+        (64, halved(1.0), None, None),
+        (8, halved(0.5), halved(1.1), 32),
+        (8, halved(0.5), halved(0.9), None),
+    ],
+)
+def test_steps_are_made_shorter_for_as_long_as_that_helps(steps, now, before, then):
+    finer = resolved(Stepped(steps=steps), now, before)
+    assert then == (None if finer is None else finer.steps)
+
+
+def test_an_adjoint_that_only_goes_backward_is_refused():
+    method = Adaptive(1e-8, 1e-10, adjoint=diffrax.RecursiveCheckpointAdjoint())
+    with pytest.raises(ModelError, match="Jacobians forward, which RecursiveCheckpointAdjoint"):
+        OutputError(method=method)
+
+
+def test_every_method_has_a_finer_one_or_none():
+    assert FixedStep(3).finer(4) == FixedStep(12)
+    finer = Adaptive(3.2e-5, 3.2e-8, max_steps=50).finer(2)
+    assert (finer.rtol, finer.atol, finer.max_steps) == pytest.approx((1e-6, 1e-9, 100))
+    assert AbstractMethod().finer(2) is None
