@@ -149,7 +149,8 @@ def test_a_state_that_is_not_recorded_is_estimated():
 def test_before_and_after_are_on_one_basis(noisy, whole):
     """From the answer as its start, there is nothing that could differ but the initial states."""
     again = refine(oscillator(), noisy, whole.values)
-    np.testing.assert_allclose(again.rms_before, whole.rms, rtol=1e-6)
+    assert float(again.cost_before) == pytest.approx(float(whole.cost), rel=1e-6)
+    np.testing.assert_allclose(again.rms_before, whole.rms, rtol=1e-4)
     assert "initial states estimated for each, FixedStep(1)" in str(again)
 
 
@@ -214,12 +215,14 @@ def test_bounds_of_a_records_own_parameter_hold_in_each_or_in_one(two_masses):
     wide = fit({"m": (0.0, 9.0)})
     np.testing.assert_allclose(wide.theta, free.theta, rtol=1e-5)
     both = fit({"m": (0.5, 1.4)})
-    np.testing.assert_array_equal(both.at_bound, [True, True, False, False, False])
+    assert 1.39 < float(both["m[2]"]) <= 1.4
+    one_by_one = fit({"m[1]": (0.5, 1.4), "m[2]": (0.5, 1.4)})
+    np.testing.assert_array_equal(both.theta, one_by_one.theta)
     # What is said of one recording goes before what is said of all, in either order.
     for bounds in ({"m": (0.0, 9.0), "m[2]": (0.0, 2.0)}, {"m[2]": (0.0, 2.0), "m": (0.0, 9.0)}):
         one = fit(bounds)
-        np.testing.assert_array_equal(one.at_bound, [False, True, False, False, False])
-        assert float(one["m[2]"]) == pytest.approx(2.0, rel=1e-4)
+        assert float(one["m[1]"]) == pytest.approx(1.5, rel=0.05)
+        assert 1.99 < float(one["m[2]"]) <= 2.0
 
 
 @pytest.mark.parametrize(

@@ -209,7 +209,7 @@ def halved(change, coarse=True) -> Halved:
 )
 def test_steps_are_made_shorter_for_as_long_as_that_helps(steps, now, before, then):
     finer = resolved(Stepped(steps=steps), now, before)
-    assert then == (None if finer is None else finer.steps)
+    assert then == (finer.steps if isinstance(finer, Stepped) else None)
 
 
 def test_an_adjoint_that_only_goes_backward_is_refused():

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.leaves import is_concrete, namespace
+from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.refinement.misfit import AbstractMisfit
 
 OF_AN_ERROR = 0.2
@@ -39,11 +39,11 @@ class Halved(NamedTuple):
     **Fields:** `change` of each; what of that is `allowed`; `coarse`, where it is more than that.
     """
 
-    change: Float[Array, " p"]
-    allowed: Float[Array, " p"]
-    coarse: Bool[Array, " p"]
+    change: Float[Leaf, " p"]
+    allowed: Float[Leaf, " p"]
+    coarse: Bool[Leaf, " p"]
 
-    def excess(self, change: Float[Array, " p"]) -> float:
+    def excess(self, change: Float[Leaf, " p"]) -> float:
         """A change at its worst, in what is allowed here (not under jit)."""
         share = np.abs(change) / np.asarray(self.allowed)
         return float(np.max(np.where(np.isfinite(share), share, np.inf)))

@@ -23,7 +23,6 @@ from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatu
 from riecjax.simulation.step_size import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.system import AbstractSystem
 
-
 Along = tuple[Leaf, Leaf]
 """States and inputs at points along a recording."""
 
@@ -111,13 +110,7 @@ class OutputError(AbstractObjective):
             joined,
             self.shooting.overlap,
         )
-        sources = [list(state_sources(system, record).values()) for record in setup.records]
-        method, chosen = self.method or FixedStep(), self.method is None
-        if chosen and is_concrete(system, recorded):
-            method = FixedStep(_steps(system, along, recorded))
-        simulated = None
-        if any("zero" in of for of in sources) and (chosen or estimated):
-            method, simulated = _simulated(system, recorded, method, chosen)
+        method, simulated = _method(system, setup.records, recorded, along, self.method)
         units = dict(system.states) | dict(system.outputs)
         sigma, scale, seconds = _sizes(
             system,
@@ -127,7 +120,7 @@ class OutputError(AbstractObjective):
             dict(self.sigma or {}),
             channels,
             estimated,
-            None if simulated is None else simulated[0],
+            simulated,
         )
         return OutputMisfit(
             system=setup.model,
@@ -143,7 +136,7 @@ class OutputError(AbstractObjective):
             estimated=estimated,
             state_names=system.state_names,
             sharing=setup.sharing,
-            most_steps=MOST_STEPS if chosen else 0,
+            most_steps=MOST_STEPS if self.method is None else 0,
         )
 
     def describe(self) -> dict[str, object]:
@@ -272,33 +265,49 @@ def _recorded(
     )
 
 
-def _steps(system: AbstractSystem, along: Sequence[Along], recorded: Sequence[Recorded]) -> int:
-    """Steps between samples for the fastest motion of all recordings."""
-    return max(
-        suitable_steps(system, states, levels, float(part.time_step))
-        for (states, levels), part in zip(along, recorded)
-    )
+def _method(
+    system: AbstractSystem,
+    records: Sequence[Record],
+    recorded: Sequence[Recorded],
+    along: Sequence[Along],
+    asked: AbstractMethod | None,
+) -> tuple[AbstractMethod, Float[Array, "windows longest states"] | None]:
+    """The method that was asked for, or steps for the fastest motion of all recordings.
 
-
-def _simulated(
-    system: AbstractSystem, recorded: Sequence[Recorded], method: AbstractMethod, chosen: bool
-) -> tuple[AbstractMethod, list[Float[Array, "windows longest states"]]]:
-    """The motion of states that no recording tells, and steps that are short enough for it."""
+    **Returns:** the method; the first recording's motion, simulated, if it has states that no
+    recording tells.
+    """
+    free = asked is None and is_concrete(system, recorded)
+    method = FixedStep(_steps(system, recorded, along)) if free else asked or FixedStep()
+    if not any("zero" in state_sources(system, record).values() for record in records):
+        return method, None
     simulated, kept = _trajectories(system, recorded, method)
-    if not chosen or not is_concrete(simulated):
-        return method, simulated
-    steps = first = method.steps_per_sample
+    if not isinstance(method, FixedStep) or not free:
+        return method, simulated[0]
+    steps = method.steps_per_sample
     while not all(kept) and steps < MOST_STEPS:
         steps = min(4 * steps, MOST_STEPS)
         simulated, kept = _trajectories(system, recorded, FixedStep(steps))
     if not all(kept):
-        return method, simulated
-    points = [spread_points(states.shape[0] * states.shape[1]) for states in simulated]
-    along = [
-        tuple(np.asarray(x).reshape(-1, x.shape[-1])[chosen] for x in (states, part.levels))
-        for states, part, chosen in zip(simulated, recorded, points)
-    ]
-    return FixedStep(max(steps, _steps(system, along, recorded))), simulated
+        return method, simulated[0]
+    along = [_spread(states, part.levels) for states, part in zip(simulated, recorded)]
+    return FixedStep(max(steps, _steps(system, recorded, along))), simulated[0]
+
+
+def _steps(system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence[Along]) -> int:
+    return max(
+        suitable_steps(system, states, levels, float(part.time_step))
+        for part, (states, levels) in zip(recorded, along)
+    )
+
+
+def _spread(states: Leaf, levels: Leaf) -> Along:
+    """Of the samples of all windows, those to look at."""
+    chosen = spread_points(states.shape[0] * states.shape[1])
+    return (
+        np.asarray(states).reshape(-1, states.shape[-1])[chosen],
+        np.asarray(levels).reshape(-1, levels.shape[-1])[chosen],
+    )
 
 
 @eqx.filter_jit
@@ -306,12 +315,8 @@ def _trajectories(
     system: AbstractSystem, recorded: Sequence[Recorded], method: AbstractMethod
 ) -> tuple[list[Float[Array, "windows longest states"]], list[Bool[Array, ""]]]:
     """Of each window of each recording, and whether all kept their solution."""
-    runs = [
-        jax.vmap(lambda levels, start: method.trajectory(system, levels, part.time_step, start))(
-            part.levels, part.starts
-        )
-        for part in recorded
-    ]
+    along = jax.vmap(method.trajectory, in_axes=(None, 0, None, 0))
+    runs = [along(system, part.levels, part.time_step, part.starts) for part in recorded]
     kept = [jnp.all(status == SimulationStatus.successful) for _, status, _ in runs]
     return [states for states, _, _ in runs], kept
 

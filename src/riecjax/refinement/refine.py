@@ -103,7 +103,8 @@ def refine(
     found, energy = _Found(theta, starts, begun.status, jnp.array(0)), begun.energy
     halved = None
     while True:
-        for _ in range(1 + FURTHER_ROUNDS if priors else 1):
+        found, energy, judged = _search(misfit, laws, theta, found, energy, *settings)
+        for _ in range(FURTHER_ROUNDS if priors else 0):
             found, energy, judged = _search(misfit, laws, theta, found, energy, *settings)
         before, halved = halved, halve_steps(misfit, _optimum(found, judged, theta))
         finer = resolved(misfit, halved, before)

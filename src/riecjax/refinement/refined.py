@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.findings import Finding
+from riecjax.leaves import Leaf
 from riecjax.refinement.optimum import RefinementStatus
 
 
@@ -49,8 +50,8 @@ class Refined(AbstractEstimate):
     starts: Float[Array, "windows s"]
     at_bound: Bool[Array, " p"]
     inflation: Float[Array, " p"]
-    step_change: Float[Array, " p"]
-    coarse: Bool[Array, " p"]
+    step_change: Float[Leaf, " p"]
+    coarse: Bool[Leaf, " p"]
     block_count: Int[Array, ""]
     block_length: Float[Array, ""]
     steps_label: str = eqx.field(static=True)
