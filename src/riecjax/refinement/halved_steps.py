@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.leaves import Leaf, is_concrete, namespace, on_host
 from riecjax.refinement.misfit import AbstractMisfit
 
 OF_AN_ERROR = 0.2
@@ -78,7 +78,8 @@ def halve_steps(misfit: AbstractMisfit, at: Optimum) -> Halved:
     # A check changes no derivative, and need not have one.
     if xp is jnp:
         finer, at = jax.lax.stop_gradient((finer, at))
-    gram, moment, rows = _normal_equations(finer, at.theta, at.starts)
+    again = _normal_equations(finer, at.theta, at.starts)
+    at, (gram, moment, rows) = (at, again) if xp is jnp else on_host((at, again))
     finfo = np.finfo(at.theta.dtype)
     curvature = gram + at.information
     scale = 1 / xp.sqrt(xp.maximum(xp.diagonal(curvature), finfo.tiny))

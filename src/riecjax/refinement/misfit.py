@@ -63,11 +63,11 @@ class AbstractMisfit(eqx.Module):
         """Size of these components."""
         return jnp.ones(0)
 
-    def settled_starts(
+    def settled_energy(
         self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
-    ) -> Float[Array, "windows s"]:
-        """The starts that leave least with these parameters, from others."""
-        return starts
+    ) -> Float[Array, " quantities"]:
+        """`energy` of the starts that leave least with these parameters, searched from others."""
+        return self.energy(theta, starts)
 
     @property
     def steps_label(self) -> str:

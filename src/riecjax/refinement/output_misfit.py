@@ -30,11 +30,10 @@ MOST_TRIALS = 8
 
 
 class _Settling(NamedTuple):
-    """Starts that were accepted, those to try, what the former leave, and whether to go on."""
+    """Starts to try, the least energy so far, whether to go on, and how many may be tried."""
 
-    starts: Float[Array, "windows s"]
     trial: Float[Array, "windows s"]
-    energy: Float[Array, ""]
+    energy: Float[Array, " quantities"]
     going: Array
     left: Int[Array, ""]
 
@@ -120,35 +119,32 @@ class OutputMisfit(AbstractMisfit):
         """Size of each estimated state."""
         return self.scale
 
-    def settled_starts(
+    def settled_energy(
         self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
-    ) -> Float[Array, "windows s"]:
+    ) -> Float[Array, " quantities"]:
         """By Gauss and Newton's method, for as long as it makes the sum of squares smaller."""
         if not self.estimated:
-            return starts
+            return self.energy(theta, starts)
         values = {**self.known, **dict(zip(self.names, theta))}
-        # At its least, the sum of squares does not change with the starts.
         held, starts = jax.lax.stop_gradient(
             (dataclasses.replace(self, known=values, names=()), starts)
         )
         none = jnp.zeros(0, starts.dtype)
 
         def tried(state: _Settling) -> _Settling:
-            moments = held.expansion(none, state.trial).moments()
-            energy = jnp.sum(moments[:, 0, 0]).astype(starts.dtype)
-            better = energy < state.energy
-            kept = jnp.where(better, state.trial, state.starts)
+            at = held.expansion(none, state.trial)
+            moments = at.moments()
+            better = jnp.sum(at.energy) < jnp.sum(state.energy)
+            energy = jnp.where(better, at.energy, state.energy)
             gradient = moments[:, 1:, :1]
             step = -jax.vmap(lambda g, r: solve_scaled(g, r, RIDGE))(moments[:, 1:, 1:], gradient)
-            work = -jnp.sum(gradient * step)
-            going = better & (work > SETTLED * energy) & (state.left > 0)
-            return _Settling(
-                kept, kept + step[:, :, 0], jnp.minimum(energy, state.energy), going, state.left - 1
-            )
+            going = better & (-jnp.sum(gradient * step) > SETTLED * jnp.sum(energy))
+            trial = state.trial + step[:, :, 0]
+            return _Settling(trial, energy, going & (state.left > 0), state.left - 1)
 
-        infinite = jnp.asarray(jnp.inf, starts.dtype)
-        first = _Settling(starts, starts, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS))
-        return jax.lax.while_loop(lambda state: state.going, tried, first).starts
+        infinite = jnp.full(len(self.channels), jnp.inf, starts.dtype)
+        first = _Settling(starts, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS))
+        return jax.lax.while_loop(lambda state: state.going, tried, first).energy
 
     @property
     def steps_label(self) -> str:

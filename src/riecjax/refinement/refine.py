@@ -18,7 +18,7 @@ from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertaint
 from riecjax.estimation.least_squares import symmetric_eigen
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.sharing import Sharing, local_name
-from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record, as_records
 from riecjax.refinement.coordinates import Bounds, Laws, Prior
 from riecjax.refinement.halved_steps import Optimum, halve_steps, resolved
@@ -103,10 +103,10 @@ def refine(
     found, energy = _Found(theta, starts, begun.status, jnp.array(0)), begun.energy
     halved = None
     while True:
-        found, energy, judged = _search(misfit, laws, theta, found, energy, *settings)
+        found, energy, judged, optimum = _search(misfit, laws, theta, found, energy, *settings)
         for _ in range(FURTHER_ROUNDS if priors else 0):
-            found, energy, judged = _search(misfit, laws, theta, found, energy, *settings)
-        before, halved = halved, halve_steps(misfit, _optimum(found, judged, theta))
+            found, energy, judged, optimum = _search(misfit, laws, theta, found, energy, *settings)
+        before, halved = halved, halve_steps(misfit, optimum)
         finer = resolved(misfit, halved, before)
         if finer is None:
             break
@@ -202,7 +202,7 @@ class _Begun(NamedTuple):
 def _begin(
     misfit: AbstractMisfit, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
 ) -> _Begun:
-    energy = misfit.energy(theta, misfit.settled_starts(theta, starts))
+    energy = misfit.settled_energy(theta, starts)
     status = RefinementStatus.where(
         jnp.isfinite(jnp.sum(energy)), RefinementStatus.converged, RefinementStatus.not_finite
     )
@@ -229,20 +229,6 @@ class _Judged(NamedTuple):
     block_length: Float[Array, ""]
     moment: Float[Array, " p"]
     information: Float[Array, "p p"]
-    errors: Float[Array, " p"]
-
-
-def _optimum(found: _Found, judged: _Judged, start: Float[Array, " p"]) -> Optimum:
-    settled = found.status == RefinementStatus.converged
-    return Optimum(
-        found.theta,
-        found.starts,
-        namespace(start).abs(start),
-        judged.moment,
-        judged.information,
-        judged.errors,
-        settled,
-    )
 
 
 @eqx.filter_jit
@@ -257,7 +243,7 @@ def _search(
     solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
-) -> tuple[_Found, Float[Array, " quantities"], _Judged]:
+) -> tuple[_Found, Float[Array, " quantities"], _Judged, Optimum]:
     """The optimum, searched from `found`, which left `energy`."""
     scale = jnp.where(start != 0, jnp.abs(start), 1.0)
     variance = _variance(misfit, energy, start.shape[0])
@@ -271,7 +257,17 @@ def _search(
     )
     at_bound = problem.coordinates.at_bound(theta)
     judged = _judge(misfit, expansion, theta, at_bound, laws, sharing, intervals)
-    return _Found(theta, starts, status, found.steps + steps), expansion.energy, judged
+    optimum = Optimum(
+        theta,
+        starts,
+        jnp.abs(start),
+        judged.moment,
+        judged.information,
+        jnp.sqrt(jnp.diagonal(judged.uncertainty.covariance)),
+        status == RefinementStatus.converged,
+    )
+    found = _Found(theta, starts, status, found.steps + steps)
+    return found, expansion.energy, judged, optimum
 
 
 def _variance(
@@ -331,7 +327,6 @@ def _judge(
         jnp.sum(short.durations) / used,
         total.moment,
         jnp.diag(information),
-        jnp.sqrt(jnp.diagonal(covariance)),
     )
 
 

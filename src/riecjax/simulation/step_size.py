@@ -32,7 +32,7 @@ def suitable_steps(
     [`Adaptive`][] with an implicit solver.
     """
     chosen = spread_points(len(states))
-    slopes = np.asarray(_slopes(system, states[chosen], inputs[chosen]))
+    slopes = np.asarray(_slopes(system, np.asarray(states)[chosen], np.asarray(inputs)[chosen]))
     finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
     if not finite.size:
         return 1
