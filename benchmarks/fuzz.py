@@ -58,8 +58,6 @@ def outcome(case: Case, options: tuple[str, ...] = ()) -> Outcome:
         lines = traceback.format_exc().strip().splitlines()
         return Outcome("WRONG", f"traceback: {lines[-1]} {lines[-3]}", time.perf_counter() - began)
     seconds = time.perf_counter() - began
-    if seconds > SLOWEST:
-        return Outcome("WRONG", f"took {seconds:.0f} s", seconds)
     return Outcome(*judged(status, out.getvalue(), err.getvalue()), seconds)
 
 
@@ -67,7 +65,7 @@ def judged(status: int, out: str, err: str) -> tuple[str, str]:
     """The verdict on what a call printed, and what it is based on."""
     said = [line for line in err.splitlines() if not line.startswith("warning [")]
     if status in (1, 2):
-        if out or len(said) != 1 or not said[0].startswith("riecjax: "):
+        if not _one_line(status, out, said):
             return "WRONG", f"status {status}, but printed: {out[:200]!r} {err[:500]!r}"
         return "refused", said[0]
     if status != 0 or said:
@@ -77,6 +75,20 @@ def judged(status: int, out: str, err: str) -> tuple[str, str]:
         return "warned", ", ".join(sorted({w["code"] for w in document["warnings"]}))
     off = [_off(name, document["parameters"][name]) for name in TRUTH]
     return ("WRONG", "; ".join(filter(None, off))) if any(off) else ("right", "")
+
+
+def _one_line(status: int, out: str, said: list[str]) -> bool:
+    """Whether a refusal is one line, and with status 1 the same in one JSON document."""
+    if len(said) != 1 or not said[0].startswith("riecjax: "):
+        return False
+    if status == 2:
+        return not out
+    with contextlib.suppress(json.JSONDecodeError, KeyError, TypeError):
+        document = json.loads(out, parse_constant=_refuse)
+        return (
+            f"riecjax: {document['error']['message']}" == said[0] and "parameters" not in document
+        )
+    return False
 
 
 def _refuse(constant: str) -> None:
@@ -111,6 +123,8 @@ def main() -> None:
             name = names[number % len(names)]
             case = mutated(name, machines, np.random.default_rng([arguments.seed, number]))
             found = outcome(case, QUICK if arguments.quick else ())
+            if found.seconds > SLOWEST:
+                found = found._replace(verdict="WRONG", why=f"took {found.seconds:.0f} s")
             counts[name][found.verdict] += 1
             slowest[name] = max(slowest[name], found.seconds)
             line = f"{number:5} {name} {case.file} {found.verdict} {found.why}"
