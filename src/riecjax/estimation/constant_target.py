@@ -87,6 +87,9 @@ def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
         hidden = [name for name in columns if name not in names and name not in elsewhere]
         left = _norm(_residual(target, [columns[name] for name in names]))
         if hidden and left <= np.hypot(varying, STILL * size):
+            # Others at rest to the last digit are collinear with these, and are named as that.
+            if any(0 < _norm(columns[n]) and seen.share(columns[n]) <= ROUNDING for n in hidden):
+                return ""
             still = all(ROUNDING < seen.share(columns[name]) <= STILL for name in names)
             return _words(names, hidden, still)
     return ""
