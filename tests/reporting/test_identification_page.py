@@ -51,6 +51,7 @@ REFINEMENT = {
     "by": {"refine": "integral"},
     "reason": "converged",
     "steps": 4,
+    "basis": "impulses over the same windows",
     "identified": {"m": {"value": 1.9}},
     "left": {"v": {"before": 0.2, "after": None, "unit": "m/s"}},
     "at_bound": ["m"],
@@ -114,6 +115,8 @@ def test_a_refinement_stands_beside_what_was_identified():
     refined = section(page, "Refinement")
     assert refined.text == [
         "Refined by impulses of the equation error: converged (4 steps).",
+        "What is left before and after is of impulses over the same windows.",
+        "Simulations start from the state as recorded.",
         "At a bound: m.",
         "Refined intervals: bootstrap, 9 blocks of 1 s.",
     ]

@@ -102,8 +102,8 @@ def _refinement(entries: Document | None) -> Section | None:
         "Refinement",
         text=[
             _sentence(by),
-            f"What is left before and after is of {entries['basis']}; simulations start from the "
-            f"state as recorded.",
+            f"What is left before and after is of {entries['basis']}.",
+            *(["Simulations start from the state as recorded."] if fits else []),
             *([f"At a bound: {', '.join(at_bound)}."] if at_bound else []),
             _sentence(intervals.split("; ")[0]),
         ],
