@@ -53,32 +53,38 @@ def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " r
 
 
 def put_together(
-    equations: NormalEquations, short: ShortBlocks, used: Int[Array, " records"]
+    equations: NormalEquations,
+    short: ShortBlocks,
+    used: Int[Array, " records"],
+    most: int = MOST_BLOCKS,
 ) -> NormalEquations:
     """Normal equations of longer blocks from those of short ones.
 
     **Arguments:** `equations` with leading axes `(records, short blocks)`; `used`, into how many
     each record's are put together.
 
-    **Returns:** normal equations with one leading axis: `MOST_BLOCKS` blocks of each record, of
-    which those beyond `used` are empty. No block holds anything of two records.
+    **Returns:** normal equations with one leading axis: `most` blocks of each record, of which
+    those beyond `used` are empty. No block holds anything of two records.
     """
     return NormalEquations(
-        gathered(equations.moments, short, used),
-        gathered(equations.count, short, used),
+        gathered(equations.moments, short, used, most),
+        gathered(equations.count, short, used, most),
         equations.parameters,
     )
 
 
 def gathered(
-    values: Float[Array, "records short *shape"], short: ShortBlocks, used: Int[Array, " records"]
+    values: Float[Array, "records short *shape"],
+    short: ShortBlocks,
+    used: Int[Array, " records"],
+    most: int = MOST_BLOCKS,
 ) -> Float[Array, "blocks *shape"]:
     """Sums over longer blocks of what is known of short ones; see [`put_together`][]."""
     held = np.array(short.number)[:, None]
     place = np.arange(values.shape[1])[None, :]
     # What is left over is spread, so that no last block is shorter than the others.
-    group = jnp.where(place < held, place * used[:, None] // held, MOST_BLOCKS)
-    summed = jax.vmap(lambda v, g: jax.ops.segment_sum(v, g, num_segments=MOST_BLOCKS))
+    group = jnp.where(place < held, place * used[:, None] // held, most)
+    summed = jax.vmap(lambda v, g: jax.ops.segment_sum(v, g, num_segments=most))
     return summed(values, group).reshape(-1, *values.shape[2:])
 
 

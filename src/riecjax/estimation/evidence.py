@@ -61,6 +61,7 @@ def judge(
         fine,
         short,
         length,
+        list(stages),
     )
     per_record = influence.reshape(len(short.number), MOST_BLOCKS, -1)
     inflation = jnp.where(shared, record_inflation(per_record, used), 1.0)

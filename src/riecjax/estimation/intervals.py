@@ -10,15 +10,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from riecjax import tails
 from riecjax.errors import ModelError
 from riecjax.estimation.blocks import MOST_BLOCKS, ShortBlocks
 from riecjax.estimation.bootstrap import studentized_replicates, uniform_draws
 from riecjax.estimation.elimination import eliminate_with_pivots, solve_scaled, unit_scale
+from riecjax.estimation.few_blocks import few_blocks_sandwich
 from riecjax.estimation.influence import Unknowns, in_order, scores, slope
 from riecjax.estimation.normal_equations import NormalEquations
+
+ENOUGH_FREEDOM = 12.0
+"""Degrees of freedom of a variance from which the bootstrap's tails serve."""
+FARTHEST = 3.0
+"""How many times as far as the small-sample sandwich an interval may reach."""
+SMALL_SAMPLE = "small-sample sandwich with Student's t"
 
 
 class Evidence(NamedTuple):
@@ -32,6 +39,8 @@ class Evidence(NamedTuple):
     - `influence`: of each of these blocks on each estimate, shape `(records * MOST_BLOCKS, p)`.
     - `fine_influence`: the same for the short blocks, shape `(records, short blocks, p)`.
     - `short`, `length`: the short blocks, and the seconds that a long one lasts.
+    - `fine`: normal equations of each stage in short blocks, leading axes
+      `(records, short blocks)`.
     """
 
     stages: list[NormalEquations]
@@ -43,6 +52,7 @@ class Evidence(NamedTuple):
     fine_influence: Float[Array, "records short p"]
     short: ShortBlocks
     length: Float[Array, ""]
+    fine: list[NormalEquations]
 
 
 class Uncertainty(eqx.Module):
@@ -55,13 +65,24 @@ class Uncertainty(eqx.Module):
       intervals; `None` where Student's t does. NaN in replicates that leave a parameter
       undetermined.
     - `degrees_of_freedom` behind each variance, see [`effective_freedom`][].
-    - `label`: how it was judged, in words.
+    - `few_blocks`: parameters that so few blocks tell of that the small-sample sandwich and
+      Student's t stand in, see [`with_few_blocks`][].
+    - `method`: how it was judged otherwise, in words.
     """
 
     covariance: Float[Array, "p p"]
     studentized: Float[Array, "replicates p"] | None
     degrees_of_freedom: Float[Array, " p"]
-    label: str = eqx.field(static=True)
+    few_blocks: Bool[Array, " p"]
+    method: str = eqx.field(static=True)
+
+    @property
+    def label(self) -> str:
+        """How it was judged, in words (not under jit)."""
+        few = np.asarray(self.few_blocks)
+        if few.all():
+            return SMALL_SAMPLE
+        return f"{self.method}; {SMALL_SAMPLE} of few blocks" if few.any() else self.method
 
     def grown(self, inflation: Float[Array, " p"]) -> "Uncertainty":
         """With standard errors multiplied."""
@@ -83,11 +104,11 @@ class Uncertainty(eqx.Module):
             return student, student
         replicates = np.asarray(self.studentized)
         # Data that fit to the last digit scatter by nothing that a replicate could be divided by.
-        exact = np.asarray(~np.isfinite(replicates).any(axis=-2))
-        replicates = np.where(exact[..., None, :], 0.0, replicates)
+        plain = np.asarray(~np.isfinite(replicates).any(axis=-2)) | np.asarray(self.few_blocks)
+        replicates = np.where(plain[..., None, :], 0.0, replicates)
         low, high = np.nanquantile(replicates, [tail, 1 - tail], axis=-2)
         wider = student / tails.normal(tail)
-        return np.where(exact, student, high * wider), np.where(exact, student, -low * wider)
+        return np.where(plain, student, high * wider), np.where(plain, student, -low * wider)
 
 
 class AbstractIntervals(eqx.Module):
@@ -127,17 +148,18 @@ class BlockBootstrap(AbstractIntervals):
     def uncertainty(self, evidence: Evidence) -> Uncertainty:
         """Jackknife covariance, and studentized replicates."""
         records = evidence.used.shape[0]
-        return Uncertainty(
+        replicates = studentized_replicates(
+            evidence.stages,
+            evidence.plan,
+            evidence.known,
+            evidence.values,
+            evidence.used,
+            draws=jnp.asarray(uniform_draws(self.seed, self.replicates, records)),
+        )
+        return with_few_blocks(
+            evidence,
             jackknife_covariance(evidence),
-            studentized_replicates(
-                evidence.stages,
-                evidence.plan,
-                evidence.known,
-                evidence.values,
-                evidence.used,
-                draws=jnp.asarray(uniform_draws(self.seed, self.replicates, records)),
-            ),
-            effective_freedom(evidence),
+            replicates,
             f"studentized block bootstrap, {self.replicates} replicates",
         )
 
@@ -147,9 +169,7 @@ class Sandwich(AbstractIntervals):
 
     def uncertainty(self, evidence: Evidence) -> Uncertainty:
         """The sandwich."""
-        return Uncertainty(
-            sandwich_covariance(evidence), None, effective_freedom(evidence), "HAC sandwich"
-        )
+        return with_few_blocks(evidence, sandwich_covariance(evidence), None, "HAC sandwich")
 
 
 class Naive(AbstractIntervals):
@@ -160,12 +180,48 @@ class Naive(AbstractIntervals):
 
     def uncertainty(self, evidence: Evidence) -> Uncertainty:
         """sigma^2 (A^T A)^-1 of each stage, earlier stages taken as exact."""
+        count = len(in_order(evidence.plan, evidence.values))
         return Uncertainty(
             naive_covariance(evidence),
             None,
-            jnp.full(len(in_order(evidence.plan, evidence.values)), 1e9),
+            jnp.full(count, 1e9),
+            jnp.zeros(count, bool),
             "least squares as if all windows were independent (far too narrow)",
         )
+
+
+def with_few_blocks(
+    evidence: Evidence,
+    covariance: Float[Array, "p p"],
+    studentized: Float[Array, "replicates p"] | None,
+    method: str,
+) -> Uncertainty:
+    """What a method says, with the small-sample sandwich in its place where blocks are few.
+
+    They are few for a parameter whose variance has fewer than `ENOUGH_FREEDOM` degrees of freedom,
+    be the record short or all that tells of it in few places; and where replicates' tails reach
+    more than `FARTHEST` times as far as the sandwich or less than a `FARTHEST`-th: then some were
+    divided by a standard error of next to nothing, or hardly any moved.
+    """
+    small = few_blocks_sandwich(
+        evidence.fine, evidence.plan, evidence.values, evidence.short, evidence.used
+    )
+    few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM)
+    variance, other = jnp.diagonal(covariance), jnp.diagonal(small.covariance)
+    if studentized is not None:
+        reach = jnp.nanquantile(jnp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
+        ratio = reach**2 * variance / jnp.where(other > 0, other, 1.0)
+        few = few | (ratio > FARTHEST**2) | (ratio < FARTHEST**-2)
+    error = jnp.sqrt(jnp.where(few, other, variance))
+    scale = jnp.where(other > 0, error / jnp.sqrt(jnp.where(other > 0, other, 1.0)), 0.0)
+    mixed = small.covariance * scale[:, None] * scale[None, :]
+    return Uncertainty(
+        jnp.where(jnp.any(few), mixed, covariance),
+        studentized,
+        jnp.where(few, small.degrees_of_freedom, effective_freedom(evidence)),
+        few,
+        method,
+    )
 
 
 def jackknife_covariance(evidence: Evidence) -> Float[Array, "p p"]:
