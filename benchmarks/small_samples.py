@@ -8,9 +8,9 @@ drive, which tells of all of them all along. What is read of the force errs by a
 r.m.s., as a first-order autoregression or as the ringing of a mode that the model lacks, one or the
 other by seed. Errors do not depend on the motion, so the criterion converges to the true values.
 
-`evenly`: errors are alike all along. `unevenly`: they grow with the velocity. Beside what `identify`
-prints stand the bootstrap and the HAC sandwich with Student's t as they are without regard to few
-blocks. Widths are medians over seeds, and compared with that sandwich's as it is, and once it is
+`evenly`: errors are alike all along. `unevenly`: they grow with the velocity. Beside what
+`identify` prints stand the bootstrap and the HAC sandwich with Student's t as they are without
+regard to few blocks. Widths are medians over seeds, and compared with that sandwich's as it is, and once it is
 made as much wider, for each parameter of each cell, as it takes to cover 95 %.
 """
 

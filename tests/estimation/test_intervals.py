@@ -72,6 +72,7 @@ def evidence_of(fine, blocks=BLOCKS, short=SETTING) -> Evidence:
         block_influence(flat, {}, values)[None],
         short,
         jnp.asarray(SECONDS * SHORT / blocks),
+        fine,
     )
 
 

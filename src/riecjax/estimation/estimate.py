@@ -112,6 +112,7 @@ class Estimate(AbstractEstimate):
     def _findings(self) -> list[Finding]:
         return [
             *self._conditioning(),
+            *self.few_blocks(),
             *self._wide_intervals(),
             *self.negative_values(),
             *self._residuals(),

@@ -177,12 +177,34 @@ class AbstractEstimate(eqx.Module):
                     f"signs of the signals against the equation's, and the direction of time.",
                 )
 
+    def _stood_in(self) -> np.ndarray:
+        """Which parameters have the small-sample sandwich's interval, in any lane of a batch."""
+        few = np.asarray(self.uncertainty.few_blocks)
+        return few.reshape(-1, few.shape[-1]).any(axis=0)
+
+    def few_blocks(self) -> Iterator[Finding]:
+        """Parameters whose intervals fell back to a small-sample sandwich (not under jit)."""
+        few = self._stood_in()
+        if not few.any():
+            return
+        freedom = np.asarray(self.uncertainty.degrees_of_freedom)
+        freedom = freedom.reshape(-1, freedom.shape[-1]).min(axis=0)
+        listed = [f"{n} ({f:.2g})" for n, f, of in zip(self.parameters, freedom, few) if of]
+        yield Finding(
+            "few_blocks",
+            f"few independent stretches of the record tell of {', '.join(listed)} (degrees of "
+            f"freedom of the variance): these intervals come from a small-sample sandwich with "
+            f"Student's t and are the wider the fewer there are. Record for longer, or excite "
+            f"them all along.",
+        )
+
     def rarely_excited(self) -> Iterator[Finding]:
         """Parameters that many of the bootstrap's replicates leave undetermined (not under jit)."""
         replicates = self.uncertainty.studentized
         if replicates is None:
             return
-        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
+        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=-2)
+        lost = np.where(self._stood_in(), 0.0, lost)
         rare = [f"{n} ({100 * s:.2g} %)" for n, s in zip(self.parameters, lost) if s > LOST_SHARE]
         if rare:
             yield Finding(

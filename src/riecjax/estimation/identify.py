@@ -17,6 +17,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import raise_if_samples_mix
 from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError, ModelError, require
 from riecjax.estimation.assembly import Assembled, all_normal_equations, all_rows
+from riecjax.estimation.bursts import sizes_in_bursts
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate, combination
 from riecjax.estimation.evidence import judge
@@ -39,6 +40,9 @@ from riecjax.estimation.procedure import (
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record, as_records
+
+DOUBTFUL = 5.0
+"""Standard errors within which an estimate of zero leaves its interval's width in doubt."""
 
 
 def identify(
@@ -96,6 +100,9 @@ def identify(
             rows = all_rows(procedure, sharing, recordings, criterion, keys)
             solved = _solve(assembled, given, window, sharing, intervals, rows)
         _raise_if_unidentifiable(solved.stages, plan)
+        solved = solved._replace(
+            stages=_where_they_act(solved, given, procedure, sharing, recordings)
+        )
 
     units = {name: unit for name, unit in sharing.values(procedure.units).items()}
     return Estimate(
@@ -250,6 +257,32 @@ def _solve(
         block_count,
         jnp.sum(short.durations) / block_count,
     )
+
+
+def _where_they_act(
+    solved: _Solved,
+    given: Mapping[str, Array],
+    procedure: Procedure,
+    sharing: Sharing,
+    records: list[Record],
+) -> list[StageSolution]:
+    """The stages with the size of terms in doubt where they act, if that is in bursts."""
+    values = found_values(solved.stages, given)
+    names = [name for stage in solved.stages for name in stage.parameters]
+    error = DOUBTFUL * np.sqrt(np.diagonal(solved.uncertainty.covariance))
+    doubtful = {n for n, v, e in zip(names, np.asarray(solved.theta), error) if abs(v) < e}
+
+    def judged(stage: StageSolution) -> StageSolution:
+        names = doubtful & set(stage.parameters)
+        if not names:
+            return stage
+        equations = procedure.stages[stage.stage]
+        sizes = sizes_in_bursts(equations, sharing, records, values, stage.parameters, names)
+        active = np.array([sizes.get(name, 0.0) for name in stage.parameters])
+        larger = np.maximum(np.asarray(stage.relative_size), active)
+        return eqx.tree_at(lambda s: s.relative_size, stage, larger)
+
+    return [judged(stage) for stage in solved.stages]
 
 
 def _rows_offered(

@@ -206,8 +206,8 @@ class StageSolution(eqx.Module):
 
     **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
     the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
-    per unit of its parameter; `equations`, what is left of each; `parameters` found here; `stage`
-    its place in the procedure.
+    per unit of its parameter, and where it acts if that is in bursts; `equations`, what is left of
+    each; `parameters` found here; `stage` its place in the procedure.
     """
 
     solution: Solution

@@ -95,6 +95,7 @@ class Refined(AbstractEstimate):
             *self._bounds(),
             *self._undetermined(),
             *self.negative_values(),
+            *self.few_blocks(),
             *self.rarely_excited(),
             *self._disagreement(),
         ]
