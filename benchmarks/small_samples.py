@@ -10,8 +10,8 @@ other by seed. Errors do not depend on the motion, so the criterion converges to
 
 `evenly`: errors are alike all along. `unevenly`: they grow with the velocity. Beside what
 `identify` prints stand the bootstrap and the HAC sandwich with Student's t as they are without
-regard to few blocks. Widths are medians over seeds, and compared with that sandwich's as it is, and once it is
-made as much wider, for each parameter of each cell, as it takes to cover 95 %.
+regard to few blocks. Widths are medians over seeds, compared with that sandwich's as it is, and
+once it is made as much wider, for each parameter of each cell, as it takes to cover 95 %.
 """
 
 import argparse

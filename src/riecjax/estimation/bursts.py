@@ -2,8 +2,10 @@
 
 from collections.abc import Collection, Mapping, Sequence
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.estimation.sharing import Sharing
@@ -31,32 +33,41 @@ def sizes_in_bursts(
     **Arguments:** `values` of all parameters; of `found`, which this stage finds, those of `names`
     are asked for.
     """
-    powers = {name: np.zeros(3) for name in names}
+    powers = dict.fromkeys(names, (0.0, 0.0, 0.0))
     for i, record in enumerate(records):
         for equation in stage:
-            target = np.zeros(record.sample_count)
-            for term in equation.terms:
-                sampled, present = term.samples(record, 0)
-                columns = np.asarray(sampled, float)
-                if present is not None:
-                    columns = np.where(np.asarray(present), columns, np.nan)
-                known = sharing.of_record(term.parameters, i) or (None,)
-                for name, column in zip(known, columns):
-                    if name not in found:
-                        factor = 1.0 if name is None else float(values[name])
-                        target = target + factor * _derivative(column, record, term.derivative)
-                    elif name in powers and not term.derivative:
-                        powers[name][:2] += np.nansum(column**2), np.nansum(column**4)
-            size = np.nanmean(target**2)
-            for name in set(sharing.of_record(equation.parameters, i)) & powers.keys():
-                powers[name][2] = max(powers[name][2], size)
+            bare = {name: sharing.of_record((name,), i)[0] for name in equation.parameters}
+            unknown = tuple(name for name, full in bare.items() if full in found)
+            known = {n: jnp.asarray(values[full]) for n, full in bare.items() if full not in found}
+            terms, target = _powers(equation, record, known, unknown)
+            for name, (square, fourth) in terms.items():
+                if (full := bare[name]) in powers:
+                    before = powers[full]
+                    both = before[0] + float(square), before[1] + float(fourth)
+                    powers[full] = (*both, max(before[2], float(target)))
     return {
-        name: float(np.sqrt(fourth / STEADY / square / size)) if square * size > 0 else 0.0
-        for name, (square, fourth, size) in powers.items()
+        name: float(np.sqrt(fourth / STEADY / square / target)) if square * target > 0 else 0.0
+        for name, (square, fourth, target) in powers.items()
     }
 
 
-def _derivative(column: Float[np.ndarray, " n"], record: Record, order: int) -> np.ndarray:
-    for _ in range(order):
-        column = np.gradient(column, float(record.time_step))
-    return column
+@eqx.filter_jit
+def _powers(
+    equation: Equation, record: Record, known: dict[str, Array], unknown: tuple[str, ...]
+) -> tuple[dict[str, tuple[Array, Array]], Array]:
+    """Sums of squares and fourth powers of unknown terms, and the target's mean square."""
+    target = jnp.zeros(record.sample_count)
+    terms: dict[str, tuple[Array, Array]] = {}
+    for term in equation.terms:
+        columns, present = term.samples(record, 0)
+        if present is not None:
+            columns = jnp.where(present[None, :], columns, jnp.nan)
+        for name, column in zip(term.parameters or ("",), columns):
+            if name not in unknown:
+                for _ in range(term.derivative):
+                    column = jnp.gradient(column) / record.time_step
+                target = target + known.get(name, 1.0) * column
+            elif not term.derivative:
+                square, fourth = terms.get(name, (0.0, 0.0))
+                terms[name] = square + jnp.nansum(column**2), fourth + jnp.nansum(column**4)
+    return terms, jnp.nanmean(target**2)

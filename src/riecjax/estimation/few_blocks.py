@@ -79,8 +79,11 @@ def few_blocks_sandwich(
     scale = unit_scale(jnp.diagonal(whole))
     inverse = eliminate(whole * scale[:, None] * scale[None, :], jnp.eye(scale.shape[0]))
     each = jax.vmap(lambda *blocks: slope(list(blocks), plan))(*stages)
-    each = each * scale[:, None] * scale[None, :]
-    working = each * _working_variance(totals, plan, values)
+    each = each * (scale[:, None] * scale[None, :])[None]
+    variance = _working_variance(totals, plan, values)
+    largest = jnp.max(variance)
+    largest = jnp.where(largest > 0, largest, 1.0)
+    working = each * (variance / largest)[None]
     beside = _beside(halves, used, most)
 
     # Sums of the working covariance over one block's neighbours, and over both.
@@ -102,9 +105,9 @@ def few_blocks_sandwich(
         return jnp.trace(form), jnp.sum(form * form.T)
 
     seen, scatter = jax.vmap(expected)(rows)
-    moved = (scores(stages, plan, values) * scale) @ rows.T
+    moved = (scores(stages, plan, values) * scale[None, :]) @ rows.T
     shown = moved.T @ (moved + beside @ moved / 2)
-    alike = jnp.max(jnp.stack([total.count for total in totals])) / jnp.sum(halves)
+    alike = largest * jnp.max(jnp.stack([total.count for total in totals])) / jnp.sum(halves)
     together = jnp.trace(shown) + TOLD_BY_NONE * alike
     together = together / (jnp.sum(seen) + TOLD_BY_NONE)
     share = jnp.sqrt(seen + TOLD_BY_OTHERS)
@@ -129,9 +132,7 @@ def _working_variance(
         rounding = jnp.finfo(at.dtype).eps * total.energy
         left = jnp.maximum(total.residual_energy(at), rounding) / jnp.maximum(total.count, 1)
         parts.append(jnp.full((len(names), len(names)), left))
-    variance = jax.scipy.linalg.block_diag(*parts)
-    largest = jnp.max(variance)
-    return variance / jnp.where(largest > 0, largest, 1.0)
+    return jax.scipy.linalg.block_diag(*parts)
 
 
 def _beside(

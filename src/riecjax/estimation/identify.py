@@ -19,7 +19,7 @@ from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError, 
 from riecjax.estimation.assembly import Assembled, all_normal_equations, all_rows
 from riecjax.estimation.bursts import sizes_in_bursts
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.estimate import Estimate, combination
+from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
 from riecjax.estimation.evidence import judge
 from riecjax.estimation.intervals import (
     AbstractIntervals,
@@ -268,18 +268,23 @@ def _where_they_act(
 ) -> list[StageSolution]:
     """The stages with the size of terms in doubt where they act, if that is in bursts."""
     values = found_values(solved.stages, given)
-    names = [name for stage in solved.stages for name in stage.parameters]
-    error = DOUBTFUL * np.sqrt(np.diagonal(solved.uncertainty.covariance))
-    doubtful = {n for n, v, e in zip(names, np.asarray(solved.theta), error) if abs(v) < e}
+    errors = np.sqrt(np.diagonal(solved.uncertainty.covariance))
+    errors = dict(zip([name for stage in solved.stages for name in stage.parameters], errors))
 
     def judged(stage: StageSolution) -> StageSolution:
-        names = doubtful & set(stage.parameters)
-        if not names:
+        sizes = np.asarray(stage.relative_size)
+        # What is large enough to matter over the whole record needs no closer look.
+        doubtful = [
+            name
+            for name, size in zip(stage.parameters, sizes)
+            if abs(float(values[name])) < DOUBTFUL * errors[name]
+            and errors[name] * size < MATTERING_SHARE
+        ]
+        if not doubtful:
             return stage
         equations = procedure.stages[stage.stage]
-        sizes = sizes_in_bursts(equations, sharing, records, values, stage.parameters, names)
-        active = np.array([sizes.get(name, 0.0) for name in stage.parameters])
-        larger = np.maximum(np.asarray(stage.relative_size), active)
+        active = sizes_in_bursts(equations, sharing, records, values, stage.parameters, doubtful)
+        larger = np.maximum(sizes, [active.get(name, 0.0) for name in stage.parameters])
         return eqx.tree_at(lambda s: s.relative_size, stage, larger)
 
     return [judged(stage) for stage in solved.stages]

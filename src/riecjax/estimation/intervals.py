@@ -23,8 +23,11 @@ from riecjax.estimation.normal_equations import NormalEquations
 
 ENOUGH_FREEDOM = 12.0
 """Degrees of freedom of a variance from which the bootstrap's tails serve."""
-FARTHEST = 3.0
-"""How many times as far as the small-sample sandwich an interval may reach."""
+FARTHEST = 10.0
+"""How many times as far as the small-sample sandwich the bootstrap may reach: rare large errors
+lean an interval several times as far to one side, and hardly more."""
+NEAREST = 1 / 3
+"""The same where it reaches less far."""
 SMALL_SAMPLE = "small-sample sandwich with Student's t"
 
 
@@ -200,8 +203,8 @@ def with_few_blocks(
 
     They are few for a parameter whose variance has fewer than `ENOUGH_FREEDOM` degrees of freedom,
     be the record short or all that tells of it in few places; and where replicates' tails reach
-    more than `FARTHEST` times as far as the sandwich or less than a `FARTHEST`-th: then some were
-    divided by a standard error of next to nothing, or hardly any moved.
+    more than `FARTHEST` times as far as the sandwich or less than `NEAREST`: then some were divided
+    by a standard error of next to nothing, or hardly any moved.
     """
     small = few_blocks_sandwich(
         evidence.fine, evidence.plan, evidence.values, evidence.short, evidence.used
@@ -211,7 +214,7 @@ def with_few_blocks(
     if studentized is not None:
         reach = jnp.nanquantile(jnp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
         ratio = reach**2 * variance / jnp.where(other > 0, other, 1.0)
-        few = few | (ratio > FARTHEST**2) | (ratio < FARTHEST**-2)
+        few = few | (ratio > FARTHEST**2) | (ratio < NEAREST**2)
     error = jnp.sqrt(jnp.where(few, other, variance))
     scale = jnp.where(other > 0, error / jnp.sqrt(jnp.where(other > 0, other, 1.0)), 0.0)
     mixed = small.covariance * scale[:, None] * scale[None, :]
