@@ -170,8 +170,8 @@ class Plain(AbstractIntervals):
                 draws=draws,
             )
         freedom = effective_freedom(evidence)
-        nowhere = jnp.zeros(freedom.shape, bool)
-        return Uncertainty(covariance, replicates, freedom, nowhere, "plain")
+        nowhere, once = jnp.zeros(freedom.shape, bool), jnp.ones(freedom.shape)
+        return Uncertainty(covariance, replicates, freedom, nowhere, once, "plain")
 
 
 INTERVALS = {

@@ -65,7 +65,7 @@ def _powers(
         for name, column in zip(term.parameters or ("",), columns):
             if name not in unknown:
                 for _ in range(term.derivative):
-                    column = jnp.gradient(column) / record.time_step
+                    column = jnp.asarray(jnp.gradient(column)) / record.time_step
                 target = target + known.get(name, 1.0) * column
             elif not term.derivative:
                 square, fourth = terms.get(name, (0.0, 0.0))

@@ -113,6 +113,7 @@ class Estimate(AbstractEstimate):
         return [
             *self._conditioning(),
             *self.few_blocks(),
+            *self.leaning(),
             *self._wide_intervals(),
             *self.negative_values(),
             *self._residuals(),

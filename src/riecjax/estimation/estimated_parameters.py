@@ -18,6 +18,8 @@ LOST_SHARE = 0.05
 """Share of the bootstrap's replicates that may leave a parameter undetermined."""
 NOTABLE_INFLATION = 1.1
 """Factor on a standard error from which recordings are said to disagree."""
+NOTABLE_LEAN = 3.0
+"""How many times as far as the small-sample sandwich an interval reaches before it is said why."""
 _NO_MASS = "no mass is"
 _NO_DAMPING = "damping that feeds energy into the motion"
 NEVER_NEGATIVE = {
@@ -180,7 +182,7 @@ class AbstractEstimate(eqx.Module):
     def _stood_in(self) -> np.ndarray:
         """Which parameters have the small-sample sandwich's interval, in any lane of a batch."""
         few = np.asarray(self.uncertainty.few_blocks)
-        return few.reshape(-1, few.shape[-1]).any(axis=0)
+        return np.any(few.reshape(-1, few.shape[-1]), axis=0)
 
     def few_blocks(self) -> Iterator[Finding]:
         """Parameters whose intervals fell back to a small-sample sandwich (not under jit)."""
@@ -197,6 +199,19 @@ class AbstractEstimate(eqx.Module):
             f"Student's t and are the wider the fewer there are. Record for longer, or excite "
             f"them all along.",
         )
+
+    def leaning(self) -> Iterator[Finding]:
+        """Intervals that reach much farther than errors alike all along call for."""
+        times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
+        times = times.reshape(-1, times.shape[-1]).max(axis=0)
+        far = [f"{n} ({t:.2g})" for n, t in zip(self.parameters, times) if t > NOTABLE_LEAN]
+        if far:
+            yield Finding(
+                "uneven_errors",
+                f"a few stretches of the record err so much more than the rest that the intervals "
+                f"of {', '.join(far)} reach so many times as far as they otherwise would. Look at "
+                f"those stretches, or record for longer.",
+            )
 
     def rarely_excited(self) -> Iterator[Finding]:
         """Parameters that many of the bootstrap's replicates leave undetermined (not under jit)."""

@@ -70,6 +70,7 @@ class Uncertainty(eqx.Module):
     - `degrees_of_freedom` behind each variance, see [`effective_freedom`][].
     - `few_blocks`: parameters that so few blocks tell of that the small-sample sandwich and
       Student's t stand in, see [`with_few_blocks`][].
+    - `times_sandwich`: how many times as far as that sandwich replicates reach, 1 without any.
     - `method`: how it was judged otherwise, in words.
     """
 
@@ -77,6 +78,7 @@ class Uncertainty(eqx.Module):
     studentized: Float[Array, "replicates p"] | None
     degrees_of_freedom: Float[Array, " p"]
     few_blocks: Bool[Array, " p"]
+    times_sandwich: Float[Array, " p"]
     method: str = eqx.field(static=True)
 
     @property
@@ -189,6 +191,7 @@ class Naive(AbstractIntervals):
             None,
             jnp.full(count, 1e9),
             jnp.zeros(count, bool),
+            jnp.ones(count),
             "least squares as if all windows were independent (far too narrow)",
         )
 
@@ -211,10 +214,11 @@ def with_few_blocks(
     )
     few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM)
     variance, other = jnp.diagonal(covariance), jnp.diagonal(small.covariance)
+    times = jnp.ones_like(variance)
     if studentized is not None:
         reach = jnp.nanquantile(jnp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
-        ratio = reach**2 * variance / jnp.where(other > 0, other, 1.0)
-        few = few | (ratio > FARTHEST**2) | (ratio < NEAREST**2)
+        times = reach * jnp.sqrt(variance / jnp.where(other > 0, other, 1.0))
+        few = few | (times > FARTHEST) | (times < NEAREST)
     error = jnp.sqrt(jnp.where(few, other, variance))
     scale = jnp.where(other > 0, error / jnp.sqrt(jnp.where(other > 0, other, 1.0)), 0.0)
     mixed = small.covariance * scale[:, None] * scale[None, :]
@@ -223,6 +227,7 @@ def with_few_blocks(
         studentized,
         jnp.where(few, small.degrees_of_freedom, effective_freedom(evidence)),
         few,
+        times,
         method,
     )
 

@@ -96,6 +96,7 @@ class Refined(AbstractEstimate):
             *self._undetermined(),
             *self.negative_values(),
             *self.few_blocks(),
+            *self.leaning(),
             *self.rarely_excited(),
             *self._disagreement(),
         ]
