@@ -21,8 +21,10 @@ from riecjax.estimation.few_blocks import few_blocks_sandwich
 from riecjax.estimation.influence import Unknowns, in_order, scores, slope
 from riecjax.estimation.normal_equations import NormalEquations
 
-ENOUGH_FREEDOM = 12.0
-"""Degrees of freedom of a variance from which the bootstrap's tails serve."""
+FEW = 12
+"""Blocks of all records up to which the bootstrap's tails do not serve."""
+ENOUGH_FREEDOM = 10.0
+"""Degrees of freedom of a variance from which they do."""
 FARTHEST = 10.0
 """How many times as far as the small-sample sandwich the bootstrap may reach: rare large errors
 lean an interval several times as far to one side, and hardly more."""
@@ -204,15 +206,15 @@ def with_few_blocks(
 ) -> Uncertainty:
     """What a method says, with the small-sample sandwich in its place where blocks are few.
 
-    They are few for a parameter whose variance has fewer than `ENOUGH_FREEDOM` degrees of freedom,
-    be the record short or all that tells of it in few places; and where replicates' tails reach
+    They are few if there are no more than `FEW`; for a parameter whose variance has fewer than
+    `ENOUGH_FREEDOM` degrees of freedom, told in few places; and where replicates' tails reach
     more than `FARTHEST` times as far as the sandwich or less than `NEAREST`: then some were divided
     by a standard error of next to nothing, or hardly any moved.
     """
     small = few_blocks_sandwich(
         evidence.fine, evidence.plan, evidence.values, evidence.short, evidence.used
     )
-    few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM)
+    few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM) | (jnp.sum(evidence.used) <= FEW)
     variance, other = jnp.diagonal(covariance), jnp.diagonal(small.covariance)
     times = jnp.ones_like(variance)
     if studentized is not None:
