@@ -88,7 +88,7 @@ def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
         left = _norm(_residual(target, [columns[name] for name in names]))
         if hidden and left <= np.hypot(varying, STILL * size):
             # Others at rest to the last digit are collinear with these, and are named as that.
-            if any(0 < _norm(columns[n]) and seen.share(columns[n]) <= ROUNDING for n in hidden):
+            if any(_norm(columns[n]) > 0 and seen.share(columns[n]) <= ROUNDING for n in hidden):
                 return ""
             still = all(ROUNDING < seen.share(columns[name]) <= STILL for name in names)
             return _words(names, hidden, still)
