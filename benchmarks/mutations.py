@@ -79,7 +79,7 @@ def rigs(seed: int = 0) -> tuple[Rig, Rig]:
         return {"t": t, **measured}
 
     common = ("--model", "drag-oscillator", "--json")
-    hat = ("--test-function", "hat", "--quadrature", "4", "--alpha", "0.2", "--beta", "1")
+    hat = ("--test-function", "hat", "--quadrature", "4", "--alpha", "0.2", "--beta", "0.5")
     return (
         Rig(noisy(1e-3, ("x", "dx", "u")), common),
         Rig(noisy(1e-5, ("x", "u")), (*common, *hat)),

@@ -52,7 +52,7 @@ def here(tmp_path, monkeypatch):
 
 
 IDENTIFY = ("--model", "machine.py:axis", "--test-function", "hat", "--quadrature", "6")
-IDENTIFY += ("--alpha", "0.1", "--beta", "1")
+IDENTIFY += ("--alpha", "0.1", "--beta", "0.5")
 
 
 def values(document):

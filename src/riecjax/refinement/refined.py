@@ -133,18 +133,29 @@ class Refined(AbstractEstimate):
             )
 
     def _undetermined(self) -> Iterator[Finding]:
+        silent = []
         for name, reached in zip(self.parameters, self.at_bound):
             low, high = self.interval(name)
             if bool(reached):
                 continue
             if not (np.isfinite(low) and np.isfinite(high)):
-                yield Finding("undetermined", f"these data say nothing about {name}.")
+                silent.append(name)
             elif high - low > 2 * abs(float(self[name])):
                 yield Finding(
                     "interval_wider_than_estimate",
                     f"the refined interval of {name} reaches from {low:.4g} to {high:.4g}: these "
                     f"data hardly determine it.",
                 )
+        if len(silent) == 1:
+            yield Finding("undetermined", f"these data say nothing about {silent[0]}.")
+        elif silent:
+            yield Finding(
+                "undetermined",
+                f"what is compared stays as it is when {', '.join(silent)} change together, so it "
+                f"tells none of them alone, as motion without a force does not tell how heavy a "
+                f"machine is. Hold one at a known value (on the command line: --set "
+                f"{silent[0]}=VALUE), or compare another signal.",
+            )
 
     def _disagreement(self) -> Iterator[Finding]:
         for name, factor in zip(self.parameters, self.inflation):
