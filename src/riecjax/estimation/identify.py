@@ -38,7 +38,7 @@ from riecjax.estimation.procedure import (
     solve_stages,
 )
 from riecjax.estimation.sharing import Sharing
-from riecjax.leaves import is_concrete
+from riecjax.leaves import is_concrete, on_host
 from riecjax.records.record import Record, as_records
 
 DOUBTFUL = 5.0
@@ -267,7 +267,7 @@ def _where_they_act(
     records: list[Record],
 ) -> list[StageSolution]:
     """The stages with the size of terms in doubt where they act, if that is in bursts."""
-    values = found_values(solved.stages, given)
+    values = found_values(on_host(solved.stages), given)
     errors = np.sqrt(np.diagonal(solved.uncertainty.covariance))
     errors = dict(zip([name for stage in solved.stages for name in stage.parameters], errors))
 
@@ -359,7 +359,7 @@ def raise_if_nothing_to_fit(
     **Raises:** `DataError` naming the stage.
     """
     for (label, unknown), count in zip(plan, counts):
-        if unknown and not bool(np.sum(count) > 0):
+        if unknown and not bool(np.sum(np.asarray(count)) > 0):
             raise DataError(
                 f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
                 f"or repair the record's gaps."
