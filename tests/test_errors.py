@@ -1,5 +1,7 @@
 import runpy
 
+import jax
+import numpy as np
 import pytest
 
 from riecjax.errors import ModelError, users_code
@@ -32,3 +34,14 @@ def test_an_error_of_no_file_of_the_users_names_no_line():
     with pytest.raises(ModelError, match=r"^mine failed") as caught, users_code("mine"):
         eval(code)
     assert "<string>" not in str(caught.value)
+
+
+def test_what_to_write_comes_before_jaxs_own_words():
+    words = r"^mine failed.*\. Use functions of jax\.numpy.* NumPy's\. TracerArray"
+    with pytest.raises(ModelError, match=words), users_code("mine"):
+        jax.eval_shape(lambda x: np.sin(x), jax.ShapeDtypeStruct((3,), float))
+
+
+def test_words_that_are_cut_say_so():
+    with pytest.raises(ModelError, match=r"word \.\.\.$"), users_code("mine"):
+        raise RuntimeError("word " * 100)

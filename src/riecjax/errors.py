@@ -7,6 +7,7 @@ import sysconfig
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from types import UnionType
 
 MOST_WORDS = 300
 
@@ -74,8 +75,14 @@ class SimulationError(RiecjaxError):
     code = "simulation"
 
 
-def require(what: str, value: object, kinds: type | tuple[type, ...], write: str) -> None:
-    """Raise `ModelError` unless the argument `what` is of these kinds; `write` says what to write.
+def require(
+    what: str,
+    value: object,
+    kinds: type | UnionType | tuple[type, ...],
+    write: str,
+    error: type[RiecjaxError] = ModelError,
+) -> None:
+    """Raise `error` unless the argument `what` is of these kinds; `write` says what to write.
 
     For slips that would fail far from their cause: a name, a class or a list in place of an object.
     """
@@ -85,10 +92,12 @@ def require(what: str, value: object, kinds: type | tuple[type, ...], write: str
         given = f"the class {value.__name__}, not an object of it"
     elif isinstance(value, str):
         given = f"the text '{value}'"
+    elif value is None:
+        given = "None"
     else:
         kind = type(value).__name__
-        given = f"{'an' if kind[0] in 'AEIOU' else 'a'} {kind}"
-    raise ModelError(f"{what} is {given}. Write {write}.")
+        given = f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind}"
+    raise error(f"{what} is {given}. Write {write}.")
 
 
 @contextlib.contextmanager
@@ -99,9 +108,11 @@ def users_code(name: object) -> Iterator[None]:
     except RiecjaxError:
         raise
     except (Exception, SystemExit) as error:
-        words = " ".join(str(error).split("See https")[0].split())[:MOST_WORDS]
+        words = " ".join(str(error).split("See https")[0].split())
+        if len(words) > MOST_WORDS:
+            words = f"{words[:MOST_WORDS].rpartition(' ')[0]} ..."
         raise ModelError(
-            f"{name} failed{_line_of(error)}: {type(error).__name__}: {words}{_hint(error)}"
+            f"{name} failed{_line_of(error)}{_hint(error)}{type(error).__name__}: {words}"
         ) from error
 
 
@@ -127,10 +138,10 @@ def _is_users_own(filename: str) -> bool:
 
 
 def _hint(error: BaseException) -> str:
-    """What to write instead, for the slips that JAX's own words explain at length."""
+    """What to write instead, before JAX's own words where they explain the slip at length."""
     kind = type(error).__name__
     if kind == "TracerArrayConversionError":
-        return " Use functions of jax.numpy, such as jnp.sin, in place of NumPy's."
+        return ". Use functions of jax.numpy, such as jnp.sin, in place of NumPy's. "
     if kind == "TracerBoolConversionError":
-        return " Use jnp.where(condition, a, b) in place of if."
-    return ""
+        return ". Use jnp.where(condition, a, b) in place of if. "
+    return ": "

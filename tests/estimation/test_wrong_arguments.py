@@ -2,7 +2,9 @@
 # pyright: reportArgumentType=false
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+import optimistix
 import pytest
 
 import riecjax as rx
@@ -30,6 +32,15 @@ ASKED = {
     "windows alone": ((EQUATION, RECORD, rx.AllWindows(0.1, 1)), {}, "the criterion is an AllW"),
     "a seed": ((EQUATION, RECORD, ALL), {"key": 3}, "key=jax.random.key(3)"),
     "known names": ((EQUATION, RECORD, ALL), {"known": ["k"]}, "known={'m': 2.0}"),
+    "two keys": (
+        (EQUATION, RECORD, ALL),
+        {"key": jax.random.split(jax.random.key(0), 2)},
+        "an array of 2 keys. Write key=keys[0]",
+    ),
+    "a float array": ((EQUATION, RECORD, ALL), {"key": jnp.ones(2)}, "key=jax.random.key(0)"),
+    "jax.random.key": ((EQUATION, RECORD, ALL), {"key": jax.random.key}, "the key is a function"),
+    "an article": ((EQUATION, RECORD, ALL), {"key": 3}, "the key is an int"),
+    "known, a name": ((EQUATION, RECORD, ALL), {"known": ""}, "known={'m': 2.0}"),
     "own, one name": ((EQUATION, RECORD, ALL), {"own": "k"}, "own=('k',)"),
 }
 
@@ -62,6 +73,17 @@ MADE = {
     "a class of windows": (lambda: rx.RIEC(rx.AllWindows), "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
     "lengths as windows": (lambda: rx.RIEC(0.05), "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
     "a class of hats": (lambda: rx.RIEC(rx.AllWindows(0.1, 1), rx.Hat), "rx.Hat()"),
+    "no coefficient": (lambda: rx.Term(None, "x"), "coefficient is None. Write a name or"),
+    "friction without brackets": (lambda: rx.Terms("F", rx.friction, "v"), "rx.friction()"),
+    "a band of one": (lambda: rx.RIEC.of_band(1), "rx.RIEC.of_band((1, 10))"),
+    "a band in two": (lambda: rx.RIEC.of_band(1, 10), "rx.RIEC.of_band((1, 10))"),
+    "a band as text": (lambda: rx.RIEC.of_band("1 10"), "rx.RIEC.of_band((1, 10))"),
+    "a length as text": (lambda: rx.AllWindows("a", 0.5), "alpha is the text 'a'"),
+    "two lengths": (lambda: rx.AllWindows(0.1, [0.5, 0.6]), "beta is a list"),
+    "a law's name": (lambda: rx.AllWindows(0.1, 0.5, law="uniform"), "law=[1, 2, 1]"),
+    "a law's class": (lambda: rx.AllWindows(0.1, 0.5, law=rx.DensityLaw), "the class DensityLaw"),
+    "a count as text": (lambda: rx.RandomWindows(0.1, 0.5, "a"), "rx.RandomWindows(0.05, 0.5,"),
+    "a broken count": (lambda: rx.RandomWindows(0.1, 0.5, 2.5), "windows is a float"),
     "a model as name": (lambda: rx.find_model(EQUATION), "rx.find_model('quarter-car')"),
 }
 
@@ -90,7 +112,22 @@ def test_simulate(case):
     assert words in str(refused.value)
 
 
+START = {"k": 1.0}
 REFINED = {
+    "no start": ((EQUATION, RECORD, None), {}, "start is None. Write"),
+    "own, letters": ((EQUATION, RECORD, START), {"own": "mk"}, "own=('mk',): a tuple of names"),
+    "own, a number": ((EQUATION, RECORD, START), {"own": 5}, "own=('offset',)"),
+    "known, a name": ((EQUATION, RECORD, START), {"known": "m"}, "known={'m': 2.0}"),
+    "known, a number": ((EQUATION, RECORD, START), {"known": 5}, "known={'m': 2.0}"),
+    "intervals' name": ((EQUATION, RECORD, START), {"intervals": "a"}, "intervals=rx.Sandwich()"),
+    "intervals' class": ((EQUATION, RECORD, START), {"intervals": rx.Sandwich}, "the class Sand"),
+    "a solver's name": ((EQUATION, RECORD, START), {"solver": "lm"}, "solver=optimistix.Levenb"),
+    "a solver's class": (
+        (EQUATION, RECORD, START),
+        {"solver": optimistix.LevenbergMarquardt},
+        "the class LevenbergMarquardt",
+    ),
+    "a system's class": ((type(SYSTEM), RECORD, START), {}, f"Write {type(SYSTEM).__name__}(...)"),
     "a name": (("duffing", RECORD, {"m": 1.0}), {}, "rx.find_model('duffing')"),
     "swapped": ((RECORD, EQUATION, {"m": 1.0}), {}, "then its records"),
     "numbers as start": ((EQUATION, RECORD, [1.0]), {}, "{'m': 2.0}"),
@@ -106,6 +143,89 @@ def test_refine(case):
     with pytest.raises(rx.ModelError) as refused:
         rx.refine(*arguments, **settings)
     assert words in str(refused.value)
+
+
+COMPARED = {
+    "windows' name": ({"shooting": "whole"}, "rx.OutputError(rx.Tiles(0.5))"),
+    "windows' class": ({"shooting": rx.Tiles}, "the class Tiles, not an object of it"),
+    "a method's name": ({"method": "rk4"}, "method=rx.FixedStep(8)"),
+    "a method's class": ({"method": rx.FixedStep}, "method=rx.FixedStep(8)"),
+    "starts, a number": ({"starts": 5}, "starts='estimated', 'measured' or values by name"),
+    "one channel": ({"channels": "x"}, "channels=('x',)"),
+}
+
+
+@pytest.mark.parametrize("case", COMPARED)
+def test_output_error(case):
+    settings, words = COMPARED[case]
+    with pytest.raises(rx.ModelError) as refused:
+        rx.OutputError(**settings)
+    assert words in str(refused.value)
+
+
+STUDIED = {
+    "a criterion's name": (rx.window_sweep, "riec", {}, "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
+    "a criterion's class": (rx.window_sweep, rx.RIEC, {}, "the class RIEC"),
+    "no windows": (rx.window_sweep, rx.DOLS(), {}, "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
+    "sweep's own": (rx.window_sweep, ALL, {"own": "k"}, "own=('k',)"),
+    "scatter's name": (rx.seed_scatter, "riec", {"key": None}, "rx.RIEC(rx.RandomWindows("),
+    "scatter's seed": (rx.seed_scatter, ALL, {"key": 3}, "key=jax.random.key(3)"),
+}
+
+
+@pytest.mark.parametrize("case", STUDIED)
+def test_studies(case):
+    verb, criterion, settings, words = STUDIED[case]
+    with pytest.raises(rx.ModelError) as refused:
+        verb(EQUATION, RECORD, criterion, **settings)
+    assert words in str(refused.value)
+
+
+RECORDED = {
+    "swapped": (lambda: rx.Record(0.005, {"x": TIME}), 'rx.Record.from_samples({"x": x}, time_st'),
+    "time as step": (lambda: rx.Record({"x": TIME}, TIME), '({"x": x}, time=t)'),
+    "a step as text": (lambda: rx.Record({"x": TIME}, "a"), "time step is the text 'a'"),
+    "no step": (lambda: rx.Record({"x": TIME}, 0.0), "positive number of seconds; got 0"),
+    "a step backwards": (lambda: rx.Record({"x": TIME}, -0.1), "seconds; got -0.1"),
+    "a step of nan": (lambda: rx.Record({"x": TIME}, np.nan), "seconds; got nan"),
+    "samples, time as step": (
+        lambda: rx.Record.from_samples({"x": TIME}, time_step=TIME),
+        '({"x": x}, time=t)',
+    ),
+    "samples, a step as text": (
+        lambda: rx.Record.from_samples({"x": TIME}, time_step="a"),
+        "time step is the text 'a'",
+    ),
+    "a step as time": (lambda: rx.Record.from_samples({"x": TIME}, 0.01), "time_step=0.005"),
+    "nothing": (lambda: rx.Record.from_samples(None, time_step=0.1), "is None. Write rx.Record"),
+    "a list": (lambda: rx.Record.from_samples([1, 2], time_step=0.1), "is a list. Write rx.Record"),
+}
+
+
+@pytest.mark.parametrize("case", RECORDED)
+def test_records(case):
+    make, words = RECORDED[case]
+    with pytest.raises(rx.DataError) as refused:
+        make()
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_samples_with_their_time_need_no_word():
+    record = rx.Record.from_samples({"x": TIME}, 2 + TIME)
+    np.testing.assert_allclose(record.time, 2 + TIME)
+
+
+def test_a_term_with_its_names_swapped_says_what_the_record_has():
+    swapped = rx.Equation(rx.Term("x", "m", derivative=1), -rx.Term(1.0, "F"))
+    with pytest.raises(rx.DataError, match=r"^the record has no signal 'm'; it has: F, x\."):
+        rx.identify(swapped, RECORD, rx.DOLS())
+
+
+def test_a_window_below_one_sample_asks_for_the_unit_of_time():
+    slow = rx.Record.from_samples({"x": TIME, "F": TIME}, time_step=5.0)
+    with pytest.raises(rx.DataError, match=r"milliseconds .*--scale t=0\.001.* a rate\?$"):
+        rx.identify(EQUATION, slow, ALL)
 
 
 def test_what_is_right_passes():

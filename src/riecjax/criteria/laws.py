@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 
 
@@ -242,6 +242,9 @@ def as_law(law: "AbstractLaw | ArrayLike | Callable[[Array], Array] | None") -> 
         return UniformLaw()
     if isinstance(law, AbstractLaw):
         return law
+    if isinstance(law, str | type):
+        write = "law=[1, 2, 1], weights from the shortest windows to the longest, or leave it out"
+        require("the law", law, (), f"{write} for lengths that count alike")
     return DensityLaw(law) if callable(law) else SteppedLaw(law)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from riecjax.criteria.chunks import is_chunked
 from riecjax.criteria.laws import AbstractLaw, LagBins, as_law, rounded
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 from riecjax.records.record import Record
 
@@ -32,6 +32,9 @@ def half_periods(band: tuple[float, float]) -> tuple[float, float]:
 
     **Raises:** `ModelError` unless 0 < low < high.
     """
+    if not isinstance(band, tuple | list | np.ndarray | jax.Array) or len(band) != 2:
+        write = "(1, 10), lowest and highest frequency in hertz: rx.RIEC.of_band((1, 10))"
+        require("the band", band, (), write)
     low, high = band
     if not 0 < low < high:
         raise ModelError(f"a band needs 0 < low < high in hertz; got {low:g} to {high:g}.")
@@ -70,7 +73,8 @@ class AbstractWindows(eqx.Module):
             samples = "one sample" if multiple == 1 else f"{multiple} samples"
             raise DataError(
                 f"the longest window, beta = {beta:g} s, is shorter than {samples}, "
-                f"{multiple * step:g} s. Choose longer windows."
+                f"{multiple * step:g} s. Choose longer windows; or is the record's time in "
+                f"milliseconds (on the command line: --scale t=0.001), or its time step a rate?"
             )
 
     def lags(
@@ -113,6 +117,17 @@ def _rounded_away_jvp(primals: Any, tangents: Any) -> Any:
         "Differentiate AllWindows(...) with Boxcar() or Hat(), or RandomWindows(..., "
         "between_samples=True) with Boxcar(), or hold alpha and beta by jax.lax.stop_gradient."
     )
+
+
+def _length(name: str, value: float | Leaf) -> Leaf:
+    """The length of a window in seconds, one number.
+
+    **Raises:** `ModelError` for anything else.
+    """
+    if isinstance(value, str) or value is None or np.ndim(value):
+        write = "rx.AllWindows(0.05, 0.5), with the shortest and the longest window in seconds"
+        require(name, value, (), write)
+    return as_leaf(value)
 
 
 def _require_order(alpha: Leaf, beta: Leaf) -> None:
@@ -160,8 +175,8 @@ class AllWindows(AbstractWindows):
         law: AbstractLaw | ArrayLike | Callable[[Array], Array] | None = None,
         longest_samples: int | None = None,
     ):
-        self.alpha = as_leaf(alpha)
-        self.beta = as_leaf(beta)
+        self.alpha = _length("alpha", alpha)
+        self.beta = _length("beta", beta)
         self.law = as_law(law)
         self.longest_samples = longest_samples
         _require_order(self.alpha, self.beta)
@@ -258,8 +273,14 @@ class RandomWindows(AbstractWindows):
         *,
         between_samples: bool = False,
     ):
-        self.alpha = as_leaf(alpha)
-        self.beta = as_leaf(beta)
+        self.alpha = _length("alpha", alpha)
+        self.beta = _length("beta", beta)
+        require(
+            "the number of windows",
+            count,
+            (int, np.integer),
+            "a whole number, rx.RandomWindows(0.05, 0.5, 8000)",
+        )
         self.count = count
         self.between_samples = between_samples
         if count < 1:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.bases import AbstractBasis
@@ -144,6 +145,12 @@ class Term(AbstractTerm):
         known: float | Array | None = None,
         sign: float | Array = 1.0,
     ):
+        require(
+            "a term's coefficient",
+            coefficient,
+            (str, int, float, np.ndarray, np.number, jax.Array),
+            "a name or, for a known one, a number: rx.Term('m', 'x')",
+        )
         if not callable(of):
             require(
                 "what a term is of", of, str, "a signal's name or a function: rx.Term('m', 'x')"
@@ -220,7 +227,9 @@ class Terms(AbstractTerm):
         unit: str | tuple[str, ...] = "",
         sign: float | Array = 1.0,
     ):
-        require("the basis", basis, AbstractBasis, "rx.Terms('F', rx.roof([-1, 0, 1]), 'v')")
+        called = getattr(basis, "__name__", "").lower() == "friction"
+        example = "rx.friction()" if called else "rx.roof([-1, 0, 1])"
+        require("the basis", basis, AbstractBasis, f"rx.Terms('F', {example}, 'v')")
         self.prefix = prefix
         self.basis = basis
         self.of = of
@@ -263,6 +272,8 @@ def _derivative_name(term: Term, record: Record, order: int) -> str:
     label = term.of if isinstance(term.of, str) else "an expression"
     which = {1: "first", 2: "second"}[order]
     if order > len(term.measured):
+        if isinstance(term.of, str):
+            _ = record.signals[term.of]
         raise DataError(
             f"this criterion needs the {which} time derivative of {label}, and the equation names "
             f"no signal that holds it. Use windows that need no derivative, rx.Hat() (on the "

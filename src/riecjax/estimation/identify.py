@@ -157,9 +157,7 @@ def pose(
     """
     procedure = as_procedure(model)
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    require_key(key)
-    require("known", known or {}, Mapping, "known={'m': 2.0}: values by name")
-    require("own", own, (list, tuple, set, frozenset), f"own=('{own}',): a tuple of names")
+    require_settings(key, known, own)
     recordings = as_records(records)
     sharing = Sharing(procedure.parameters, own, len(recordings))
     given = known_values(procedure, sharing, known or {})
@@ -180,11 +178,31 @@ WRITE_CRITERION = (
 )
 
 
+def require_settings(key: object, known: object, own: object) -> None:
+    """Raise `ModelError` unless these are a key, values by name and names, or left out."""
+    require_key(key)
+    write = "known={'m': 2.0}: values by name"
+    require("known", {} if known is None else known, Mapping, write)
+    name = own if isinstance(own, str) else "offset"
+    require("own", own, (list, tuple, set, frozenset), f"own=('{name}',): a tuple of names")
+
+
 def require_key(key: object) -> None:
-    """Raise `ModelError` for a seed in place of a key."""
-    if isinstance(key, int | float | str | np.integer | type):
-        seed = key if isinstance(key, int | np.integer) else 0
-        require("the key", key, (), f"key=jax.random.key({int(seed)})")
+    """Raise `ModelError` for a seed, several keys or anything else in place of a key."""
+    if key is None:
+        return
+    if isinstance(key, jax.Array):
+        typed = jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+        # Keys of jax.random.PRNGKey are a row of whole numbers.
+        if (typed and key.ndim == 0) or (key.dtype == jnp.uint32 and key.ndim == 1):
+            return
+        if typed or key.dtype == jnp.uint32:
+            raise ModelError(
+                f"the key is an array of {len(key)} keys. Write key=keys[0], or map over them by "
+                f"jax.vmap."
+            )
+    seed = key if isinstance(key, int | np.integer) else 0
+    require("the key", key, (), f"key=jax.random.key({int(seed)})")
 
 
 def signals_read(

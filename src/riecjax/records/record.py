@@ -3,6 +3,7 @@
 import functools
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError, require
-from riecjax.leaves import namespace
+from riecjax.leaves import is_concrete, namespace
 from riecjax.records.time_base import time_base
 
 
@@ -84,9 +85,12 @@ class Record(eqx.Module):
         stamps: ArrayLike | Array | None = None,
         skipped: ArrayLike | Array = 0.0,
     ):
+        require("what a record is made of", arrays, Mapping, WRITE_RECORD, DataError)
         dtype = jnp.result_type(float)
         self.arrays = {name: jnp.asarray(values, dtype) for name, values in arrays.items()}
-        self.time_step = jnp.asarray(time_step, dtype)
+        # Of a batch of records, signals and time steps have the batch's axes in front.
+        axes = max((values.ndim for values in self.arrays.values()), default=1) - 1
+        self.time_step = jnp.asarray(_checked_step(time_step, axes), dtype)
         self.start_time = jnp.asarray(start_time, dtype)
         pairs = units.items() if isinstance(units, Mapping) else units
         self.units = tuple(sorted((name, unit) for name, unit in pairs if name in arrays))
@@ -110,8 +114,8 @@ class Record(eqx.Module):
     def from_samples(
         cls,
         signals: Mapping[str, ArrayLike],
-        *,
         time: ArrayLike | None = None,
+        *,
         time_step: float | None = None,
         units: Mapping[str, str] | None = None,
     ) -> "Record":
@@ -127,11 +131,16 @@ class Record(eqx.Module):
         **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample,
         unequal lengths, and time that does not increase or is not evenly spaced.
         """
+        require("what a record is made of", signals, Mapping, WRITE_RECORD, DataError)
         arrays = {name: _samples(name, values) for name, values in signals.items()}
         if (time is None) == (time_step is None):
             raise DataError("give either the time of each sample or the time step, not both.")
         stamps = None
         if time is not None:
+            if np.ndim(time) == 0:
+                raise DataError(
+                    f"time must hold the time of each sample; got {time}. Write {WRITE_RECORD}."
+                )
             given = _samples("t", time)
             _require_equal_lengths({**arrays, "t": given})
             base = time_base(given)
@@ -140,9 +149,7 @@ class Record(eqx.Module):
                 stamps = np.insert(given, base.pauses, base.pause_times(given))
                 arrays = {k: np.insert(v, base.pauses, np.nan) for k, v in arrays.items()}
         else:
-            step, start = float(time_step or 0.0), 0.0
-        if not (np.isfinite(step) and step > 0):
-            raise DataError(f"the time step must be a positive number of seconds; got {step:g}.")
+            step, start = float(_checked_step(time_step, 0)), 0.0
         _require_equal_lengths(arrays)
         if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
@@ -290,6 +297,32 @@ class Record(eqx.Module):
             if self.stamps is None
             else self.elapsed[samples.start or 0],
         )
+
+
+WRITE_RECORD = 'rx.Record.from_samples({"x": x}, time_step=0.005), samples by name'
+
+
+def _checked_step(time_step: Any, axes: int) -> Any:
+    """The time step, with so many axes at most; a positive number where it is known.
+
+    **Raises:** `DataError` otherwise.
+    """
+    if np.ndim(time_step) > axes:
+        raise DataError(
+            "the time step must be one number of seconds; got an array. Of the time of each sample "
+            'write rx.Record.from_samples({"x": x}, time=t).'
+        )
+    if is_concrete(time_step):
+        try:
+            step = np.asarray(time_step, float)
+        except (TypeError, ValueError):
+            require("the time step", time_step, (), WRITE_RECORD, DataError)
+            raise
+        if not (np.isfinite(step) & (step > 0)).all():
+            raise DataError(
+                f"the time step must be a positive number of seconds; got {np.min(step):g}."
+            )
+    return time_step
 
 
 def as_records(records: Record | Sequence[Record]) -> list[Record]:

@@ -11,7 +11,7 @@ from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
 from jaxtyping import Array, Bool, Float
 
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractObjective, Parameters, Setup
@@ -59,6 +59,14 @@ class OutputError(AbstractObjective):
     every: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
+        write = "rx.OutputError(rx.WholeRecord()), or of windows rx.OutputError(rx.Tiles(0.5))"
+        require("what OutputError simulates over", self.shooting, AbstractShooting, write)
+        require("the method", self.method or FixedStep(), AbstractMethod, "method=rx.FixedStep(8)")
+        write = "starts='estimated', 'measured' or values by name such as {'x': 0.0}"
+        require("starts", self.starts, (str, Mapping), write)
+        channels = self.channels if self.channels is None else f"('{self.channels}',)"
+        write = f"channels={channels}: a tuple of names"
+        require("channels", self.channels or (), (tuple, list), write)
         if isinstance(self.starts, str) and self.starts not in ("estimated", "measured"):
             raise ModelError(
                 f"starts are 'estimated', 'measured' or values by name; got '{self.starts}'."

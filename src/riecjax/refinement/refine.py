@@ -13,7 +13,7 @@ from riecjax.errors import ModelError, require
 from riecjax.estimation.elimination import solve_scaled, unit_scale
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.evidence import judge
-from riecjax.estimation.identify import record_keys, require_key
+from riecjax.estimation.identify import record_keys, require_settings
 from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
 from riecjax.estimation.least_squares import symmetric_eigen
 from riecjax.estimation.normal_equations import NormalEquations
@@ -88,9 +88,17 @@ def refine(
     search that fails raises nothing: see `status` of the result.
     """
     recordings = as_records(records)
-    require_key(key)
+    require_settings(key, known, own)
     require("start", start, (AbstractEstimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
     require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
+    require("intervals", intervals or Sandwich(), AbstractIntervals, "intervals=rx.Sandwich()")
+    if solver is not None:
+        write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
+        require("the solver", solver, Solver, write)
+    if isinstance(model, type):
+        require(
+            "the model", model, (), f"{model.__name__}(...), with a value for each of its fields"
+        )
     objective = (OutputError() if by is None else by).suited(model)
     setup = _setup(objective, model, recordings, start, dict(known or {}), tuple(own), key)
     laws = Laws.of(

@@ -13,9 +13,14 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.estimation.assembly import all_normal_equations
-from riecjax.estimation.identify import known_values, plan_stages, record_keys
+from riecjax.estimation.identify import (
+    known_values,
+    plan_stages,
+    record_keys,
+    require_settings,
+)
 from riecjax.estimation.influence import in_order, staged_values, unknowns
 from riecjax.estimation.least_squares import solve
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
@@ -52,11 +57,15 @@ def seed_scatter(
 
     **Raises:** `ModelError` for a criterion that draws nothing, or fewer than two seeds.
     """
+    procedure = as_procedure(model)
+    require(
+        "the criterion", criterion, AbstractCriterion, "rx.RIEC(rx.RandomWindows(0.05, 0.5, 8000))"
+    )
+    require_settings(key, known, own)
     if not criterion.needs_key:
         raise ModelError("only random windows scatter from seed to seed; this criterion has none.")
     if seeds < 2:
         raise ModelError(f"scatter needs at least two seeds; got {seeds}.")
-    procedure = as_procedure(model)
     recordings = as_records(records)
     sharing = Sharing(procedure.parameters, own, len(recordings))
     given = known_values(procedure, sharing, known or {})

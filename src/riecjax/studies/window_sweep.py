@@ -15,10 +15,15 @@ from jaxtyping import Array, Float, Int, Key
 from riecjax import tails
 from riecjax.criteria.criterion import RIEC
 from riecjax.equations.equation import Equation
-from riecjax.errors import DataError
+from riecjax.errors import DataError, require
 from riecjax.estimation.assembly import all_normal_equations, short_blocks
 from riecjax.estimation.blocks import FEWEST_WINDOWS, blocks_in_use, put_together
-from riecjax.estimation.identify import known_values, plan_stages, record_keys
+from riecjax.estimation.identify import (
+    known_values,
+    plan_stages,
+    record_keys,
+    require_settings,
+)
 from riecjax.estimation.influence import block_influence
 from riecjax.estimation.procedure import (
     HasProcedure,
@@ -160,6 +165,10 @@ def window_sweep(
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
     """
     procedure = as_procedure(model)
+    require(
+        "the criterion", criterion, RIEC, "rx.RIEC(rx.AllWindows(0.05, 0.5)), which has windows"
+    )
+    require_settings(key, known, own)
     recordings = as_records(records)
     sharing = Sharing(procedure.parameters, own, len(recordings))
     given = known_values(procedure, sharing, known or {})
