@@ -149,6 +149,9 @@ def test_a_silent_regressor_is_named():
     found = check(equation("a", "b"), record, DOLS())
     assert [f.code for f in found.findings] == ["constant_signal", "not_excited"]
     assert "c_b" in found.findings[1].message
+    with pytest.raises(IdentifiabilityError) as refused:
+        identify(equation("a", "b"), record, DOLS())
+    assert (refused.value.code, str(refused.value)) == tuple(found.findings[1])[:2]
 
 
 def test_coarse_sampling_is_measured_on_the_integrals_themselves():

@@ -146,6 +146,36 @@ def test_a_parameter_that_another_equation_tells_is_not_hidden():
     assert findings(staged(WITH_OFFSET, base), both)
 
 
+def test_a_force_that_is_zero_throughout_tells_nothing():
+    motion = (*swaying(0.5)[:3], 0 * TIME)
+    with pytest.raises(IdentifiabilityError, match="zero for all of m, c, k would fit") as refused:
+        identify(AXIS, record(motion, noise=0.01).with_signals({"F": 0 * TIME}), HATS)
+    assert refused.value.code == "constant_target"
+    # What a second equation knows of k is enough; one that knows nothing either is not.
+    spring = Equation(Term("k", "x"), Term(-1.0, "F2"), name="spring")
+    both = record(motion).with_signals({"F2": K * motion[0]})
+    assert not findings(simultaneous(AXIS, spring), both)
+    assert len(findings(simultaneous(AXIS, spring), both.with_signals({"F2": 0 * TIME}))) == 2
+
+
+def two_tones(share):
+    """A force that varies at two frequencies, which tell inertia from stiffness."""
+    slow, fast = (np.stack(swaying(share / 2, frequency)) for frequency in (0.4, 1.3))
+    return slow + fast - np.array([FORCE / K, 0, 0, FORCE])[:, None]
+
+
+@pytest.mark.parametrize("criterion", [HATS, DOLS()])
+@pytest.mark.parametrize("noise", [0.0, 0.001])
+@pytest.mark.parametrize("share", [0.01, 0.05])
+def test_means_that_disagree_with_the_motion_are_a_sensor_s_zero(share, noise, criterion):
+    motion = two_tones(share)
+    shifted = record(motion, noise * share, mean=2 * FORCE / K)
+    (finding,) = findings(AXIS, shifted, criterion)
+    assert "the constant parts disagree with the motion" in finding.message
+    assert not findings(AXIS, record(motion, noise * share), criterion)
+    assert not findings(WITH_OFFSET, shifted, criterion)
+
+
 def test_gaps_are_left_out():
     motion = stepped(9.0)
     lost = record((*motion[:3], np.where((TIME > 8) & (TIME < 14), np.nan, motion[3])))

@@ -14,7 +14,11 @@ where a parameter differs between records). An equation says nothing of its para
    appear in no other equation of the stage.
 
 Where motion explains how a target varies (a step that begins late, a force that varies by 5 %),
-the second fails and the fit is sound. Equations are averaged by hats as long as the criterion's
+the second fails. The means weigh far more in the fit than that motion, so it is sound only if they
+agree: if least squares on b leave hardly more of b' than least squares on b' alone do.
+
+A target that is zero throughout is fitted by zero for all, unless another equation of the stage has
+a target and shares a parameter with it. Equations are averaged by hats as long as the criterion's
 windows, which need no recorded derivative; for [`DOLS`][] each sample counts.
 """
 
@@ -27,6 +31,7 @@ from jaxtyping import Array, Float
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, both_present
+from riecjax.estimation.noise import with_noise
 from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
@@ -38,6 +43,10 @@ STILL = 0.05
 """Share of a regressor that may vary where it counts as one that does not move."""
 EXPLAINED = 0.5
 """Share of a target's variance past which motion explains how it varies."""
+DISAGREEING = 2.0
+"""Times what motion alone leaves of b', or noise, rms, past which the means disagree with it."""
+SLIGHT = 0.01
+"""Share of b', rms, that the means may cost in any case: they move k by about as much."""
 ROUNDING = 1e-7
 """Share of a column that double sums over a long record may leave as rounding."""
 MOST_ROWS = 4000
@@ -55,21 +64,42 @@ def constant_targets(
     criterion: AbstractCriterion,
     given: Mapping[str, Array],
 ) -> list[Finding]:
-    """Equations whose constant target one term reproduces (not under jit).
+    """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
     **Arguments:** `given`, known values by name over all records.
     """
     settled, findings = set(given), []
     for stage in procedure.stages:
-        for equation in stage:
-            seen = _Averaged(equation, sharing, records, criterion, given, settled)
-            elsewhere = {
-                name for other in stage if other is not equation for name in other.parameters
-            }
-            if message := _message(seen, set(sharing.everywhere(sorted(elsewhere)))):
-                findings.append(Finding("constant_target", f"{equation.name}: {message}"))
+        seen = [_Averaged(e, sharing, records, criterion, given, settled) for e in stage]
+        for one in seen:
+            others = [other for other in seen if other is not one]
+            elsewhere = {name for other in others for name in other.names}
+            message = _zero(one, others) or _message(one, elsewhere)
+            if message:
+                findings.append(Finding("constant_target", f"{one.equation.name}: {message}"))
         settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
     return findings
+
+
+def _zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
+    """In words, that zero for all fits; empty if it does not."""
+    if np.any(seen.target()):
+        return ""
+    moving = [name for name, column in seen.columns().items() if _norm(column) > 0]
+    # What other equations tell reaches this one through those that share parameters.
+    linked, rest = set(seen.names), list(others)
+    while near := [other for other in rest if linked & other.names]:
+        if any(np.any(other.target()) for other in near):
+            return ""
+        linked |= {name for other in near for name in other.names}
+        rest = [other for other in rest if other not in near]
+    if not moving:
+        return ""
+    return (
+        f"what is known of the equation is zero throughout, so zero for all of "
+        f"{', '.join(moving)} would fit: check the input's channel, or hold {moving[0]} at a known "
+        f"value (on the command line: --set {moving[0]}=VALUE)."
+    )
 
 
 def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
@@ -81,7 +111,18 @@ def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
     if not (size > 0 and varying <= CONSTANT * size):
         return ""
     columns = seen.columns()
-    if varying > ROUNDING * size and seen.explained(target, columns) > EXPLAINED:
+    left = seen.left_by_motion(target, columns) if varying > ROUNDING * size else 1.0
+    if left**2 < 1 - EXPLAINED:
+        fitted, noise = seen.left_by_all(target, columns)
+        # What other equations tell of a parameter, this one's means do not settle.
+        alone = elsewhere.isdisjoint(columns)
+        if alone and fitted > DISAGREEING * np.hypot(left, noise) + SLIGHT:
+            return (
+                f"the constant parts disagree with the motion, as with a wrong zero of a sensor: "
+                f"together they leave {100 * fitted:.2g} % of how the input varies, motion alone "
+                f"{100 * left:.2g} %. Add a constant term (an offset parameter), or remove the "
+                f"signals' offsets."
+            )
         return ""
     for names in seen.candidates(columns):
         hidden = [name for name in columns if name not in names and name not in elsewhere]
@@ -172,7 +213,8 @@ class _Averaged:
         settled: set[str],
     ):
         self.equation, self.sharing = equation, sharing
-        self.given, self.settled = given, settled
+        self.names = set(sharing.everywhere(equation.parameters)) - settled
+        self.given, self.settled, self.criterion = given, settled, criterion
         self.views = [_view(equation, record, criterion) for record in records]
         individual = bool(sharing.own.intersection(equation.parameters))
         sizes = [view.centres.size for view in self.views]
@@ -215,14 +257,34 @@ class _Averaged:
         size = _norm(column)
         return _norm(self.moving(column)) / size if size > 0 else 0.0
 
-    def explained(self, target: Rows, columns: Mapping[str, Rows]) -> float:
-        """Share of the target's variance that the regressors' motion explains, chance taken off."""
+    def left_by_motion(self, target: Rows, columns: Mapping[str, Rows]) -> float:
+        """Share, rms, of how the target varies that motion does not explain, chance taken off."""
         moving = [self.moving(column) for column in columns.values()]
         there = [m for m, c in zip(moving, columns.values()) if _norm(m) > ROUNDING * _norm(c)]
         varying = self.moving(target)
-        left = (_norm(_residual(varying, there)) / _norm(varying)) ** 2
+        left = _norm(_residual(varying, there)) / _norm(varying)
         free = sum(view.independent for view in self.views) - 1
-        return 1 - left * free / (free - len(there)) if free > len(there) else 0.0
+        return left * np.sqrt(free / (free - len(there))) if free > len(there) else 1.0
+
+    def left_by_all(self, target: Rows, columns: Mapping[str, Rows]) -> tuple[float, float]:
+        """Share, rms, of how the target varies that a fit with the means leaves, and its noise.
+
+        Motion alone attenuates the coefficient of a noisy regressor where others replace it, and
+        so leaves less than noise would at the coefficients of this fit.
+        """
+        theta = _fit(target, list(columns.values()))
+        noisy = _Averaged(
+            self.equation,
+            self.sharing,
+            [with_noise(view.record, seed) for seed, view in enumerate(self.views)],
+            self.criterion,
+            self.given,
+            self.settled,
+        )
+        left = self.moving(target - np.stack([*columns.values()], axis=1) @ theta)
+        disturbed = noisy.target() - np.stack([*noisy.columns().values()], axis=1) @ theta
+        size = _norm(self.moving(target))
+        return _norm(left) / size, _norm(self.moving(disturbed) - left) / size
 
     def candidates(self, columns: Mapping[str, Rows]) -> list[list[str]]:
         """Columns that may stand for all: of each term, still ones first, and of all that are."""
@@ -235,13 +297,20 @@ class _Averaged:
         return [*groups, [name for name, c in columns.items() if self.share(c) <= STILL]]
 
 
+def _fit(target: Rows, columns: list[Rows]) -> Float[np.ndarray, " columns"]:
+    """Coefficients of least squares; zero for columns that are not finite."""
+    sizes = np.array([_norm(column) or 1.0 for column in columns])
+    matrix = np.stack([c / s for c, s in zip(columns, sizes)], axis=1)
+    if not np.isfinite(matrix).all():
+        return np.zeros(sizes.size)
+    return np.linalg.lstsq(matrix, target, rcond=ROUNDING)[0] / sizes
+
+
 def _residual(target: Rows, columns: list[Rows]) -> Rows:
     """What least squares leave of a target."""
-    sizes = [_norm(column) for column in columns]
-    matrix = np.stack([c / s for c, s in zip(columns, sizes) if s > 0] or [0 * target], axis=1)
-    if not np.isfinite(matrix).all():
+    if not columns:
         return target
-    return target - matrix @ np.linalg.lstsq(matrix, target, rcond=ROUNDING)[0]
+    return target - np.stack(columns, axis=1) @ _fit(target, columns)
 
 
 def _norm(rows: Rows) -> float:

@@ -11,8 +11,8 @@ from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import combination
-from riecjax.estimation.identify import pose, raise_if_nothing_to_fit
-from riecjax.estimation.noise import noise_level
+from riecjax.estimation.identify import not_excited, pose, raise_if_nothing_to_fit
+from riecjax.estimation.noise import with_noise
 from riecjax.estimation.procedure import HasProcedure, Procedure
 from riecjax.findings import Finding
 from riecjax.records.record import Record
@@ -51,15 +51,7 @@ class Excitation(eqx.Module):
         """What stands against identifying this stage (not under jit)."""
         silent = [n for n, size in zip(self.parameters, self.size) if float(size) == 0]
         if silent:
-            return [
-                Finding(
-                    "not_excited",
-                    f"{self.stage_name}: nothing in the record tells of {name}; its regressor is "
-                    f"zero throughout. Excite it, or hold it at a known value (on the command "
-                    f"line: --set {name}=VALUE).",
-                )
-                for name in silent
-            ]
+            return [not_excited(self.stage_name, name) for name in silent]
         direction = np.asarray(self.weakest_direction)
         share = float(self.weakest_share)
         noise = float(np.sqrt(np.sum(np.square(direction * np.asarray(self.noise_share)))))
@@ -126,16 +118,6 @@ def excitation(
         for clean, disturbed, (label, unknown) in zip(clean_rows, noisy_rows, plan)
         if unknown
     ]
-
-
-def with_noise(record: Record, seed: int) -> Record:
-    """The record with as much white noise again on every signal as it seems to have."""
-    rng = np.random.default_rng(seed)
-    disturbed = {}
-    for name, signal in record.arrays.items():
-        values = np.asarray(signal)
-        disturbed[name] = values + noise_level(values) * rng.standard_normal(values.shape)
-    return record.with_signals(disturbed, missing=record.missing)
 
 
 @eqx.filter_jit

@@ -38,6 +38,7 @@ from riecjax.estimation.procedure import (
     solve_stages,
 )
 from riecjax.estimation.sharing import Sharing
+from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
 from riecjax.records.record import Record, as_records
 
@@ -391,14 +392,27 @@ def raise_if_nothing_to_fit(
             )
 
 
+def not_excited(stage_name: str, name: str) -> Finding:
+    """That a parameter's regressor is zero throughout."""
+    return Finding(
+        "not_excited",
+        f"{stage_name}: nothing in the record tells of {name}; its regressor is zero throughout. "
+        f"Excite it, or hold it at a known value (on the command line: --set {name}=VALUE).",
+    )
+
+
 def _raise_if_unidentifiable(
     solutions: list[StageSolution], plan: list[tuple[str, tuple[str, ...]]]
 ) -> None:
     for stage in solutions:
         if int(stage.solution.rank) < len(stage.parameters):
+            for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
+                if size == 0:
+                    silent = not_excited(plan[stage.stage][0], name)
+                    raise IdentifiabilityError(silent.message, silent.code)
             which = combination(stage.parameters, np.asarray(stage.solution.weakest_direction))
             raise IdentifiabilityError(
-                f"{plan[stage.stage][0]}: the record cannot tell these apart (collinear or silent "
+                f"{plan[stage.stage][0]}: the record cannot tell these apart (collinear "
                 f"regressors): {which}, in units of each regressor's size. Excite the system more "
                 f"richly, or hold one of them at a known value (on the command line: --set "
                 f"NAME=VALUE)."
