@@ -184,6 +184,31 @@ def test_members_without_numbers_are_left_out_of_the_table_and_counted(batch):
     assert float(line.split()[1]) == pytest.approx(finite.mean(), rel=1e-5)
 
 
+def gapped(missing: slice, damped: float = 1.0) -> Record:
+    held = {name: np.array(RECORDS[0][name]) for name in ("x", "v", "u")}
+    held["v"] *= damped
+    held["x"][missing] = np.nan
+    return Record.from_samples(held, time_step=0.01)
+
+
+def test_members_without_an_answer_say_so_and_are_left_out_of_the_table():
+    records = [gapped(slice(200, 220)), gapped(slice(3, 497)), gapped(slice(200, 220), 0.0)]
+
+    def fit(one):
+        return identify(EQUATION, one, WINDOWS, key=KEYS[0], intervals=Sandwich())
+
+    found = jax.jit(jax.vmap(fit))(stack_records(records))
+    np.testing.assert_array_equal(found.determined, [True, False, False])
+    for place, words in ((1, "no rows"), (2, "cannot tell these apart: ")):
+        codes = dict(found.member(place).findings())
+        assert words in codes["unidentifiable"]
+    assert "unidentifiable" not in dict(found.member(0).findings())
+    assert dict(found.findings())["unidentifiable"].startswith("in 2 of 3 members, first in me")
+    heading, _, line, *_ = str(found).splitlines()
+    assert heading.endswith("2 of them undetermined and left out of this table")
+    assert float(line.split()[1]) == pytest.approx(float(found.member(0)["m"]), rel=1e-5)
+
+
 def test_exports_hold_lists_of_the_batchs_shape(batch):
     document = estimate_entries("cart", batch)
     json.dumps(document, allow_nan=False)

@@ -41,6 +41,24 @@ ASKED = {
     "jax.random.key": ((EQUATION, RECORD, ALL), {"key": jax.random.key}, "the key is a function"),
     "an article": ((EQUATION, RECORD, ALL), {"key": 3}, "the key is an int"),
     "known, a name": ((EQUATION, RECORD, ALL), {"known": ""}, "known={'m': 2.0}"),
+    "known as nan": (
+        (EQUATION, RECORD, ALL),
+        {"known": {"k": np.nan}},
+        "k is held at nan: give a finite number",
+    ),
+    "known as infinity": (
+        (EQUATION, RECORD, ALL),
+        {"known": {"k": jax.numpy.inf * jax.numpy.ones(())}},
+        "k is held at inf: give a finite",
+    ),
+    **{
+        f"known as {value}": (
+            (EQUATION, RECORD, ALL),
+            {"known": {"k": value}},
+            "known values are single numbers, k=2.0",
+        )
+        for value in (None, [1.0, 2.0], "2", np.ones(2))
+    },
     "own, one name": ((EQUATION, RECORD, ALL), {"own": "k"}, "own=('k',)"),
 }
 

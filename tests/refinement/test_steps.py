@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.signal
 from jaxtyping import Array
 
 from riecjax.errors import ModelError
@@ -16,6 +17,7 @@ from riecjax.models.oscillators import Duffing
 from riecjax.records.record import Record
 from riecjax.refinement.halved_steps import Halved, resolved
 from riecjax.refinement.misfit import AbstractMisfit
+from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import _setup, refine
 from riecjax.refinement.shots import Tiles
@@ -223,3 +225,47 @@ def test_every_method_has_a_finer_one_or_none():
     finer = Adaptive(3.2e-5, 3.2e-8, max_steps=50).finer(2)
     assert (finer.rtol, finer.atol, finer.max_steps) == pytest.approx((1e-6, 1e-9, 100))
     assert AbstractMethod().finer(2) is None
+
+
+class Lagged(AbstractSystem):
+    """A slow state behind a fast one: stiff where the pole is far out."""
+
+    k: Array
+    pole: Array
+    states: ClassVar = (("x", ""), ("y", ""))
+    inputs: ClassVar = (("u", ""),)
+
+    def derivative(self, state: Array, inputs: Array) -> Array:
+        x, y = state
+        return jnp.stack([inputs[0] - self.k * y, self.pole * (x - y)])
+
+
+def lagged(pole: float) -> Record:
+    """100 samples by SciPy's closed form for inputs that are linear between samples; k is 3."""
+    t = np.arange(100) / RATE
+    u = np.sin(5 * t) + 0.5 * np.sin(23 * t)
+    matrices = ([[0, -3.0], [pole, -pole]], [[1.0], [0]], np.eye(2), np.zeros((2, 1)))
+    _, states, _ = scipy.signal.lsim(matrices, u, t)
+    return Record.from_samples({"u": u, "x": states[:, 0], "y": states[:, 1]}, time_step=1 / RATE)
+
+
+@pytest.fixture(scope="module")
+def stiff():
+    return Lagged(jnp.asarray(2.0), jnp.asarray(1e3))
+
+
+@pytest.mark.parametrize("pole", [1e3, 1e5])
+def test_an_implicit_solver_refines_a_stiff_model(stiff, pole):
+    by = OutputError(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()))
+    refined = refine(stiff, lagged(pole), {"k": 2.0}, by, known={"pole": pole})
+    assert bool(refined.converged)
+    assert float(refined["k"]) == pytest.approx(3.0, rel=1e-4)
+    assert not refined.coarse.any()
+
+
+def test_steps_too_long_for_a_stiff_model_are_named(stiff):
+    by = OutputError(method=FixedStep(1))
+    refined = refine(stiff, lagged(1e5), {"k": 2.0}, by, known={"pole": 1e5})
+    assert refined.status == RefinementStatus.not_finite
+    for words in ("stiff", "FixedStep(n)", "Kvaerno5"):
+        assert words in refined.reason

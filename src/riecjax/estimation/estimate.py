@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
@@ -109,7 +109,14 @@ class Estimate(AbstractEstimate):
         xp = namespace(self.theta)
         return xp.sum(xp.stack([stage.solution.rank for stage in self.stages]), axis=0)
 
+    @property
+    def determined(self) -> Bool[Array, "*batch"]:
+        """Whether every stage tells all of its parameters apart; if not, theta is no answer."""
+        return self.rank == len(self.parameters)
+
     def _findings(self) -> list[Finding]:
+        if lost := list(self._without_answer()):
+            return [*lost, *self._coverage(), *self._precision()]
         return [
             *self._conditioning(),
             *self.few_blocks(),
@@ -124,6 +131,27 @@ class Estimate(AbstractEstimate):
             *self.rarely_excited(),
             *self._precision(),
         ]
+
+    def _without_answer(self) -> Iterator[Finding]:
+        """What `identify` refuses where it can look at values; of a batch it is found here."""
+        for label, stage in zip(self.stage_names, self.stages):
+            solution = stage.solution
+            if not stage.parameters:
+                continue
+            if not np.all(np.isfinite(solution.theta)):
+                which = "its terms are not finite numbers on this record"
+            elif float(stage.count) == 0:
+                which = "no rows: every window touches a missing or masked sample"
+            elif int(solution.rank) < len(stage.parameters):
+                weakest = combination(stage.parameters, np.asarray(solution.weakest_direction))
+                which = f"the record cannot tell these apart: {weakest}"
+            else:
+                continue
+            yield Finding(
+                "unidentifiable",
+                f"{label}: {which}. There is no answer: what stands for "
+                f"{', '.join(stage.parameters)} means nothing.",
+            )
 
     def _conditioning(self) -> Iterator[Finding]:
         if float(self.condition_number) > gram_condition_limit(self.theta.dtype):

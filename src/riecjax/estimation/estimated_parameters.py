@@ -6,7 +6,7 @@ from typing import Any, Self
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError
@@ -64,6 +64,11 @@ class AbstractEstimate(eqx.Module):
     def values(self) -> Mapping[str, Array]:
         """Every parameter, estimated or known, by name."""
         return {name: self[name] for name in self}
+
+    @property
+    def determined(self) -> Bool[Array, "*batch"]:
+        """Whether theta is an answer at all, as far as ranks tell."""
+        return namespace(self.theta).ones(self.batch_shape, bool)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -252,9 +257,11 @@ class AbstractEstimate(eqx.Module):
         width = max(9, *(len(name) for name in self))
         units = dict(self.units)
         finite = np.isfinite(self.theta).all(axis=-1)
-        size, lost = finite.size, int(np.sum(~finite))
-        kept = finite if lost < size else np.full(finite.shape, True)
-        left_out = f", {lost} of them not finite and left out of this table" if lost else ""
+        kept = finite & np.asarray(self.determined)
+        lost = {"not finite": np.sum(~finite), "undetermined": np.sum(finite & ~kept)}
+        words = ", ".join(f"{count} of them {what}" for what, count in lost.items() if count)
+        left_out = f", {words} and left out of this table" if words and kept.any() else ""
+        kept = kept if kept.any() else np.full(finite.shape, True)
         yield f"batch of {' x '.join(map(str, self.batch_shape))} estimates{left_out}"
         yield (
             f"{'parameter':<{width}}  {'mean':>12}  {'std over batch':>14}  "

@@ -1,6 +1,7 @@
 """The verb of this library: identify a model's parameters from records."""
 
 import contextlib
+import numbers
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -322,14 +323,27 @@ def known_values(
 ) -> dict[str, Array]:
     """Values held fixed, by name over all records: the equations' own and the user's.
 
-    **Raises:** `ModelError` for a name that the model does not have.
+    **Raises:** `ModelError` for a name that the model does not have, and for what is no finite
+    number.
     """
     names = {*procedure.parameters, *sharing.parameters}
     if unknown := [name for name in known if name not in names]:
         listed = ", ".join(sharing.parameters)
         raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
+    require_numbers(known)
     merged = {**sharing.values(procedure.known), **sharing.values(known)}
     return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
+
+
+def require_numbers(known: Mapping[str, object]) -> None:
+    """Raise `ModelError` for a known value that is no single number, or not finite if it shows."""
+    for name, value in known.items():
+        if not isinstance(value, numbers.Real | np.ndarray | jax.Array) or np.shape(value) != ():
+            raise ModelError(
+                f"{name} is held at {value!r}: known values are single numbers, {name}=2.0."
+            )
+        if is_concrete(value) and not np.isfinite(float(value)):
+            raise ModelError(f"{name} is held at {value}: give a finite number.")
 
 
 def plan_stages(

@@ -1,5 +1,6 @@
 """Coordinates without bounds for parameters that have some, and priors."""
 
+import numbers
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -108,12 +109,19 @@ class Laws(eqx.Module):
     ) -> "Laws":
         """Checked.
 
-        **Raises:** `ModelError` for a parameter that is not free, bounds in the wrong order or
-        that the start does not lie between, a prior without a positive standard deviation.
+        **Raises:** `ModelError` for a parameter that is not free, what is no pair of numbers,
+        bounds in the wrong order or that the start does not lie between, a prior without a finite
+        mean and a positive standard deviation.
         """
         for what, given in (("bounds are", bounds), ("a prior is", priors)):
             if unknown := [name for name in given if name not in names]:
                 raise ModelError(f"{what} given for '{unknown[0]}'; free are: {', '.join(names)}.")
+        for name, given in bounds.items():
+            if not _is_pair(given, or_none=True):
+                raise ModelError(
+                    f"the bounds of {name} are {given!r}. Write (lower, upper), None where there "
+                    f"is none."
+                )
         ends = [bounds.get(name, (None, None)) for name in names]
         lower = np.array([-np.inf if low is None else low for low, _ in ends], float)
         upper = np.array([np.inf if high is None else high for _, high in ends], float)
@@ -124,6 +132,12 @@ class Laws(eqx.Module):
                 raise ModelError(
                     f"{name} starts at {float(start[name]):g}, which is not between its bounds "
                     f"{low:g} and {high:g}. Start strictly between them."
+                )
+        for name, prior in priors.items():
+            if not (_is_pair(prior) and np.isfinite(float(prior[0]))):
+                raise ModelError(
+                    f"the prior of {name} is {prior!r}. Write (mean, standard deviation), a finite "
+                    f"mean."
                 )
         if wrong := [name for name, prior in priors.items() if not prior[1] > 0]:
             raise ModelError(f"the prior of {wrong[0]} needs a positive standard deviation.")
@@ -139,3 +153,14 @@ class Laws(eqx.Module):
     def coordinates(self, scale: Float[Array, " p"]) -> Coordinates:
         """Coordinates of parameters of this size."""
         return Coordinates(scale, self.lower, self.upper)
+
+
+def _is_pair(given: object, or_none: bool = False) -> bool:
+    """Whether this is two numbers, or `None` in place of one if that is allowed."""
+    if not isinstance(given, Sequence | np.ndarray | jax.Array) or len(given) != 2:
+        return False
+    return all(
+        (or_none and end is None)
+        or (isinstance(end, numbers.Real | np.ndarray | jax.Array) and np.shape(end) == ())
+        for end in given
+    )

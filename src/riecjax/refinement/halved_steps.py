@@ -8,12 +8,11 @@ Newton's method from there is how far the optimum moves: for a method of fourth 
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.leaves import Leaf, is_concrete, namespace, on_host
+from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.refinement.misfit import AbstractMisfit
 
 OF_AN_ERROR = 0.2
@@ -77,7 +76,7 @@ def halve_steps(misfit: AbstractMisfit, at: Optimum) -> Halved:
         return Halved(zero, zero, zero > 0)
     # A check changes no derivative, and need not have one.
     if xp is jnp:
-        finer, at = jax.lax.stop_gradient((finer, at))
+        finer, at = held_still((finer, at))
     again = _normal_equations(finer, at.theta, at.starts)
     at, (gram, moment, rows) = (at, again) if xp is jnp else on_host((at, again))
     finfo = np.finfo(at.theta.dtype)

@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from riecjax.estimation.elimination import solve_scaled
+from riecjax.leaves import held_still
 from riecjax.refinement.arrowhead import LevenbergMarquardt, Linearised, Point, Residual
 from riecjax.refinement.coordinates import Coordinates, Laws
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
@@ -28,7 +29,9 @@ class RefinementStatus(eqx.Enumeration):
     )
     not_finite = (
         "the model has no finite residual at the start. Check the start's signs and sizes, or "
-        "simulate over shorter windows."
+        "simulate over shorter windows. If the model is stiff, the steps may be too long for it: "
+        "take more (OutputError(method=FixedStep(n))) or an implicit solver "
+        "(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()))."
     )
     failed = (
         "no step took it further, and it is not at an optimum. Start nearer, or use shorter "
@@ -130,7 +133,7 @@ def find_optimum(
     Derivatives of the point by anything in `problem` follow from the implicit function theorem,
     forward and reverse, whatever the search did.
     """
-    still = jax.lax.stop_gradient((problem, start))
+    still = held_still((problem, start))
     solution = optx.least_squares(
         rotated_residual,
         default_solver(start.parameters.dtype, report) if solver is None else solver,

@@ -1,5 +1,6 @@
 """Output-error refinement: the model simulated over windows, and compared with the recording."""
 
+import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -101,6 +102,7 @@ class OutputError(AbstractObjective):
         for record in setup.records:
             for name in system.input_names:
                 _ = record.signals[name]
+        _require_sigma(self.sigma or {}, channels)
         given = self.starts if isinstance(self.starts, Mapping) else {}
         estimated = _estimated(system, setup.records, self.starts)
         joined = not estimated
@@ -175,6 +177,22 @@ def _channels(
             f"is one of: {', '.join(available)}."
         )
     return tuple(chosen)
+
+
+def _require_sigma(sigma: Mapping[str, Any], channels: tuple[str, ...]) -> None:
+    if unknown := [name for name in sigma if name not in channels]:
+        raise ModelError(
+            f"sigma is given for '{unknown[0]}', which is not compared; compared are: "
+            f"{', '.join(channels)}."
+        )
+    for name, value in sigma.items():
+        if not isinstance(value, numbers.Real | np.ndarray | jax.Array) or (
+            is_concrete(value) and not (np.shape(value) == () and 0 < float(value) < np.inf)
+        ):
+            raise ModelError(
+                f"sigma of {name} is {value!r}: a standard deviation is a positive number, in the "
+                f"unit of {name}."
+            )
 
 
 def _drivers(system: AbstractSystem, record: Record) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from riecjax.estimation.blocks import ShortBlocks
 from riecjax.estimation.elimination import solve_scaled
 from riecjax.estimation.normal_equations import NormalEquations, stack_normal_equations
 from riecjax.estimation.sharing import Sharing
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, held_still
 from riecjax.refinement.misfit import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
@@ -126,9 +126,7 @@ class OutputMisfit(AbstractMisfit):
         if not self.estimated:
             return self.energy(theta, starts)
         values = {**self.known, **dict(zip(self.names, theta))}
-        held, starts = jax.lax.stop_gradient(
-            (dataclasses.replace(self, known=values, names=()), starts)
-        )
+        held, starts = held_still((dataclasses.replace(self, known=values, names=()), starts))
         none = jnp.zeros(0, starts.dtype)
 
         def tried(state: _Settling) -> _Settling:

@@ -13,7 +13,7 @@ from riecjax.errors import ModelError, require
 from riecjax.estimation.elimination import solve_scaled, unit_scale
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.evidence import judge
-from riecjax.estimation.identify import record_keys, require_settings
+from riecjax.estimation.identify import record_keys, require_numbers, require_settings
 from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
 from riecjax.estimation.least_squares import symmetric_eigen
 from riecjax.estimation.normal_equations import NormalEquations
@@ -170,6 +170,7 @@ def _setup(
     sharing = Sharing(local, own, len(records))
     if unknown := [n for n in given if n not in (*local, *sharing.parameters)]:
         raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {', '.join(local)}.")
+    require_numbers(known)
     fixed = {**sharing.values(carried), **sharing.values(known)}
     values = {**sharing.values(defaults), **sharing.values(start), **fixed}
     if missing := [name for name in sharing.parameters if name not in values]:
