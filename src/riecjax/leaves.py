@@ -5,6 +5,7 @@ anew. Numbers that users set therefore become arrays at the border; NumPy ones, 
 model at import time makes no JAX array.
 """
 
+import numbers
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -24,6 +25,12 @@ def as_leaf(value: ArrayLike | Array) -> Leaf:
     if isinstance(value, jax.Array):
         return value
     return np.asarray(value, float)
+
+
+def is_number(value: Any) -> bool:
+    """Whether this is one number, traced or not."""
+    kinds = numbers.Real | np.ndarray | jax.Array
+    return isinstance(value, kinds) and getattr(value, "shape", ()) == ()
 
 
 def on_host(tree: Tree) -> Tree:

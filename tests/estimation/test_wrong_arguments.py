@@ -13,6 +13,7 @@ TIME = np.arange(400) / 100
 RECORD = rx.Record.from_samples({"x": np.sin(9 * TIME), "F": np.cos(5 * TIME)}, time_step=0.01)
 TERMS = (rx.Term("k", "x"), -rx.Term(1.0, "F"))
 EQUATION = rx.Equation(*TERMS)
+TWO = rx.Equation(rx.Term("m", "F"), *TERMS)
 ALL = rx.RIEC(rx.AllWindows(0.05, 0.5))
 SYSTEM = rx.find_model("duffing").build_system({})
 
@@ -42,18 +43,18 @@ ASKED = {
     "an article": ((EQUATION, RECORD, ALL), {"key": 3}, "the key is an int"),
     "known, a name": ((EQUATION, RECORD, ALL), {"known": ""}, "known={'m': 2.0}"),
     "known as nan": (
-        (EQUATION, RECORD, ALL),
+        (TWO, RECORD, ALL),
         {"known": {"k": np.nan}},
         "k is held at nan: give a finite number",
     ),
     "known as infinity": (
-        (EQUATION, RECORD, ALL),
+        (TWO, RECORD, ALL),
         {"known": {"k": jax.numpy.inf * jax.numpy.ones(())}},
         "k is held at inf: give a finite",
     ),
     **{
         f"known as {value}": (
-            (EQUATION, RECORD, ALL),
+            (TWO, RECORD, ALL),
             {"known": {"k": value}},
             "known values are single numbers, k=2.0",
         )

@@ -111,8 +111,9 @@ class Estimate(AbstractEstimate):
 
     @property
     def determined(self) -> Bool[Array, "*batch"]:
-        """Whether every stage tells all of its parameters apart; if not, theta is no answer."""
-        return self.rank == len(self.parameters)
+        """Whether theta is finite and every stage tells its parameters apart: an answer at all."""
+        finite = namespace(self.theta).isfinite(self.theta).all(axis=-1)
+        return finite & (self.rank == len(self.parameters))
 
     def _findings(self) -> list[Finding]:
         if lost := list(self._without_answer()):
@@ -139,7 +140,7 @@ class Estimate(AbstractEstimate):
             if not stage.parameters:
                 continue
             if not np.all(np.isfinite(solution.theta)):
-                which = "its terms are not finite numbers on this record"
+                which = "its terms or known values are not finite numbers"
             elif float(stage.count) == 0:
                 which = "no rows: every window touches a missing or masked sample"
             elif int(solution.rank) < len(stage.parameters):

@@ -1,9 +1,8 @@
 """The verb of this library: identify a model's parameters from records."""
 
 import contextlib
-import numbers
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -40,7 +39,7 @@ from riecjax.estimation.procedure import (
 )
 from riecjax.estimation.sharing import Sharing
 from riecjax.findings import Finding
-from riecjax.leaves import is_concrete, on_host
+from riecjax.leaves import is_concrete, is_number, on_host
 from riecjax.records.record import Record, as_records
 
 DOUBTFUL = 5.0
@@ -335,10 +334,10 @@ def known_values(
     return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
 
 
-def require_numbers(known: Mapping[str, object]) -> None:
+def require_numbers(known: Mapping[str, Any]) -> None:
     """Raise `ModelError` for a known value that is no single number, or not finite if it shows."""
     for name, value in known.items():
-        if not isinstance(value, numbers.Real | np.ndarray | jax.Array) or np.shape(value) != ():
+        if not is_number(value):
             raise ModelError(
                 f"{name} is held at {value!r}: known values are single numbers, {name}=2.0."
             )

@@ -1,8 +1,7 @@
 """Coordinates without bounds for parameters that have some, and priors."""
 
-import numbers
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf, is_concrete, is_number
 
 AT_BOUND = 1e-6
 """Distance from a bound, as a share of the parameter's scale, at which it is called reached."""
@@ -155,12 +154,8 @@ class Laws(eqx.Module):
         return Coordinates(scale, self.lower, self.upper)
 
 
-def _is_pair(given: object, or_none: bool = False) -> bool:
+def _is_pair(given: Any, or_none: bool = False) -> bool:
     """Whether this is two numbers, or `None` in place of one if that is allowed."""
     if not isinstance(given, Sequence | np.ndarray | jax.Array) or len(given) != 2:
         return False
-    return all(
-        (or_none and end is None)
-        or (isinstance(end, numbers.Real | np.ndarray | jax.Array) and np.shape(end) == ())
-        for end in given
-    )
+    return all(is_number(end) or (or_none and end is None) for end in given)

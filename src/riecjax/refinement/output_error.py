@@ -1,6 +1,5 @@
 """Output-error refinement: the model simulated over windows, and compared with the recording."""
 
-import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -13,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractObjective, Parameters, Setup
 from riecjax.refinement.output_misfit import OutputMisfit, Recorded
@@ -186,9 +185,7 @@ def _require_sigma(sigma: Mapping[str, Any], channels: tuple[str, ...]) -> None:
             f"{', '.join(channels)}."
         )
     for name, value in sigma.items():
-        if not isinstance(value, numbers.Real | np.ndarray | jax.Array) or (
-            is_concrete(value) and not (np.shape(value) == () and 0 < float(value) < np.inf)
-        ):
+        if not is_number(value) or (is_concrete(value) and not 0 < float(value) < np.inf):
             raise ModelError(
                 f"sigma of {name} is {value!r}: a standard deviation is a positive number, in the "
                 f"unit of {name}."
