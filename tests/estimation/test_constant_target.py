@@ -1,5 +1,6 @@
 """An oscillator m x'' + c x' + k x = F in closed form, under forces that vary, or hardly do."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -149,13 +150,16 @@ def test_a_parameter_that_another_equation_tells_is_not_hidden():
 def test_a_force_that_is_zero_throughout_tells_nothing():
     motion = (*swaying(0.5)[:3], 0 * TIME)
     with pytest.raises(IdentifiabilityError, match="zero for all of m, c, k would fit") as refused:
-        identify(AXIS, record(motion, noise=0.01).with_signals({"F": 0 * TIME}), HATS)
+        identify(AXIS, record(motion, noise=0.01).with_signals({"F": jnp.asarray(0 * TIME)}), HATS)
     assert refused.value.code == "constant_target"
     # What a second equation knows of k is enough; one that knows nothing either is not.
     spring = Equation(Term("k", "x"), Term(-1.0, "F2"), name="spring")
-    both = record(motion).with_signals({"F2": K * motion[0]})
+    both = record(motion).with_signals({"F2": jnp.asarray(K * motion[0])})
     assert not findings(simultaneous(AXIS, spring), both)
-    assert len(findings(simultaneous(AXIS, spring), both.with_signals({"F2": 0 * TIME}))) == 2
+    assert (
+        len(findings(simultaneous(AXIS, spring), both.with_signals({"F2": jnp.asarray(0 * TIME)})))
+        == 2
+    )
 
 
 def two_tones(share):
