@@ -15,7 +15,11 @@ PRODUCTION = os.environ.get("RIECJAX_TESTS") == "production"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "compiled" / processor()))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 
-# Compiling is four fifths of what the tests take, and most of what they call they call once.
+# Compiling is four fifths of what the tests take, and most of what they call they call once. The
+# workers have all cores: to split what is compiled between threads as well only adds to it.
+if not PRODUCTION:
+    split = "--xla_cpu_parallel_codegen_split_count=1"
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {split}".strip()
 start_jax(once=not PRODUCTION)
 
 import hypothesis  # noqa: E402
@@ -33,13 +37,16 @@ gc.set_threshold(100_000)
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-MOST_MAPS = 20_000
+MOST_MAPS = 40_000
 """Memory maps of a process past which compiled functions are forgotten; Linux allows 65530."""
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def forget_compiled_functions() -> Iterator[None]:
-    """Every function that XLA compiles keeps memory maps; a whole suite of them runs out."""
+    """Every function that XLA compiles keeps some 15 memory maps; a whole suite of them runs out.
+
+    A file compiles a few hundred at most, and to count the maps takes as long as a small test.
+    """
     yield
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:

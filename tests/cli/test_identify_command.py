@@ -69,7 +69,7 @@ def agrees(document: dict, estimate: Estimate) -> None:
     assert document["condition_number"] == pytest.approx(float(estimate.condition_number))
 
 
-@pytest.mark.parametrize("seed", [0, 7])
+@pytest.mark.parametrize("seed", [0, pytest.param(7, marks=pytest.mark.slow)])
 def test_random_windows_on_the_file_are_those_on_the_simulated_record(
     from_file, drive_record, seed
 ):

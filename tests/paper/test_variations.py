@@ -46,6 +46,7 @@ def test_components_above_the_bandwidth_are_removed_and_the_others_kept():
     np.testing.assert_allclose(low_passed(2.0 + low + high, 1 / 200, 8.0), 2.0 + low, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "criterion"), [(0, "DOLS"), (1, "RIEC")])
 def test_at_the_bandwidth_of_table_2_models_are_those_of_the_tables(
     varied, tables, model, criterion
@@ -57,6 +58,7 @@ def test_at_the_bandwidth_of_table_2_models_are_those_of_the_tables(
         np.testing.assert_allclose(varied.errors[1, model, i], errors, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_narrower_input_and_other_windows_give_other_models(varied):
     assert bool(jnp.all(varied.successful))
     theta = np.asarray(varied.parameters)

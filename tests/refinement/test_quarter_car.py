@@ -89,6 +89,7 @@ def refined_on_a_road(start, known):
     return values(refined)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["B_id", "W_true"])
 def test_refined_on_a_road_predicts_another_road_better_than_riec_and_dols(
     from_white_noise, variant
@@ -102,6 +103,7 @@ def test_refined_on_a_road_predicts_another_road_better_than_riec_and_dols(
     assert error < 0.9 * validation_error(from_white_noise["DOLS"][variant])
 
 
+@pytest.mark.slow
 def test_free_break_points_predict_another_road_better_than_riec(from_white_noise):
     begun = from_white_noise["RIEC"]["B_id"]
     start = {name: begun[name] for name in PARAMETERS if name != "K_t"}
@@ -149,6 +151,7 @@ def test_an_outer_break_point_may_slide_along_its_segment():
     )
 
 
+@pytest.mark.slow
 def test_the_source_model_is_found_from_sensors_from_a_start_that_is_half_off():
     model = built_in_model("quarter-car-source")
     truth = {"M_e": 100.0, "K_c": 500e3, "K_m": 400e3, "B_m": 4000.0}

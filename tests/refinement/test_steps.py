@@ -254,7 +254,7 @@ def stiff():
     return Lagged(jnp.asarray(2.0), jnp.asarray(1e3))
 
 
-@pytest.mark.parametrize("pole", [1e3, 1e5])
+@pytest.mark.parametrize("pole", [1e3, pytest.param(1e5, marks=pytest.mark.slow)])
 def test_an_implicit_solver_refines_a_stiff_model(stiff, pole):
     by = OutputError(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()))
     refined = refine(stiff, lagged(pole), {"k": 2.0}, by, known={"pole": pole})

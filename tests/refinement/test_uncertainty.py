@@ -56,6 +56,7 @@ def coloured(seed, count=1001, pole=0.9):
     return Record.from_samples(held, time_step=1 / RATE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", [WHOLE, OutputError(Tiles(samples=334), method=FixedStep(1))])
 def test_noise_that_hangs_together_widens_the_errors_as_it_should(by):
     records = stack_records([coloured(seed) for seed in range(SEEDS)])

@@ -38,6 +38,7 @@ def swing():
     return Record.from_samples(samples, time_step=0.02)
 
 
+@pytest.mark.slow
 def test_short_windows_first_recover_from_where_the_whole_record_does_not(swing):
     model = Oscillator(jnp.asarray(1.9))
     whole = OutputError(method=FixedStep(2))

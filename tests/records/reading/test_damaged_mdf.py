@@ -43,6 +43,7 @@ def test_what_the_process_hands_over_is_what_the_file_holds(whole):
     assert there.notes == here.notes
 
 
+@pytest.mark.slow
 def test_flipped_bits_in_headers(whole, tmp_path):
     content, rng = whole.read_bytes(), np.random.default_rng(20240501)
     path, messages = tmp_path / "a.mf4", []
