@@ -37,7 +37,7 @@ gc.set_threshold(100_000)
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-MOST_MAPS = 40_000
+MOST_MAPS = 30_000
 """Memory maps of a process past which compiled functions are forgotten; Linux allows 65530."""
 
 
