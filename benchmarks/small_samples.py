@@ -29,7 +29,6 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
-from riecjax.estimation.bootstrap import studentized_replicates, uniform_draws
 from riecjax.estimation.identify import identify
 from riecjax.estimation.intervals import (
     AbstractIntervals,
@@ -160,15 +159,7 @@ class Plain(AbstractIntervals):
         covariance, replicates = sandwich_covariance(evidence), None
         if self.bootstrap:
             covariance = jackknife_covariance(evidence)
-            draws = jnp.asarray(uniform_draws(0, 2000, evidence.used.shape[0]))
-            replicates = studentized_replicates(
-                evidence.stages,
-                evidence.plan,
-                evidence.known,
-                evidence.values,
-                evidence.used,
-                draws=draws,
-            )
+            replicates = BlockBootstrap().studentized(evidence)
         freedom = effective_freedom(evidence)
         nowhere, once = jnp.zeros(freedom.shape, bool), jnp.ones(freedom.shape)
         return Uncertainty(covariance, replicates, freedom, nowhere, once, "plain")

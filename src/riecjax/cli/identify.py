@@ -153,7 +153,8 @@ def command(
     judge = kinds[intervals]
     estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
     # What `riecjax check` refuses is refused here, before any of it is shown.
-    raise_if_refused(on_host(excitation(procedure, records, criterion, **settings)))
+    excitations = on_host(excitation(procedure, records, criterion, **settings))
+    raise_if_refused(excitations)
     # What is asked for first is shown first: all that follows is about how far to trust it.
     shown = not as_json and refining.refine == "none"
     if shown:
@@ -168,7 +169,7 @@ def command(
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.identification_page import identification_page
 
-    checked = check(procedure, records, criterion, **settings)
+    checked = check(procedure, records, criterion, **settings, excitations=excitations)
     refined = refining.run(model, records, estimate, own=own, key=key, intervals=judge)
     found = estimate if refined is None else refined
     to_simulate = _to_simulate(held, further)

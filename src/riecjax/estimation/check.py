@@ -78,19 +78,21 @@ def check(
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
     own: Sequence[str] = (),
+    excitations: list[Excitation] | None = None,
 ) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
     Nothing is estimated, and nothing that is found here stops a fit; see [`Check.answerable`][].
+    `excitations` are those that [`excitation`][] found with the same arguments, if it was asked.
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
     asked = pose(model, records, criterion, key=key, known=known, own=own)
     procedure, recordings, criterion = asked.procedure, asked.records, asked.criterion
     read = [signals_read(procedure, record, criterion) for record in recordings]
-    excitations = on_host(
-        excitation(procedure, recordings, criterion, key=key, known=known, own=own)
-    )
+    if excitations is None:
+        excitations = excitation(procedure, recordings, criterion, key=key, known=known, own=own)
+    excitations = on_host(excitations)
     findings = [
         *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),

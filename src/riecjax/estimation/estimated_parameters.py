@@ -184,19 +184,12 @@ class AbstractEstimate(eqx.Module):
                     f"signs of the signals against the equation's, and the direction of time.",
                 )
 
-    def _stood_in(self) -> np.ndarray:
-        """Which parameters have the small-sample sandwich's interval, in any lane of a batch."""
-        few = np.asarray(self.uncertainty.few_blocks)
-        return np.any(few.reshape(-1, few.shape[-1]), axis=0)
-
     def few_blocks(self) -> Iterator[Finding]:
         """Parameters whose intervals fell back to a small-sample sandwich (not under jit)."""
-        few = self._stood_in()
-        if not few.any():
-            return
-        freedom = np.asarray(self.uncertainty.degrees_of_freedom)
-        freedom = freedom.reshape(-1, freedom.shape[-1]).min(axis=0)
+        few, freedom = self.uncertainty.few_blocks, self.uncertainty.degrees_of_freedom
         listed = [f"{n} ({f:.2g})" for n, f, of in zip(self.parameters, freedom, few) if of]
+        if not listed:
+            return
         yield Finding(
             "few_blocks",
             f"few independent stretches of the record tell of {', '.join(listed)} (degrees of "
@@ -208,7 +201,6 @@ class AbstractEstimate(eqx.Module):
     def leaning(self) -> Iterator[Finding]:
         """Intervals that reach much farther than errors alike all along call for."""
         times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
-        times = times.reshape(-1, times.shape[-1]).max(axis=0)
         far = [f"{n} ({t:.2g})" for n, t in zip(self.parameters, times) if t > NOTABLE_LEAN]
         if far:
             yield Finding(
@@ -223,8 +215,8 @@ class AbstractEstimate(eqx.Module):
         replicates = self.uncertainty.studentized
         if replicates is None:
             return
-        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=-2)
-        lost = np.where(self._stood_in(), 0.0, lost)
+        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
+        lost = np.where(self.uncertainty.few_blocks, 0.0, lost)
         rare = [f"{n} ({100 * s:.2g} %)" for n, s in zip(self.parameters, lost) if s > LOST_SHARE]
         if rare:
             yield Finding(

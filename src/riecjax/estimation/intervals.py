@@ -154,20 +154,23 @@ class BlockBootstrap(AbstractIntervals):
 
     def uncertainty(self, evidence: Evidence) -> Uncertainty:
         """Jackknife covariance, and studentized replicates."""
+        return with_few_blocks(
+            evidence,
+            jackknife_covariance(evidence),
+            self.studentized(evidence),
+            f"studentized block bootstrap, {self.replicates} replicates",
+        )
+
+    def studentized(self, evidence: Evidence) -> Float[Array, "replicates p"]:
+        """The replicates, see [`studentized_replicates`][]."""
         records = evidence.used.shape[0]
-        replicates = studentized_replicates(
+        return studentized_replicates(
             evidence.stages,
             evidence.plan,
             evidence.known,
             evidence.values,
             evidence.used,
             draws=jnp.asarray(uniform_draws(self.seed, self.replicates, records)),
-        )
-        return with_few_blocks(
-            evidence,
-            jackknife_covariance(evidence),
-            replicates,
-            f"studentized block bootstrap, {self.replicates} replicates",
         )
 
 
