@@ -8,6 +8,7 @@ from riecjax.criteria.criterion import DOLS, RIEC, Rows
 from riecjax.criteria.test_functions import Boxcar, running_integral
 from riecjax.criteria.windows import RandomWindows, WindowSet
 from riecjax.equations.bases import Polynomial
+from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import ModelError
@@ -41,7 +42,7 @@ def increments(term, record, start, stop):
 
 @eqx.filter_jit
 def column_increments(equation, record, windows):
-    return Boxcar().primitives(equation, record).integrals(windows).columns
+    return Boxcar().primitives(sampled_columns(equation, record, 1)).integrals(windows).columns
 
 
 def windows_in_samples(kind, steps):

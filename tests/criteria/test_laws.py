@@ -9,6 +9,7 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import DensityLaw, RatioLaw, SteppedLaw
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
+from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
@@ -38,7 +39,7 @@ def record_of(n=400, gaps=3):
 
 @eqx.filter_jit
 def integrated(weight, record, windows):
-    return weight.integrals(EQUATION, record, windows)
+    return weight.integrals(sampled_columns(EQUATION, record, weight.smoothness), windows)
 
 
 def one_by_one(record, weight, length_weights):

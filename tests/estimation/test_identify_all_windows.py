@@ -12,6 +12,7 @@ from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
+from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
@@ -52,7 +53,7 @@ def every_window(record, weight, shortest, longest):
 
 @eqx.filter_jit
 def integrated(record, weight, windows):
-    return weight.integrals(EQUATION, record, windows)
+    return weight.integrals(sampled_columns(EQUATION, record, weight.smoothness), windows)
 
 
 MOST_PAIRS = 16_000
@@ -125,7 +126,9 @@ def test_several_records_of_unequal_length_and_their_sum():
     for record in records:
         windows = AllWindows(0.05, 0.3)
         lags = [int(v) for v in windows.lags(record.sample_count, record.time_step)]
-        columns, whole = Boxcar().integrals(EQUATION, record, every_window(record, Boxcar(), *lags))
+        columns, whole = Boxcar().integrals(
+            sampled_columns(EQUATION, record, 1), every_window(record, Boxcar(), *lags)
+        )
         rows.append(np.asarray(columns)[:, slice(None) if whole is None else np.asarray(whole)])
     stacked = np.concatenate(rows, axis=1)
     expected = np.linalg.lstsq(stacked[1:].T, stacked[0], rcond=None)[0]

@@ -5,6 +5,7 @@ import pytest
 
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
+from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term
@@ -102,7 +103,9 @@ def test_rises_of_the_impulse_are_the_errors_of_windows(weight):
     values = {"m": 1.7, "c": 2.0, "k": 11.0}
     (found,) = equation_error(equation, record, values)
     start, stop = jnp.array([0, 10, 200]), jnp.array([40, 16, 390])
-    columns, _ = weight.integrals(equation, record, WindowSet(start, stop))
+    columns, _ = weight.integrals(
+        sampled_columns(equation, record, weight.smoothness), WindowSet(start, stop)
+    )
     theta = jnp.array([values[name] for name in equation.parameters])
     whole = columns[0] - theta @ columns[1:]
     impulse = np.concatenate([[0.0], found.impulse])

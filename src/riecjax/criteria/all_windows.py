@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from riecjax.criteria.chunks import Blocks
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.running_sums import running_sum
 from riecjax.errors import ModelError
@@ -63,26 +64,28 @@ def moments_in_blocks(
     values: Float[Array, "columns n"],
     mean: Float[Array, " columns"],
     present: Bool[Array, " n"] | None,
-    bins: LagBins,
+    lags: LagBins,
+    first: Int[Array, ""] | int,
+    block: Int[Array, ""] | int,
+    held: Int[Array, ""] | int,
     *,
     order: int,
-    first: Int[Array, ""] | int,
     count: int,
-    block: int,
     reach: int,
 ) -> Moments:
     """Moments of all windows, for `count` blocks of `block` starts each, from `first` on.
 
     **Arguments:** `values` and `mean` of the columns' primitives, whose differences of order
     `order` (1 for the boxcar, 2 for the hat) are the rows; `present` samples, `None` where all
-    are; `bins` of lags, whose edges make it differentiable by alpha and beta; `reach`, no window is
-    longer in samples.
+    are; `lags`, whose edges make it differentiable by alpha and beta, or with two axes, to
+    keep the sums of each of the first apart; `held`, how many samples are the record's; `reach`,
+    no window is longer in samples.
 
     **Raises:** `ModelError` when a derivative is differentiated by alpha or beta that was not taken
     by these too.
     """
-    bins = bins._replace(edges=None)
-    return _of_bins(values, mean, present, bins, order, first, count, block, reach)
+    lags = lags._replace(edges=None)
+    return _of_bins(values, mean, present, lags, first, block, held, order, count, reach)
 
 
 @moments_in_blocks.def_jvp
@@ -93,10 +96,12 @@ def _moments_in_blocks_jvp(primals: Any, tangents: Any, **settings: Any) -> Any:
     if edges is not None and not moving:
         primals = (_at_fixed_edges(primals[0], edges.position), *primals[1:])
 
-    def moments(values: Array, mean: Array, present: Array | None, bins: LagBins) -> Moments:
+    def moments(
+        values: Array, mean: Array, present: Array | None, lags: LagBins, *blocks: Any
+    ) -> Moments:
         most = settings["reach"] // settings["order"]
-        bins = bins.with_edges_as_bins(most) if moving else bins._replace(edges=None)
-        return _of_bins(values, mean, present, bins, **settings)
+        lags = lags.with_edges_as_bins(most) if moving else lags._replace(edges=None)
+        return _of_bins(values, mean, present, lags, *blocks, **settings)
 
     return eqx.filter_jvp(moments, primals, tangents)
 
@@ -121,14 +126,15 @@ def _of_bins(
     values: Float[Array, "columns n"],
     mean: Float[Array, " columns"],
     present: Bool[Array, " n"] | None,
-    bins: LagBins,
-    order: int,
+    lags: LagBins,
     first: Int[Array, ""] | int,
+    block: Int[Array, ""] | int,
+    held: Int[Array, ""] | int,
+    order: int,
     count: int,
-    block: int,
     reach: int,
 ) -> Moments:
-    if order == 1 and present is None and reach <= block:
+    if order == 1 and present is None and isinstance(block, int) and reach <= block:
         # Running sums over shorter stretches lose fewer digits; of four windows' length, what
         # they reach beyond themselves is still little to sum twice.
         parts = 1
@@ -137,18 +143,22 @@ def _of_bins(
         moments, number = unbroken_boxcar_moments(
             values,
             mean,
-            bins,
+            lags,
             first=first,
             count=count * parts,
             block=block // parts,
+            held=held,
             reach=reach,
         )
-        moments = moments.reshape(count, parts, *moments.shape[1:])
-        return jnp.sum(moments, axis=1), jnp.sum(number.reshape(count, parts), axis=1)
+        apart = moments.shape[:-3]
+        moments = moments.reshape(*apart, count, parts, *moments.shape[-2:])
+        return jnp.sum(moments, axis=-3), jnp.sum(number.reshape(*apart, count, parts), axis=-1)
     n = values.shape[1]
-    present = jnp.ones(n, bool) if present is None else present
-    width = min(block + reach, n)
-    moments = boxcar_moments if order == 1 else hat_moments
+    real = jnp.arange(n) < held
+    present = real if present is None else present & real
+    # Of a block shorter than the longest window, whose size is traced, no more is known.
+    width = min((block if isinstance(block, int) else reach) + reach, n)
+    of_lags = boxcar_moments if order == 1 else hat_moments
 
     def of_block(index: Int[Array, ""]) -> tuple[Array, Array]:
         # The last slices would reach beyond the record: they begin earlier instead.
@@ -156,9 +166,17 @@ def _of_bins(
         part = jax.lax.dynamic_slice_in_dim(values, begin, width, axis=1)
         there = jax.lax.dynamic_slice_in_dim(present, begin, width)
         start = first + index * block - begin
-        return moments(_referred(part, mean, order), there, Starts(start, start + block), bins)
+        whole = _referred(part, mean, order)
 
-    return jax.lax.map(of_block, jnp.arange(count))
+        def of(own: LagBins) -> tuple[Array, Array]:
+            return of_lags(whole, there, Starts(start, start + block), own)
+
+        return of(lags) if lags.first.ndim == 1 else jax.lax.map(of, lags)
+
+    moments, number = jax.lax.map(of_block, jnp.arange(count))
+    if lags.first.ndim == 1:
+        return moments, number
+    return jnp.swapaxes(moments, 0, 1), jnp.swapaxes(number, 0, 1)
 
 
 def _referred(
@@ -182,48 +200,56 @@ def moments_of_rows(
     rows_of_length: Callable[[Int[Array, ""]], tuple[Float[Array, "columns n"], Array]],
     lengths: Int[Array, " lengths"],
     weights: Float[Array, " lengths"],
+    blocks: Blocks,
     *,
-    first: Int[Array, ""] | int,
-    count: int,
-    block: int,
+    skip_empty: bool = False,
 ) -> Moments:
     """Moments of rows that start at every sample, summed over some window lengths.
 
     **Arguments:** `rows_of_length` gives rows at every start, zero where there is no whole window,
-    and where there is one; `weights` of the lengths; `count` blocks of `block` starts each, from
-    `first` on.
+    and where there is one; `weights` of the lengths; with `skip_empty` those of weight zero, which
+    come last, take no time, and nothing can be differentiated backwards.
     """
-
-    def of_length(
-        total: tuple[Array, Array], which: tuple[Array, Array]
-    ) -> tuple[tuple[Array, Array], None]:
-        length, weight = which
-        rows, whole = rows_of_length(length)
-        # Room behind, so that no slice would begin earlier than asked for.
-        padded = jnp.pad(rows, ((0, 0), (0, count * block)))
-        parts = jax.lax.dynamic_slice_in_dim(padded, first, count * block, axis=1)
-        held = jax.lax.dynamic_slice_in_dim(
-            jnp.pad(whole, (0, count * block)), first, count * block
-        )
-        parts = parts.reshape(rows.shape[0], count, block)
-        moments = weight * jnp.einsum("ibs,jbs->bij", parts, parts)
-        return (total[0] + moments, total[1] + weight * held.reshape(count, block).sum(1)), None
-
     columns = jax.eval_shape(rows_of_length, lengths[0])[0]
+    count, room = blocks.number, columns.shape[1]
+    # Whole blocks are a reshape; those of a traced size are told apart by where they begin.
+    size = blocks.size
+    place = (jnp.arange(room) - blocks.first) // size
+
+    def in_blocks(values: Float[Array, "columns n"]) -> Float[Array, "columns count size"]:
+        if not isinstance(size, int):
+            return jnp.where((place == jnp.arange(count)[:, None])[None], values[:, None, :], 0.0)
+        # Room behind, so that no slice would begin earlier than asked for.
+        padded = jnp.pad(values, ((0, 0), (0, count * size)))
+        part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * size, axis=1)
+        return part.reshape(values.shape[0], count, size)
+
+    def added(total: tuple[Array, Array], length: Array, weight: Array) -> tuple[Array, Array]:
+        rows, whole = rows_of_length(length)
+        parts = in_blocks(rows)
+        number = jnp.sum(in_blocks(whole[None].astype(rows.dtype))[0], axis=1)
+        moments = jnp.einsum("ibs,jbs->bij", parts, parts)
+        return total[0] + weight * moments, total[1] + weight * number
+
     empty = jnp.zeros((count, columns.shape[0], columns.shape[0]), columns.dtype)
-    none = jnp.zeros(count, columns.dtype)
-    total, _ = jax.lax.scan(of_length, (empty, none), (lengths, weights))
-    return total
+    none = (empty, jnp.zeros(count, columns.dtype))
+    if skip_empty:
+        used = jnp.sum(weights > 0)
+        return jax.lax.fori_loop(
+            0, used, lambda i, total: added(total, lengths[i], weights[i]), none
+        )
+    return jax.lax.scan(lambda t, which: (added(t, *which), None), none, (lengths, weights))[0]
 
 
 def unbroken_boxcar_moments(
     values: Float[Array, "columns n"],
     mean: Float[Array, " columns"],
-    bins: LagBins,
+    lags: LagBins,
     *,
     first: Int[Array, ""] | int,
     count: int,
     block: int,
+    held: Int[Array, ""] | int,
     reach: int,
 ) -> Moments:
     """Moments of all boxcar rows, for blocks of starts, where no sample is missing.
@@ -232,10 +258,9 @@ def unbroken_boxcar_moments(
     outer products is one matrix product Z over the block, and a shorter one over the windows' ends
     beyond it; the moments are Z + Z^T. All blocks go side by side. `reach` is at most `block`.
     """
-    n = values.shape[1]
-    blocks = _side_by_side(values, mean, first, count, block, reach)
+    blocks = _side_by_side(values, mean, first, count, block, held, reach)
     start = jnp.arange(block)
-    left = n - first - block * jnp.arange(count)[:, None]
+    left = held - first - block * jnp.arange(count)[:, None]
     end = jnp.arange(block + reach)
 
     def of_bin(which: LagBins) -> _Sums:
@@ -252,12 +277,16 @@ def unbroken_boxcar_moments(
             lambda leaf: which.weight * leaf.astype(values.dtype), _Sums(inner, ends, number)
         )
 
-    total = _over_bins(bins, of_bin)
     own, beyond = blocks.phi[:, :, :block], blocks.phi[:, :, block:]
-    weight = 0.5 * (total.number + total.squares[None, :block])
-    half = _products(own, weight[None] * own - total.inner)
-    half = half + _products(beyond, 0.5 * total.squares[None, None, block:] * beyond)
-    return half + jnp.swapaxes(half, 1, 2), jnp.sum(total.number, axis=1)
+
+    def of_lags(some: LagBins) -> Moments:
+        total = _over_bins(some, of_bin)
+        weight = 0.5 * (total.number + total.squares[None, :block])
+        half = _products(own, weight[None] * own - total.inner)
+        half = half + _products(beyond, 0.5 * total.squares[None, None, block:] * beyond)
+        return half + jnp.swapaxes(half, 1, 2), jnp.sum(total.number, axis=1)
+
+    return of_lags(lags) if lags.first.ndim == 1 else jax.lax.map(of_lags, lags)
 
 
 class _Blocks(NamedTuple):
@@ -277,6 +306,7 @@ def _side_by_side(
     first: Int[Array, ""] | int,
     count: int,
     block: int,
+    held: Int[Array, ""] | int,
     reach: int,
 ) -> _Blocks:
     """Primitives with their polynomial put back, in blocks.
@@ -284,12 +314,12 @@ def _side_by_side(
     A block and the beginning of the next one are what its windows see. The next one's running sum
     is taken over from there, with the constant by which the two references differ.
     """
-    columns, n = values.shape
+    columns = values.shape[0]
     whole = (count + 1) * block
     padded = jnp.pad(values, ((0, 0), (0, whole)))
     parts = jax.lax.dynamic_slice_in_dim(padded, first, whole, axis=1)
     parts = parts.reshape(columns, count + 1, block)
-    held = jnp.clip(n - first - block * jnp.arange(count + 1), 0, block)
+    held = jnp.clip(held - first - block * jnp.arange(count + 1), 0, block)
     inside = jnp.arange(block)[None, :] < held[:, None]
     place = jnp.arange(block) - (block - 1) / 2
     parts = jnp.where(inside[None], parts + mean[:, None, None] * place[None, None, :], 0.0)

@@ -6,14 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.all_windows import Moments, moments_of_rows
-from riecjax.criteria.chunks import in_chunks
-from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, whole
+from riecjax.criteria.chunks import Blocks
+from riecjax.criteria.laws import LagBins
+from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, real_mean, whole
 from riecjax.criteria.windows import AllWindows, WindowSet
-from riecjax.equations.equation import Equation
-from riecjax.equations.term import sum_columns
+from riecjax.equations.columns import Columns
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 
@@ -58,78 +58,86 @@ class Bump(AbstractTestFunction):
         """Name and settings."""
         return {"test_function": "bump", "p": self.p}
 
-    def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
+    def integrals(
+        self, columns: Columns, windows: WindowSet, held: Int[Array, ""] | int | None = None
+    ) -> Integrals:
         """Integral of every column of the equation over every window.
 
         **Raises:** `ModelError` for windows that start between samples.
         """
         if not jnp.issubdtype(windows.start.dtype, jnp.integer):
             raise ModelError("bumps need windows on samples (between_samples=False).")
-        everywhere, present = self._at_every_start(equation, record)
-        windows, lengths = self.rounded(windows, record.sample_count)
+        everywhere = self._at_every_start(columns, held)
+        windows, lengths = self.rounded(windows, columns.sample_count if held is None else held)
 
         def of_length(total: Array, length: Array) -> tuple[Array, None]:
             mine = (windows.stop - windows.start == length)[None, :]
             return jnp.where(mine, everywhere(length)[:, windows.start], total), None
 
-        columns = 1 + len(equation.parameters)
-        empty = jnp.zeros((columns, windows.start.shape[0]), record.time_step.dtype)
+        empty = jnp.zeros((columns.values.shape[1], windows.start.shape[0]), columns.values.dtype)
         total, _ = jax.lax.scan(of_length, empty, lengths)
-        return Integrals(total, whole(windows, present))
+        return Integrals(total, whole(windows, columns.present))
 
-    def moments(self, equation: Equation, record: Record, windows: AllWindows) -> Moments:
-        """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
+    def lags(self, windows: AllWindows, record: Record) -> LagBins:
+        """The law at `lengths` window lengths."""
         n = record.sample_count
-        block, reach = windows.block(n), windows.reach(n)
         lengths = self._lengths(*windows.lags(n, record.time_step))
-        weights = windows.weights(n, record.time_step, lengths)
+        return LagBins(lengths, lengths, windows.weights(n, record.time_step, lengths))
 
-        def of_chunk(part: Record, first: Int[Array, ""] | int, count: int) -> Moments:
-            everywhere, present = self._at_every_start(equation, part)
-            start = jnp.arange(part.sample_count)
+    def moments(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
+        """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
+        everywhere = self._at_every_start(columns, blocks.held)
+        start = jnp.arange(columns.sample_count)
 
-            def rows_of_length(length: Array) -> tuple[Array, Array]:
-                inside = start + length < part.sample_count
-                window = WindowSet(start, jnp.minimum(start + length, part.sample_count - 1))
-                unbroken = whole(window, present)
-                held = inside if unbroken is None else inside & unbroken
-                return jnp.where(held[None, :], everywhere(length), 0.0), held
+        def rows_of_length(length: Array) -> tuple[Array, Array]:
+            inside = start + length < blocks.held
+            window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
+            unbroken = whole(window, columns.present)
+            held = inside if unbroken is None else inside & unbroken
+            return jnp.where(held[None, :], everywhere(length), 0.0), held
 
+        def of_lags(own: LagBins) -> Moments:
             return moments_of_rows(
-                rows_of_length, lengths, weights, first=first, count=count, block=block
+                rows_of_length, own.first, own.weight, blocks, skip_empty=lags.first.ndim == 2
             )
 
-        return in_chunks(record, of_chunk, block=block, reach=reach, margin=0)
+        own = lags._replace(edges=None)
+        return of_lags(own) if lags.first.ndim == 1 else jax.lax.map(of_lags, own)
 
     def window_count(self, windows: AllWindows, record: Record) -> float:
         """Starts of every length, as far as windows end in the record."""
-        n = record.sample_count
-        lengths = self._lengths(*windows.lags(n, record.time_step))
-        weights = np.asarray(windows.weights(n, record.time_step, lengths), float)
-        return float(np.sum(weights * (n - np.asarray(lengths, float))))
+        lags = self.lags(windows, record)
+        starts = record.sample_count - np.asarray(lags.first, float)
+        return float(np.sum(np.asarray(lags.weight, float) * starts))
 
     def _at_every_start(
-        self, equation: Equation, record: Record
-    ) -> tuple[Callable[[Array], Float[Array, "columns n"]], Bool[Array, " n"] | None]:
+        self, columns: Columns, held: Int[Array, ""] | int | None
+    ) -> Callable[[Array], Float[Array, "columns n"]]:
         """A function of window length: integrals of every column over the windows at each start."""
-        columns, present = self._columns(equation, record)
-        size = 2 * record.sample_count
-        spectrum = jnp.fft.rfft(columns, size, axis=-1)
+        # A constant has no derivative, while the sum of a weight's derivative is not quite zero.
+        values = jnp.stack(
+            [
+                of_order if order == 0 else of_order - real_mean(of_order, held)[:, None]
+                for order, of_order in enumerate(columns.values)
+            ]
+        )
+        size = 2 * columns.sample_count
+        spectrum = jnp.fft.rfft(values, size, axis=-1)
 
         def everywhere(length: Array) -> Float[Array, "columns n"]:
-            weights = jnp.fft.rfft(self.weights(length, record), size, axis=-1)
+            weights = jnp.fft.rfft(self.weights(length, columns), size, axis=-1)
             # Summed over the order of derivative: correlation of each column with its weight.
             product = jnp.sum(spectrum * jnp.conj(weights)[:, None, :], axis=0)
-            return jnp.fft.irfft(product, size, axis=-1)[:, : record.sample_count]
+            return jnp.fft.irfft(product, size, axis=-1)[:, : columns.sample_count]
 
-        return everywhere, present
+        return everywhere
 
     def _lengths(self, shortest: Int[Array, ""], longest: Int[Array, ""]) -> Int[Array, " lengths"]:
         spacing = (longest - shortest) / max(self.lengths - 1, 1)
         return jnp.round(shortest + spacing * jnp.arange(self.lengths)).astype(shortest.dtype)
 
     def rounded(
-        self, windows: WindowSet, sample_count: int
+        self, windows: WindowSet, sample_count: Int[Array, ""] | int
     ) -> tuple[WindowSet, Int[Array, " lengths"]]:
         """The windows with the nearest of `lengths` lengths, and these lengths in samples."""
         drawn = windows.stop - windows.start
@@ -141,37 +149,16 @@ class Bump(AbstractTestFunction):
         start = jnp.minimum(windows.start, sample_count - 1 - length)
         return WindowSet(start, start + length), lengths
 
-    def weights(self, length: Int[Array, ""], record: Record) -> Float[Array, "3 n"]:
+    def weights(self, length: Int[Array, ""], columns: Columns) -> Float[Array, "3 n"]:
         """(-1)^k d^k phi / dt^k dt at the samples of a window of `length` samples, k = 0, 1, 2."""
-        sample = jnp.arange(record.sample_count)
+        sample = jnp.arange(columns.sample_count)
         # By whole numbers: at the window's end |tau| is 1 but for rounding, and a compiler may
         # evaluate |tau| < 1 twice, once with fused multiply-adds, so that the masks differ.
         inside = (sample > 0) & (sample < length)
         tau = jnp.where(inside, 2 * sample / length - 1, 0.0)
-        slope = 2 / (length * record.time_step)
+        slope = 2 / (length * columns.time_step)
         u, p = 1 - tau**2, self.p
         first = -2 * p * tau * u ** (p - 1)
         second = 4 * p * (p - 1) * tau**2 * u ** (p - 2) - 2 * p * u ** (p - 1)
         weights = jnp.stack([u**p, -slope * first, slope**2 * second])
-        return jnp.where(inside[None, :], weights, 0.0) * record.time_step
-
-    def _columns(
-        self, equation: Equation, record: Record
-    ) -> tuple[Float[Array, "3 columns n"], Bool[Array, " n"] | None]:
-        """Samples of every column, by the order of the derivative in front of them."""
-        read = [term.samples(record, 0) for term in equation.terms]
-        by_order = []
-        for order in range(3):
-            blocks = [
-                _without_mean(sampled.values, order)
-                if term.derivative == order
-                else jnp.zeros_like(sampled.values)
-                for term, sampled in zip(equation.terms, read)
-            ]
-            by_order.append(sum_columns(zip(equation.terms, blocks), equation.parameters))
-        return jnp.stack(by_order), equation.present(record, read)
-
-
-def _without_mean(values: Float[Array, "columns n"], derivative: int) -> Array:
-    """A constant has no derivative, while the sum of a weight's derivative is not quite zero."""
-    return values if derivative == 0 else values - jnp.mean(values, axis=1, keepdims=True)
+        return jnp.where(inside[None, :], weights, 0.0) * columns.time_step

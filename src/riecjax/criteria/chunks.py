@@ -1,7 +1,7 @@
 """Long records chunk by chunk, so that memory does not grow with them."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,8 @@ from riecjax.records.record import Record
 
 CHUNK = 2**14
 """Samples to a chunk: large beside a window, and its columns fit into a processor's cache."""
+ROUND = 2**12
+"""Samples to a chunk of a record that is filled up: some beyond its end are worked through."""
 WHOLE = 2**17
 """Samples up to which a record is not cut, so that expressions may look at all of it."""
 WHOLE_32_BIT = 2**14
@@ -30,32 +32,74 @@ def is_chunked(record: Record, block: int, reach: int) -> bool:
     return chunk_length(record, block, reach) < record.sample_count
 
 
+class Blocks(NamedTuple):
+    """Blocks of starts, one after the other, and how much of the samples is real.
+
+    **Fields:** `first` sample at which the first block begins; `size`, starts to a block; `number`
+    of blocks; `held`, how many samples are the recording's: no window reaches beyond. The rest
+    of an array fills it up to a length that other recordings have too.
+    """
+
+    first: Int[Array, ""] | int
+    size: Int[Array, ""] | int
+    number: int
+    held: Int[Array, ""] | int
+
+
 def in_chunks(
     record: Record,
-    of_chunk: Callable[[Record, Int[Array, ""] | int, int], Any],
+    of_chunk: Callable[[Record, Blocks], Any],
     *,
     block: int,
     reach: int,
     margin: int,
+    held: Int[Array, ""] | None = None,
 ) -> Any:
     """What `of_chunk` makes of each block of starts of a record, stacked along a leading axis.
 
     **Arguments:**
 
-    - `of_chunk`: takes a stretch of the record, the sample in it at which the chunk's first block
-      begins, and its number of blocks, over which the arrays that it returns lead.
+    - `of_chunk`: takes a stretch of the record and the blocks of starts in it, over which the
+      arrays that it returns lead.
     - `block`: starts to a block; `reach`: samples that a window reaches beyond its start at most;
       `margin`: samples more on either side, for quadrature.
+    - `held`: real samples of a record that is filled up, all by default. It may be traced: chunks
+      beyond are not worked through, and what is returned for their blocks is zero. That cannot be
+      differentiated backwards.
     """
     n = record.sample_count
-    count, length = -(-n // block), chunk_length(record, block, reach)
+    count = -(-n // block)
+    length = -(-max(ROUND, 4 * reach) // block) * block
+    if held is None:
+        length = chunk_length(record, block, reach)
     width = length + reach + 2 * margin
     if width >= n:
-        return of_chunk(record, 0, count)
+        return of_chunk(record, Blocks(0, block, count, n if held is None else held))
+    last = n - width if held is None else jnp.maximum(held - width, 0)
 
     def one(index: Array) -> Any:
-        begin = jnp.clip(index * length - margin, 0, n - width)
-        return of_chunk(record.stretch(begin, width), index * length - begin, length // block)
+        begin = jnp.clip(index * length - margin, 0, last)
+        here = width if held is None else jnp.minimum(held - begin, width)
+        blocks = Blocks(index * length - begin, block, length // block, here)
+        return of_chunk(record.stretch(begin, width), blocks)
 
-    chunks = jax.lax.map(one, jnp.arange(-(-n // length)))
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
+    rounds = -(-n // length)
+    if held is None:
+        chunks = jax.lax.map(one, jnp.arange(rounds))
+        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
+
+    def add(index: Array, total: Any) -> Any:
+        return jax.tree.map(
+            lambda all_, own: jax.lax.dynamic_update_slice_in_dim(
+                all_, own, index * (length // block), axis=0
+            ),
+            total,
+            one(index),
+        )
+
+    shapes = jax.eval_shape(one, jnp.zeros((), int))
+    none = jax.tree.map(
+        lambda leaf: jnp.zeros((rounds * leaf.shape[0], *leaf.shape[1:]), leaf.dtype), shapes
+    )
+    total = jax.lax.fori_loop(0, -(-held // length), add, none)
+    return jax.tree.map(lambda leaf: leaf[:count], total)

@@ -9,13 +9,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.criteria.all_windows import Moments
+from riecjax.criteria.chunks import Blocks, in_chunks
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
-from riecjax.criteria.windows import AllWindows, RandomWindows, half_periods
+from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet, half_periods
+from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import sum_columns
+from riecjax.equations.term import both_present
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
+
+Held = Int[Array, ""] | int | None
+"""How many samples are a record's own where it is filled up behind them; `None` for all."""
 
 
 class Rows(eqx.Module):
@@ -99,8 +104,6 @@ class Rows(eqx.Module):
         return Rows(columns, position, parts[0].parameters, kept)
 
 
-ROWS_OF_ALL = 8000
-"""Windows drawn where single rows of all windows are asked for."""
 SHORT_BLOCKS_OF_ROWS = 512
 """Short blocks of start times to a record where single rows are put into them."""
 
@@ -150,9 +153,27 @@ class AbstractCriterion(eqx.Module):
         """This criterion with what it can find out of the records before tracing."""
         return self
 
-    def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
-        """The rows of this criterion; see the classes."""
+    def draw(self, record: Record, key: Key[Array, ""] | None, held: Held = None) -> WindowSet:
+        """Where rows are taken: the windows of a key, or each sample as one.
+
+        `held`: real samples of a record that is filled up, all by default.
+        """
         raise NotImplementedError
+
+    def rows_of(self, columns: Columns, drawn: WindowSet, held: Held = None) -> Rows:
+        """One row of these columns for each window."""
+        raise NotImplementedError
+
+    def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None = None) -> Rows:
+        """The rows of this criterion; see the classes. The same key draws the same windows for
+        every equation.
+
+        **Raises:** `DataError` for a missing signal or derivative, `ModelError` without a key.
+        """
+        if key is None and self.needs_key:
+            raise ModelError("random windows need a key: key=jax.random.key(seed).")
+        drawn = self.draw(record, key)
+        return self.rows_of(sampled_columns(equation, record, self.smoothness), drawn)
 
     def moments(self, equation: Equation, record: Record) -> Moments:
         """Sums over all rows of their outer products, for blocks of `block_samples` starts.
@@ -194,16 +215,19 @@ class DOLS(AbstractCriterion):
         """One for each sample."""
         return record.sample_count
 
-    def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None = None) -> Rows:
-        """One row for each sample that is present and not masked.
+    def draw(
+        self, record: Record, key: Key[Array, ""] | None = None, held: Held = None
+    ) -> WindowSet:
+        """Each sample."""
+        at = jnp.arange(record.sample_count)
+        return WindowSet(at, at)
 
-        **Raises:** `DataError` for a missing signal or derivative.
-        """
-        read = [term.samples(record, term.derivative) for term in equation.terms]
-        kept = equation.present(record, read)
-        blocks = [sampled.values for sampled in read]
-        columns = sum_columns(zip(equation.terms, blocks), equation.parameters)
-        return Rows.of(columns, jnp.arange(record.sample_count), equation.parameters, kept)
+    def rows_of(self, columns: Columns, drawn: WindowSet, held: Held = None) -> Rows:
+        """One row for each sample that is present and not masked."""
+        kept = columns.present
+        if held is not None:
+            kept = both_present(kept, drawn.stop < held)
+        return Rows.of(columns.values[0], drawn.start, columns.parameters, kept)
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -250,7 +274,7 @@ class RIEC(AbstractCriterion):
     @property
     def needs_key(self) -> bool:
         """Whether windows are drawn at random."""
-        return isinstance(self.windows, RandomWindows)
+        return self.windows.needs_key
 
     @property
     def smoothness(self) -> int:
@@ -265,30 +289,25 @@ class RIEC(AbstractCriterion):
     @property
     def in_closed_form(self) -> bool:
         """Whether all windows are summed."""
-        return isinstance(self.windows, AllWindows)
+        return not self.windows.needs_key
 
     def in_chunks(self, record: Record) -> bool:
         """Whether all windows are summed, chunk by chunk of a long record."""
-        return isinstance(self.windows, AllWindows) and self.windows.in_chunks(record)
+        return self.windows.in_chunks(record)
 
     def block_samples(self, record: Record) -> int:
         """Of all windows, as many starts as they are summed over at once."""
-        if isinstance(self.windows, AllWindows):
-            return self.windows.block(record.sample_count)
+        if self.in_closed_form:
+            return self.windows.every.block(record.sample_count)
         return super().block_samples(record)
 
     @property
     def sampled(self) -> "RIEC":
         """This criterion with random windows, for what needs single rows of all of them."""
-        windows = self.windows
-        if isinstance(windows, RandomWindows):
-            return self
-        return RIEC(RandomWindows(windows.alpha, windows.beta, ROWS_OF_ALL), self.test_function)
+        return RIEC(self.windows.drawn, self.test_function)
 
     def fitted(self, records: Sequence[Record]) -> "RIEC":
         """This criterion with what it can find out of the records before tracing."""
-        if isinstance(self.windows, RandomWindows):
-            return self
         return RIEC(self.windows.fitted(records), self.test_function)
 
     def check(self, record: Record) -> None:
@@ -299,44 +318,44 @@ class RIEC(AbstractCriterion):
 
     def row_count(self, record: Record) -> float | None:
         """One for each window, if that is known (not where windows or the record are traced)."""
-        windows = self.windows
-        if isinstance(windows, RandomWindows):
-            return windows.count
-        if not is_concrete(windows, record.time_step):
+        if self.needs_key:
+            return self.windows.drawn.count
+        if not is_concrete(self.windows, record.time_step):
             return None
         # Inside a jitted function, JAX would trace arithmetic on known numbers too.
         with jax.ensure_compile_time_eval():
-            return self.test_function.window_count(windows, record)
+            return self.test_function.window_count(self.windows.every, record)
 
-    def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None) -> Rows:
-        """One row for each window. The same key draws the same windows for every equation.
-
-        Of all windows, a fixed random sample, for plots and checks.
-
-        **Raises:** `DataError` for a missing signal, `ModelError` without a key.
-        """
-        windows = self.sampled.windows
-        assert isinstance(windows, RandomWindows)
-        if key is None and self.needs_key:
-            raise ModelError("random windows need a key: key=jax.random.key(seed).")
-        drawn = windows.draw(
+    def draw(self, record: Record, key: Key[Array, ""] | None, held: Held = None) -> WindowSet:
+        """The windows of a key. Of all windows, without one, a fixed random sample."""
+        return self.windows.drawn.draw(
             jax.random.key(0) if key is None else key,
-            record.sample_count,
+            record.sample_count if held is None else held,
             record.time_step,
             self.test_function.length_multiple,
         )
-        columns, kept = self.test_function.integrals(equation, record, drawn)
-        return Rows.of(columns, drawn.start, equation.parameters, kept)
+
+    def rows_of(self, columns: Columns, drawn: WindowSet, held: Held = None) -> Rows:
+        """One row for each window that touches no missing or masked sample."""
+        values, kept = self.test_function.integrals(columns, drawn, held)
+        return Rows.of(values, drawn.start, columns.parameters, kept)
 
     def moments(self, equation: Equation, record: Record) -> Moments:
         """Sums over all windows of the outer products of rows, for blocks of starts.
 
         **Raises:** `DataError` for a missing signal; `ModelError` for random windows.
         """
-        windows = self.windows
-        if isinstance(windows, RandomWindows):
+        if self.needs_key:
             raise ModelError("random windows have rows, not moments of all of them.")
-        return self.test_function.moments(equation, record, windows)
+        weight, windows, n = self.test_function, self.windows.every, record.sample_count
+        lags, reach = weight.lags(windows, record), windows.reach(n)
+
+        def of_chunk(part: Record, blocks: Blocks) -> Moments:
+            columns = sampled_columns(equation, part, self.smoothness)
+            return weight.moments(columns, lags, blocks, reach)
+
+        block = windows.block(n)
+        return in_chunks(record, of_chunk, block=block, reach=reach, margin=weight.margin)
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""

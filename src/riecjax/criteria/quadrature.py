@@ -1,8 +1,9 @@
 """Running integrals of sampled functions, of stated order in the time step."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jax import numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.running_sums import running_sum
 
@@ -13,6 +14,7 @@ def running_integral(
     samples: Float[Array, "columns n"],
     order: int = 2,
     present: Bool[Array, " n"] | None = None,
+    held: Int[Array, ""] | int | None = None,
 ) -> Float[Array, "columns n"]:
     """Integral from the first sample to each, in units of the time step.
 
@@ -20,12 +22,12 @@ def running_integral(
     samples nearest to them: a straight line (trapezoids) for order 2, a cubic for order 4. The
     first and last intervals use the record's first and last `order` samples, which keeps
     the order; an interval whose polynomial would reach over a missing sample falls back to the
-    trapezoid.
+    trapezoid. Of a record that is filled up, its last sample is number `held - 1`.
     """
     areas = 0.5 * (samples[:, 1:] + samples[:, :-1])
     order = min(order, 2 * (samples.shape[1] // 2))
     if order > 2:
-        higher = _interval_integrals(samples, order)
+        higher = _interval_integrals(samples, order, held)
         areas = higher if present is None else jnp.where(_intact(present, order), higher, areas)
     return jnp.pad(running_sum(areas), ((0, 0), (1, 0)))
 
@@ -43,21 +45,22 @@ def interval_weights(order: int, interval: int) -> Float[np.ndarray, " order"]:
 
 
 def _interval_integrals(
-    samples: Float[Array, "columns n"], order: int
+    samples: Float[Array, "columns n"], order: int, held: Int[Array, ""] | int | None
 ) -> Float[Array, "columns n-1"]:
     n, reach = samples.shape[1], order // 2 - 1
     inner = n - order + 1
     weights = interval_weights(order, reach)
     middle = sum(float(w) * samples[:, j : j + inner] for j, w in enumerate(weights))
     first = [samples[:, :order] @ interval_weights(order, i) for i in range(reach)]
-    last = [
-        samples[:, n - order :] @ interval_weights(order, order - 1 - reach + i)
-        for i in range(reach)
-    ]
+    end = n if held is None else jnp.maximum(held, order)
+    tail = jax.lax.dynamic_slice_in_dim(samples, end - order, order, axis=1)
+    last = [tail @ interval_weights(order, order - 1 - reach + i) for i in range(reach)]
     assert isinstance(middle, Array)
     if not reach:
         return middle
-    return jnp.concatenate([jnp.stack(first, 1), middle, jnp.stack(last, 1)], axis=1)
+    behind = jnp.stack(last, 1)
+    areas = jnp.concatenate([jnp.stack(first, 1), middle, behind], axis=1)
+    return jax.lax.dynamic_update_slice_in_dim(areas, behind, end - 1 - reach, axis=1)
 
 
 def _intact(present: Bool[Array, " n"], order: int) -> Bool[Array, "1 n-1"]:

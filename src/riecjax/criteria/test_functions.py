@@ -18,11 +18,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.all_windows import Moments, moments_in_blocks
-from riecjax.criteria.chunks import in_chunks
+from riecjax.criteria.chunks import Blocks
+from riecjax.criteria.laws import LagBins
 from riecjax.criteria.quadrature import ORDERS, running_integral
 from riecjax.criteria.windows import AllWindows, WindowSet
-from riecjax.equations.equation import Equation
-from riecjax.equations.term import sum_columns
+from riecjax.equations.columns import Columns
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 
@@ -51,12 +51,30 @@ class AbstractTestFunction(eqx.Module):
         """Window lengths are whole multiples of so many samples."""
         raise NotImplementedError
 
-    def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
-        """Integral of every column of the equation over every window."""
+    @property
+    def margin(self) -> int:
+        """Samples beside a window that its integrals may look at."""
+        return 0
+
+    def integrals(
+        self, columns: Columns, windows: WindowSet, held: Int[Array, ""] | int | None = None
+    ) -> Integrals:
+        """Integral of every column over every window.
+
+        `held`: real samples of columns that are filled up, all by default.
+        """
         raise NotImplementedError
 
-    def moments(self, equation: Equation, record: Record, windows: AllWindows) -> Moments:
-        """Sums over all windows of the outer products of their rows, for blocks of starts."""
+    def lags(self, windows: AllWindows, record: Record) -> LagBins:
+        """The law of window lengths on a record."""
+        raise NotImplementedError
+
+    def moments(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
+        """Sums over all windows of the outer products of their rows, for blocks of starts.
+
+        **Arguments:** `lags`, the law of lengths; with two axes, sums are kept for each of the
+        first, along a leading axis. `reach`: no window is longer in samples.
+        """
         raise NotImplementedError
 
     def window_count(self, windows: AllWindows, record: Record) -> float:
@@ -137,40 +155,31 @@ class _Differences(AbstractTestFunction):
         """As the order of the difference, so that all its points lie on samples."""
         return self.smoothness
 
-    def primitives(self, equation: Equation, record: Record) -> Primitives:
+    @property
+    def margin(self) -> int:
+        """Samples beside a window that its integrals may look at."""
+        return self.quadrature
+
+    def primitives(self, columns: Columns, held: Int[Array, ""] | int | None = None) -> Primitives:
         """Primitives of the target (first row) and of every named coefficient's column."""
-        s = self.smoothness
-        read = [term.samples(record, max(term.derivative - s, 0)) for term in equation.terms]
-        present = equation.present(record, read)
-
-        def columns(derivative: int) -> Float[Array, "columns n"]:
-            held = [
-                (term, sampled.values)
-                for term, sampled in zip(equation.terms, read)
-                if min(term.derivative, s) == derivative
-            ]
-            shape = (1 + len(equation.parameters), record.sample_count)
-            return (
-                sum_columns(held, equation.parameters)
-                if held
-                else jnp.zeros(shape, record.time_step.dtype)
-            )
-
+        s, step, present = self.smoothness, columns.time_step, columns.present
         # A term with a derivative joins the others when they have been integrated as often.
-        values = columns(0)
+        values = columns.values[0]
         mean, bend = jnp.zeros_like(values[:, 0]), jnp.zeros_like(values[:, 1:])
         for integrated in range(1, s + 1):
-            values = values * record.time_step
-            average = jnp.mean(values, axis=1)
+            values = values * step
+            average = real_mean(values, held)
             # The mean of a later integrand belongs to a polynomial whose differences vanish.
-            mean = average * record.time_step ** (s - 1) if integrated == 1 else mean
+            mean = average * step ** (s - 1) if integrated == 1 else mean
             bend = jnp.diff(values, axis=1)
-            values = running_integral(values - average[:, None], self.quadrature, present)
-            values = values + columns(integrated)
+            values = running_integral(values - average[:, None], self.quadrature, present, held)
+            values = values + columns.values[integrated]
         return Primitives(values, mean, bend, present, s)
 
-    def integrals(self, equation: Equation, record: Record, windows: WindowSet) -> Integrals:
-        """Integral of every column of the equation over every window.
+    def integrals(
+        self, columns: Columns, windows: WindowSet, held: Int[Array, ""] | int | None = None
+    ) -> Integrals:
+        """Integral of every column over every window.
 
         **Raises:** `ModelError` for windows that start between samples, unless the test function
         is the boxcar with trapezoidal quadrature.
@@ -181,38 +190,46 @@ class _Differences(AbstractTestFunction):
                 "windows between samples go with the boxcar and quadrature of order 2; draw them "
                 "on samples (between_samples=False)."
             )
-        return self.primitives(equation, record).integrals(windows)
+        return self.primitives(columns, held).integrals(windows)
 
-    def moments(self, equation: Equation, record: Record, windows: AllWindows) -> Moments:
+    def lags(self, windows: AllWindows, record: Record) -> LagBins:
+        """The law of window lengths on a record, in multiples of samples."""
+        return windows.bins(record.sample_count, record.time_step, self.length_multiple)
+
+    def moments(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts."""
-        n, order = record.sample_count, self.smoothness
-        block, reach = windows.block(n), windows.reach(n)
-        bins = windows.bins(n, record.time_step, order)
-
-        def of_chunk(part: Record, first: Int[Array, ""] | int, count: int) -> Moments:
-            primitives = self.primitives(equation, part)
-            return moments_in_blocks(
-                primitives.values,
-                primitives.mean,
-                primitives.present,
-                bins,
-                order=order,
-                first=first,
-                count=count,
-                block=block,
-                reach=reach,
-            )
-
-        return in_chunks(record, of_chunk, block=block, reach=reach, margin=self.quadrature)
+        found = self.primitives(columns, blocks.held)
+        return moments_in_blocks(
+            found.values,
+            found.mean,
+            found.present,
+            lags,
+            blocks.first,
+            blocks.size,
+            blocks.held,
+            order=self.smoothness,
+            count=blocks.number,
+            reach=reach,
+        )
 
     def window_count(self, windows: AllWindows, record: Record) -> float:
         """Starts times lengths, as far as windows end in the record."""
         n, multiple = record.sample_count, self.length_multiple
-        first, last, weight, _ = windows.bins(n, record.time_step, multiple)
+        first, last, weight, _ = self.lags(windows, record)
         # In real numbers: windows may be more than 32-bit integers hold.
         first, last = (np.asarray(edge, float) for edge in (first, last))
         starts = n - multiple * (first + last) / 2
         return float(np.sum(np.asarray(weight, float) * (last - first + 1) * starts))
+
+
+def real_mean(
+    values: Float[Array, "columns n"], held: Int[Array, ""] | int | None
+) -> Float[Array, " columns"]:
+    """Mean of the first `held` samples, of all by default."""
+    if held is None or (isinstance(held, int) and held == values.shape[1]):
+        return jnp.mean(values, axis=1)
+    inside = jnp.arange(values.shape[1]) < held
+    return jnp.sum(jnp.where(inside[None, :], values, 0.0), axis=1) / held
 
 
 class Boxcar(_Differences):

@@ -22,7 +22,8 @@ MOST_BLOCKS = 1024
 FEW_BLOCKS = 64
 """Blocks of starts where each must look at the whole record."""
 
-
+DRAWN = 8000
+"""Windows drawn where single rows of all windows are asked for."""
 DEFAULT_BAND = (1.0, 10.0)
 """Lowest and highest frequency in hertz of the motion to explain, where nothing is said of it."""
 
@@ -39,6 +40,10 @@ def half_periods(band: tuple[float, float]) -> tuple[float, float]:
     if not 0 < low < high:
         raise ModelError(f"a band needs 0 < low < high in hertz; got {low:g} to {high:g}.")
     return 1 / (2 * high), 1 / (2 * low)
+
+
+Count = Int[Array, ""] | int
+"""A number of samples, which may be traced."""
 
 
 class WindowSet(NamedTuple):
@@ -78,7 +83,7 @@ class AbstractWindows(eqx.Module):
             )
 
     def lags(
-        self, sample_count: int, time_step: Float[Array, ""], multiple: int = 1
+        self, sample_count: Count, time_step: Float[Array, ""], multiple: int = 1
     ) -> tuple[Int[Array, ""], Int[Array, ""]]:
         """Shortest and longest window in multiples of samples, at least 1, within the record.
 
@@ -90,13 +95,44 @@ class AbstractWindows(eqx.Module):
         shortest, longest = _in_lags(alpha, beta, sample_count, time_step, multiple)
         return rounded(shortest), rounded(longest)
 
+    @property
+    def drawn(self) -> "RandomWindows":
+        """Random windows of these lengths, for what needs single rows."""
+        raise NotImplementedError
+
+    @property
+    def every(self) -> "AllWindows":
+        """All windows of these lengths."""
+        raise NotImplementedError
+
+    @property
+    def needs_key(self) -> bool:
+        """Whether windows are drawn at random."""
+        raise NotImplementedError
+
+    def fitted(self, records: Sequence[Record]) -> Self:
+        """The same windows with what can be found out of the records before tracing."""
+        return self
+
+    def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
+        """The same windows with other lengths."""
+        return dataclasses.replace(self, alpha=as_leaf(alpha), beta=as_leaf(beta))
+
+    def in_chunks(self, record: Record) -> bool:
+        """Whether a record is so long that it is worked through in chunks."""
+        return False
+
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
         raise NotImplementedError
 
 
 def _in_lags(
-    alpha: Leaf, beta: Leaf, sample_count: int, time_step: Float[Array, ""], multiple: int
+    alpha: Leaf,
+    beta: Leaf,
+    sample_count: Count,
+    time_step: Float[Array, ""],
+    multiple: int,
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Shortest and longest window in multiples of samples, not rounded."""
     xp = namespace(alpha, beta, time_step)
@@ -181,7 +217,7 @@ class AllWindows(AbstractWindows):
         self.longest_samples = longest_samples
         _require_order(self.alpha, self.beta)
 
-    def fitted(self, records: Sequence[Record]) -> "AllWindows":
+    def fitted(self, records: Sequence[Record]) -> Self:
         """The same windows with `longest_samples` found out, if that is possible.
 
         A power of two, so that other lengths of about this size compile nothing anew.
@@ -193,9 +229,20 @@ class AllWindows(AbstractWindows):
         limit = _power_of_two(samples + 2)
         return dataclasses.replace(self, longest_samples=limit)
 
-    def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
-        """The same windows with other lengths."""
-        return dataclasses.replace(self, alpha=as_leaf(alpha), beta=as_leaf(beta))
+    @property
+    def drawn(self) -> "RandomWindows":
+        """A fixed number of them."""
+        return RandomWindows(self.alpha, self.beta, DRAWN)
+
+    @property
+    def every(self) -> "AllWindows":
+        """These."""
+        return self
+
+    @property
+    def needs_key(self) -> bool:
+        """False: there is nothing to draw."""
+        return False
 
     def reach(self, sample_count: int) -> int:
         """No window is longer, in samples."""
@@ -287,9 +334,20 @@ class RandomWindows(AbstractWindows):
             raise ModelError(f"the number of windows must be at least 1; got {count}.")
         _require_order(self.alpha, self.beta)
 
-    def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
-        """The same windows with other lengths."""
-        return dataclasses.replace(self, alpha=as_leaf(alpha), beta=as_leaf(beta))
+    @property
+    def drawn(self) -> "RandomWindows":
+        """These."""
+        return self
+
+    @property
+    def every(self) -> AllWindows:
+        """What they converge to as their number grows."""
+        return AllWindows(self.alpha, self.beta)
+
+    @property
+    def needs_key(self) -> bool:
+        """True."""
+        return True
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
@@ -302,7 +360,7 @@ class RandomWindows(AbstractWindows):
     def draw(
         self,
         key: Key[Array, ""],
-        sample_count: int,
+        sample_count: Count,
         time_step: Float[Array, ""],
         multiple: int = 1,
     ) -> WindowSet:
@@ -315,7 +373,11 @@ class RandomWindows(AbstractWindows):
         return self._draw_on_samples(key, sample_count, time_step, multiple)
 
     def _draw_on_samples(
-        self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""], multiple: int
+        self,
+        key: Key[Array, ""],
+        sample_count: Count,
+        time_step: Float[Array, ""],
+        multiple: int,
     ) -> WindowSet:
         m = multiple
         shortest, longest = self.lags(sample_count, time_step, m)
@@ -334,7 +396,7 @@ class RandomWindows(AbstractWindows):
         return WindowSet(start, start + lag)
 
     def _draw_between_samples(
-        self, key: Key[Array, ""], sample_count: int, time_step: Float[Array, ""]
+        self, key: Key[Array, ""], sample_count: Count, time_step: Float[Array, ""]
     ) -> WindowSet:
         u, v = jax.random.uniform(key, (2, self.count))
         last = sample_count - 1.0

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
+from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
@@ -182,7 +183,8 @@ def _error_of(
             f"over time."
         )
     start = jnp.arange(record.sample_count - span)
-    columns, whole = weight.finest().integrals(equation, record, WindowSet(start, start + span))
+    sampled = sampled_columns(equation, record, weight.smoothness)
+    columns, whole = weight.finest().integrals(sampled, WindowSet(start, start + span))
     present = jnp.ones(start.shape, bool) if whole is None else whole
     target, *regressors = jnp.where(present[None, :], columns / step**span, 0.0)
     parts = {
