@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.chunks import Blocks
 from riecjax.criteria.laws import LagBins
+from riecjax.criteria.length_bins import each_bin
 from riecjax.criteria.running_sums import running_sum
 from riecjax.errors import ModelError
 
@@ -171,7 +172,7 @@ def _of_bins(
         def of(own: LagBins) -> tuple[Array, Array]:
             return of_lags(whole, there, Starts(start, start + block), own)
 
-        return of(lags) if lags.first.ndim == 1 else jax.lax.map(of, lags)
+        return each_bin(of, lags)
 
     moments, number = jax.lax.map(of_block, jnp.arange(count))
     if lags.first.ndim == 1:
@@ -286,7 +287,7 @@ def unbroken_boxcar_moments(
         half = half + _products(beyond, 0.5 * total.squares[None, None, block:] * beyond)
         return half + jnp.swapaxes(half, 1, 2), jnp.sum(total.number, axis=1)
 
-    return of_lags(lags) if lags.first.ndim == 1 else jax.lax.map(of_lags, lags)
+    return each_bin(of_lags, lags)
 
 
 class _Blocks(NamedTuple):

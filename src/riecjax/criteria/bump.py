@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from riecjax.criteria.all_windows import Moments, moments_of_rows
 from riecjax.criteria.chunks import Blocks
 from riecjax.criteria.laws import LagBins
+from riecjax.criteria.length_bins import each_bin
 from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, real_mean, whole
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.columns import Columns
@@ -101,8 +102,7 @@ class Bump(AbstractTestFunction):
                 rows_of_length, own.first, own.weight, blocks, skip_empty=lags.first.ndim == 2
             )
 
-        own = lags._replace(edges=None)
-        return of_lags(own) if lags.first.ndim == 1 else jax.lax.map(of_lags, own)
+        return each_bin(of_lags, lags._replace(edges=None))
 
     def window_count(self, windows: AllWindows, record: Record) -> float:
         """Starts of every length, as far as windows end in the record."""

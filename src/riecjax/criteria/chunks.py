@@ -54,6 +54,8 @@ def in_chunks(
     reach: int,
     margin: int,
     held: Int[Array, ""] | None = None,
+    first: Int[Array, ""] | int = 0,
+    number: int | None = None,
 ) -> Any:
     """What `of_chunk` makes of each block of starts of a record, stacked along a leading axis.
 
@@ -66,32 +68,34 @@ def in_chunks(
     - `held`: real samples of a record that is filled up, all by default. It may be traced: chunks
       beyond are not worked through, and what is returned for their blocks is zero. That cannot be
       differentiated backwards.
+    - `first` of the starts, and `number` of blocks from there: by default all that there are.
     """
     n = record.sample_count
-    count = -(-n // block)
+    count = -(-n // block) if number is None else number
     length = -(-max(ROUND, 4 * reach) // block) * block
     if held is None:
         length = chunk_length(record, block, reach)
     width = length + reach + 2 * margin
     if width >= n:
-        return of_chunk(record, Blocks(0, block, count, n if held is None else held))
+        return of_chunk(record, Blocks(first, block, count, n if held is None else held))
     last = n - width if held is None else jnp.maximum(held - width, 0)
 
     def one(index: Array) -> Any:
-        begin = jnp.clip(index * length - margin, 0, last)
+        start = first + index * length
+        begin = jnp.clip(start - margin, 0, last)
         here = width if held is None else jnp.minimum(held - begin, width)
-        blocks = Blocks(index * length - begin, block, length // block, here)
+        blocks = Blocks(start - begin, block, length // block, here)
         return of_chunk(record.stretch(begin, width), blocks)
 
-    rounds = -(-n // length)
+    rounds = -(-count * block // length)
     if held is None:
         chunks = jax.lax.map(one, jnp.arange(rounds))
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
 
     def add(index: Array, total: Any) -> Any:
         return jax.tree.map(
-            lambda all_, own: jax.lax.dynamic_update_slice_in_dim(
-                all_, own, index * (length // block), axis=0
+            lambda every, own: jax.lax.dynamic_update_slice_in_dim(
+                every, own, index * own.shape[0], axis=0
             ),
             total,
             one(index),
@@ -101,5 +105,6 @@ def in_chunks(
     none = jax.tree.map(
         lambda leaf: jnp.zeros((rounds * leaf.shape[0], *leaf.shape[1:]), leaf.dtype), shapes
     )
-    total = jax.lax.fori_loop(0, -(-held // length), add, none)
+    there = jnp.minimum(held - first, count * block)
+    total = jax.lax.fori_loop(0, -(-there // length), add, none)
     return jax.tree.map(lambda leaf: leaf[:count], total)

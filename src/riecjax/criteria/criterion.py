@@ -10,13 +10,14 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import Blocks, in_chunks
+from riecjax.criteria.laws import LagBins
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet, half_periods
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import both_present
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.record import Record
 
 Held = Int[Array, ""] | int | None
@@ -149,6 +150,32 @@ class AbstractCriterion(eqx.Module):
         """Rows of an equation on this record before any is left out, if that is known."""
         raise NotImplementedError
 
+    @property
+    def margin(self) -> int:
+        """Samples beside a window that its integrals may look at."""
+        return 0
+
+    @property
+    def lag_samples(self) -> int:
+        """Window lengths are whole multiples of so many samples."""
+        return 1
+
+    @property
+    def typical_length(self) -> Leaf:
+        """Seconds over which rows average; zero where each is of one sample."""
+        return np.zeros(())
+
+    def between(self, alpha: float | Array, beta: float | Array) -> "AbstractCriterion":
+        """The same with windows of other lengths.
+
+        **Raises:** `ModelError` of a criterion without windows.
+        """
+        raise ModelError("this criterion has no windows whose lengths could be others.")
+
+    def finest(self) -> "AbstractCriterion":
+        """The same with the most accurate integrals there are; itself if it has these."""
+        return self
+
     def fitted(self, records: Sequence[Record]) -> "AbstractCriterion":
         """This criterion with what it can find out of the records before tracing."""
         return self
@@ -177,6 +204,13 @@ class AbstractCriterion(eqx.Module):
 
     def moments(self, equation: Equation, record: Record) -> Moments:
         """Sums over all rows of their outer products, for blocks of `block_samples` starts.
+
+        **Raises:** `ModelError` unless they come in closed form.
+        """
+        raise ModelError("this criterion has rows, not moments of all of them.")
+
+    def moments_of(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
+        """The same of columns and for window lengths that are told, no longer than `reach` samples.
 
         **Raises:** `ModelError` unless they come in closed form.
         """
@@ -291,6 +325,32 @@ class RIEC(AbstractCriterion):
         """Whether all windows are summed."""
         return not self.windows.needs_key
 
+    @property
+    def margin(self) -> int:
+        """The test function's."""
+        return self.test_function.margin
+
+    @property
+    def lag_samples(self) -> int:
+        """The test function's."""
+        return self.test_function.length_multiple
+
+    @property
+    def typical_length(self) -> Leaf:
+        """The geometric mean of alpha and beta."""
+        xp = namespace(self.windows)
+        return xp.sqrt(xp.multiply(self.windows.alpha, self.windows.beta))
+
+    def between(self, alpha: float | Array, beta: float | Array) -> "RIEC":
+        """The same with windows of other lengths."""
+        return RIEC(self.windows.between(alpha, beta), self.test_function)
+
+    def finest(self) -> "RIEC":
+        """The same with the test function's finest quadrature; windows between samples have one."""
+        finer = self.test_function.finest()
+        same = finer == self.test_function or self.windows.drawn.between_samples
+        return self if same else RIEC(self.windows, finer)
+
     def in_chunks(self, record: Record) -> bool:
         """Whether all windows are summed, chunk by chunk of a long record."""
         return self.windows.in_chunks(record)
@@ -347,15 +407,22 @@ class RIEC(AbstractCriterion):
         """
         if self.needs_key:
             raise ModelError("random windows have rows, not moments of all of them.")
-        weight, windows, n = self.test_function, self.windows.every, record.sample_count
-        lags, reach = weight.lags(windows, record), windows.reach(n)
+        windows, n = self.windows.every, record.sample_count
+        lags, reach = self.test_function.lags(windows, record), windows.reach(n)
 
         def of_chunk(part: Record, blocks: Blocks) -> Moments:
             columns = sampled_columns(equation, part, self.smoothness)
-            return weight.moments(columns, lags, blocks, reach)
+            return self.moments_of(columns, lags, blocks, reach)
 
         block = windows.block(n)
-        return in_chunks(record, of_chunk, block=block, reach=reach, margin=weight.margin)
+        return in_chunks(record, of_chunk, block=block, reach=reach, margin=self.margin)
+
+    def moments_of(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
+        """The same of columns and for window lengths that are told, no longer than `reach` samples.
+
+        Of lags with two axes the sums of each of the first are kept apart, along a leading axis.
+        """
+        return self.test_function.moments(columns, lags, blocks, reach)
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""

@@ -1,14 +1,14 @@
-"""What a procedure's equations make of records: normal equations of its stages, or rows.
+"""What a procedure's equations make of records: sums of its equations, or of its stages.
 
 Equations of a stage, records and blocks of time add up, so that one table of moments for each
-stage, record and short block is all that needs to be kept.
+equation, record and short block is all that needs to be kept.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Int, Key
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
@@ -21,6 +21,7 @@ from riecjax.estimation.normal_equations import (
 )
 from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.sums import EquationSums, RecordingSums
 from riecjax.leaves import namespace
 from riecjax.records.record import Record
 
@@ -41,20 +42,47 @@ def stage_normal_equations(
     length one.
     """
     parts = _equation_by_equation(procedure, record, criterion, key, blocks)
-    return _stages(procedure, parts)
+    return [
+        sum_of_equations(equations, names)
+        for equations, names in zip(parts, procedure.stage_parameters)
+    ]
+
+
+def sum_of_equations(equations: list[NormalEquations], names: tuple[str, ...]) -> NormalEquations:
+    """A stage's normal equations: its equations' ones, residuals of all weighted alike."""
+    total = equations[0].embed(names)
+    for further in equations[1:]:
+        total = total + further.embed(names)
+    return total
 
 
 @eqx.filter_jit
-def _stages_and_equations(
+def stage_sums(
     procedure: Procedure,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
-) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
-    """Of each stage in blocks, and of its equations apart, if it has several, in one block."""
+) -> RecordingSums:
+    """Moments of one record, for code that is traced: shapes are those of the record."""
     parts = _equation_by_equation(procedure, record, criterion, key, True)
-    apart = [[e.in_one_block() for e in stage] if len(stage) > 1 else [] for stage in parts]
-    return _stages(procedure, parts), apart
+    stages = tuple(
+        tuple(
+            EquationSums(e.moments[None], e.count[None], None, None, None, None, e.parameters)
+            for e in stage
+        )
+        for stage in parts
+    )
+    offered = criterion.row_count(record)
+    short = short_blocks([record], criterion)
+    return RecordingSums(
+        stages,
+        jnp.asarray(short.number[0]),
+        jnp.asarray(short.seconds[0]),
+        jnp.asarray(jnp.nan if offered is None else float(offered)),
+        jnp.asarray(record.sample_count),
+        record.time_step,
+        jnp.zeros(8, jnp.uint32),
+    )
 
 
 def _equation_by_equation(
@@ -78,23 +106,9 @@ def _equation_by_equation(
     return [[summed(equation) for equation in stage] for stage in procedure.stages]
 
 
-def _stages(procedure: Procedure, parts: list[list[NormalEquations]]) -> list[NormalEquations]:
-    return [
-        _sum([equation.embed(names) for equation in stage])
-        for stage, names in zip(parts, procedure.stage_parameters)
-    ]
-
-
 def _moments(criterion: AbstractCriterion, equation: Equation, record: Record) -> NormalEquations:
     moments, count = criterion.moments(equation, record)
     return NormalEquations(moments, count, equation.parameters)
-
-
-def _sum(parts: list[NormalEquations]) -> NormalEquations:
-    total = parts[0]
-    for further in parts[1:]:
-        total = total + further
-    return total
 
 
 def _block_of_row(rows: Rows, samples: int, count: int) -> Int[Array, " rows"]:
@@ -106,25 +120,9 @@ def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> Sho
     samples = [criterion.block_samples(record) for record in records]
     xp = namespace([record.time_step for record in records])
     return ShortBlocks(
-        tuple(-(-record.sample_count // k) for record, k in zip(records, samples)),
+        np.array([-(-record.sample_count // k) for record, k in zip(records, samples)]),
         xp.stack([xp.multiply(k, record.time_step) for record, k in zip(records, samples)]),
     )
-
-
-class Assembled(NamedTuple):
-    """Normal equations of a procedure over all records.
-
-    **Fields:**
-
-    - `stages`: of each stage, leading axes `(records, short blocks)`.
-    - `equations`: of each equation of a stage of several apart, leading axes `(records, 1)`; none
-      of a stage of one. Residuals of the equations follow from them without another pass.
-    - `short`: the short blocks.
-    """
-
-    stages: list[NormalEquations]
-    equations: list[list[NormalEquations]]
-    short: ShortBlocks
 
 
 def all_normal_equations(
@@ -133,45 +131,18 @@ def all_normal_equations(
     records: list[Record],
     criterion: AbstractCriterion,
     keys: list[Key[Array, ""] | None],
-) -> Assembled:
-    """Normal equations of each stage, and of its equations, over all records."""
-
-    def shared(equations: NormalEquations, i: int) -> NormalEquations:
-        names = equations.parameters
-        if not sharing.own:
-            return equations
-        return equations.rename(sharing.of_record(names, i)).embed(sharing.everywhere(names))
-
-    of_stages, of_equations = [], []
+) -> list[NormalEquations]:
+    """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
+    of_stages = []
     for i, (record, key) in enumerate(zip(records, keys)):
-        stages, apart = _stages_and_equations(procedure, record, criterion, key)
-        of_stages.append([shared(stage, i) for stage in stages])
-        of_equations.append([[shared(e, i) for e in stage] for stage in apart])
-    return Assembled(
-        [stack_normal_equations(parts) for parts in zip(*of_stages)],
-        [[stack_normal_equations(e) for e in zip(*stages)] for stages in zip(*of_equations)],
-        short_blocks(records, criterion),
-    )
+        stages = stage_normal_equations(procedure, record, criterion, key, blocks=True)
+        of_stages.append([over_records(stage, sharing, i) for stage in stages])
+    return [stack_normal_equations(parts) for parts in zip(*of_stages)]
 
 
-@eqx.filter_jit
-def all_rows(
-    procedure: Procedure,
-    sharing: Sharing,
-    records: list[Record],
-    criterion: AbstractCriterion,
-    keys: list[Key[Array, ""] | None],
-) -> list[Rows]:
-    """Rows of each stage over all records and all its equations."""
-    return [
-        Rows.concatenate(
-            [
-                criterion.rows(equation, record, key)
-                .rename(sharing.of_record(equation.parameters, i))
-                .embed(sharing.everywhere(names))
-                for i, (record, key) in enumerate(zip(records, keys))
-                for equation in stage
-            ]
-        )
-        for stage, names in zip(procedure.stages, procedure.stage_parameters)
-    ]
+def over_records(equations: NormalEquations, sharing: Sharing, index: int) -> NormalEquations:
+    """Normal equations of one record, from 0, among the parameters of all records."""
+    if not sharing.own:
+        return equations
+    names = equations.parameters
+    return equations.rename(sharing.of_record(names, index)).embed(sharing.everywhere(names))

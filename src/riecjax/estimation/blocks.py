@@ -22,6 +22,9 @@ ENOUGH_BLOCKS = 20
 """Blocks of all records that long blocks should leave."""
 LONGEST_WINDOWS = 4
 """Longest windows to a block, where there is room: a quarter of it overlaps the next block."""
+SILENT = 5
+"""Insignificant autocovariances in a row that end the search: the root of log10 n, and 5 at least,
+which is more for any n."""
 FEWEST_WINDOWS = 2
 """Longest windows to a block at the least."""
 
@@ -29,16 +32,17 @@ FEWEST_WINDOWS = 2
 class ShortBlocks(NamedTuple):
     """The blocks of start times that normal equations are kept for.
 
-    **Fields:** `number` of blocks of each record; `seconds` that a block of each record lasts.
+    **Fields:** `number` of blocks that hold each record, of the same or a longer axis of an
+    array; `seconds` that a block of each record lasts.
     """
 
-    number: tuple[int, ...]
+    number: Int[Array, " records"]
     seconds: Float[Array, " records"]
 
     @property
     def durations(self) -> Float[Array, " records"]:
         """Seconds of each record."""
-        return self.seconds * np.array(self.number)
+        return self.seconds * self.number
 
 
 def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " records"]:
@@ -46,10 +50,10 @@ def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " r
 
     Of a whole number of short blocks each, so that they come out even.
     """
-    number = np.array(short.number)
-    xp = namespace(length, short.seconds)
+    xp = namespace(length, short)
     each = xp.maximum(xp.round(xp.divide(length, short.seconds)), 1)
-    return xp.clip(number // each, 2, np.minimum(number, MOST_BLOCKS)).astype(np.int32)
+    most = xp.minimum(short.number, MOST_BLOCKS)
+    return xp.clip(short.number // each, 2, most).astype(np.int32)
 
 
 def put_together(
@@ -80,7 +84,7 @@ def gathered(
     most: int = MOST_BLOCKS,
 ) -> Float[Array, "blocks *shape"]:
     """Sums over longer blocks of what is known of short ones; see [`put_together`][]."""
-    held = np.array(short.number)[:, None]
+    held = short.number[:, None]
     place = np.arange(values.shape[1])[None, :]
     # What is left over is spread, so that no last block is shorter than the others.
     group = jnp.where(place < held, place * used[:, None] // held, most)
@@ -116,22 +120,24 @@ def politis_white(
 
     **Arguments:** `influence` of each short block on each estimate, zero where there is none.
     """
-    count = sum(short.number)
-    most = influence.shape[1]
-    silent = max(5, int(np.ceil(np.sqrt(np.log10(max(count, 2))))))
-    lags = min(int(np.ceil(np.sqrt(count))) + silent, most - 1)
-    if lags < silent + 1:
+    records, room = influence.shape[:2]
+    count = jnp.sum(short.number)
+    # Arrays may be longer than what they hold, so that the number of lags is traced.
+    room = min(int(np.ceil(np.sqrt(records * room))) + SILENT, room - 1)
+    if room < SILENT + 1:
         return jnp.zeros(influence.shape[-1], influence.dtype)
-    covariances = _autocovariances(influence, lags)
-    positive = covariances[0] > 0
+    lags = jnp.ceil(jnp.sqrt(count)) + SILENT
+    lags = jnp.minimum(lags, jnp.max(short.number) - 1).astype(int)
+    covariances = _autocovariances(influence, room)
+    positive = (covariances[0] > 0) & (lags > SILENT)
     scale = jnp.where(positive, covariances[0], 1.0)
-    ratios = covariances / scale[None, :]
-    significant = jnp.abs(ratios[1:]) >= 2 * np.sqrt(np.log10(count) / count)
-    reach = 2 * _last_significant(significant, silent)
-    lag = jnp.arange(1, lags + 1)[:, None]
+    lag = jnp.arange(1, room + 1)[:, None]
+    ratios = jnp.where(lag <= lags, covariances[1:] / scale[None, :], 0.0)
+    significant = jnp.abs(ratios) >= 2 * jnp.sqrt(jnp.log10(count) / count)
+    reach = 2 * _last_significant(significant & (lag <= lags), lags)
     taper = jnp.clip(2 * (1 - lag / reach[None, :]), 0.0, 1.0)
-    slope = 2 * jnp.sum(taper * lag * ratios[1:], axis=0)
-    density = 1 + 2 * jnp.sum(taper * ratios[1:], axis=0)
+    slope = 2 * jnp.sum(taper * lag * ratios, axis=0)
+    density = 1 + 2 * jnp.sum(taper * ratios, axis=0)
     blocks = jnp.abs(slope / jnp.maximum(density, 0.1)) ** (2 / 3) * count ** (1 / 3)
     return jnp.where(positive, blocks, 0.0) * jnp.mean(short.seconds)
 
@@ -149,12 +155,13 @@ def _autocovariances(series: Float[Array, "records n p"], most: int) -> Float[Ar
     return jax.lax.map(at_lag, jnp.arange(most + 1))
 
 
-def _last_significant(significant: Array, silent: int) -> Int[Array, " p"]:
-    """The lag, 1 at least, after which `silent` in a row are insignificant; else the last one."""
-    lags = significant.shape[0]
+def _last_significant(significant: Array, lags: Int[Array, ""]) -> Int[Array, " p"]:
+    """The lag, 1 at least, after which `SILENT` in a row are insignificant; else the last one."""
+    room = significant.shape[0]
     loud = jnp.pad(jnp.cumsum(significant, axis=0), ((1, 0), (0, 0)))
-    starts = lags - silent + 1
-    quiet = loud[silent : silent + starts] == loud[:starts]
-    last = jnp.max(jnp.where(significant, jnp.arange(1, lags + 1)[:, None], 0), axis=0)
+    starts = room - SILENT + 1
+    quiet = loud[SILENT : SILENT + starts] == loud[:starts]
+    quiet = quiet & (jnp.arange(starts)[:, None] <= lags - SILENT)
+    last = jnp.max(jnp.where(significant, jnp.arange(1, room + 1)[:, None], 0), axis=0)
     found = jnp.where(jnp.any(quiet, axis=0), jnp.argmax(quiet, axis=0), last)
     return jnp.maximum(found, 1)

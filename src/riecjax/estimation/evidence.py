@@ -46,7 +46,7 @@ def judge(
     """
     flat = [stage.flattened() for stage in stages]
     fine = block_influence(flat, known, values)
-    fine = fine.reshape(len(short.number), -1, fine.shape[-1])
+    fine = fine.reshape(short.number.shape[0], -1, fine.shape[-1])
     length = block_length(short, longest_window, politis_white(fine, short))
     used = blocks_in_use(short, length)
     blocks = [put_together(stage, short, used) for stage in stages]
@@ -63,6 +63,6 @@ def judge(
         length,
         list(stages),
     )
-    per_record = influence.reshape(len(short.number), MOST_BLOCKS, -1)
+    per_record = influence.reshape(short.number.shape[0], MOST_BLOCKS, -1)
     inflation = jnp.where(shared, record_inflation(per_record, used), 1.0)
     return Judged(intervals.uncertainty(evidence).grown(inflation), inflation, evidence)

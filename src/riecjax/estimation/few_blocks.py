@@ -70,9 +70,9 @@ def few_blocks_sandwich(
     **Arguments:** `fine`, each stage in short blocks, leading axes `(records, short blocks)`;
     `used`, long blocks of each record, which are halved where short blocks are short enough.
     """
-    records = len(short.number)
+    records = short.number.shape[0]
     most = max(MOST_HALVES // records, 2)
-    halves = jnp.minimum(2 * used, np.minimum(short.number, most))
+    halves = jnp.minimum(2 * used, jnp.minimum(short.number, most))
     stages = [put_together(stage, short, halves, most) for stage in fine]
     totals = [stage.total() for stage in stages]
     whole = slope(totals, plan)

@@ -78,7 +78,7 @@ class IntegralMisfit(AbstractMisfit):
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """By blocks of the windows' starts."""
         short = short_blocks(self.records, self.criterion)
-        most = max(short.number)
+        most = expansion.pieces[0].shape[1] // len(self.records)
         (pieces,) = expansion.pieces
         sign = jnp.ones(pieces.shape[-1]).at[0].set(-1.0)
         moments = pieces * (sign[:, None] * sign[None, :])[None, None]

@@ -1,0 +1,334 @@
+"""One pass over a recording's samples: everything that is kept of it.
+
+Every equation's columns are sampled once, chunk by chunk, and what blocks of starts say is added
+up from them: moments of all windows, rows averaged by hats, activity of terms, and, on request, a
+survey for checks and figures. Of recordings of any length the same few functions serve: samples
+are filled up to one of three lengths behind the recording's end, which is traced, and a longer
+recording is worked through in parts that overlap by the longest window.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from riecjax.criteria.chunks import Blocks, in_chunks
+from riecjax.criteria.criterion import AbstractCriterion, Rows
+from riecjax.criteria.laws import LagBins
+from riecjax.criteria.windows import WindowSet
+from riecjax.equations.columns import Columns, sampled_columns
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Terms, evaluate
+from riecjax.estimation.averages import activity, averaged_rows
+from riecjax.estimation.normal_equations import normal_equations
+from riecjax.estimation.procedure import Procedure
+from riecjax.records.record import Record
+
+PART = 2**17
+"""Starts to a part of a long recording, and the longest of the lengths that are filled up to."""
+FILLED = (2**12, 2**15, PART)
+"""Samples that shorter recordings are filled up to."""
+NOISE = np.random.default_rng(0).standard_normal(2**16)
+"""White noise of unit size, which is sent through the equations."""
+APART = 9973
+"""Samples between where two signals begin to take their noise."""
+
+
+class Lengths(NamedTuple):
+    """Window lengths whose sums are kept apart: bins by the first axis.
+
+    **Fields:** `lags`, the law in each bin; `reach`, no window of them is longer in samples.
+    """
+
+    lags: LagBins
+    reach: int
+
+
+class Request(NamedTuple):
+    """What to sum, as far as it is compiled in.
+
+    **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
+    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `averaged`, and
+    those that are `surveyed`, none unless a survey is asked for.
+    """
+
+    block: Int[Array, ""] | int
+    blocks: int
+    averaged: int
+    surveyed: int
+
+
+class Part(NamedTuple):
+    """Samples of a recording, filled up behind, and which of its starts are summed here.
+
+    **Fields:** `record`; `first` of the starts; `held`, samples that are the recording's (`None`:
+    all of them, a number that is compiled in); `levels`, the noise of each signal.
+    """
+
+    record: Record
+    first: Int[Array, ""] | int
+    held: Int[Array, ""] | None
+    levels: Float[Array, " signals"]
+
+
+class Watched(NamedTuple):
+    """What is kept of one equation, by blocks of starts.
+
+    **Fields:** `moments` and `count`, by bins, none of rows that are drawn; `averaged` rows with a
+    leading one, zero where there is none, and `noise`, outer products of what noise adds to these;
+    `activity`, a field after the other; `survey`.
+    """
+
+    moments: tuple[tuple[Array, Array], ...]
+    averaged: Float[Array, "blocks rows 2+p"]
+    noise: Float[Array, "blocks 2+p 2+p"]
+    activity: Any
+    survey: "Surveyed | None"
+
+
+class Surveyed(NamedTuple):
+    """Rows of some windows in each block, and where they start; the same by the finest quadrature,
+    and what noise adds to them; least and largest argument of each basis."""
+
+    rows: Float[Array, "blocks rows columns"]
+    finer: Float[Array, "blocks rows columns"]
+    noise: Float[Array, "blocks rows columns"]
+    start: Float[Array, "blocks rows"]
+    kept: Array
+    reach: dict[str, Float[Array, "1 2"]]
+
+
+@eqx.filter_jit
+def of_all_windows(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    lengths: tuple[Lengths, ...],
+    half: Int[Array, ""],
+    band: tuple[Int[Array, ""], Int[Array, ""]],
+    request: Request,
+) -> list[list[Watched]]:
+    """What blocks of starts of a part say of each equation of each stage, where windows are summed.
+
+    **Arguments:** `half` a hat's length in samples; `band`, shortest and longest lag of the law.
+    """
+
+    def watch(
+        equation: Equation, columns: Columns, noise: Columns, record: Record, blocks: Blocks
+    ) -> Watched:
+        moments = tuple(
+            (jnp.swapaxes(sums, 0, 1), jnp.swapaxes(count, 0, 1))
+            for sums, count in (
+                criterion.moments_of(columns, which.lags, blocks, which.reach) for which in lengths
+            )
+        )
+        watched = _watched(columns, noise, blocks, half, request.averaged, moments)
+        if not request.surveyed:
+            return watched
+        windows = _some_windows(criterion, blocks, band, request.surveyed)
+        survey = _surveyed(criterion, equation, columns, noise, windows, record, blocks)
+        return watched._replace(survey=survey)
+
+    return _in_chunks(procedure, criterion, part, watch, lengths[-1].reach, request)
+
+
+class Drawn(NamedTuple):
+    """Sums of one equation's rows by blocks, and its rows if a survey is asked for."""
+
+    moments: Float[Array, "blocks columns columns"]
+    count: Float[Array, " blocks"]
+    survey: Surveyed | None
+
+
+@eqx.filter_jit
+def of_rows(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    key: Key[Array, ""] | None,
+    half: Int[Array, ""],
+    request: Request,
+) -> tuple[list[list[Watched]], list[list[Drawn]]]:
+    """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
+
+    def watch(
+        equation: Equation, columns: Columns, noise: Columns, record: Record, blocks: Blocks
+    ) -> Watched:
+        return _watched(columns, noise, blocks, half, request.averaged, ())
+
+    held = part.record.sample_count if part.held is None else part.held
+    noisy = disturbed(part.record, part.levels)
+    drawn = criterion.draw(part.record, key, part.held)
+    block_of_row = jnp.clip((drawn.start / request.block).astype(int), 0, request.blocks - 1)
+
+    def sums(equation: Equation) -> Drawn:
+        columns = sampled_columns(equation, part.record, criterion.smoothness)
+        rows = criterion.rows_of(columns, drawn, part.held)
+        found = normal_equations(rows, block_of_row=block_of_row, block_count=request.blocks)
+        survey = None
+        if request.surveyed:
+            noise = sampled_columns(equation, noisy, criterion.smoothness) - columns
+            shape = WindowSet(drawn.start[None], drawn.stop[None])
+            blocks = Blocks(0, part.record.sample_count, 1, held)
+            survey = _surveyed(criterion, equation, columns, noise, shape, part.record, blocks)
+        return Drawn(found.moments, found.count, survey)
+
+    watched = _in_chunks(procedure, criterion, part, watch, 0, request)
+    return watched, [[sums(equation) for equation in stage] for stage in procedure.stages]
+
+
+@eqx.filter_jit
+def all_rows(
+    procedure: Procedure, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
+) -> list[list[Rows]]:
+    """Every row of each equation of each stage."""
+    drawn = criterion.draw(part.record, key, part.held)
+
+    def rows(equation: Equation) -> Rows:
+        columns = sampled_columns(equation, part.record, criterion.smoothness)
+        return criterion.rows_of(columns, drawn, part.held)
+
+    return [[rows(equation) for equation in stage] for stage in procedure.stages]
+
+
+def _in_chunks(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    watch: Callable[[Equation, Columns, Columns, Record, Blocks], Watched],
+    reach: int,
+    request: Request,
+) -> list[list[Watched]]:
+    def of_chunk(record: Record, blocks: Blocks) -> list[list[Watched]]:
+        noisy = disturbed(record, part.levels)
+
+        def of_equation(equation: Equation) -> Watched:
+            columns = sampled_columns(equation, record, criterion.smoothness)
+            noise = sampled_columns(equation, noisy, criterion.smoothness) - columns
+            return watch(equation, columns, noise, record, blocks)
+
+        return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
+
+    block = request.block
+    if not isinstance(block, int):
+        held = part.record.sample_count if part.held is None else part.held
+        return of_chunk(part.record, Blocks(part.first, block, request.blocks, held))
+    return in_chunks(
+        part.record,
+        of_chunk,
+        block=block,
+        reach=reach,
+        margin=criterion.margin,
+        held=part.held,
+        first=part.first,
+        number=request.blocks,
+    )
+
+
+def _watched(
+    columns: Columns,
+    noise: Columns,
+    blocks: Blocks,
+    half: Int[Array, ""],
+    each: int,
+    moments: tuple[tuple[Array, Array], ...],
+) -> Watched:
+    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
+    centres = (start + (jnp.arange(each) * blocks.size // each)[None, :] + half).ravel()
+
+    def averaged(of: Columns) -> Float[Array, "blocks rows 2+p"]:
+        rows, kept = averaged_rows(of, half, centres, blocks.held)
+        rows = jnp.pad(rows, ((0, 0), (1, 0)), constant_values=1.0)
+        rows = jnp.where(kept[:, None], rows, 0.0)
+        return rows.reshape(blocks.number, each, -1)
+
+    added = averaged(noise)
+    at = jnp.arange(columns.sample_count)
+    there = (at >= blocks.first) & (at < blocks.first + blocks.size * blocks.number)
+    there = there & (at < blocks.held)
+    acts = activity(columns, there if columns.present is None else there & columns.present)
+    return Watched(
+        moments,
+        averaged(columns),
+        jnp.einsum("bri,brj->bij", added, added),
+        jax.tree.map(lambda leaf: leaf[None], acts),
+        None,
+    )
+
+
+def _some_windows(
+    criterion: AbstractCriterion,
+    blocks: Blocks,
+    band: tuple[Int[Array, ""], Int[Array, ""]],
+    each: int,
+) -> WindowSet:
+    """Windows in each block, at places and of lengths that are drawn once for all."""
+    place, length = np.random.default_rng(1).random((2, blocks.number, each))
+    shortest, longest = band
+    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
+    start = start + (place * blocks.size).astype(int)
+    lag = shortest + (length * (longest - shortest + 1)).astype(int)
+    return WindowSet(start, start + criterion.lag_samples * lag)
+
+
+def _surveyed(
+    criterion: AbstractCriterion,
+    equation: Equation,
+    columns: Columns,
+    noise: Columns,
+    windows: WindowSet,
+    record: Record,
+    blocks: Blocks,
+) -> Surveyed:
+    shape = windows.start.shape
+    last = columns.sample_count - 1
+    inside = (windows.stop < blocks.held).ravel()
+    flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
+
+    def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
+        found = by.rows_of(of, flat, blocks.held)
+        kept = inside if found.kept is None else inside & found.kept
+        values = jnp.where(kept[:, None], found.columns.T, 0.0)
+        return values.reshape(*shape, -1), kept.reshape(shape)
+
+    values, kept = rows(columns, criterion)
+    finer = criterion.finest()
+    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
+    return Surveyed(
+        values,
+        values if finer is criterion else rows(columns, finer)[0],
+        rows(noise, criterion)[0],
+        record.elapsed[at].reshape(shape),
+        kept,
+        {name: reach[None] for name, reach in _reaches(equation, record, blocks.held).items()},
+    )
+
+
+def _reaches(
+    equation: Equation, record: Record, held: Int[Array, ""] | int
+) -> dict[str, Float[Array, "2"]]:
+    """Least and largest argument of each basis."""
+    real = jnp.arange(record.sample_count) < held
+    found = {}
+    for term in equation.terms:
+        if isinstance(term, Terms):
+            argument, _ = evaluate(term.of, record)
+            low = jnp.min(argument, where=real, initial=jnp.inf)
+            found[term.prefix] = jnp.stack([low, jnp.max(argument, where=real, initial=-jnp.inf)])
+    return found
+
+
+def disturbed(record: Record, levels: Float[Array, " signals"]) -> Record:
+    """The record with so much white noise on each signal; the same at a sample in any stretch."""
+    first = jnp.round(record.skipped / record.time_step).astype(int)
+    place = first + jnp.arange(record.sample_count)
+    noise = jnp.asarray(NOISE, record.time_step.dtype)
+    added = {
+        name: values + level * noise[(place + i * APART) % NOISE.size]
+        for i, ((name, values), level) in enumerate(zip(record.arrays.items(), levels))
+    }
+    return record.with_signals(added, missing=record.missing)

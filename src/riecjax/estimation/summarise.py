@@ -1,0 +1,441 @@
+"""The verb that reads samples: sum up what recordings say to a model."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+from numpy.typing import ArrayLike
+
+from riecjax.criteria.criterion import RIEC, AbstractCriterion
+from riecjax.criteria.laws import LagBins
+from riecjax.criteria.length_bins import LengthBins, law_in_bins
+from riecjax.criteria.windows import MOST_BLOCKS, AllWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.sample_by_sample import mixing_expressions
+from riecjax.errors import ModelError
+from riecjax.estimation.assembly import stage_sums
+from riecjax.estimation.averages import compressed, factor_of
+from riecjax.estimation.least_squares import condition_of, gram_condition_limit
+from riecjax.estimation.noise import noise_level
+from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.estimation.one_pass import (
+    FILLED,
+    PART,
+    Drawn,
+    Lengths,
+    Part,
+    Request,
+    Surveyed,
+    Watched,
+    all_rows,
+    of_all_windows,
+    of_rows,
+)
+from riecjax.estimation.procedure import HasProcedure, Procedure
+from riecjax.estimation.question import Task, task
+from riecjax.estimation.summary import SCHEMA, Outline, Summary, is_under_trace
+from riecjax.estimation.sums import Activity, Averages, EquationSums, RecordingSums, Survey
+from riecjax.leaves import is_concrete
+from riecjax.records.record import Record
+
+AVERAGED = 1024
+"""Averaged rows of a recording, about."""
+SURVEYED = 2048
+"""Rows of a recording that a survey looks at, about."""
+SHOWN = 2000
+"""Rows of a recording that a survey keeps at most."""
+DRAWN_BLOCKS = 512
+"""Short blocks of a recording's starts where single rows are put into them."""
+
+
+def summarise(
+    model: Equation | Procedure | HasProcedure,
+    record: Record | Sequence[Record],
+    criterion: AbstractCriterion | None = None,
+    *,
+    key: Key[Array, ""] | None = None,
+    bins: int | ArrayLike | None = None,
+    survey: bool = False,
+) -> Summary:
+    """Sum up what one or several recordings say to a model: all that [`estimate`][] needs.
+
+    Each recording is read once, and the same few compiled functions serve recordings of any length.
+    Under `jax.jit`, `jax.vmap` and `jax.grad` shapes are those of the records, and only moments are
+    summed.
+
+    **Arguments:** `model`, `record`, `criterion` and `key` as for [`identify`][];
+
+    - `bins`: keep the sums of windows of different length apart, so that a band can be chosen
+      afterwards: so many bins from alpha to beta in equal ratios, or their edges in seconds, to
+      which alpha and beta are added.
+    - `survey`: sum up also what [`check`][] and figures ask for.
+
+    **Returns:** a [`Summary`][] of the recordings in this order.
+
+    **Raises:** `ModelError` for a missing key, for bins of a criterion that does not sum all
+    windows, or for an expression that mixes samples of a long record; `DataError` for a missing
+    signal or a record shorter than a window.
+    """
+    asked = task(model, record, criterion, key)
+    return summed(asked, bins=bins, survey=survey)
+
+
+def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = False) -> Summary:
+    """The Summary of a task; see [`summarise`][]."""
+    procedure, records, criterion, keys = asked
+    outline = Outline.of(procedure)
+    traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
+    kept_apart = None if bins is None else _bins(criterion, bins, traced)
+    if traced:
+        sums = [stage_sums(procedure, r, criterion, k) for r, k in zip(records, keys)]
+        return Summary(tuple(sums), criterion, outline, None, (0, 1), (0, 1))
+    sums = [
+        _Reading(procedure, record, criterion, key, kept_apart, survey).sums()
+        for record, key in zip(records, keys)
+    ]
+    if kept_apart is None:
+        return Summary(tuple(sums), criterion, outline, None, (0, 1), (0, 1))
+    band = kept_apart.band
+    return Summary(tuple(sums), criterion, outline, kept_apart.edges, band, band)
+
+
+def _bins(criterion: AbstractCriterion, bins: int | ArrayLike, traced: bool) -> LengthBins:
+    if traced or not criterion.in_closed_form or not isinstance(criterion, RIEC):
+        raise ModelError(
+            "bins of window lengths are kept of all windows, with numbers that are known: use "
+            "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
+        )
+    alpha, beta = float(criterion.windows.alpha), float(criterion.windows.beta)
+    if isinstance(bins, int | np.integer):
+        return LengthBins.of_number(alpha, beta, int(bins))
+    return LengthBins.around(alpha, beta, bins)
+
+
+class _Layout(NamedTuple):
+    """Blocks of a recording and how it is cut for one pass.
+
+    **Fields:** `block`, starts to a block as they are summed; `starts` of a part; `filled`, samples
+    that each part is filled up to, `None` to leave the record as it is; `request`.
+    """
+
+    block: int
+    starts: int
+    filled: int | None
+    request: Request
+
+
+class _Reading:
+    """One recording, read once."""
+
+    def __init__(
+        self,
+        procedure: Procedure,
+        record: Record,
+        criterion: AbstractCriterion,
+        key: Key[Array, ""] | None,
+        bins: LengthBins | None,
+        survey: bool,
+    ):
+        self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
+        self.record, self.survey = record, survey
+        self.step, self.count = float(record.time_step), record.sample_count
+        self.levels = np.array([noise_level(np.asarray(v)) for v in record.arrays.values()])
+        length = float(criterion.typical_length)
+        most = max((self.count - 2) // 2, 1)
+        self.half = int(np.clip(round(length / (2 * self.step)), 1, most)) if length else 0
+
+    def sums(self) -> RecordingSums:
+        """Everything that is kept of it."""
+        equations = [e for stage in self.procedure.stages for e in stage]
+        mixing = mixing_expressions(equations, self.record)
+        if mixing and self.count > PART:
+            raise ModelError(
+                f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
+                f"long is worked through in chunks. Compute it beforehand as a signal of the "
+                f"record."
+            )
+        closed = self.criterion.in_closed_form
+        block, stages = (self._all_windows if closed else self._rows)(not mixing)
+        blocks = stages[0][0].count.shape[-1]
+        offered = self.criterion.row_count(self.record)
+        return RecordingSums(
+            tuple(tuple(stage) for stage in stages),
+            np.asarray(blocks),
+            np.asarray(block * self.step),
+            np.asarray(np.nan if offered is None else float(offered)),
+            np.asarray(self.count),
+            np.asarray(self.step),
+            self._digest(),
+        )
+
+    def _all_windows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
+        windows = self.criterion.windows.every
+        lengths = self._lengths(windows)
+        layout = self._layout(windows, lengths[-1].reach, fill)
+        band = tuple(
+            jnp.asarray(v)
+            for v in windows.lags(self.count, self.record.time_step, self.criterion.lag_samples)
+        )
+        found = [
+            jax.tree.map(
+                np.asarray,
+                of_all_windows(
+                    self.procedure,
+                    self.criterion,
+                    part,
+                    lengths,
+                    jnp.asarray(self.half),
+                    band,
+                    layout.request,
+                ),
+            )
+            for part in self._parts(layout, lengths[-1].reach)
+        ]
+        count = -(-self.count // layout.block)
+        wanted = max(layout.block, 2 ** int(np.ceil(np.log2(max(self.count / MOST_BLOCKS, 1)))))
+        pairs = max(wanted // layout.block, 1)
+
+        def of_equation(i: int, j: int) -> EquationSums:
+            parts = [one[i][j] for one in found]
+            groups = [
+                [
+                    np.concatenate([p.moments[g][a] for p in parts], axis=1)[:, :count]
+                    for a in (0, 1)
+                ]
+                for g in range(len(lengths))
+            ]
+            moments, number = (
+                _together(np.concatenate([group[of] for group in groups])[:, :count], pairs)
+                for of in (0, 1)
+            )
+            return self._equation(self.procedure.stages[i][j], moments, number, parts)
+
+        shape = [len(stage) for stage in self.procedure.stages]
+        stages = [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
+        return layout.block * pairs, stages
+
+    def _lengths(self, windows: AllWindows) -> tuple[Lengths, ...]:
+        """Window lengths, those longer than the law's apart: they reach further than a block."""
+        law = self.criterion.test_function.lags(windows, self.record)
+        law = LagBins(*(np.asarray(leaf) for leaf in law[:3]))
+        reach = windows.reach(self.count)
+        if self.bins is None:
+            return (Lengths(LagBins(*(leaf[None] for leaf in law[:3])), reach),)
+        multiple = self.criterion.lag_samples
+        cut = law_in_bins(law, self.bins, multiple * self.step, (self.count - 1) // multiple)
+        beyond = self.bins.band[1]
+        if beyond == self.bins.edges.size - 1:
+            return (Lengths(cut, reach),)
+        parts = [LagBins(*(leaf[s] for leaf in cut[:3])) for s in np.s_[:beyond, beyond:]]
+        longest = float(self.bins.edges[-1]) / self.step + 2
+        return Lengths(parts[0], reach), Lengths(parts[1], 2 ** int(np.ceil(np.log2(longest))))
+
+    def _layout(self, windows: AllWindows, reach: int, fill: bool) -> _Layout:
+        n = self.count
+        longest = windows.reach(n)
+        if -(-n // 2) < longest:
+            block = -(-n // 2)
+            request = Request(jnp.asarray(block), 2, AVERAGED // 2, self.survey * SURVEYED // 2)
+            return _Layout(block, n, self._filled(n) if fill else None, request)
+        # Of long recordings the overlap of short blocks would cost as much as they do.
+        block = 4 * longest if n >= 4 * longest * MOST_BLOCKS else longest
+        starts = max(PART, 4 * block)
+        filled = starts + reach + 2 * self.criterion.margin
+        if not fill:
+            starts, filled = n, None
+        elif n <= starts:
+            starts = filled = self._filled(n)
+        blocks = -(-starts // block)
+        size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
+        averaged, surveyed = (max(k * block // size, 1) for k in (AVERAGED, SURVEYED))
+        request = Request(block, blocks, averaged, surveyed if self.survey else 0)
+        return _Layout(block, starts, filled, request)
+
+    def _filled(self, samples: int) -> int:
+        longer = [length for length in FILLED if length >= samples]
+        return longer[0] if longer else 2 ** int(np.ceil(np.log2(samples)))
+
+    def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
+        """The recording cut into parts, each with what its windows reach beyond it."""
+        if layout.filled is None:
+            yield Part(self.record, 0, None, jnp.asarray(self.levels))
+            return
+        margin = self.criterion.margin
+        for start in range(0, self.count, layout.starts):
+            begin = max(start - margin, 0)
+            stop = min(start + layout.starts + reach + margin, self.count)
+            yield Part(
+                _filled_up(self.record, begin, stop, layout.filled),
+                jnp.asarray(start - begin),
+                jnp.asarray(stop - begin),
+                jnp.asarray(self.levels),
+            )
+
+    def _rows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
+        n = self.count
+        block = min(max(-(-n // DRAWN_BLOCKS), 1), -(-n // 2))
+        request = Request(
+            jnp.asarray(block), DRAWN_BLOCKS, AVERAGED // DRAWN_BLOCKS, int(self.survey)
+        )
+        layout = _Layout(block, n, self._filled(n) if fill else None, request)
+        (part,) = self._parts(layout, 0)
+        given = (self.procedure, self.criterion, part, self.key)
+        watched, drawn = jax.tree.map(np.asarray, of_rows(*given, jnp.asarray(self.half), request))
+        count = -(-n // block)
+
+        def of_equation(i: int, j: int) -> EquationSums:
+            own: Drawn = drawn[i][j]
+            parts = [watched[i][j]._replace(survey=own.survey)]
+            moments, number = own.moments[None, :count], own.count[None, :count]
+            return self._equation(self.procedure.stages[i][j], moments, number, parts)
+
+        shape = [len(stage) for stage in self.procedure.stages]
+        stages = [[of_equation(i, j) for j in range(m)] for i, m in enumerate(shape)]
+        if self._nearly_collinear(stages):
+            rows = all_rows(*given)
+            stages = [
+                [
+                    eqx.tree_at(
+                        lambda e: e.factor,
+                        equation,
+                        np.linalg.qr(np.asarray(found.columns).T, mode="r"),
+                        is_leaf=lambda leaf: leaf is None,
+                    )
+                    for equation, found in zip(*pair)
+                ]
+                for pair in zip(stages, rows)
+            ]
+        return block, stages
+
+    def _nearly_collinear(self, stages: list[list[EquationSums]]) -> bool:
+        """Whether moments of some stage may lose more digits than rows would."""
+        for stage, names in zip(stages, self.procedure.stage_parameters):
+            total = sum(
+                np.asarray(
+                    NormalEquations(e.moments.sum((0, 1)), e.count.sum(), e.parameters)
+                    .embed(names)
+                    .gram
+                )
+                for e in stage
+            )
+            if not condition_of(total) <= gram_condition_limit(np.asarray(total).dtype):
+                return True
+        return False
+
+    def _equation(
+        self,
+        equation: Equation,
+        moments: np.ndarray,
+        count: np.ndarray,
+        parts: list[Watched],
+    ) -> EquationSums:
+        rows = np.concatenate([p.averaged.reshape(-1, p.averaged.shape[-1]) for p in parts])
+        independent = self.count / max(2 * self.half, 1)
+        acts = [jax.tree.map(lambda leaf: leaf.sum(0), p.activity) for p in parts]
+        return EquationSums(
+            moments,
+            count,
+            Averages(
+                compressed(rows[:, 1:], rows[:, 0] > 0),
+                factor_of(sum(p.noise.sum(0) for p in parts)),
+                np.asarray(independent),
+            ),
+            Activity(*(sum(leaves) for leaves in zip(*(jax.tree.leaves(a) for a in acts)))),
+            _survey([p.survey for p in parts]) if self.survey else None,
+            None,
+            equation.parameters,
+        )
+
+    def _digest(self) -> np.ndarray:
+        """SHA-256 of the samples and of everything that sums depend on."""
+        digest = hashlib.sha256()
+        record = self.record
+        for name, values in sorted(record.arrays.items()):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(values).data)
+        for name, mask in sorted(record.missing.items()):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(mask).data)
+        settings = {
+            "schema": SCHEMA,
+            "time_step": self.step,
+            "criterion": self.criterion.describe(),
+            "equations": [[_described(e) for e in stage] for stage in self.procedure.stages],
+            "key": None if self.key is None else jax.random.key_data(self.key).tolist(),
+            "bins": None if self.bins is None else self.bins.edges.tolist(),
+        }
+        digest.update(json.dumps(settings, sort_keys=True, default=str).encode())
+        return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)
+
+
+def _described(equation: Equation) -> list[object]:
+    """What an equation's sums depend on, as far as it has a name or a number."""
+    terms = [
+        [
+            getattr(term.of, "__qualname__", term.of),
+            term.derivative,
+            list(term.parameters),
+            [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(term)],
+        ]
+        for term in equation.terms
+    ]
+    return [equation.name, terms, getattr(equation.where, "__qualname__", None)]
+
+
+def _filled_up(record: Record, begin: int, stop: int, length: int) -> Record:
+    """Samples from `begin` to `stop`, and the last of them again and again behind."""
+    behind = length - (stop - begin)
+
+    def filled(values: Array) -> np.ndarray:
+        part = np.asarray(values)[begin:stop]
+        return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
+
+    stamps = None if record.stamps is None else filled(record.stamps)
+    return Record(
+        {name: filled(values) for name, values in record.arrays.items()},
+        record.time_step,
+        0.0,
+        (),
+        {name: filled(mask) for name, mask in record.missing.items()},
+        stamps,
+        np.asarray(record.skipped) + begin * np.asarray(record.time_step),
+    )
+
+
+def _together(values: np.ndarray, pairs: int) -> np.ndarray:
+    """Sums over so many blocks that follow one another."""
+    if pairs == 1:
+        return values
+    count = -(-values.shape[1] // pairs)
+    behind = [(0, 0), (0, count * pairs - values.shape[1])] + [(0, 0)] * (values.ndim - 2)
+    filled = np.pad(values, behind)
+    return filled.reshape(values.shape[0], count, pairs, *values.shape[2:]).sum(2)
+
+
+def _survey(parts: list[Surveyed]) -> Survey:
+    def flat(of: str) -> Float[np.ndarray, "rows columns"]:
+        return np.concatenate([getattr(p, of).reshape(-1, p.rows.shape[-1]) for p in parts])
+
+    kept: Int[np.ndarray, " rows"] = np.flatnonzero(np.concatenate([p.kept.ravel() for p in parts]))
+    rows, finer, noise = flat("rows"), flat("finer"), flat("noise")
+    start = np.concatenate([p.start.ravel() for p in parts])
+    shown = kept[np.linspace(0, max(kept.size - 1, 0), min(kept.size, SHOWN)).astype(int)]
+    shown = shown[np.argsort(start[shown], kind="stable")]
+    with np.errstate(over="ignore", invalid="ignore"):
+        quadrature = np.stack([np.sum((rows - finer) ** 2, 0), np.sum(finer**2, 0)])
+    reach = {
+        name: np.array(
+            [
+                min(p.reach[name][..., 0].min() for p in parts),
+                max(p.reach[name][..., 1].max() for p in parts),
+            ]
+        )
+        for name in parts[0].reach
+    }
+    return Survey(noise.T @ noise / max(kept.size, 1), quadrature, rows[shown], start[shown], reach)

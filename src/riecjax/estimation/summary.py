@@ -1,0 +1,309 @@
+"""All that recordings say to a model, kept as sums: what every estimate is made from."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.length_bins import LengthBins
+from riecjax.errors import DataError, ModelError, require
+from riecjax.estimation.blocks import ShortBlocks
+from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.estimation.procedure import Procedure
+from riecjax.estimation.sums import EquationSums, RecordingSums
+from riecjax.leaves import is_concrete, namespace
+
+SCHEMA = 1
+"""Of what a Summary holds; another one is refused."""
+
+
+class Outline(eqx.Module):
+    """What was asked of the recordings, as far as sums depend on it.
+
+    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter.
+    """
+
+    stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
+    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, procedure: Procedure) -> "Outline":
+        """Of a procedure."""
+        stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in procedure.stages)
+        return cls(stages, tuple(procedure.units.items()))
+
+
+class Summary(eqx.Module):
+    """What recordings say to a model under a criterion: moments of short blocks of time.
+
+    Sums of recordings, files and machines add up, so that summaries merge, and the samples are not
+    needed again: [`estimate`][] finds parameters from a Summary for any known values, any
+    intervals, and any part of the recordings or blocks of time. Where moments are kept by bins of
+    window lengths, a band of lengths can be chosen afterwards too.
+
+    Its size does not grow with the length of a recording beyond `MOST_BLOCKS` blocks: short blocks
+    then pair up. See [`Summary.byte_count`][].
+
+    **Fields:**
+
+    - `recordings`: sums of each, in the order in which a recording's own parameters are numbered.
+    - `criterion`: what made the rows, with the band of window lengths in use.
+    - `outline`: names of equations and parameters, and units.
+    - `edges`: of bins of window lengths in seconds, or `None`; `in_law`, the bins that the
+      criterion was given, first and one beyond the last.
+    - `band`: the bins in use, first and one beyond the last.
+    - `asked`: alpha and beta that were asked for, where the bins' edges are others; else `None`.
+    """
+
+    recordings: tuple[RecordingSums, ...]
+    criterion: AbstractCriterion
+    outline: Outline
+    edges: Float[Array, " edges"] | None
+    in_law: tuple[int, int] = eqx.field(static=True)
+    band: tuple[int, int] = eqx.field(static=True)
+    asked: tuple[float, float] | None = eqx.field(static=True, default=None)
+
+    @property
+    def bins(self) -> LengthBins | None:
+        """Bins of window lengths that are kept apart, if any."""
+        return None if self.edges is None else LengthBins(np.asarray(self.edges), self.in_law)
+
+    @property
+    def byte_count(self) -> int:
+        """Bytes of all arrays: for p parameters about `8 bins blocks (1 + p)^2` an equation and
+        recording."""
+        leaves = jax.tree.leaves(eqx.filter(self.recordings, eqx.is_array))
+        return sum(leaf.size * leaf.dtype.itemsize for leaf in leaves)
+
+    @property
+    def digests(self) -> tuple[str, ...]:
+        """Of each recording's content and of all settings (not of one that was summed by jit)."""
+        return tuple(np.asarray(r.digest).astype(">u4").tobytes().hex() for r in self.recordings)
+
+    def merge(self, *others: "Summary") -> "Summary":
+        """A Summary of the recordings of all, each once, sorted by digest.
+
+        In whatever order and parts recordings come together, estimates are the same to the bit.
+
+        **Raises:** `ModelError` for summaries of other equations, criteria or bins.
+        """
+        every: dict[str, RecordingSums] = {}
+        for one in (self, *others):
+            require("what is merged", one, Summary, "summary.merge(other): one after the other")
+            self._require_alike(one)
+            every |= dict(zip(one.digests, one.recordings))
+        return self.of_recordings(every[digest] for digest in sorted(every))
+
+    def of_recordings(self, recordings: Iterable[RecordingSums]) -> "Summary":
+        """The same of other recordings."""
+        return dataclasses.replace(self, recordings=tuple(recordings))
+
+    def select(self, *indices: int) -> "Summary":
+        """A Summary of these recordings only, numbered from zero.
+
+        **Raises:** `ModelError` if there are none of these numbers, or none at all.
+        """
+        count = len(self.recordings)
+        if not indices or any(not -count <= i < count for i in indices):
+            raise ModelError(f"recordings are numbered from 0 to {count - 1}; got {indices}.")
+        return self.of_recordings(self.recordings[i] for i in indices)
+
+    def leave_out(self, start: float, stop: float, *, recording: int = 0) -> "Summary":
+        """Without the windows that start in blocks touched by a stretch of time, in seconds.
+
+        Whole blocks are left out; windows that start before them may reach into the stretch. What
+        remains is as one recording, shorter by them.
+
+        **Raises:** `DataError` if fewer than two blocks remain.
+        """
+        one = self.recordings[recording]
+        edges = float(one.block_seconds) * np.arange(int(one.blocks) + 1)
+        kept = (edges[1:] <= start) | (edges[:-1] >= stop)
+        if kept.sum() < 2:
+            raise DataError(
+                f"fewer than two blocks of {float(one.block_seconds):.3g} s would remain of "
+                f"recording {recording + 1}."
+            )
+        others = list(self.recordings)
+        others[recording] = of_blocks(one, np.flatnonzero(kept))
+        return self.of_recordings(others)
+
+    def scale(self, factor: float) -> "Summary":
+        """Every sum multiplied: a factor below one forgets, as older recordings may be.
+
+        **Raises:** `ModelError` for a negative factor.
+        """
+        if is_concrete(factor) and not float(factor) >= 0:
+            raise ModelError(f"sums are scaled by a factor of zero or more; got {factor}.")
+        return self.of_recordings(_scaled(one, factor) for one in self.recordings)
+
+    def between(self, alpha: float, beta: float) -> "Summary":
+        """The same for windows of other lengths, from alpha to beta seconds.
+
+        The band snaps to the nearest edges of the bins; what was asked for stays in `asked`.
+
+        **Raises:** `ModelError` unless moments were kept by bins of window lengths.
+        """
+        bins = self.bins
+        if bins is None:
+            raise ModelError(
+                "this Summary keeps the sums of all window lengths together, so that another band "
+                "cannot be chosen: make it with bins, rx.summarise(..., bins=12)."
+            )
+        band = bins.nearest(alpha, beta)
+        low, high = self.lengths_of(band)
+        near = np.allclose([low, high], [alpha, beta], rtol=1e-9)
+        return dataclasses.replace(
+            self,
+            criterion=self.criterion.between(low, high),
+            band=band,
+            asked=None if near else (float(alpha), float(beta)),
+        )
+
+    def lengths_of(self, band: tuple[int, int]) -> tuple[float, float]:
+        """Shortest and longest window in seconds of some bins, first and one beyond the last."""
+        assert self.bins is not None
+        coarsest = max(float(one.time_step) for one in self.recordings)
+        unit = self.criterion.lag_samples * coarsest
+        first, last = self.bins.lags(unit, np.iinfo(np.int32).max)
+        return float(first[band[0]] * unit), float(last[band[1] - 1] * unit)
+
+    @property
+    def short_blocks(self) -> ShortBlocks:
+        """The blocks of time that moments are kept for."""
+        xp = namespace(self.recordings)
+        return ShortBlocks(
+            xp.stack([xp.asarray(one.blocks) for one in self.recordings]),
+            xp.stack([xp.asarray(one.block_seconds) for one in self.recordings]),
+        )
+
+    def equations(self, band: tuple[int, int] | None = None) -> list[list[NormalEquations]]:
+        """Of each equation of each stage, normal equations with axes `(recordings, blocks)`.
+
+        Of the bins in use, or of others. Where a recording has fewer blocks than another, empty
+        ones follow, up to a power of two: few lengths of arrays serve all recordings.
+        """
+        first, last = self.band if band is None else band
+        count = max(one.stages[0][0].count.shape[-1] for one in self.recordings)
+        room = 2 ** int(np.ceil(np.log2(max(count, 2))))
+        xp = namespace(self.recordings)
+
+        def stacked(i: int, j: int) -> NormalEquations:
+            every = [one.stages[i][j] for one in self.recordings]
+
+            def of(leaf: Callable[[EquationSums], Array]) -> Array:
+                parts = [_sum_of_bins(leaf(e), first, last, xp) for e in every]
+                return xp.stack([_filled_up(part, room, xp) for part in parts])
+
+            return NormalEquations(
+                of(lambda e: e.moments), of(lambda e: e.count), every[0].parameters
+            )
+
+        return [
+            [stacked(i, j) for j, _ in enumerate(stage)]
+            for i, stage in enumerate(self.outline.stages)
+        ]
+
+    def save(self, path: str | Path) -> None:
+        """Write to an NPZ file with a checksum; see [`load`][]."""
+        from riecjax.estimation.summary_files import save
+
+        save(self, path)
+
+    def require_model(self, procedure: Procedure) -> None:
+        """Raise `ModelError` unless these are sums of the procedure's equations."""
+        asked, held = Outline.of(procedure).stages, self.outline.stages
+        if asked != held:
+            named = "; ".join(" + ".join(name for name, _ in stage) for stage in held)
+            raise ModelError(
+                f"this Summary was made for other equations ({named}): make it anew for this model."
+            )
+
+    def _require_alike(self, other: "Summary") -> None:
+        why = None
+        if other.outline.stages != self.outline.stages:
+            why = "other equations or parameters"
+        elif other.criterion.describe() != self.criterion.describe():
+            why = "another criterion"
+        elif (other.edges is None) != (self.edges is None) or (
+            self.edges is not None
+            and not np.array_equal(np.asarray(self.edges), np.asarray(other.edges))
+        ):
+            why = "other bins of window lengths"
+        if why is not None:
+            raise ModelError(f"summaries cannot be merged that were made for {why}.")
+
+
+def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
+    """One Summary, or several merged.
+
+    **Raises:** `ModelError` for anything else.
+    """
+    if isinstance(summaries, Summary):
+        return summaries
+    write = "rx.summarise(model, record)"
+    require("the Summary", summaries, (list, tuple), write)
+    for one in summaries:
+        require("one of the summaries", one, Summary, write)
+    if not summaries:
+        raise ModelError("at least one Summary is needed.")
+    return summaries[0].merge(*summaries[1:])
+
+
+def of_blocks(one: RecordingSums, kept: np.ndarray) -> RecordingSums:
+    """The sums of some of a recording's blocks."""
+
+    def of(equation: EquationSums) -> EquationSums:
+        return dataclasses.replace(
+            equation, moments=equation.moments[:, kept], count=equation.count[:, kept]
+        )
+
+    stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
+    share = kept.size / int(one.blocks)
+    return dataclasses.replace(
+        one, stages=stages, blocks=np.asarray(kept.size), offered=one.offered * share
+    )
+
+
+def _scaled(one: RecordingSums, factor: float) -> RecordingSums:
+    """Sums times a factor; triangular factors, whose squares are sums, times its root."""
+
+    def of(equation: EquationSums) -> EquationSums:
+        root = namespace(factor).sqrt(factor)
+        scaled: dict[str, Any] = {
+            "moments": equation.moments * factor,
+            "count": equation.count * factor,
+            "factor": None if equation.factor is None else equation.factor * root,
+        }
+        if equation.averages is not None:
+            scaled["averages"] = dataclasses.replace(
+                equation.averages,
+                rows=equation.averages.rows * root,
+                noise=equation.averages.noise * root,
+            )
+        if equation.activity is not None:
+            scaled["activity"] = jax.tree.map(lambda leaf: leaf * factor, equation.activity)
+        return dataclasses.replace(equation, **scaled)
+
+    stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
+    return dataclasses.replace(one, stages=stages, offered=one.offered * factor)
+
+
+def _sum_of_bins(values: Array, first: int, last: int, xp: Any) -> Array:
+    return values[first] if last == first + 1 else xp.sum(values[first:last], axis=0)
+
+
+def _filled_up(blocks: Array, room: int, xp: Any) -> Array:
+    return xp.pad(blocks, [(0, room - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
+
+
+def is_under_trace() -> bool:
+    """Whether JAX is tracing what runs now, so that known numbers are traced as well."""
+    return not is_concrete(jnp.zeros(()))
