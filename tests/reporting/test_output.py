@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import RandomWindows
@@ -278,6 +279,7 @@ def test_numbers_that_are_not_finite_become_null(identified, record):
         (DOLS(), "N"),
         (RIEC(RandomWindows(0.05, 0.2, 300)), "N s"),
         (RIEC(RandomWindows(0.05, 0.2, 300), Hat()), "N s^2"),
+        (RIEC(RandomWindows(0.05, 0.2, 300), Bump()), "N s"),
     ],
 )
 def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion, unit):

@@ -4,9 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 
-from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows
@@ -19,60 +17,7 @@ from riecjax.models.quarter_car.reconstruction import quarter_car_source, recons
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.simulation.excitation import band_limited_noise
-from riecjax.studies.expected_gain import expected_gain, window_gain
 from riecjax.studies.window_choice import window_choice
-
-FREQUENCY = np.array([0.0, 0.3, 1.0, 3.7, 10.0, 42.0])
-WEIGHTS = {
-    "boxcar": (Boxcar(), lambda t, length: 1.0),
-    "hat": (Hat(), lambda t, length: length / 2 - abs(t)),
-    "bump": (Bump(5), lambda t, length: (1 - (2 * t / length) ** 2) ** 5),
-}
-
-
-@pytest.mark.parametrize("name", WEIGHTS)
-def test_gain_is_the_size_of_the_weights_fourier_integral(name):
-    test_function, weight = WEIGHTS[name]
-    lengths = np.array([0.07, 0.4])
-    found = window_gain(FREQUENCY, lengths, test_function)
-    for i, f in enumerate(FREQUENCY):
-        for j, length in enumerate(lengths):
-            integral, _ = scipy.integrate.quad(
-                lambda t, f=f, length=length: weight(t, length) * np.cos(2 * np.pi * f * t),
-                -length / 2,
-                length / 2,
-                limit=400,
-            )
-            assert found[i, j] == pytest.approx(abs(integral), rel=1e-6, abs=1e-9)
-
-
-def test_a_boxcar_is_blind_at_multiples_of_its_frequency_and_the_average_is_not():
-    length = np.array([0.1])
-    np.testing.assert_allclose(
-        window_gain(np.array([10.0, 20, 30]), length, Boxcar()), 0, atol=1e-9
-    )
-    frequency = np.linspace(0.5, 40, 400)
-    averaged = expected_gain(frequency, 0.1, 1.0, Boxcar())
-    omega = 2 * np.pi * frequency
-    # Half of the envelope 2 / w or more: no drop-out (Fig. 3).
-    assert np.all(averaged[frequency > 2] * omega[frequency > 2] / 2 > 0.5)
-
-
-@pytest.mark.parametrize("power", [1, 2])
-@pytest.mark.parametrize("name", WEIGHTS)
-@pytest.mark.parametrize(("alpha", "beta"), [(0.05, 0.5), (0.2, 0.21)])
-def test_expected_gains_are_averages_over_many_lengths(alpha, beta, name, power):
-    test_function, _ = WEIGHTS[name]
-    frequency = np.concatenate([[0.0], np.linspace(0.1, 60, 97)])
-    length = alpha + (beta - alpha) * (np.arange(20_000) + 0.5) / 20_000
-    brute = np.mean(window_gain(frequency, length, test_function) ** power, axis=1)
-    found = expected_gain(frequency, alpha, beta, test_function, power=power)
-    np.testing.assert_allclose(found, brute, rtol=1e-4, atol=1e-6 * brute[0])
-
-
-def test_gain_of_an_unknown_weight_is_refused():
-    with pytest.raises(ModelError, match="not for int"):
-        window_gain(FREQUENCY, np.array([0.1]), 3)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.fixture(scope="module")
@@ -150,3 +95,15 @@ def test_without_an_estimate_windows_must_be_given():
     model, record = spring(lambda t: 0 * t)
     with pytest.raises(ModelError, match="needs some to start from"):
         window_choice(model, record, {"k": 4.0})
+
+
+def test_what_is_no_test_function_is_refused_before_spectra_are_formed():
+    model, record = spring(lambda t: 0 * t)
+    with pytest.raises(ModelError, match="the class Hat, not an object"):
+        window_choice(
+            model,
+            record,
+            {"k": 4.0},
+            windows=AllWindows(0.1, 0.4),
+            test_function=Hat,  # pyright: ignore[reportArgumentType]
+        )

@@ -1,6 +1,6 @@
 """Options that make an error criterion."""
 
-from dataclasses import dataclass
+import dataclasses
 from typing import TYPE_CHECKING
 
 import click
@@ -9,7 +9,11 @@ from riecjax.cli.options import POSITIVE, collecting
 
 if TYPE_CHECKING:
     from riecjax.criteria.criterion import AbstractCriterion
+    from riecjax.criteria.test_functions import AbstractTestFunction
     from riecjax.models.model import Model
+
+TEST_FUNCTION_NAMES = ("boxcar", "hat", "bump")
+"""As in `criteria.test_function_names`, whose import takes JAX; the first is the default."""
 
 
 class WindowCount(click.ParamType):
@@ -60,18 +64,19 @@ CRITERION_OPTIONS = (
     ),
     click.option(
         "--test-function",
-        type=click.Choice(["boxcar", "hat", "bump"]),
+        type=click.Choice(TEST_FUNCTION_NAMES),
         help="Weight inside a window; hat and bump need no velocities. [default: boxcar]",
     ),
     click.option(
         "--quadrature",
         type=click.Choice(["2", "4", "6", "8"]),
-        help="Order of boxcar's and hat's integrals in the time step. [default: 2, trapezoids]",
+        help="Order of the integrals in the time step, for test functions that have one. "
+        "[default: 2, trapezoids]",
     ),
 )
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class CriterionOptions:
     """What the user said of the criterion."""
 
@@ -94,18 +99,17 @@ class CriterionOptions:
                 "--band, --alpha, --beta, --windows, --test-function and --quadrature belong to "
                 "--criterion riec."
             )
-        if self.test_function == "bump" and self.quadrature is not None:
-            raise click.UsageError("--quadrature belongs to the boxcar and the hat.")
         if self.band is not None and self.alpha is not None and self.beta is not None:
             raise click.UsageError(
                 "--band says what --alpha and --beta say: leave out one of them."
             )
 
     def build(self, model: "Model") -> "AbstractCriterion":
-        """The criterion, for a model's band unless another is asked for."""
-        from riecjax.criteria.bump import Bump
+        """The criterion, for a model's band unless another is asked for.
+
+        Raises `click.UsageError` for a quadrature where the test function has none.
+        """
         from riecjax.criteria.criterion import DOLS, RIEC
-        from riecjax.criteria.test_functions import Boxcar, Hat
         from riecjax.criteria.windows import (
             DEFAULT_BAND,
             AllWindows,
@@ -122,10 +126,19 @@ class CriterionOptions:
             windows = RandomWindows(alpha, beta, self.count)
         else:
             windows = AllWindows(alpha, beta)
-        if self.test_function == "bump":
-            return RIEC(windows, Bump())
-        order = int(self.quadrature or 2)
-        return RIEC(windows, Hat(order) if self.test_function == "hat" else Boxcar(order))
+        return RIEC(windows, self._build_test_function())
+
+    def _build_test_function(self) -> "AbstractTestFunction":
+        from riecjax.criteria.test_function_names import TEST_FUNCTIONS
+
+        weights = {name: kind() for name, kind in TEST_FUNCTIONS.items()}
+        weight = weights[self.test_function or TEST_FUNCTION_NAMES[0]]
+        if self.quadrature is None:
+            return weight
+        if not hasattr(weight, "quadrature"):
+            having = [f"the {name}" for name in weights if hasattr(weights[name], "quadrature")]
+            raise click.UsageError(f"--quadrature belongs to {' and '.join(having)}.")
+        return dataclasses.replace(weight, quadrature=int(self.quadrature))
 
 
 criterion_options = collecting(CRITERION_OPTIONS, CriterionOptions, "criteria")

@@ -1,6 +1,7 @@
 """The smooth test function (1 - tau^2)^p, integrated by fast Fourier transform."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.all_windows import Moments, moments_of_rows
 from riecjax.criteria.chunks import Blocks
+from riecjax.criteria.gains import bump_gain
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import each_bin
 from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, real_mean, whole
@@ -36,6 +38,7 @@ class Bump(AbstractTestFunction):
     **Raises:** `ModelError` for p < 3 or no length.
     """
 
+    name: ClassVar[str] = "bump"
     p: int = eqx.field(static=True, default=4)
     lengths: int = eqx.field(static=True, default=32)
 
@@ -56,8 +59,14 @@ class Bump(AbstractTestFunction):
         return 1
 
     def describe(self) -> dict[str, object]:
-        """Name and settings."""
-        return {"test_function": "bump", "p": self.p}
+        """Name and exponent."""
+        return {**super().describe(), "p": self.p}
+
+    def gain(
+        self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
+    ) -> Float[np.ndarray, "frequencies lengths"]:
+        """|H| of windows in seconds, by Bessel's function of the order p + 1/2."""
+        return bump_gain(frequency, length, self.p)
 
     def integrals(
         self, columns: Columns, windows: WindowSet, held: Int[Array, ""] | int | None = None

@@ -123,6 +123,11 @@ class AbstractCriterion(eqx.Module):
         raise NotImplementedError
 
     @property
+    def row_seconds(self) -> int:
+        """Power of the second by which a row's unit differs from the equation's."""
+        raise NotImplementedError
+
+    @property
     def block_length(self) -> Leaf:
         """Seconds after which two rows share no data: their errors are not locked together."""
         raise NotImplementedError
@@ -238,6 +243,11 @@ class DOLS(AbstractCriterion):
         return 0
 
     @property
+    def row_seconds(self) -> int:
+        """0: rows are the equation itself."""
+        return 0
+
+    @property
     def block_length(self) -> np.ndarray:
         """Zero: rows share no data."""
         return np.zeros(())
@@ -314,6 +324,11 @@ class RIEC(AbstractCriterion):
     def smoothness(self) -> int:
         """The test function's."""
         return self.test_function.smoothness
+
+    @property
+    def row_seconds(self) -> int:
+        """The test function's."""
+        return self.test_function.row_seconds
 
     @property
     def block_length(self) -> Leaf:

@@ -10,7 +10,7 @@ the weight's smoothness: one for the boxcar, two for the hat and for bumps.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.all_windows import Moments, moments_in_blocks
 from riecjax.criteria.chunks import Blocks
+from riecjax.criteria.gains import difference_gain, mean_difference_gain, mean_over_lengths
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.quadrature import ORDERS, running_integral
 from riecjax.criteria.windows import AllWindows, WindowSet
@@ -39,7 +40,13 @@ class Integrals(NamedTuple):
 
 
 class AbstractTestFunction(eqx.Module):
-    """A weight on a window, and the integrals of an equation that it makes."""
+    """A weight on a window, and the integrals of an equation that it makes.
+
+    A new one is one subclass, with a `name` and whatever raises `NotImplementedError` here.
+    """
+
+    name: ClassVar[str]
+    """What `describe` and the command line call it."""
 
     @property
     def smoothness(self) -> int:
@@ -50,6 +57,14 @@ class AbstractTestFunction(eqx.Module):
     def length_multiple(self) -> int:
         """Window lengths are whole multiples of so many samples."""
         raise NotImplementedError
+
+    @property
+    def row_seconds(self) -> int:
+        """Power of the second by which a row's unit differs from the equation's.
+
+        1 where the weight has no unit; a weight in seconds has 2.
+        """
+        return 1
 
     @property
     def margin(self) -> int:
@@ -81,13 +96,34 @@ class AbstractTestFunction(eqx.Module):
         """Number of all windows of a record without gaps, by the weights of their law."""
         raise NotImplementedError
 
+    def gain(
+        self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
+    ) -> Float[np.ndarray, "frequencies lengths"]:
+        """|H| of windows, eq. (13): size of the weighted integral of a unit oscillation.
+
+        In seconds to the power `row_seconds`.
+
+        **Arguments:** `frequency` in hertz, `length` of the whole window in seconds.
+        """
+        raise NotImplementedError
+
+    def mean_gain(
+        self,
+        frequency: Float[np.ndarray, " frequencies"],
+        alpha: float,
+        beta: float,
+        power: Literal[1, 2] = 1,
+    ) -> Float[np.ndarray, " frequencies"]:
+        """Mean of |H|^power over T ~ U(alpha, beta), eq. (14); see [`expected_gain`][]."""
+        return mean_over_lengths(self.gain, frequency, (alpha, beta), power)
+
     def finest(self) -> "AbstractTestFunction":
         """The same weight with the most accurate integrals there are."""
         return self
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
-        raise NotImplementedError
+        return {"test_function": self.name}
 
 
 class Primitives(eqx.Module):
@@ -150,10 +186,35 @@ class _Differences(AbstractTestFunction):
         """The same weight with quadrature of the highest order."""
         return dataclasses.replace(self, quadrature=max(ORDERS))
 
+    def describe(self) -> dict[str, object]:
+        """Name and order of quadrature."""
+        return {**super().describe(), "quadrature": self.quadrature}
+
     @property
     def length_multiple(self) -> int:
         """As the order of the difference, so that all its points lie on samples."""
         return self.smoothness
+
+    @property
+    def row_seconds(self) -> int:
+        """As often as the equation is integrated."""
+        return self.smoothness
+
+    def gain(
+        self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
+    ) -> Float[np.ndarray, "frequencies lengths"]:
+        """|H| of windows: of the boxcar T |sinc(f T)|, of the hat (T / 2)^2 sinc^2(f T / 2)."""
+        return difference_gain(frequency, length, self.smoothness)
+
+    def mean_gain(
+        self,
+        frequency: Float[np.ndarray, " frequencies"],
+        alpha: float,
+        beta: float,
+        power: Literal[1, 2] = 1,
+    ) -> Float[np.ndarray, " frequencies"]:
+        """Mean of |H|^power over T ~ U(alpha, beta), in closed form."""
+        return mean_difference_gain(frequency, (alpha, beta), self.smoothness, power)
 
     @property
     def margin(self) -> int:
@@ -244,16 +305,13 @@ class Boxcar(_Differences):
     **Raises:** `ModelError` for another order.
     """
 
+    name: ClassVar[str] = "boxcar"
     quadrature: int = eqx.field(static=True, default=2)
 
     @property
     def smoothness(self) -> int:
         """1: the boxcar's first derivative is a pulse at either end."""
         return 1
-
-    def describe(self) -> dict[str, object]:
-        """Name and settings."""
-        return {"test_function": "boxcar", "quadrature": self.quadrature}
 
 
 class Hat(_Differences):
@@ -267,16 +325,13 @@ class Hat(_Differences):
     **Raises:** `ModelError` for another order.
     """
 
+    name: ClassVar[str] = "hat"
     quadrature: int = eqx.field(static=True, default=2)
 
     @property
     def smoothness(self) -> int:
         """2: the hat's second derivative is a pulse at either end and one in the middle."""
         return 2
-
-    def describe(self) -> dict[str, object]:
-        """Name and settings."""
-        return {"test_function": "hat", "quadrature": self.quadrature}
 
 
 def whole(windows: WindowSet, present: Bool[Array, " n"] | None) -> Bool[Array, " windows"] | None:

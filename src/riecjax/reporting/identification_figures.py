@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
-from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import record_keys
@@ -244,9 +243,7 @@ def _residual_panel(time: np.ndarray, residual: np.ndarray, unit: str) -> Panel:
 
 
 def _row_unit(unit: str, criterion: AbstractCriterion) -> str:
-    """Axis label's unit: the equation's, times seconds for each integration."""
-    if not unit:
-        return ""
-    if not isinstance(criterion, RIEC):
-        return f" / ({unit})"
-    return f" / ({unit} s^2)" if isinstance(criterion.test_function, Hat) else f" / ({unit} s)"
+    """Axis label's unit: the equation's, times the weight's and the second of the integral."""
+    power = criterion.row_seconds
+    seconds = {0: "", 1: " s"}.get(power, f" s^{power}")
+    return f" / ({unit}{seconds})" if unit else ""

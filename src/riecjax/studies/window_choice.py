@@ -17,11 +17,10 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.procedure import HasProcedure, Procedure
 from riecjax.records.record import Record, as_records
-from riecjax.studies.expected_gain import expected_gain, window_gain
 from riecjax.validation.equation_error import EquationError, errors_over_records, joined
 from riecjax.validation.error_spectrum import ErrorSpectrum, error_spectrum
 
@@ -126,8 +125,8 @@ def window_choice(
     **Arguments:** `estimate`: or parameter name to value, and then `windows`, whose law is the
     current one. `test_function`: the estimate's by default, or the boxcar.
 
-    **Raises:** `ModelError` without windows or for a parameter without a value; `DataError` for a
-    missing signal or records of unequal time steps.
+    **Raises:** `ModelError` without windows, for a parameter without a value or for what is no test
+    function; `DataError` for a missing signal or records of unequal time steps.
     """
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
@@ -138,6 +137,7 @@ def window_choice(
     if windows is None:
         raise ModelError("a choice of windows needs some to start from: windows=AllWindows(...).")
     weight = test_function or Boxcar()
+    require("the test function", weight, AbstractTestFunction, "rx.Hat(), an object")
     alpha, beta = float(windows.alpha), float(windows.beta)
     errors = [joined(parts, 1) for parts in errors_over_records(model, recordings, values)]
     # Means stay in: an offset is what long windows see most of.
@@ -161,15 +161,15 @@ def _of_equation(
     weight: AbstractTestFunction,
 ) -> EquationWindows:
     frequency = spectrum.frequency
-    squares = window_gain(frequency, length, weight) ** 2
-    mean_square = expected_gain(frequency, *law, weight, power=2)
+    squares = weight.gain(frequency, length) ** 2
+    mean_square = weight.mean_gain(frequency, *law, power=2)
     return EquationWindows(
         error.name,
         error.unit,
         spectrum,
         _root_ratio(spectrum.error @ squares, spectrum.target @ squares),
         float(_root_ratio(spectrum.error @ mean_square, spectrum.target @ mean_square)),
-        expected_gain(frequency, *law, weight),
+        weight.mean_gain(frequency, *law),
         mean_square,
     )
 

@@ -6,7 +6,7 @@ from riecjax.criteria.test_functions import Boxcar
 from riecjax.paper.claims.claim import Claim, Evidence, over_roads
 from riecjax.paper.demonstration import RATE, Demonstration
 from riecjax.paper.random_window_errors import WindowErrorMoments
-from riecjax.studies.expected_gain import expected_gain, window_gain
+from riecjax.studies.expected_gain import expected_gain
 
 FROM = 0.5
 """Seconds from which growth is looked at: several periods of the mode."""
@@ -52,7 +52,7 @@ def bounded_impulse(demonstrations: Demonstration) -> Claim:
 def drop_outs() -> Claim:
     """Claim 2, in closed form."""
     frequency = np.linspace(0.5, 50, 4951)
-    fixed = window_gain(frequency, np.array([FIXED]), Boxcar())[:, 0]
+    fixed = Boxcar().gain(frequency, np.array([FIXED]))[:, 0]
     between = expected_gain(frequency, *BETWEEN, Boxcar())
     # What is left of |2 sin(w T / 2) / w| where the sine is averaged.
     smooth = (2 / np.pi) * 2 / (2 * np.pi * frequency)

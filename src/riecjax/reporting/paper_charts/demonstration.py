@@ -16,7 +16,7 @@ from riecjax.reporting.charts.chart import (
     Panel,
     single,
 )
-from riecjax.studies.expected_gain import expected_gain, window_gain
+from riecjax.studies.expected_gain import expected_gain
 
 EXCERPT = 1.0
 """Seconds of the signals themselves that are drawn."""
@@ -87,8 +87,8 @@ def figure_2(demonstrations: Demonstration) -> Chart:
 def figure_3() -> Chart:
     """Gain of one window length, of two, and expected over a range."""
     frequency = np.geomspace(0.2, 50, 900)
-    one = window_gain(frequency, np.array([FIXED]), Boxcar())[:, 0]
-    two = window_gain(frequency, np.array(TWO), Boxcar()).mean(axis=1)
+    one = Boxcar().gain(frequency, np.array([FIXED]))[:, 0]
+    two = Boxcar().gain(frequency, np.array(TWO)).mean(axis=1)
     drawn = expected_gain(frequency, *BETWEEN, Boxcar())
     return single(
         [

@@ -1,0 +1,178 @@
+"""A test function is one class: here one that the package does not know."""
+
+from typing import ClassVar
+
+import click
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+
+import riecjax as rx
+from riecjax.cli.criteria import TEST_FUNCTION_NAMES, CriterionOptions
+from riecjax.criteria.test_function_names import TEST_FUNCTIONS
+from riecjax.estimation.check import Check
+from riecjax.estimation.procedure import staged
+from riecjax.models.model import Model
+from riecjax.reporting.identification import Identification
+from riecjax.reporting.identification_figures import identification_figures
+
+KEY = jax.random.key(0)
+MODEL = Model("any", "Any model.")
+
+
+class Cosine(rx.Bump):
+    """The weight (T / 2) cos^4(pi tau / 2) in seconds, tau from -1 to 1 over a window of length T.
+
+    Three derivatives of it vanish at both ends, so that sums over samples are of order 4.
+    """
+
+    name: ClassVar[str] = "cosine"
+
+    @property
+    def row_seconds(self) -> int:
+        """2: the weight's second and the integral's."""
+        return 2
+
+    def weights(self, length, columns):
+        """Sampled, with (-1)^k of the k-th derivative for k = 0, 1, 2."""
+        sample = jnp.arange(columns.sample_count)
+        inside = (sample > 0) & (sample < length)
+        half = 0.5 * length * columns.time_step
+        u, slope = 0.5 * jnp.pi * (2 * sample / length - 1), 0.5 * jnp.pi / half
+        first = -4 * jnp.cos(u) ** 3 * jnp.sin(u)
+        second = 12 * (jnp.cos(u) * jnp.sin(u)) ** 2 - 4 * jnp.cos(u) ** 4
+        weights = jnp.stack([jnp.cos(u) ** 4, -slope * first, slope**2 * second])
+        return jnp.where(inside[None, :], half * weights, 0.0) * columns.time_step
+
+    def gain(self, frequency, length):
+        """By cos^4 u = 3/8 + cos(2 u) / 2 + cos(4 u) / 8, a sum of sincs."""
+        swings = frequency[:, None] * length[None, :]
+        shares = {0: 3 / 8, 1: 1 / 4, -1: 1 / 4, 2: 1 / 16, -2: 1 / 16}
+        sines = sum(share * np.sinc(swings + shift) for shift, share in shares.items())
+        return 0.5 * length[None, :] ** 2 * np.abs(sines)
+
+
+def integral_size(frequency: float, length: float) -> float:
+    """Size of the weight's Fourier integral, by adaptive quadrature."""
+    found, _ = scipy.integrate.quad(
+        lambda t: (
+            0.5 * length * np.cos(np.pi * t / length) ** 4 * np.cos(2 * np.pi * frequency * t)
+        ),
+        -length / 2,
+        length / 2,
+        limit=200,
+    )
+    return abs(found)
+
+
+def oscillator() -> tuple[rx.Equation, rx.Record]:
+    """m x'' + d x' + k x = u with m = 2, d = 0.7, k = 30, of which only x and u are recorded."""
+    t = np.linspace(0.0, 8.0, 3201)
+    x = np.sin(3 * t) + 0.3 * np.cos(11 * t)
+    dx = 3 * np.cos(3 * t) - 3.3 * np.sin(11 * t)
+    ddx = -9 * np.sin(3 * t) - 36.3 * np.cos(11 * t)
+    force = 2 * ddx + 0.7 * dx + 30 * x
+    equation = rx.Equation(
+        rx.Term("m", "x", derivative=2),
+        rx.Term("d", "x", derivative=1),
+        rx.Term("k", "x"),
+        -rx.Term(1.0, "u", unit="N"),
+        unit="N",
+        name="oscillator",
+    )
+    return equation, rx.Record({"x": x, "u": force}, t[1] - t[0])
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_its_expected_gain_is_the_mean_of_its_fourier_integrals(power):
+    frequency = np.array([0.0, 1.3, 9.0])
+    found = rx.expected_gain(frequency, 0.1, 0.5, Cosine(), power=power)
+    for f, mean in zip(frequency, found):
+        brute, _ = scipy.integrate.quad(
+            lambda length, f=f: integral_size(f, length) ** power, 0.1, 0.5, limit=200
+        )
+        # |H| has kinks where a window is blind, between which 256 lengths are close enough.
+        assert mean == pytest.approx(brute / 0.4, rel=1e-5)
+
+
+@pytest.mark.parametrize("windows", [rx.AllWindows(0.2, 0.8), rx.RandomWindows(0.2, 0.8, 300)])
+def test_it_identifies_from_positions(windows):
+    equation, record = oscillator()
+    estimate = rx.identify(equation, record, rx.RIEC(windows, Cosine()), key=KEY)
+    assert [float(estimate[name]) for name in "mdk"] == pytest.approx([2.0, 0.7, 30.0], rel=1e-4)
+    assert estimate.criterion.describe()["test_function"] == "cosine"
+
+
+def test_windows_are_chosen_by_its_gain():
+    """A force of 1 Hz with an error of 3 Hz: in windows, each by its Fourier integral."""
+    t = np.arange(16_000) * 0.005
+    motion, error = np.sin(2 * np.pi * t), 0.5 * np.sin(2 * np.pi * 3 * t)
+    record = rx.Record({"x": motion, "F": 4 * motion + error}, 0.005)
+    choice = rx.window_choice(
+        rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "F")),
+        record,
+        {"k": 4.0},
+        windows=rx.AllWindows(0.45, 0.4501),
+        test_function=Cosine(),
+    )
+    (spring,) = choice.equations
+
+    def share(length: float) -> float:
+        force, lost = 4 * integral_size(1.0, length), 0.5 * integral_size(3.0, length)
+        return lost / np.hypot(force, lost)
+
+    assert spring.current_share == pytest.approx(share(0.45), rel=0.02)
+    for length in (0.1, 0.3, 0.6):
+        found = np.interp(length, choice.length, spring.error_share)
+        assert found == pytest.approx(share(length), rel=0.02)
+
+
+def test_figures_show_its_unit():
+    equation, record = oscillator()
+    procedure = staged(equation)
+    criterion = rx.RIEC(rx.RandomWindows(0.2, 0.8, 300), Cosine())
+    estimate = rx.identify(procedure, record, criterion, key=KEY)
+    result = Identification(
+        model="oscillator",
+        procedure=procedure,
+        files=["a.csv"],
+        records=[record],
+        steps=[],
+        doubts=[],
+        estimate=estimate,
+        checked=Check([], [], ()),
+        sweep=None,
+        residuals=None,
+        choice=None,
+        seeds=None,
+        validations=[],
+        refinement=None,
+        key=KEY,
+        seed=0,
+    )
+    fit = identification_figures(result)["fit"].panels[0]
+    assert fit.x.label == "explained by the model / (N s^2)"
+
+
+def options(**given: str) -> CriterionOptions:
+    names = ("criterion", "band", "alpha", "beta", "count", "test_function", "quadrature")
+    return CriterionOptions(**{**dict.fromkeys(names), "criterion": "riec", **given})
+
+
+def test_the_command_line_offers_the_test_functions_that_are_there():
+    assert set(TEST_FUNCTION_NAMES) == set(TEST_FUNCTIONS)
+    for name in TEST_FUNCTION_NAMES:
+        criterion = options(test_function=name).build(MODEL)
+        assert criterion.describe()["test_function"] == name
+    finer = options(test_function="hat", quadrature="6").build(MODEL)
+    assert finer == rx.RIEC.of_band((1.0, 10.0), rx.Hat(6))
+
+
+def test_the_command_line_takes_it_from_the_table_and_sees_that_it_has_no_quadrature(monkeypatch):
+    monkeypatch.setitem(TEST_FUNCTIONS, Cosine.name, Cosine)
+    criterion = options(test_function="cosine").build(MODEL)
+    assert criterion == rx.RIEC.of_band((1.0, 10.0), Cosine())
+    with pytest.raises(click.UsageError, match="belongs to the boxcar and the hat"):
+        options(test_function="cosine", quadrature="4").build(MODEL)
