@@ -127,6 +127,11 @@ class AbstractCriterion(eqx.Module):
         """Power of the second by which a row's unit differs from the equation's."""
         raise NotImplementedError
 
+    def row_unit(self, unit: str) -> str:
+        """Unit of the rows of an equation with this unit, such as "N s"; none if that has none."""
+        seconds = {0: "", 1: " s"}.get(self.row_seconds, f" s^{self.row_seconds}")
+        return f"{unit}{seconds}" if unit else ""
+
     @property
     def block_length(self) -> Leaf:
         """Seconds after which two rows share no data: their errors are not locked together."""

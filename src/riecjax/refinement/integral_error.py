@@ -71,17 +71,9 @@ class IntegralError(AbstractObjective):
             names=setup.names,
             local=setup.local,
             sharing=setup.sharing,
-            equation_labels=tuple(
-                (labels[i][0], _integrated(labels[i][1], criterion.smoothness)) for i in chosen
-            ),
+            equation_labels=tuple((labels[i][0], criterion.row_unit(labels[i][1])) for i in chosen),
         )
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
         return {"refine": "integral", **self._criterion.describe()}
-
-
-def _integrated(unit: str, times: int) -> str:
-    if not unit:
-        return ""
-    return {0: unit, 1: f"{unit} s"}.get(times, f"{unit} s^{times}")

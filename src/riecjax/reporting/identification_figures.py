@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.criteria.criterion import AbstractCriterion, Rows
+from riecjax.criteria.criterion import Rows
 from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import record_keys
@@ -167,7 +167,8 @@ def _fit_figure(result: Identification) -> Chart:
     fits = list(_fits(result))
     above, beneath = [], []
     for stage, name in zip(estimate.stages, estimate.stage_names):
-        unit = _row_unit(procedure.stages[stage.stage][0].unit, estimate.criterion)
+        held = estimate.criterion.row_unit(procedure.stages[stage.stage][0].unit)
+        unit = f" / ({held})" if held else ""
         parts = [fit for place, fit in fits if place == stage.stage]
         measured, explained, start = (np.concatenate(arrays) for arrays in zip(*parts))
         chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
@@ -240,10 +241,3 @@ def _residual_panel(time: np.ndarray, residual: np.ndarray, unit: str) -> Panel:
         Axis("time / s"),
         Axis(f"residual{unit}"),
     )
-
-
-def _row_unit(unit: str, criterion: AbstractCriterion) -> str:
-    """Axis label's unit: the equation's, times the weight's and the second of the integral."""
-    power = criterion.row_seconds
-    seconds = {0: "", 1: " s"}.get(power, f" s^{power}")
-    return f" / ({unit}{seconds})" if unit else ""
