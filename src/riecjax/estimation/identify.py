@@ -1,22 +1,19 @@
-"""The verb of this library: identify a model's parameters from records."""
+"""The verbs of this library: estimate a model's parameters, from records or from their sums."""
 
-import contextlib
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
-from riecjax.criteria.criterion import RIEC, AbstractCriterion, Rows
-from riecjax.criteria.windows import DEFAULT_BAND
+from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.sample_by_sample import raise_if_samples_mix
-from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError, ModelError, require
-from riecjax.estimation.assembly import Assembled, all_normal_equations, all_rows
+from riecjax.errors import DataError, IdentifiabilityError, require
+from riecjax.estimation.assembly import over_records, sum_of_equations
+from riecjax.estimation.blocks import ShortBlocks
 from riecjax.estimation.bursts import sizes_in_bursts
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
@@ -29,6 +26,7 @@ from riecjax.estimation.intervals import (
     naive_covariance,
 )
 from riecjax.estimation.least_squares import gram_condition_limit
+from riecjax.estimation.normal_equations import NormalEquations, stack_normal_equations
 from riecjax.estimation.procedure import (
     HasProcedure,
     Procedure,
@@ -37,10 +35,13 @@ from riecjax.estimation.procedure import (
     found_values,
     solve_stages,
 )
+from riecjax.estimation.question import Question, question, task
 from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.summarise import summed
+from riecjax.estimation.summary import Summary, as_summary
 from riecjax.findings import Finding
-from riecjax.leaves import is_concrete, is_number, on_host
-from riecjax.records.record import Record, as_records
+from riecjax.leaves import is_concrete, on_host
+from riecjax.records.record import Record
 
 DOUBTFUL = 5.0
 """Standard errors within which an estimate of zero leaves its interval's width in doubt."""
@@ -58,7 +59,7 @@ def identify(
 ) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
-    Works eagerly, with every check, and under `jax.jit`, `jax.vmap` and `jax.grad`, where checks
+    [`summarise`][] and [`estimate`][] in a row. Works eagerly, with every check, and under `jax.jit`, `jax.vmap` and `jax.grad`, where checks
     of values are left to the result (`rank`, `condition_number`).
 
     **Arguments:**
@@ -82,30 +83,72 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    if criterion is None:
-        criterion = RIEC.of_band(getattr(model, "band", None) or DEFAULT_BAND)
-    asked = pose(model, records, criterion, key=key, known=known, own=own)
-    procedure, recordings, criterion, sharing, given, plan, keys = asked
+    asked = task(model, records, criterion, key)
+    unknown = question(asked.procedure, len(asked.records), known, own)
+    _require_intervals(intervals)
+    return _estimated(asked.procedure, summed(asked), unknown, intervals)
+
+
+def estimate(
+    model: Equation | Procedure | HasProcedure,
+    summaries: Summary | Sequence[Summary],
+    *,
+    known: Mapping[str, float | Array] | None = None,
+    per_record: Sequence[str] = (),
+    intervals: AbstractIntervals | None = None,
+) -> Estimate:
+    """Estimate the parameters of a model from what recordings say to it; no sample is read.
+
+    Known values, intervals, which recordings and which band of window lengths count can change
+    from call to call; see [`Summary`][]. Results are those of [`identify`][] of the recordings.
+
+    **Arguments:**
+
+    - `model`: the one that the Summary was made for.
+    - `summaries`: one, or several, of which each recording counts once.
+    - `known`: parameters held at these values instead of being estimated.
+    - `per_record`: parameters with a value of their own in each recording, such as a sensor's
+      offset; `offset` becomes `offset[1]`, `offset[2]`, ... in the order of `summary.recordings`.
+    - `intervals`: how uncertainty is judged, [`BlockBootstrap`][] by default.
+
+    **Returns:** an [`Estimate`][], which keeps the Summary.
+
+    **Raises:** as [`identify`][], and `ModelError` for a Summary of another model, or for summaries
+    that cannot be merged.
+    """
+    procedure, summary = as_procedure(model), as_summary(summaries)
+    summary.require_model(procedure)
+    unknown = question(procedure, len(summary.recordings), known, per_record)
+    _require_intervals(intervals)
+    return _estimated(procedure, summary, unknown, intervals)
+
+
+def _require_intervals(intervals: AbstractIntervals | None) -> None:
     require("intervals", intervals or Naive(), AbstractIntervals, "intervals=rx.BlockBootstrap()")
-    assembled = all_normal_equations(procedure, sharing, recordings, criterion, keys)
-    stages = assembled.stages
+
+
+def _estimated(
+    procedure: Procedure,
+    summary: Summary,
+    unknown: Question,
+    intervals: AbstractIntervals | None,
+) -> Estimate:
+    sharing, given, plan = unknown
     intervals = BlockBootstrap() if intervals is None else intervals
-    window = jnp.asarray(criterion.block_length)
-    solved = _solve(assembled, given, window, sharing, intervals, None)
+    window = jnp.asarray(summary.criterion.block_length)
+    equations, short = summary.equations(), summary.short_blocks
+    solved = _solve(equations, given, window, short, sharing, intervals, None)
     if is_concrete(solved.stages):
-        raise_if_nothing_to_fit(plan, [s.count for s in stages], [s.moments for s in stages])
-        for finding in constant_targets(procedure, sharing, recordings, criterion, given):
+        raise_if_nothing_to_fit(plan, solved.counts, solved.totals)
+        for finding in constant_targets(procedure, sharing, summary.recordings, given):
             raise IdentifiabilityError(finding.message, finding.code)
         past_gram = _worst_condition(solved.stages) > gram_condition_limit(window.dtype)
-        if past_gram and not criterion.in_closed_form:
-            rows = all_rows(procedure, sharing, recordings, criterion, keys)
-            solved = _solve(assembled, given, window, sharing, intervals, rows)
+        if past_gram and (rows := _rows(summary, equations)):
+            solved = _solve(equations, given, window, short, sharing, intervals, rows)
         _raise_if_unidentifiable(solved.stages, plan)
         solved = solved._replace(
-            stages=_where_they_act(solved, given, procedure, sharing, recordings)
+            stages=_where_they_act(solved, given, procedure, sharing, summary)
         )
-
-    units = {name: unit for name, unit in sharing.values(procedure.units).items()}
     return Estimate(
         theta=solved.theta,
         uncertainty=solved.uncertainty,
@@ -113,133 +156,22 @@ def identify(
         inflation=solved.inflation,
         stages=tuple(solved.stages),
         known={name: jnp.asarray(value) for name, value in given.items()},
-        criterion=criterion,
+        criterion=summary.criterion,
         parameters=tuple(name for stage in solved.stages for name in stage.parameters),
-        units=tuple(units.items()),
+        units=tuple(sharing.values(procedure.units).items()),
         stage_names=tuple(plan[stage.stage][0] for stage in solved.stages),
         equation_names=tuple(procedure.equation_names[stage.stage] for stage in solved.stages),
         block_count=solved.block_count,
         block_length=solved.length,
-        rows_offered=tuple(
-            _rows_offered(procedure.stages[stage.stage], recordings, criterion)
-            for stage in solved.stages
-        ),
+        rows_offered=solved.offered_to(summary, procedure),
+        summary=summary if is_concrete(solved.stages, summary) else None,
     )
-
-
-class Question(NamedTuple):
-    """What is asked of records, before any arithmetic; see [`identify`][] for the arguments.
-
-    **Fields:** `procedure`; `records`; `criterion` fitted to them; `sharing` of parameters; `given`
-    values by name over all records; `plan`, (stage name, parameters it finds); `keys` of records.
-    """
-
-    procedure: Procedure
-    records: list[Record]
-    criterion: AbstractCriterion
-    sharing: Sharing
-    given: dict[str, Array]
-    plan: list[tuple[str, tuple[str, ...]]]
-    keys: list[Key[Array, ""] | None]
-
-
-def pose(
-    model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
-    criterion: AbstractCriterion,
-    *,
-    key: Key[Array, ""] | None,
-    known: Mapping[str, float | Array] | None,
-    own: Sequence[str],
-) -> Question:
-    """Everything that can be refused before arithmetic, for [`identify`][] and for a check alike.
-
-    **Raises:** `ModelError` and `DataError` as [`identify`][].
-    """
-    procedure = as_procedure(model)
-    require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    require_settings(key, known, own)
-    recordings = as_records(records)
-    sharing = Sharing(procedure.parameters, own, len(recordings))
-    given = known_values(procedure, sharing, known or {})
-    plan = plan_stages(procedure, sharing, given)
-    if criterion.needs_key and key is None:
-        raise ModelError("random windows need a key: key=jax.random.key(seed).")
-    for record in recordings:
-        criterion.check(record)
-    criterion = criterion.fitted(recordings)
-    _raise_if_samples_mix(procedure, recordings, criterion)
-    keys = record_keys(key, len(recordings))
-    return Question(procedure, recordings, criterion, sharing, given, plan, keys)
-
-
-WRITE_CRITERION = (
-    "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, or "
-    "rx.DOLS()"
-)
-
-
-def require_settings(key: object, known: object, own: object) -> None:
-    """Raise `ModelError` unless these are a key, values by name and names, or left out."""
-    require_key(key)
-    write = "known={'m': 2.0}: values by name"
-    require("known", {} if known is None else known, Mapping, write)
-    name = own if isinstance(own, str) else "offset"
-    require("own", own, (list, tuple, set, frozenset), f"own=('{name}',): a tuple of names")
-
-
-def require_key(key: object) -> None:
-    """Raise `ModelError` for a seed, several keys or anything else in place of a key."""
-    if key is None:
-        return
-    if isinstance(key, jax.Array):
-        typed = jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
-        # Keys of jax.random.PRNGKey are a row of whole numbers.
-        if (typed and key.ndim == 0) or (key.dtype == jnp.uint32 and key.ndim == 1):
-            return
-        if typed or key.dtype == jnp.uint32:
-            raise ModelError(
-                f"the key is an array of {len(key)} keys. Write key=keys[0], or map over them by "
-                f"jax.vmap."
-            )
-    seed = key if isinstance(key, int | np.integer) else 0
-    require("the key", key, (), f"key=jax.random.key({int(seed)})")
-
-
-def signals_read(
-    procedure: Procedure, record: Record, criterion: AbstractCriterion
-) -> tuple[str, ...]:
-    """Names of the record's signals that a criterion reads for a procedure's equations.
-
-    Raises what `identify` would raise of this one record, before any arithmetic.
-
-    **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
-    for an expression that fails.
-    """
-    criterion.check(record)
-    read: set[str] = set()
-    for stage in procedure.stages:
-        for equation in stage:
-            with _saying_whose_derivative(equation):
-                read |= equation.signals_read(record, criterion.smoothness)
-            eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
-    return tuple(name for name in record.arrays if name in read)
-
-
-@contextlib.contextmanager
-def _saying_whose_derivative(equation: Equation) -> Iterator[None]:
-    """Of a missing signal that the equation calls a derivative, say whose it is."""
-    try:
-        yield
-    except MissingSignalError as error:
-        below = [of for of, name in equation.derivatives if name == error.signal]
-        known = next((of for of in below if of in error.available), "")
-        raise MissingSignalError(error.signal, error.available, known) from None
 
 
 class _Solved(NamedTuple):
     """Solutions of the stages with their uncertainty, grown by `inflation` where records disagree;
-    `block_count` blocks of all records, of `length` seconds on average."""
+    `block_count` blocks of all records, of `length` seconds on average; of each stage of the
+    procedure, `counts` of rows and `totals` of their products."""
 
     theta: Float[Array, " p"]
     stages: list[StageSolution]
@@ -248,25 +180,38 @@ class _Solved(NamedTuple):
     inflation: Float[Array, " p"]
     block_count: Int[Array, ""]
     length: Float[Array, ""]
+    counts: list[Float[Array, ""]]
+    totals: list[Float[Array, "columns columns"]]
+
+    def offered_to(self, summary: Summary, procedure: Procedure) -> Float[Array, " stages"]:
+        """Rows of each stage there would be without gaps; NaN if not known."""
+        each = sum(one.offered for one in summary.recordings)
+        sizes = np.array([len(procedure.stages[stage.stage]) for stage in self.stages])
+        return each * sizes
 
 
 @eqx.filter_jit
 def _solve(
-    assembled: Assembled,
+    equations: list[list[NormalEquations]],
     known: Mapping[str, Array],
     longest_window: Float[Array, ""],
+    short: ShortBlocks,
     sharing: Sharing,
     intervals: AbstractIntervals,
-    rows: list[Rows] | None,
+    rows: list[list[list[Rows]]] | None,
 ) -> _Solved:
-    stages, short = assembled.stages, assembled.short
-    apart = [[equation.flattened() for equation in stage] for stage in assembled.equations]
-    solutions = solve_stages([stage.flattened() for stage in stages], known, rows, apart)
+    shared = [[_over_records(e, sharing) for e in stage] for stage in equations]
+    names = [tuple(dict.fromkeys(n for e in stage for n in e.parameters)) for stage in shared]
+    stages = [sum_of_equations(stage, own) for stage, own in zip(shared, names)]
+    apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
+    stacked = None if rows is None else [_stacked(r, sharing, own) for r, own in zip(rows, names)]
+    solutions = solve_stages([stage.flattened() for stage in stages], known, stacked, apart)
     values = found_values(solutions, known)
     # What belongs to one recording cannot differ between recordings.
-    shared = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
-    judged = judge(stages, known, values, short, longest_window, shared, intervals)
+    common = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
+    judged = judge(stages, known, values, short, longest_window, common, intervals)
     block_count = jnp.sum(judged.evidence.used)
+    totals = [stage.flattened().total() for stage in stages]
     return _Solved(
         jnp.concatenate([stage.solution.theta for stage in solutions]),
         solutions,
@@ -275,6 +220,52 @@ def _solve(
         judged.inflation,
         block_count,
         jnp.sum(short.durations) / block_count,
+        [total.count for total in totals],
+        [total.moments for total in totals],
+    )
+
+
+def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+    """Normal equations with a leading axis of records, among the parameters of all of them."""
+    if not sharing.own:
+        return equations
+    every = [
+        NormalEquations(equations.moments[i], equations.count[i], equations.parameters)
+        for i in range(sharing.record_count)
+    ]
+    return stack_normal_equations([over_records(e, sharing, i) for i, e in enumerate(every)])
+
+
+def _rows(
+    summary: Summary, equations: list[list[NormalEquations]]
+) -> list[list[list[Rows]]] | None:
+    """Triangular factors in place of the rows of each equation and record, where there are some.
+
+    A recording that has none has moments that serve as well.
+    """
+    every = [e.factor for one in summary.recordings for stage in one.stages for e in stage]
+    if all(factor is None for factor in every):
+        return None
+
+    def of(i: int, j: int) -> list[Rows]:
+        names = equations[i][j].parameters
+        factors = [
+            factor_of(equations[i][j].moments[k].sum(0)) if e.factor is None else e.factor
+            for k, e in enumerate(one.stages[i][j] for one in summary.recordings)
+        ]
+        return [Rows(jnp.asarray(f).T, jnp.arange(len(f)), names) for f in factors]
+
+    return [[of(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]
+
+
+def _stacked(rows: list[list[Rows]], sharing: Sharing, names: tuple[str, ...]) -> Rows:
+    """Rows of a stage over all its equations and all records."""
+    return Rows.concatenate(
+        [
+            own.rename(sharing.of_record(own.parameters, i)).embed(names)
+            for of_equation in rows
+            for i, own in enumerate(of_equation)
+        ]
     )
 
 
@@ -283,7 +274,7 @@ def _where_they_act(
     given: Mapping[str, Array],
     procedure: Procedure,
     sharing: Sharing,
-    records: list[Record],
+    summary: Summary,
 ) -> list[StageSolution]:
     """The stages with the size of terms in doubt where they act, if that is in bursts."""
     values = found_values(on_host(solved.stages), given)
@@ -301,78 +292,12 @@ def _where_they_act(
         ]
         if not doubtful:
             return stage
-        equations = procedure.stages[stage.stage]
-        active = sizes_in_bursts(equations, sharing, records, values, stage.parameters, doubtful)
+        sums = [one.stages[stage.stage] for one in summary.recordings]
+        active = sizes_in_bursts(sums, sharing, values, stage.parameters, doubtful)
         larger = np.maximum(sizes, [active.get(name, 0.0) for name in stage.parameters])
         return eqx.tree_at(lambda s: s.relative_size, stage, larger)
 
     return [judged(stage) for stage in solved.stages]
-
-
-def _rows_offered(
-    stage: tuple[Equation, ...], records: list[Record], criterion: AbstractCriterion
-) -> float | None:
-    counts = [criterion.row_count(record) for record in records]
-    known = [count for count in counts if count is not None]
-    return len(stage) * sum(known) if len(known) == len(counts) else None
-
-
-def known_values(
-    procedure: Procedure, sharing: Sharing, known: Mapping[str, float | Array]
-) -> dict[str, Array]:
-    """Values held fixed, by name over all records: the equations' own and the user's.
-
-    **Raises:** `ModelError` for a name that the model does not have, and for what is no finite
-    number.
-    """
-    names = {*procedure.parameters, *sharing.parameters}
-    if unknown := [name for name in known if name not in names]:
-        listed = ", ".join(sharing.parameters)
-        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
-    require_numbers(known)
-    merged = {**sharing.values(procedure.known), **sharing.values(known)}
-    return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
-
-
-def require_numbers(known: Mapping[str, Any]) -> None:
-    """Raise `ModelError` for a known value that is no single number, or not finite if it shows."""
-    for name, value in known.items():
-        if not is_number(value):
-            raise ModelError(
-                f"{name} is held at {value!r}: known values are single numbers, {name}=2.0."
-            )
-        if is_concrete(value) and not np.isfinite(float(value)):
-            raise ModelError(f"{name} is held at {value}: give a finite number.")
-
-
-def plan_stages(
-    procedure: Procedure, sharing: Sharing, given: Mapping[str, Array]
-) -> list[tuple[str, tuple[str, ...]]]:
-    """(stage name, parameters it finds, over all records) for each stage."""
-    plan = [
-        (label, tuple(name for name in sharing.everywhere(names) if name not in given))
-        for label, names in procedure.plan(sharing.settled(given))
-    ]
-    if not any(unknown for _, unknown in plan):
-        raise ModelError("every parameter is known; nothing is left to identify.")
-    return plan
-
-
-def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:
-    """The key that each of several records draws its windows with."""
-    if key is None or count == 1:
-        return [key] * count
-    return list(jax.random.split(key, count))
-
-
-def _raise_if_samples_mix(
-    procedure: Procedure, records: list[Record], criterion: AbstractCriterion
-) -> None:
-    for record in records:
-        if criterion.in_chunks(record) and is_concrete(record):
-            for stage in procedure.stages:
-                for equation in stage:
-                    raise_if_samples_mix(equation, record)
 
 
 def _worst_condition(solutions: list[StageSolution]) -> float:
