@@ -31,8 +31,8 @@ from .estimation.assembly import stage_normal_equations as stage_normal_equation
 from .estimation.check import Check as Check
 from .estimation.check import check as check
 from .estimation.estimate import Estimate as Estimate
+from .estimation.identify import estimate as estimate
 from .estimation.identify import identify as identify
-from .estimation.identify import signals_read as signals_read
 from .estimation.intervals import BlockBootstrap as BlockBootstrap
 from .estimation.intervals import Naive as Naive
 from .estimation.intervals import Sandwich as Sandwich
@@ -43,6 +43,10 @@ from .estimation.normal_equations import normal_equations as normal_equations
 from .estimation.procedure import Procedure as Procedure
 from .estimation.procedure import simultaneous as simultaneous
 from .estimation.procedure import staged as staged
+from .estimation.question import signals_read as signals_read
+from .estimation.summarise import summarise as summarise
+from .estimation.summary import Summary as Summary
+from .estimation.summary_files import load as load
 from .findings import Finding as Finding
 from .models.model import Model as Model
 from .models.resolve import find_model as find_model

@@ -12,6 +12,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import IdentifiabilityError
+from riecjax.estimation.averages import observed
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.identify import identify, pose
 from riecjax.estimation.procedure import simultaneous, staged
@@ -66,9 +67,11 @@ def record(motion, noise=0.0, mean=0.0, seed=0):
 def findings(model, records, criterion=HATS, **settings):
     records = records if isinstance(records, list) else [records]
     asked = pose(model, records, criterion, **{"key": None, "known": None, "own": (), **settings})
-    return constant_targets(
-        asked.procedure, asked.sharing, asked.records, asked.criterion, asked.given
-    )
+    seen = [
+        observed(asked.procedure, one, asked.criterion, seed)
+        for seed, one in enumerate(asked.records)
+    ]
+    return constant_targets(asked.procedure, asked.sharing, seen, asked.given)
 
 
 DRIFT = FORCE * (1 + 0.02 * np.sin(0.4 * TIME + 1))
@@ -137,6 +140,15 @@ def test_loads_that_differ_between_records_tell_the_stiffness():
     # An offset for each record takes that away again.
     (finding,) = findings(WITH_OFFSET, half, own=("offset",))
     assert "so offset[1], offset[2] alone explain" in finding.message
+
+
+def test_what_is_known_joins_the_target():
+    x, v, a, _ = swaying(0.05)
+    accelerated = record((x, v, a, FORCE + M * a), noise=0.001)
+    assert not findings(WITH_OFFSET, accelerated)
+    for known in (M, 1.001 * M):
+        (finding,) = findings(WITH_OFFSET, accelerated, known={"m": known})
+        assert "so offset alone explain" in finding.message
 
 
 def test_a_parameter_that_another_equation_tells_is_not_hidden():

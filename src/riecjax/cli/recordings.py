@@ -181,7 +181,7 @@ def load(
     """
     import numpy as np
 
-    from riecjax.estimation.identify import signals_read
+    from riecjax.estimation.question import signals_read
     from riecjax.models.preparation import prepare
     from riecjax.records.reading.assembly import record_from_channels
     from riecjax.records.reading.read import read_channels

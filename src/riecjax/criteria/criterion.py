@@ -12,7 +12,13 @@ from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import Blocks, in_chunks
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
-from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet, half_periods
+from riecjax.criteria.windows import (
+    AbstractWindows,
+    AllWindows,
+    RandomWindows,
+    WindowSet,
+    half_periods,
+)
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import both_present
@@ -138,6 +144,16 @@ class AbstractCriterion(eqx.Module):
         raise NotImplementedError
 
     @property
+    def typical_length(self) -> Leaf:
+        """Seconds that a typical window lasts, 0 for a criterion without windows."""
+        raise NotImplementedError
+
+    @property
+    def in_windows(self) -> AbstractWindows | None:
+        """The windows that its rows are integrals over; `None` if they are single samples."""
+        return None
+
+    @property
     def in_closed_form(self) -> bool:
         """Whether all rows are summed at once: there are `moments`, and no single ones."""
         return False
@@ -169,11 +185,6 @@ class AbstractCriterion(eqx.Module):
     def lag_samples(self) -> int:
         """Window lengths are whole multiples of so many samples."""
         return 1
-
-    @property
-    def typical_length(self) -> Leaf:
-        """Seconds over which rows average; zero where each is of one sample."""
-        return np.zeros(())
 
     def between(self, alpha: float | Array, beta: float | Array) -> "AbstractCriterion":
         """The same with windows of other lengths.
@@ -219,6 +230,13 @@ class AbstractCriterion(eqx.Module):
         """
         raise ModelError("this criterion has rows, not moments of all of them.")
 
+    def law(self, record: Record) -> LagBins:
+        """The law of window lengths on a record.
+
+        **Raises:** `ModelError` unless moments come in closed form.
+        """
+        raise ModelError("this criterion has rows, not moments of all of them.")
+
     def moments_of(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
         """The same of columns and for window lengths that are told, no longer than `reach` samples.
 
@@ -255,6 +273,11 @@ class DOLS(AbstractCriterion):
     @property
     def block_length(self) -> np.ndarray:
         """Zero: rows share no data."""
+        return np.zeros(())
+
+    @property
+    def typical_length(self) -> np.ndarray:
+        """Zero: each sample counts."""
         return np.zeros(())
 
     def check(self, record: Record) -> None:
@@ -341,6 +364,17 @@ class RIEC(AbstractCriterion):
         return self.windows.beta
 
     @property
+    def typical_length(self) -> Leaf:
+        """Geometric mean of alpha and beta."""
+        alpha, beta = self.windows.alpha, self.windows.beta
+        return namespace(alpha, beta).sqrt(alpha * beta)
+
+    @property
+    def in_windows(self) -> AbstractWindows:
+        """Those."""
+        return self.windows
+
+    @property
     def in_closed_form(self) -> bool:
         """Whether all windows are summed."""
         return not self.windows.needs_key
@@ -354,12 +388,6 @@ class RIEC(AbstractCriterion):
     def lag_samples(self) -> int:
         """The test function's."""
         return self.test_function.length_multiple
-
-    @property
-    def typical_length(self) -> Leaf:
-        """The geometric mean of alpha and beta."""
-        xp = namespace(self.windows)
-        return xp.sqrt(xp.multiply(self.windows.alpha, self.windows.beta))
 
     def between(self, alpha: float | Array, beta: float | Array) -> "RIEC":
         """The same with windows of other lengths."""
@@ -428,7 +456,7 @@ class RIEC(AbstractCriterion):
         if self.needs_key:
             raise ModelError("random windows have rows, not moments of all of them.")
         windows, n = self.windows.every, record.sample_count
-        lags, reach = self.test_function.lags(windows, record), windows.reach(n)
+        lags, reach = self.law(record), windows.reach(n)
 
         def of_chunk(part: Record, blocks: Blocks) -> Moments:
             columns = sampled_columns(equation, part, self.smoothness)
@@ -436,6 +464,10 @@ class RIEC(AbstractCriterion):
 
         block = windows.block(n)
         return in_chunks(record, of_chunk, block=block, reach=reach, margin=self.margin)
+
+    def law(self, record: Record) -> LagBins:
+        """The law of window lengths on a record."""
+        return self.test_function.lags(self.windows.every, record)
 
     def moments_of(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
         """The same of columns and for window lengths that are told, no longer than `reach` samples.

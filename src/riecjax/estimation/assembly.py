@@ -56,15 +56,14 @@ def sum_of_equations(equations: list[NormalEquations], names: tuple[str, ...]) -
     return total
 
 
-@eqx.filter_jit
-def stage_sums(
+def traced_sums(
     procedure: Procedure,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
 ) -> RecordingSums:
     """Moments of one record, for code that is traced: shapes are those of the record."""
-    parts = _equation_by_equation(procedure, record, criterion, key, True)
+    parts = _compiled(procedure, record, criterion, key)
     stages = tuple(
         tuple(
             EquationSums(e.moments[None], e.count[None], None, None, None, None, e.parameters)
@@ -76,13 +75,23 @@ def stage_sums(
     short = short_blocks([record], criterion)
     return RecordingSums(
         stages,
-        jnp.asarray(short.number[0]),
-        jnp.asarray(short.seconds[0]),
-        jnp.asarray(jnp.nan if offered is None else float(offered)),
-        jnp.asarray(record.sample_count),
+        short.number[0],
+        short.seconds[0],
+        np.asarray(np.nan if offered is None else float(offered)),
+        np.asarray(record.sample_count),
         record.time_step,
-        jnp.zeros(8, jnp.uint32),
+        np.zeros(8, np.uint32),
     )
+
+
+@eqx.filter_jit
+def _compiled(
+    procedure: Procedure,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+) -> list[list[NormalEquations]]:
+    return _equation_by_equation(procedure, record, criterion, key, True)
 
 
 def _equation_by_equation(
@@ -146,3 +155,19 @@ def over_records(equations: NormalEquations, sharing: Sharing, index: int) -> No
         return equations
     names = equations.parameters
     return equations.rename(sharing.of_record(names, index)).embed(sharing.everywhere(names))
+
+
+def over_all_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+    """The same of normal equations with a leading axis of records."""
+    if not sharing.own:
+        return equations
+    every = [
+        NormalEquations(equations.moments[i], equations.count[i], equations.parameters)
+        for i in range(sharing.record_count)
+    ]
+    shared = [over_records(e, sharing, i) for i, e in enumerate(every)]
+    return NormalEquations(
+        jnp.stack([e.moments for e in shared]),
+        jnp.stack([e.count for e in shared]),
+        shared[0].parameters,
+    )

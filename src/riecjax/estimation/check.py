@@ -4,22 +4,21 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
-from riecjax.criteria.criterion import RIEC, AbstractCriterion
-from riecjax.criteria.windows import RandomWindows
+from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Terms, evaluate
+from riecjax.equations.term import Terms
 from riecjax.errors import IdentifiabilityError
-from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.excitation import Excitation, excitation
-from riecjax.estimation.identify import pose, record_keys, signals_read
+from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.procedure import HasProcedure, Procedure
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.question import question, signals_read, task
+from riecjax.estimation.summarise import summed
+from riecjax.estimation.summary import Summary
+from riecjax.estimation.sums import Survey
 from riecjax.findings import Finding
-from riecjax.leaves import on_host
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.quality import check_signals
 from riecjax.records.record import Record
@@ -78,30 +77,30 @@ def check(
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
     own: Sequence[str] = (),
-    excitations: list[Excitation] | None = None,
+    summary: Summary | None = None,
 ) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
     Nothing is estimated, and nothing that is found here stops a fit; see [`Check.answerable`][].
-    `excitations` are those that [`excitation`][] found with the same arguments, if it was asked.
+    `summary` is what [`summarise`][] made of the same with a survey, if it was asked.
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    asked = pose(model, records, criterion, key=key, known=known, own=own)
-    procedure, recordings, criterion = asked.procedure, asked.records, asked.criterion
+    asked = task(model, records, criterion, key)
+    procedure, recordings, criterion, _ = asked
+    unknown = question(procedure, len(recordings), known, own)
     read = [signals_read(procedure, record, criterion) for record in recordings]
-    if excitations is None:
-        excitations = excitation(procedure, recordings, criterion, key=key, known=known, own=own)
-    excitations = on_host(excitations)
+    summary = summed(asked, survey=True) if summary is None else summary
+    excited = excitations(summary, unknown)
     findings = [
         *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),
-        *_quadrature(procedure, recordings, criterion, key),
-        *_break_points(procedure, recordings),
-        *constant_targets(procedure, asked.sharing, recordings, criterion, asked.given),
-        *(finding for stage in excitations for finding in stage.findings()),
+        *_quadrature(summary),
+        *_break_points(procedure, summary),
+        *constant_targets(procedure, unknown.sharing, summary.recordings, unknown.given),
+        *(finding for stage in excited for finding in stage.findings()),
     ]
-    return Check(findings, excitations, tuple(dict.fromkeys(n for names in read for n in names)))
+    return Check(findings, excited, tuple(dict.fromkeys(n for names in read for n in names)))
 
 
 def _sensors(
@@ -124,37 +123,42 @@ def _sensors(
     return findings
 
 
-def _break_points(procedure: Procedure, records: list[Record]) -> Iterator[Finding]:
+def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
     """Roof functions past the reach of the data, whose values would be extrapolated."""
+    reach: dict[str, list[Float[np.ndarray, "2"]]] = {}
+    for survey in _surveys(summary):
+        for prefix, ends in survey.reach.items():
+            reach.setdefault(prefix, []).append(np.asarray(ends))
     equations = [equation for stage in procedure.stages for equation in stage]
     curves = [term for equation in equations for term in equation.terms if isinstance(term, Terms)]
     for term in curves:
         if not isinstance(term.basis, RoofFunctions):
             continue
-        samples = np.concatenate([np.asarray(evaluate(term.of, record)[0]) for record in records])
+        least, most = np.min(reach[term.prefix]), np.max(reach[term.prefix])
         points = np.asarray(term.basis.break_points)
         # The end segments are continued: what counts is data past the last but one.
-        idle = [points[0]] if samples.min() > points[1] else []
-        idle += [points[-1]] if samples.max() < points[-2] else []
-        if samples.min() > 0.5 * (points[0] + points[1]) and not idle:
+        idle = [points[0]] if least > points[1] else []
+        idle += [points[-1]] if most < points[-2] else []
+        if least > 0.5 * (points[0] + points[1]) and not idle:
             idle.append(points[0])
-        if samples.max() < 0.5 * (points[-1] + points[-2]) and points[-1] not in idle:
+        if most < 0.5 * (points[-1] + points[-2]) and points[-1] not in idle:
             idle.append(points[-1])
         if idle:
             listed = " and ".join(f"{point:g}" for point in idle)
             yield Finding(
                 "break_points_outside",
-                f"{term.prefix}: the data reach from {samples.min():.3g} to {samples.max():.3g}, "
+                f"{term.prefix}: the data reach from {least:.3g} to {most:.3g}, "
                 f"far from the break point at {listed}, whose value is extrapolated. Move it into "
                 f"the reach of the data.",
             )
 
 
 def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Finding]:
-    if not isinstance(criterion, RIEC):
+    windows = criterion.in_windows
+    if windows is None:
         return []
     findings = []
-    alpha, beta = float(criterion.windows.alpha), float(criterion.windows.beta)
+    alpha, beta = float(windows.alpha), float(windows.beta)
     coarsest = max(float(record.time_step) for record in records)
     if alpha < (FEWEST_SAMPLES - 0.5) * coarsest:
         findings.append(
@@ -179,44 +183,42 @@ def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Findin
     return findings
 
 
-def _quadrature(
-    procedure: Procedure,
-    records: list[Record],
-    criterion: AbstractCriterion,
-    key: Key[Array, ""] | None,
-) -> list[Finding]:
+def _quadrature(summary: Summary) -> list[Finding]:
     """Compare the integrals with those of the highest order: how far the sampling carries."""
-    if not isinstance(criterion, RIEC):
-        return []
-    drawn = criterion.sampled.windows
-    if isinstance(drawn, RandomWindows) and drawn.between_samples:
-        return []
-    finer = RIEC(criterion.windows, criterion.test_function.finest())
-    if finer.test_function == criterion.test_function:
-        return []
-    sharing = Sharing(procedure.parameters, (), len(records))
-    keys = record_keys(key, len(records))
-    worst, share = "", 0.0
-    for rows, better in zip(
-        all_rows(procedure, sharing, records, criterion, keys),
-        all_rows(procedure, sharing, records, finer, keys),
-    ):
-        fine = np.asarray(better.columns)
-        # Terms that are not finite are for the fit to refuse.
-        with np.errstate(over="ignore", invalid="ignore"):
-            error = np.sum((np.asarray(rows.columns) - fine) ** 2, axis=1)
-            size = np.sum(fine**2, axis=1)
-            shares = np.nan_to_num(np.sqrt(error / np.maximum(size, 1e-300)), posinf=0)
-        at = int(np.argmax(shares))
-        if shares[at] > share:
-            worst, share = ("the known terms", *rows.parameters)[at], float(shares[at])
-    if share <= QUADRATURE_ERROR:
+    sums: dict[str, Float[np.ndarray, "2"]] = {}
+    for survey, names in zip(_surveys(summary), _names(summary)):
+        for name, both in zip(("the known terms", *names), survey.quadrature.T):
+            sums[name] = sums.get(name, 0.0) + np.asarray(both)
+    # Terms that are not finite are for the fit to refuse.
+    shares = {
+        name: np.nan_to_num(np.sqrt(error / max(size, 1e-300)), posinf=0)
+        for name, (error, size) in sums.items()
+    }
+    worst = max(shares, key=lambda name: shares[name])
+    if shares[worst] <= QUADRATURE_ERROR:
         return []
     return [
         Finding(
             "coarse_sampling",
-            f"the motion is sampled so coarsely that its integrals are {100 * share:.2g} % off (at "
-            f"{worst}). Use quadrature of higher order (on the command line: --quadrature 6), "
-            f"up-sample the record (--upsample 8), or sample faster.",
+            f"the motion is sampled so coarsely that its integrals are "
+            f"{100 * shares[worst]:.2g} % off (at {worst}). Use quadrature of higher order (on the "
+            f"command line: --quadrature 6), up-sample the record (--upsample 8), or sample "
+            f"faster.",
         )
     ]
+
+
+def _surveys(summary: Summary) -> Iterator[Survey]:
+    """Of each equation on each recording."""
+    for one in summary.recordings:
+        for stage in one.stages:
+            for equation in stage:
+                assert equation.survey is not None
+                yield equation.survey
+
+
+def _names(summary: Summary) -> Iterator[tuple[str, ...]]:
+    for one in summary.recordings:
+        for stage in one.stages:
+            for equation in stage:
+                yield equation.parameters

@@ -18,24 +18,27 @@ the second fails. The means weigh far more in the fit than that motion, so it is
 agree: if least squares on b leave hardly more of b' than least squares on b' alone do.
 
 A target that is zero throughout is fitted by zero for all, unless another equation of the stage has
-a target and shares a parameter with it. Equations are averaged by hats as long as the criterion's
-windows, which need no recorded derivative; for [`DOLS`][] each sample counts.
+a target and shares a parameter with it. What the criterion reads of an equation is averaged by hats
+as long as its windows; for [`DOLS`][] each sample counts.
+
+All of this asks for lengths of the columns b, a_j and angles between them, of which least squares
+are made. Where [1, b, a] = Q R, the columns of R have the same, since Q keeps both. The constant is
+the first column of R, (sqrt(n), 0, ...) of n rows, so that R's first row holds the means times
+sqrt(n), and the rows below it stand for the deviations b', a'. With the factors of several records
+on top of each other, the constant over all of them holds each one's sqrt(n_i); deviations are what
+is left when columns are projected off it, or off each record's part of it where means are its own.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import AbstractTerm, both_present
-from riecjax.estimation.noise import with_noise
 from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.sums import EquationSums, RecordingSums
 from riecjax.findings import Finding
-from riecjax.records.record import Record
 
 CONSTANT = 0.1
 """Share of a target, rms, that may vary where it counts as constant."""
@@ -49,9 +52,6 @@ SLIGHT = 0.01
 """Share of b', rms, that the means may cost in any case: they move k by about as much."""
 ROUNDING = 1e-7
 """Share of a column that double sums over a long record may leave as rounding."""
-MOST_ROWS = 4000
-"""Rows of a record that are looked at."""
-
 Rows = Float[np.ndarray, " rows"]
 
 
@@ -60,17 +60,18 @@ Rows = Float[np.ndarray, " rows"]
 def constant_targets(
     procedure: Procedure,
     sharing: Sharing,
-    records: list[Record],
-    criterion: AbstractCriterion,
+    recordings: Sequence[RecordingSums],
     given: Mapping[str, Array],
 ) -> list[Finding]:
     """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
-    **Arguments:** `given`, known values by name over all records.
+    **Arguments:** `recordings`, with averages of all equations; `given`, known values by name over
+    all records.
     """
     settled, findings = set(given), []
-    for stage in procedure.stages:
-        seen = [_Averaged(e, sharing, records, criterion, given, settled) for e in stage]
+    for number, stage in enumerate(procedure.stages):
+        sums = zip(*(recording.stages[number] for recording in recordings))
+        seen = [_Averaged(e, sharing, of, given, settled) for e, of in zip(stage, sums)]
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
@@ -83,13 +84,13 @@ def constant_targets(
 
 def _zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
     """In words, that zero for all fits; empty if it does not."""
-    if np.any(seen.target()):
+    if np.any(seen.target):
         return ""
-    moving = [name for name, column in seen.columns().items() if _norm(column) > 0]
+    moving = [name for name, column in seen.columns.items() if _norm(column) > 0]
     # What other equations tell reaches this one through those that share parameters.
     linked, rest = set(seen.names), list(others)
     while near := [other for other in rest if linked & other.names]:
-        if any(np.any(other.target()) for other in near):
+        if any(np.any(other.target) for other in near):
             return ""
         linked |= {name for other in near for name in other.names}
         rest = [other for other in rest if other not in near]
@@ -104,16 +105,16 @@ def _zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
 
 def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
     """In words, that one term alone explains the target; empty if it does not."""
-    target = seen.target()
+    target = seen.target
     size = _norm(target)
     varying = _norm(seen.moving(target))
     # Negated, so that what is not finite is passed over.
     if not (size > 0 and varying <= CONSTANT * size):
         return ""
-    columns = seen.columns()
-    left = seen.left_by_motion(target, columns) if varying > ROUNDING * size else 1.0
+    columns = seen.columns
+    left = seen.left_by_motion() if varying > ROUNDING * size else 1.0
     if left**2 < 1 - EXPLAINED:
-        fitted, noise = seen.left_by_all(target, columns)
+        fitted, noise = seen.left_by_all()
         # What other equations tell of a parameter, this one's means do not settle.
         alone = elsewhere.isdisjoint(columns)
         if alone and fitted > DISAGREEING * np.hypot(left, noise) + SLIGHT:
@@ -124,7 +125,7 @@ def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
                 f"signals' offsets."
             )
         return ""
-    for names in seen.candidates(columns):
+    for names in seen.candidates():
         hidden = [name for name in columns if name not in names and name not in elsewhere]
         left = _norm(_residual(target, [columns[name] for name in names]))
         if hidden and left <= np.hypot(varying, STILL * size):
@@ -156,145 +157,113 @@ def _words(names: list[str], hidden: list[str], still: bool) -> str:
     )
 
 
-class _View(NamedTuple):
-    """How one record is averaged: hats of `half` samples to a side (none for 0) about `centres`."""
-
-    record: Record
-    half: int
-    centres: np.ndarray
-
-    @property
-    def independent(self) -> float:
-        """Rows that share no data."""
-        return self.record.sample_count / max(2 * self.half, 1)
-
-    def rows(self, term: AbstractTerm) -> list[Rows]:
-        """The term's columns, each row a mean of d^k/dt^k of it, weighted by a hat."""
-        order = 0 if self.half else term.derivative
-        samples = np.asarray(term.samples(self.record, order).values)
-        if not self.half:
-            return [column[self.centres] for column in samples]
-        step, h, c = float(self.record.time_step), self.half, self.centres
-        found = []
-        for column in samples:
-            # By parts: the second difference of what is integrated twice, less derivatives.
-            for _ in range(2 - term.derivative):
-                column = step * np.cumsum(np.append(0.0, 0.5 * (column[1:] + column[:-1])))
-            found.append((column[c + h] - 2 * column[c] + column[c - h]) / (h * step) ** 2)
-        return found
-
-
-def _view(equation: Equation, record: Record, criterion: AbstractCriterion) -> _View:
-    half = 0
-    if isinstance(criterion, RIEC):
-        length = np.sqrt(float(criterion.windows.alpha) * float(criterion.windows.beta))
-        most = (record.sample_count - 2) // 2
-        half = int(np.clip(round(length / (2 * float(record.time_step))), 1, max(most, 1)))
-    centres = np.arange(half, record.sample_count - half)
-    if record.missing or equation.where is not None:
-        read = equation.signals_read(record, 2 if half else 0)
-        present = both_present(equation.trusted(record), record.present(read))
-        if present is not None:
-            absent = np.append(0, np.cumsum(~np.asarray(present)))
-            centres = centres[absent[centres + half + 1] == absent[centres - half]]
-    return _View(record, half, centres[:: max(centres.size // MOST_ROWS, 1)])
-
-
 class _Averaged:
-    """One equation's target and regressors on all records, one record's rows after the other."""
+    """One equation's target and regressors, one record's factor on top of the other.
+
+    **Attributes:** `target`, what the known terms amount to, what an earlier stage finds among
+    them; `columns`, the unknown coefficients' regressors; `names` of these.
+    """
 
     def __init__(
         self,
         equation: Equation,
         sharing: Sharing,
-        records: list[Record],
-        criterion: AbstractCriterion,
+        recordings: Sequence[EquationSums],
         given: Mapping[str, Array],
         settled: set[str],
     ):
         self.equation, self.sharing = equation, sharing
         self.names = set(sharing.everywhere(equation.parameters)) - settled
-        self.given, self.settled, self.criterion = given, settled, criterion
-        self.views = [_view(equation, record, criterion) for record in records]
+        averages = [recording.averages for recording in recordings if recording.averages]
+        self.independent = sum(float(one.independent) for one in averages)
         individual = bool(sharing.own.intersection(equation.parameters))
-        sizes = [view.centres.size for view in self.views]
-        self.record_of_row = np.repeat(np.arange(len(sizes)) * individual, sizes)
+        bases = [recording.parameters for recording in recordings]
+        names = [sharing.of_record(bare, i) for i, bare in enumerate(bases)]
 
-    def _terms(self, free: bool) -> Iterator[tuple[int, AbstractTerm, tuple[str, ...]]]:
-        """Terms with an unknown coefficient, or those without, with their names, by record."""
-        for i in range(len(self.views)):
-            for term in self.equation.terms:
-                names = self.sharing.of_record(term.parameters, i)
-                if bool(set(names) - self.settled) == free:
-                    yield i, term, names
+        def columns(factors: list[np.ndarray]) -> tuple[Rows, dict[str, Rows]]:
+            return _columns(factors, names, self.names, given)
 
-    def target(self) -> Rows:
-        """What the known terms amount to. What an earlier stage finds counts as one."""
-        parts = [np.zeros(view.centres.size) for view in self.views]
-        for i, term, names in self._terms(free=False):
-            rows = self.views[i].rows(term)
-            values = [float(self.given.get(name, 1.0)) for name in names] or [1.0]
-            parts[i] -= sum(value * row for value, row in zip(values, rows))
-        return np.concatenate(parts)
-
-    def columns(self) -> dict[str, Rows]:
-        """The unknown coefficients' regressors."""
-        edges = np.cumsum([0, *(view.centres.size for view in self.views)])
-        found: dict[str, Rows] = {}
-        for i, term, names in self._terms(free=True):
-            for name, row in zip(names, self.views[i].rows(term)):
-                column = found.setdefault(name, np.zeros(edges[-1]))
-                column[edges[i] : edges[i + 1]] += row
-        return {name: column for name, column in found.items() if name not in self.settled}
+        rows = [np.asarray(one.rows) for one in averages]
+        self.target, self.columns = columns(rows)
+        self.noise = columns([np.asarray(one.noise) for one in averages])
+        self.constants = _constants(rows, individual)
 
     def moving(self, rows: Rows) -> Rows:
         """Rows less their mean: of each record where a parameter differs between records."""
-        count = np.maximum(np.bincount(self.record_of_row), 1)
-        return rows - (np.bincount(self.record_of_row, rows) / count)[self.record_of_row]
+        return rows - self.constants @ (rows @ self.constants)
 
     def share(self, column: Rows) -> float:
         """How much of a column moves."""
         size = _norm(column)
         return _norm(self.moving(column)) / size if size > 0 else 0.0
 
-    def left_by_motion(self, target: Rows, columns: Mapping[str, Rows]) -> float:
+    def left_by_motion(self) -> float:
         """Share, rms, of how the target varies that motion does not explain, chance taken off."""
-        moving = [self.moving(column) for column in columns.values()]
-        there = [m for m, c in zip(moving, columns.values()) if _norm(m) > ROUNDING * _norm(c)]
-        varying = self.moving(target)
+        moving = [(self.moving(column), _norm(column)) for column in self.columns.values()]
+        there = [m for m, size in moving if _norm(m) > ROUNDING * size]
+        varying = self.moving(self.target)
         left = _norm(_residual(varying, there)) / _norm(varying)
-        free = sum(view.independent for view in self.views) - 1
+        free = self.independent - 1
         return left * np.sqrt(free / (free - len(there))) if free > len(there) else 1.0
 
-    def left_by_all(self, target: Rows, columns: Mapping[str, Rows]) -> tuple[float, float]:
+    def left_by_all(self) -> tuple[float, float]:
         """Share, rms, of how the target varies that a fit with the means leaves, and its noise.
 
         Motion alone attenuates the coefficient of a noisy regressor where others replace it, and
         so leaves less than noise would at the coefficients of this fit.
         """
-        theta = _fit(target, list(columns.values()))
-        noisy = _Averaged(
-            self.equation,
-            self.sharing,
-            [with_noise(view.record, seed) for seed, view in enumerate(self.views)],
-            self.criterion,
-            self.given,
-            self.settled,
-        )
-        left = self.moving(target - np.stack([*columns.values()], axis=1) @ theta)
-        disturbed = noisy.target() - np.stack([*noisy.columns().values()], axis=1) @ theta
-        size = _norm(self.moving(target))
-        return _norm(left) / size, _norm(self.moving(disturbed) - left) / size
+        theta = _fit(self.target, [*self.columns.values()])
 
-    def candidates(self, columns: Mapping[str, Rows]) -> list[list[str]]:
+        def left(target: Rows, columns: Mapping[str, Rows]) -> float:
+            return _norm(self.moving(target - np.stack([*columns.values()], axis=1) @ theta))
+
+        size = _norm(self.moving(self.target))
+        return left(self.target, self.columns) / size, left(*self.noise) / size
+
+    def candidates(self) -> list[list[str]]:
         """Columns that may stand for all: of each term, still ones first, and of all that are."""
         groups: list[list[str]] = []
-        for _, term, _ in self._terms(free=True):
-            names = [name for name in self.sharing.everywhere(term.parameters) if name in columns]
-            if names not in groups:
+        for term in self.equation.terms:
+            names = [n for n in self.sharing.everywhere(term.parameters) if n in self.columns]
+            if names and names not in groups:
                 groups.append(names)
-        groups.sort(key=lambda names: max(self.share(columns[name]) for name in names))
-        return [*groups, [name for name, c in columns.items() if self.share(c) <= STILL]]
+        groups.sort(key=lambda names: max(self.share(self.columns[name]) for name in names))
+        return [*groups, [name for name, c in self.columns.items() if self.share(c) <= STILL]]
+
+
+def _columns(
+    factors: Sequence[np.ndarray],
+    names: Sequence[tuple[str, ...]],
+    unknown: set[str],
+    given: Mapping[str, Array],
+) -> tuple[Rows, dict[str, Rows]]:
+    """Target and regressors of the unknown, of factors whose regressors are called `names`."""
+    edges = np.cumsum([0, *(len(factor) for factor in factors)])
+    target = np.concatenate([factor[:, 1] for factor in factors])
+    columns: dict[str, Rows] = {}
+    for i, (factor, called) in enumerate(zip(factors, names)):
+        rows = slice(edges[i], edges[i + 1])
+        for name, column in zip(called, factor[:, 2:].T):
+            if name in unknown:
+                columns.setdefault(name, np.zeros(edges[-1]))[rows] += column
+            else:
+                target[rows] -= float(given.get(name, 1.0)) * column
+    return target, columns
+
+
+def _constants(
+    factors: Sequence[np.ndarray], individual: bool
+) -> Float[np.ndarray, "rows constants"]:
+    """Unit vectors along what is constant over all records, or over each of them."""
+    constants = np.zeros((sum(len(factor) for factor in factors), len(factors)))
+    first = 0
+    for i, factor in enumerate(factors):
+        constants[first, i] = factor[0, 0]
+        first += len(factor)
+    if not individual:
+        constants = constants.sum(axis=1, keepdims=True)
+    sizes = np.linalg.norm(constants, axis=0)
+    return constants / np.where(sizes > 0, sizes, 1.0)
 
 
 def _fit(target: Rows, columns: list[Rows]) -> Float[np.ndarray, " columns"]:

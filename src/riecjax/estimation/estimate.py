@@ -12,6 +12,7 @@ from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractE
 from riecjax.estimation.intervals import Uncertainty
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import EquationFit, StageSolution
+from riecjax.estimation.summary import Summary
 from riecjax.findings import Finding
 from riecjax.leaves import namespace
 
@@ -56,8 +57,10 @@ class Estimate(AbstractEstimate):
     - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
       length in seconds (rule: `block_length` in `estimation.blocks`).
     - `stage_names`, `equation_names`: of each stage, and of each equation in it.
-    - `rows_offered`: for each stage, how many rows there would be without gaps and masks, if
-      that is known.
+    - `rows_offered`: for each stage, how many rows there would be without gaps and masks; NaN
+      where that is not known.
+    - `summary`: the sums behind it, from which others can be estimated; `None` under `jax.jit` and
+      `jax.vmap`, where each member of a batch would carry its own.
     """
 
     theta: Float[Array, "*batch p"]
@@ -69,11 +72,12 @@ class Estimate(AbstractEstimate):
     criterion: AbstractCriterion
     block_count: Int[Array, "*batch"]
     block_length: Float[Array, "*batch"]
+    rows_offered: Float[Array, "*batch stages"]
+    summary: Summary | None
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
     equation_names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
-    rows_offered: tuple[float | None, ...] = eqx.field(static=True)
 
     @property
     def equations(self) -> dict[str, EquationFit]:
@@ -129,6 +133,7 @@ class Estimate(AbstractEstimate):
             *self._disagreement(),
             *self._coverage(),
             *self._few_windows(),
+            *self._snapped(),
             *self.rarely_excited(),
             *self._precision(),
         ]
@@ -213,7 +218,7 @@ class Estimate(AbstractEstimate):
 
     def _coverage(self) -> Iterator[Finding]:
         for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
-            lost = 0.0 if offered is None else 1 - float(stage.count) / offered
+            lost = 1 - float(stage.count) / float(offered)
             if lost > ROUNDING[stage.count.dtype]:
                 yield Finding(
                     "rows_left_out",
@@ -240,6 +245,17 @@ class Estimate(AbstractEstimate):
                 f"windows overlap and their errors hang together: what they tell of "
                 f"{', '.join(few)} is worth so many independent ones, and fewer than "
                 f"{FEWEST_WINDOWS} make a rough interval. Record for longer.",
+            )
+
+    def _snapped(self) -> Iterator[Finding]:
+        if self.summary is not None and self.summary.asked is not None:
+            alpha, beta = self.summary.asked
+            low, high = self.summary.lengths_of(self.summary.band)
+            yield Finding(
+                "band_snapped",
+                f"windows of {alpha:.4g} to {beta:.4g} s were asked for; sums are kept by bins of "
+                f"length, and those from {low:.4g} to {high:.4g} s were taken. Summarise anew with "
+                f"bins that have these edges for exactly that band.",
             )
 
     def _precision(self) -> Iterator[Finding]:

@@ -1,21 +1,19 @@
 """Whether a record tells a model's parameters apart, known before any of them is estimated."""
 
-from collections.abc import Mapping, Sequence
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float
 
-from riecjax.criteria.criterion import AbstractCriterion, Rows
-from riecjax.equations.equation import Equation
-from riecjax.estimation.assembly import all_rows
+from riecjax.estimation.assembly import over_all_records, sum_of_equations
 from riecjax.estimation.estimate import combination
-from riecjax.estimation.identify import not_excited, pose, raise_if_nothing_to_fit
-from riecjax.estimation.noise import with_noise
-from riecjax.estimation.procedure import HasProcedure, Procedure
+from riecjax.estimation.identify import not_excited, raise_if_nothing_to_fit
+from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.estimation.question import Question
+from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.summary import Summary
 from riecjax.findings import Finding
-from riecjax.records.record import Record
+from riecjax.leaves import on_host
 
 UNIDENTIFIABLE = 1e-6
 """Share of a regressor that is its own, below which no sensor could see it."""
@@ -34,7 +32,7 @@ class Excitation(eqx.Module):
     - `own_share`: share of each regressor that no combination of the others explains: 1 if
       orthogonal to them, 0 if collinear (one over the root of the variance inflation factor).
     - `noise_share`: share of each regressor that is noise of its signals, estimated from what
-      changes from sample to sample.
+      changes from sample to sample; NaN where that was not asked for.
     - `weakest_direction`, `weakest_share`: unit vector over the scaled regressors whose
       combination is smallest, and its size.
     """
@@ -89,57 +87,81 @@ class Excitation(eqx.Module):
         return []
 
 
-def excitation(
-    model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
-    criterion: AbstractCriterion,
-    *,
-    key: Key[Array, ""] | None = None,
-    known: Mapping[str, float | Array] | None = None,
-    own: Sequence[str] = (),
-) -> list[Excitation]:
-    """How each stage's regressors are excited by these records; arguments as for `identify`.
+def excitations(summary: Summary, unknown: Question) -> list[Excitation]:
+    """How each stage's regressors are excited, by a Summary with a survey (not under jit).
 
     The noise of a signal is estimated from its differences of sixth order, which no smooth motion
     survives, and sent through the equation once: rows with that noise less rows without.
 
-    **Raises:** as `identify`, but for what a fit alone shows.
+    **Raises:** `DataError` for a stage without rows, or with terms that are not finite.
     """
-    asked = pose(model, records, criterion, key=key, known=known, own=own)
-    procedure, recordings, criterion, sharing, _, plan, keys = asked
-    noisy = [with_noise(record, seed) for seed, record in enumerate(recordings)]
-    clean_rows = all_rows(procedure, sharing, recordings, criterion, keys)
-    noisy_rows = all_rows(procedure, sharing, noisy, criterion, keys)
-    with np.errstate(over="ignore", invalid="ignore"):
-        energies = [np.sum(np.square(np.asarray(rows.columns))) for rows in clean_rows]
-    raise_if_nothing_to_fit(plan, [rows.count() for rows in clean_rows], energies)
-    return [
-        _excitation(clean, disturbed, unknown, label)
-        for clean, disturbed, (label, unknown) in zip(clean_rows, noisy_rows, plan)
-        if unknown
-    ]
+    equations = summary.equations()
+    for stage, (label, names) in zip(equations, unknown.plan):
+        counts, sums = ([getattr(e, of).sum() for e in stage] for of in ("count", "moments"))
+        raise_if_nothing_to_fit([(label, names)], [sum(counts)], [sum(sums)])
+
+    def noise(i: int, j: int) -> NormalEquations:
+        e = equations[i][j]
+        found = [one.stages[i][j].survey for one in summary.recordings]
+        assert all(survey is not None for survey in found)
+        count = e.count.sum(1)
+        each = np.stack([np.asarray(s.noise) for s in found if s is not None])
+        return NormalEquations(each * count[:, None, None], count, e.parameters)
+
+    noises = [[noise(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]
+    totals = [[e.in_blocks_of_records() for e in stage] for stage in equations]
+    return on_host(_excitations(totals, noises, unknown.sharing, unknown.plan))
 
 
 @eqx.filter_jit
-def _excitation(clean: Rows, disturbed: Rows, unknown: tuple[str, ...], label: str) -> Excitation:
-    index = jnp.array([clean.parameters.index(name) for name in unknown])
-    regressors = clean.regressors[:, index]
-    count = jnp.maximum(clean.count(), 1)
-    size = jnp.sqrt(jnp.sum(regressors**2, axis=0) / count)
+def _excitations(
+    equations: list[list[NormalEquations]],
+    noise: list[list[NormalEquations]],
+    sharing: Sharing,
+    plan: list[tuple[str, tuple[str, ...]]],
+) -> list[Excitation]:
+    def total(stage: list[NormalEquations]) -> NormalEquations:
+        shared = [over_all_records(e, sharing) for e in stage]
+        names = tuple(dict.fromkeys(name for e in shared for name in e.parameters))
+        return sum_of_equations(shared, names).total()
+
+    found = []
+    for stage, own, (label, unknown) in zip(equations, noise, plan):
+        if unknown:
+            summed, added = total(stage), total(own)
+            mean = added.moments / jnp.where(added.count > 0, added.count, 1.0)
+            found.append(excitation_of(summed, mean, unknown, label))
+    return found
+
+
+def excitation_of(
+    total: NormalEquations,
+    noise: Float[Array, "columns columns"] | None,
+    unknown: tuple[str, ...],
+    label: str,
+) -> Excitation:
+    """How a stage's regressors are excited, by its normal equations.
+
+    **Arguments:** `total`, in one block; `noise`, mean outer product of what the signals' noise
+    adds to a row, `(target, *total.parameters)`; `unknown`, which of the parameters the stage
+    finds; `label`, its name.
+    """
+    index = np.array([total.parameters.index(name) for name in unknown])
+    mean = total.gram[np.ix_(index, index)] / jnp.where(total.count > 0, total.count, 1.0)
+    size = jnp.sqrt(jnp.diagonal(mean))
     filled = size > 0
     scale = jnp.where(filled, 1 / jnp.where(filled, size, 1.0), 0.0)
-    gram = (regressors.T @ regressors) * scale[:, None] * scale[None, :] / count
-    squares, directions = jnp.linalg.eigh(gram)
+    squares, directions = jnp.linalg.eigh(mean * scale[:, None] * scale[None, :])
     # Rounding of the Gram matrix hides shares below the root of eps.
     squares = jnp.maximum(squares, 0.0)
     # (G^-1)_jj = sum_i v_ij^2 / lambda_i: large where a weak direction holds the parameter.
     floor = jnp.finfo(size.dtype).eps * len(unknown)
     inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
-    noise = disturbed.regressors[:, index] - regressors
+    added = jnp.full_like(size, jnp.nan) if noise is None else jnp.diagonal(noise)[1 + index]
     return Excitation(
         size=size,
         own_share=jnp.where(filled, 1 / jnp.sqrt(inverse), 0.0),
-        noise_share=jnp.sqrt(jnp.sum(noise**2, axis=0) / count) * scale,
+        noise_share=jnp.sqrt(added) * scale,
         weakest_direction=directions[:, 0],
         weakest_share=jnp.sqrt(squares[0]),
         parameters=unknown,

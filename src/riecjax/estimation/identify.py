@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, IdentifiabilityError, require
-from riecjax.estimation.assembly import over_records, sum_of_equations
+from riecjax.estimation.assembly import over_all_records, sum_of_equations
+from riecjax.estimation.averages import factor_of
 from riecjax.estimation.blocks import ShortBlocks
 from riecjax.estimation.bursts import sizes_in_bursts
 from riecjax.estimation.constant_target import constant_targets
@@ -26,7 +27,7 @@ from riecjax.estimation.intervals import (
     naive_covariance,
 )
 from riecjax.estimation.least_squares import gram_condition_limit
-from riecjax.estimation.normal_equations import NormalEquations, stack_normal_equations
+from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import (
     HasProcedure,
     Procedure,
@@ -59,8 +60,9 @@ def identify(
 ) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
-    [`summarise`][] and [`estimate`][] in a row. Works eagerly, with every check, and under `jax.jit`, `jax.vmap` and `jax.grad`, where checks
-    of values are left to the result (`rank`, `condition_number`).
+    [`summarise`][] and [`estimate`][] in a row. Works eagerly, with every check, and under
+    `jax.jit`, `jax.vmap` and `jax.grad`, where checks of values are left to the result (`rank`,
+    `condition_number`).
 
     **Arguments:**
 
@@ -146,9 +148,7 @@ def _estimated(
         if past_gram and (rows := _rows(summary, equations)):
             solved = _solve(equations, given, window, short, sharing, intervals, rows)
         _raise_if_unidentifiable(solved.stages, plan)
-        solved = solved._replace(
-            stages=_where_they_act(solved, given, procedure, sharing, summary)
-        )
+        solved = solved._replace(stages=_where_they_act(solved, given, procedure, sharing, summary))
     return Estimate(
         theta=solved.theta,
         uncertainty=solved.uncertainty,
@@ -200,7 +200,7 @@ def _solve(
     intervals: AbstractIntervals,
     rows: list[list[list[Rows]]] | None,
 ) -> _Solved:
-    shared = [[_over_records(e, sharing) for e in stage] for stage in equations]
+    shared = [[over_all_records(e, sharing) for e in stage] for stage in equations]
     names = [tuple(dict.fromkeys(n for e in stage for n in e.parameters)) for stage in shared]
     stages = [sum_of_equations(stage, own) for stage, own in zip(shared, names)]
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
@@ -223,17 +223,6 @@ def _solve(
         [total.count for total in totals],
         [total.moments for total in totals],
     )
-
-
-def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
-    """Normal equations with a leading axis of records, among the parameters of all of them."""
-    if not sharing.own:
-        return equations
-    every = [
-        NormalEquations(equations.moments[i], equations.count[i], equations.parameters)
-        for i in range(sharing.record_count)
-    ]
-    return stack_normal_equations([over_records(e, sharing, i) for i, e in enumerate(every)])
 
 
 def _rows(
@@ -292,8 +281,9 @@ def _where_they_act(
         ]
         if not doubtful:
             return stage
-        sums = [one.stages[stage.stage] for one in summary.recordings]
-        active = sizes_in_bursts(sums, sharing, values, stage.parameters, doubtful)
+        active = sizes_in_bursts(
+            stage.stage, sharing, summary.recordings, values, stage.parameters, doubtful
+        )
         larger = np.maximum(sizes, [active.get(name, 0.0) for name in stage.parameters])
         return eqx.tree_at(lambda s: s.relative_size, stage, larger)
 

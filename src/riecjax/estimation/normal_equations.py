@@ -64,6 +64,10 @@ class NormalEquations(eqx.Module):
             self.moments.sum(0, keepdims=True), self.count.sum(0, keepdims=True), self.parameters
         )
 
+    def in_blocks_of_records(self) -> "NormalEquations":
+        """Of leading axes `(records, blocks)`, the sum over the second."""
+        return NormalEquations(self.moments.sum(1), self.count.sum(1), self.parameters)
+
     def flattened(self) -> "NormalEquations":
         """The same with one leading axis for all that there are."""
         shape = self.moments.shape[-2:]

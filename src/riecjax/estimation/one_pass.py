@@ -23,7 +23,7 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Terms, evaluate
-from riecjax.estimation.averages import activity, averaged_rows
+from riecjax.estimation.averages import activity, averaged_rows, underived
 from riecjax.estimation.normal_equations import normal_equations
 from riecjax.estimation.procedure import Procedure
 from riecjax.records.record import Record
@@ -126,7 +126,7 @@ def of_all_windows(
                 criterion.moments_of(columns, which.lags, blocks, which.reach) for which in lengths
             )
         )
-        watched = _watched(columns, noise, blocks, half, request.averaged, moments)
+        watched = _watched(columns, noise, blocks, half, request.averaged, None, moments)
         if not request.surveyed:
             return watched
         windows = _some_windows(criterion, blocks, band, request.surveyed)
@@ -140,7 +140,7 @@ class Drawn(NamedTuple):
     """Sums of one equation's rows by blocks, and its rows if a survey is asked for."""
 
     moments: Float[Array, "blocks columns columns"]
-    count: Float[Array, " blocks"]
+    number: Float[Array, " blocks"]
     survey: Surveyed | None
 
 
@@ -158,7 +158,8 @@ def of_rows(
     def watch(
         equation: Equation, columns: Columns, noise: Columns, record: Record, blocks: Blocks
     ) -> Watched:
-        return _watched(columns, noise, blocks, half, request.averaged, ())
+        bare = None if criterion.smoothness else underived(equation)
+        return _watched(columns, noise, blocks, half, request.averaged, bare, ())
 
     held = part.record.sample_count if part.held is None else part.held
     noisy = disturbed(part.record, part.levels)
@@ -235,6 +236,7 @@ def _watched(
     blocks: Blocks,
     half: Int[Array, ""],
     each: int,
+    bare: np.ndarray | None,
     moments: tuple[tuple[Array, Array], ...],
 ) -> Watched:
     start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
@@ -250,7 +252,8 @@ def _watched(
     at = jnp.arange(columns.sample_count)
     there = (at >= blocks.first) & (at < blocks.first + blocks.size * blocks.number)
     there = there & (at < blocks.held)
-    acts = activity(columns, there if columns.present is None else there & columns.present)
+    there = there if columns.present is None else there & columns.present
+    acts = activity(columns, there, bare)
     return Watched(
         moments,
         averaged(columns),

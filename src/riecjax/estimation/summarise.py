@@ -12,16 +12,16 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
-from riecjax.criteria.criterion import RIEC, AbstractCriterion
+from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import LengthBins, law_in_bins
 from riecjax.criteria.windows import MOST_BLOCKS, AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import mixing_expressions
 from riecjax.errors import ModelError
-from riecjax.estimation.assembly import stage_sums
+from riecjax.estimation.assembly import sum_of_equations, traced_sums
 from riecjax.estimation.averages import compressed, factor_of
-from riecjax.estimation.least_squares import condition_of, gram_condition_limit
+from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.noise import noise_level
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.one_pass import (
@@ -93,7 +93,7 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
     traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
     kept_apart = None if bins is None else _bins(criterion, bins, traced)
     if traced:
-        sums = [stage_sums(procedure, r, criterion, k) for r, k in zip(records, keys)]
+        sums = [traced_sums(procedure, r, criterion, k) for r, k in zip(records, keys)]
         return Summary(tuple(sums), criterion, outline, None, (0, 1), (0, 1))
     sums = [
         _Reading(procedure, record, criterion, key, kept_apart, survey).sums()
@@ -106,12 +106,13 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
 
 
 def _bins(criterion: AbstractCriterion, bins: int | ArrayLike, traced: bool) -> LengthBins:
-    if traced or not criterion.in_closed_form or not isinstance(criterion, RIEC):
+    windows = criterion.in_windows
+    if traced or not criterion.in_closed_form or windows is None:
         raise ModelError(
             "bins of window lengths are kept of all windows, with numbers that are known: use "
             "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
         )
-    alpha, beta = float(criterion.windows.alpha), float(criterion.windows.beta)
+    alpha, beta = float(windows.alpha), float(windows.beta)
     if isinstance(bins, int | np.integer):
         return LengthBins.of_number(alpha, beta, int(bins))
     return LengthBins.around(alpha, beta, bins)
@@ -175,7 +176,7 @@ class _Reading:
         )
 
     def _all_windows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
-        windows = self.criterion.windows.every
+        windows = self._windows()
         lengths = self._lengths(windows)
         layout = self._layout(windows, lengths[-1].reach, fill)
         band = tuple(
@@ -203,26 +204,28 @@ class _Reading:
 
         def of_equation(i: int, j: int) -> EquationSums:
             parts = [one[i][j] for one in found]
-            groups = [
-                [
-                    np.concatenate([p.moments[g][a] for p in parts], axis=1)[:, :count]
-                    for a in (0, 1)
-                ]
-                for g in range(len(lengths))
-            ]
-            moments, number = (
-                _together(np.concatenate([group[of] for group in groups])[:, :count], pairs)
-                for of in (0, 1)
-            )
+
+            def kept(of: int) -> np.ndarray:
+                """Sums, or numbers, of all parts and bins, the bins first."""
+                groups = [[p.moments[group][of] for p in parts] for group, _ in enumerate(lengths)]
+                every = np.concatenate([np.concatenate(group) for group in groups], axis=1)
+                return _together(np.moveaxis(every[:count], 1, 0), pairs)
+
+            moments, number = kept(0), kept(1)
             return self._equation(self.procedure.stages[i][j], moments, number, parts)
 
         shape = [len(stage) for stage in self.procedure.stages]
         stages = [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
         return layout.block * pairs, stages
 
+    def _windows(self) -> AllWindows:
+        windows = self.criterion.in_windows
+        assert windows is not None
+        return windows.every
+
     def _lengths(self, windows: AllWindows) -> tuple[Lengths, ...]:
         """Window lengths, those longer than the law's apart: they reach further than a block."""
-        law = self.criterion.test_function.lags(windows, self.record)
+        law = self.criterion.law(self.record)
         law = LagBins(*(np.asarray(leaf) for leaf in law[:3]))
         reach = windows.reach(self.count)
         if self.bins is None:
@@ -292,7 +295,7 @@ class _Reading:
         def of_equation(i: int, j: int) -> EquationSums:
             own: Drawn = drawn[i][j]
             parts = [watched[i][j]._replace(survey=own.survey)]
-            moments, number = own.moments[None, :count], own.count[None, :count]
+            moments, number = own.moments[None, :count], own.number[None, :count]
             return self._equation(self.procedure.stages[i][j], moments, number, parts)
 
         shape = [len(stage) for stage in self.procedure.stages]
@@ -316,15 +319,11 @@ class _Reading:
     def _nearly_collinear(self, stages: list[list[EquationSums]]) -> bool:
         """Whether moments of some stage may lose more digits than rows would."""
         for stage, names in zip(stages, self.procedure.stage_parameters):
-            total = sum(
-                np.asarray(
-                    NormalEquations(e.moments.sum((0, 1)), e.count.sum(), e.parameters)
-                    .embed(names)
-                    .gram
-                )
-                for e in stage
-            )
-            if not condition_of(total) <= gram_condition_limit(np.asarray(total).dtype):
+            apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
+            total = np.asarray(sum_of_equations(apart, names).total().gram)
+            scale = np.sqrt(np.maximum(np.diagonal(total), np.finfo(total.dtype).tiny))
+            squares = np.linalg.eigvalsh(np.nan_to_num(total / np.outer(scale, scale)))
+            if not squares[0] * gram_condition_limit(total.dtype) ** 2 > squares[-1]:
                 return True
         return False
 

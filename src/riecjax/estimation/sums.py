@@ -1,7 +1,9 @@
 """What one recording says of each equation, kept as sums."""
 
 import equinox as eqx
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Float, Int, UInt32
+
+from riecjax.leaves import Leaf
 
 
 class Averages(eqx.Module):
@@ -15,9 +17,9 @@ class Averages(eqx.Module):
     `(2 + p, 2 + p)`; `independent`, rows that share no data.
     """
 
-    rows: Float[Array, "2+p 2+p"]
-    noise: Float[Array, "2+p 2+p"]
-    independent: Float[Array, ""]
+    rows: Float[Leaf, "2+p 2+p"]
+    noise: Float[Leaf, "2+p 2+p"]
+    independent: Float[Leaf, ""]
 
 
 class Activity(eqx.Module):
@@ -28,10 +30,19 @@ class Activity(eqx.Module):
     shape `(1 + p, 1 + p)`; `samples`, how many were present.
     """
 
-    square: Float[Array, " columns"]
-    fourth: Float[Array, " columns"]
-    gram: Float[Array, "columns columns"]
-    samples: Float[Array, ""]
+    square: Float[Leaf, " columns"]
+    fourth: Float[Leaf, " columns"]
+    gram: Float[Leaf, "columns columns"]
+    samples: Float[Leaf, ""]
+
+    def __add__(self, other: "Activity") -> "Activity":
+        """Of both stretches of samples."""
+        return Activity(
+            self.square + other.square,
+            self.fourth + other.fourth,
+            self.gram + other.gram,
+            self.samples + other.samples,
+        )
 
 
 class Survey(eqx.Module):
@@ -48,11 +59,11 @@ class Survey(eqx.Module):
     - `reach`: for each term with a basis, its prefix, least and largest argument.
     """
 
-    noise: Float[Array, "columns columns"]
-    quadrature: Float[Array, "2 columns"]
-    rows: Float[Array, "rows columns"]
-    start: Float[Array, " rows"]
-    reach: dict[str, Float[Array, "2"]]
+    noise: Float[Leaf, "columns columns"]
+    quadrature: Float[Leaf, "2 columns"]
+    rows: Float[Leaf, "rows columns"]
+    start: Float[Leaf, " rows"]
+    reach: dict[str, Float[Leaf, "2"]]
 
 
 class EquationSums(eqx.Module):
@@ -71,12 +82,12 @@ class EquationSums(eqx.Module):
     - `parameters`: names of the p regressors.
     """
 
-    moments: Float[Array, "bins blocks columns columns"]
-    count: Float[Array, "bins blocks"]
+    moments: Float[Leaf, "bins blocks columns columns"]
+    count: Float[Leaf, "bins blocks"]
     averages: Averages | None
     activity: Activity | None
     survey: Survey | None
-    factor: Float[Array, "columns columns"] | None
+    factor: Float[Leaf, "columns columns"] | None
     parameters: tuple[str, ...] = eqx.field(static=True)
 
 
@@ -94,9 +105,9 @@ class RecordingSums(eqx.Module):
     """
 
     stages: tuple[tuple[EquationSums, ...], ...]
-    blocks: Int[Array, ""]
-    block_seconds: Float[Array, ""]
-    offered: Float[Array, ""]
-    samples: Int[Array, ""]
-    time_step: Float[Array, ""]
-    digest: UInt32[Array, "8"]
+    blocks: Int[Leaf, ""]
+    block_seconds: Float[Leaf, ""]
+    offered: Float[Leaf, ""]
+    samples: Int[Leaf, ""]
+    time_step: Float[Leaf, ""]
+    digest: UInt32[Leaf, "8"]

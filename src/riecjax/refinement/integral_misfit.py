@@ -110,7 +110,7 @@ class IntegralMisfit(AbstractMisfit):
             [record for _, record in expanded],
             self.criterion,
             self.keys,
-        ).stages
+        )
         # What is free in some record may be fixed in another: it does not change.
         fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
         return equations.fix(fixed).embed(self.names)

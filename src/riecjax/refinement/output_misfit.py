@@ -217,7 +217,7 @@ class OutputMisfit(AbstractMisfit):
             parts.append(NormalEquations(flat, held.astype(flat.dtype), self.names))
             numbers.append(number)
             seconds.append(samples * part.time_step)
-        return stack_normal_equations(parts), ShortBlocks(tuple(numbers), jnp.stack(seconds))
+        return stack_normal_equations(parts), ShortBlocks(np.array(numbers), jnp.stack(seconds))
 
     def simulated(
         self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int

@@ -13,10 +13,10 @@ from riecjax.errors import ModelError, require
 from riecjax.estimation.elimination import solve_scaled, unit_scale
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.evidence import judge
-from riecjax.estimation.identify import record_keys, require_numbers, require_settings
 from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
 from riecjax.estimation.least_squares import symmetric_eigen
 from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.estimation.question import record_keys, require_numbers, require_settings
 from riecjax.estimation.sharing import Sharing, local_name
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record, as_records

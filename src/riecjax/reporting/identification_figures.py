@@ -8,7 +8,7 @@ import numpy as np
 from riecjax.criteria.criterion import Rows
 from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.identify import record_keys
+from riecjax.estimation.question import record_keys
 from riecjax.estimation.sharing import Sharing, values_of_record
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (

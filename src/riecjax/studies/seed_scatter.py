@@ -15,15 +15,15 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError, require
 from riecjax.estimation.assembly import all_normal_equations
-from riecjax.estimation.identify import (
+from riecjax.estimation.influence import in_order, staged_values, unknowns
+from riecjax.estimation.least_squares import solve
+from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.estimation.question import (
     known_values,
     plan_stages,
     record_keys,
     require_settings,
 )
-from riecjax.estimation.influence import in_order, staged_values, unknowns
-from riecjax.estimation.least_squares import solve
-from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import Sharing
 from riecjax.records.record import Record, as_records
 
@@ -86,8 +86,8 @@ def _estimates(
 ) -> Float[Array, "seeds p"]:
     def with_key(key: Key[Array, ""]) -> Float[Array, " p"]:
         own_keys = record_keys(key, len(records))
-        assembled = all_normal_equations(procedure, sharing, records, criterion, own_keys)
-        flat = [stage.flattened() for stage in assembled.stages]
+        stages = all_normal_equations(procedure, sharing, records, criterion, own_keys)
+        flat = [stage.flattened() for stage in stages]
         totals = [stage.total() for stage in flat]
         plan = unknowns(flat, known)
         return in_order(plan, staged_values(totals, plan, known, lambda e: solve(e).theta))
