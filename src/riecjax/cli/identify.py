@@ -29,11 +29,13 @@ from riecjax.findings import Finding
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
-    from jaxtyping import Array
+    import numpy as np
+    from jaxtyping import Array, Float, Key
 
     from riecjax.criteria.criterion import AbstractCriterion
     from riecjax.estimation.estimate import Estimate
     from riecjax.estimation.procedure import Procedure
+    from riecjax.estimation.summary import Summary
     from riecjax.models.model import Model
     from riecjax.records.record import Record
     from riecjax.refinement.refined import Refined
@@ -130,9 +132,11 @@ def command(
     from rich.console import Console
 
     from riecjax.estimation.check import check, raise_if_refused
-    from riecjax.estimation.excitation import excitation
-    from riecjax.estimation.identify import identify
+    from riecjax.estimation.excitation import excitations
+    from riecjax.estimation.identify import estimate as estimated
     from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
+    from riecjax.estimation.question import question
+    from riecjax.estimation.summarise import summarise
     from riecjax.leaves import on_host
     from riecjax.models.resolve import find_model
     from riecjax.reporting.estimate import estimate_entries, print_estimate
@@ -148,13 +152,17 @@ def command(
     further = load(validation_files, recordings, model, criterion)
     records = [recording.record for recording in estimating]
     key = jax.random.key(seed)
-    settings = {"key": key, "known": known, "own": own}
+    settings = {"known": known, "own": own}
+    # What is refused without arithmetic is refused before a sample is read.
+    unknown = question(procedure, len(records), **settings)
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
     judge = kinds[intervals]
-    estimate = on_host(identify(procedure, records, criterion, **settings, intervals=judge))
+    # Read once: all that follows is made from these sums.
+    bins = _bins(records, criterion) if sweep else None
+    summary = summarise(procedure, records, criterion, key=key, bins=bins, survey=True)
+    estimate = on_host(estimated(procedure, summary, known=known, per_record=own, intervals=judge))
     # What `riecjax check` refuses is refused here, before any of it is shown.
-    excitations = on_host(excitation(procedure, records, criterion, **settings))
-    raise_if_refused(excitations)
+    raise_if_refused(excitations(summary, unknown))
     # What is asked for first is shown first: all that follows is about how far to trust it.
     shown = not as_json and refining.refine == "none"
     if shown:
@@ -169,7 +177,7 @@ def command(
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.identification_page import identification_page
 
-    checked = check(procedure, records, criterion, **settings, excitations=excitations)
+    checked = check(procedure, records, criterion, key=key, **settings, summary=summary)
     refined = refining.run(model, records, estimate, own=own, key=key, intervals=judge)
     found = estimate if refined is None else refined
     to_simulate = _to_simulate(held, further)
@@ -188,10 +196,10 @@ def command(
         ],
         estimate=estimate,
         checked=checked,
-        sweep=_sweep(procedure, records, criterion, settings) if sweep else None,
+        sweep=_sweep(procedure, records, summary, settings) if sweep else None,
         residuals=residuals,
         choice=choice,
-        seeds=_seeds(procedure, records, criterion, settings),
+        seeds=_seeds(procedure, records, criterion, key, settings),
         validations=validations,
         refinement=_before_after(model, estimate, refined, validations, to_simulate, estimating),
         key=key,
@@ -220,38 +228,51 @@ def _parts(
     return estimating, [r._replace(record=last) for r, (_, last) in zip(loaded, halves)]
 
 
+def _bins(
+    records: list["Record"], criterion: "AbstractCriterion"
+) -> "Float[np.ndarray, ' edges'] | None":
+    """Bins of window lengths that the sweep needs, where all windows are summed."""
+    from riecjax.errors import DataError
+    from riecjax.studies.window_sweep import sweep_edges
+
+    if not criterion.in_closed_form:
+        return None
+    try:
+        return sweep_edges(records, criterion)
+    except DataError:
+        return None  # too short a record, which the check says
+
+
 def _sweep(
-    procedure: "Procedure",
-    records: list["Record"],
-    criterion: "AbstractCriterion",
-    settings: dict[str, Any],
+    procedure: "Procedure", records: list["Record"], summary: "Summary", settings: dict[str, Any]
 ) -> "WindowSweep | None":
-    from riecjax.criteria.criterion import RIEC
     from riecjax.errors import DataError
     from riecjax.leaves import on_host
     from riecjax.studies.window_sweep import window_sweep
 
-    if not isinstance(criterion, RIEC):
+    if summary.criterion.in_windows is None:
         return None
+    of = records if summary.bins is None else summary
     try:
-        return on_host(window_sweep(procedure, records, criterion, **settings))
+        return on_host(window_sweep(procedure, of, summary.criterion, **settings))
     except DataError:
-        return None  # too short a record, which the check has said
+        return None
 
 
 def _what_is_left(
     procedure: "Procedure", records: list["Record"], estimate: "Estimate"
 ) -> tuple["ResidualTests | None", "WindowChoice | None", list[Finding]]:
     """Tests of the residual and the choice of windows it suggests, or why there are none."""
-    from riecjax.criteria.criterion import RIEC
     from riecjax.studies.window_choice import window_choice
+    from riecjax.validation.equation_error import errors_over_records
     from riecjax.validation.residual_tests import residual_tests
 
-    windowed = isinstance(estimate.criterion, RIEC)
+    windowed = estimate.criterion.in_windows is not None
     # A fit is not lost because what it leaves cannot be tested.
     try:
-        residuals = residual_tests(procedure, records, estimate)
-        choice = window_choice(procedure, records, estimate) if windowed else None
+        errors = errors_over_records(procedure, records, estimate.values)
+        residuals = residual_tests(procedure, records, estimate, errors=errors)
+        choice = window_choice(procedure, records, estimate, errors=errors) if windowed else None
     except RiecjaxError as error:
         return None, None, [Finding("residuals_not_tested", str(error))]
     return residuals, choice, []
@@ -261,11 +282,14 @@ def _seeds(
     procedure: "Procedure",
     records: list["Record"],
     criterion: "AbstractCriterion",
+    key: "Key[Array, '']",
     settings: dict[str, Any],
 ) -> "SeedScatter | None":
     from riecjax.studies.seed_scatter import seed_scatter
 
-    return seed_scatter(procedure, records, criterion, **settings) if criterion.needs_key else None
+    if not criterion.needs_key:
+        return None
+    return seed_scatter(procedure, records, criterion, key=key, **settings)
 
 
 def _before_after(

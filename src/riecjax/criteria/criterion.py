@@ -154,6 +154,11 @@ class AbstractCriterion(eqx.Module):
         return None
 
     @property
+    def weight(self) -> AbstractTestFunction | None:
+        """The test function of these windows."""
+        return None
+
+    @property
     def in_closed_form(self) -> bool:
         """Whether all rows are summed at once: there are `moments`, and no single ones."""
         return False
@@ -375,6 +380,11 @@ class RIEC(AbstractCriterion):
         return self.windows
 
     @property
+    def weight(self) -> AbstractTestFunction:
+        """The test function."""
+        return self.test_function
+
+    @property
     def in_closed_form(self) -> bool:
         """Whether all windows are summed."""
         return not self.windows.needs_key
@@ -410,9 +420,9 @@ class RIEC(AbstractCriterion):
         return super().block_samples(record)
 
     @property
-    def sampled(self) -> "RIEC":
-        """This criterion with random windows, for what needs single rows of all of them."""
-        return RIEC(self.windows.drawn, self.test_function)
+    def every(self) -> "RIEC":
+        """This criterion with all windows, which random ones converge to."""
+        return RIEC(self.windows.every, self.test_function)
 
     def fitted(self, records: Sequence[Record]) -> "RIEC":
         """This criterion with what it can find out of the records before tracing."""

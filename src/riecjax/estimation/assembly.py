@@ -157,7 +157,19 @@ def over_records(equations: NormalEquations, sharing: Sharing, index: int) -> No
     return equations.rename(sharing.of_record(names, index)).embed(sharing.everywhere(names))
 
 
-def over_all_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+def stages_over_records(
+    equations: list[list[NormalEquations]], sharing: Sharing
+) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
+    """Normal equations of stages, and of each equation, among the parameters of all records.
+
+    **Arguments:** `equations` of each stage, with a leading axis of records.
+    """
+    apart = [[_over_all_records(e, sharing) for e in stage] for stage in equations]
+    names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
+    return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
+
+
+def _over_all_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
     """The same of normal equations with a leading axis of records."""
     if not sharing.own:
         return equations

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.estimation.assembly import over_all_records, sum_of_equations
+from riecjax.estimation.assembly import stages_over_records
 from riecjax.estimation.estimate import combination
 from riecjax.estimation.identify import not_excited, raise_if_nothing_to_fit
 from riecjax.estimation.normal_equations import NormalEquations
@@ -120,15 +120,12 @@ def _excitations(
     sharing: Sharing,
     plan: list[tuple[str, tuple[str, ...]]],
 ) -> list[Excitation]:
-    def total(stage: list[NormalEquations]) -> NormalEquations:
-        shared = [over_all_records(e, sharing) for e in stage]
-        names = tuple(dict.fromkeys(name for e in shared for name in e.parameters))
-        return sum_of_equations(shared, names).total()
-
+    stages, _ = stages_over_records(equations, sharing)
+    noises, _ = stages_over_records(noise, sharing)
     found = []
-    for stage, own, (label, unknown) in zip(equations, noise, plan):
+    for stage, own, (label, unknown) in zip(stages, noises, plan):
         if unknown:
-            summed, added = total(stage), total(own)
+            summed, added = stage.total(), own.total()
             mean = added.moments / jnp.where(added.count > 0, added.count, 1.0)
             found.append(excitation_of(summed, mean, unknown, label))
     return found

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, IdentifiabilityError, require
-from riecjax.estimation.assembly import over_all_records, sum_of_equations
+from riecjax.estimation.assembly import stages_over_records
 from riecjax.estimation.averages import factor_of
 from riecjax.estimation.blocks import ShortBlocks
 from riecjax.estimation.bursts import sizes_in_bursts
@@ -200,11 +200,11 @@ def _solve(
     intervals: AbstractIntervals,
     rows: list[list[list[Rows]]] | None,
 ) -> _Solved:
-    shared = [[over_all_records(e, sharing) for e in stage] for stage in equations]
-    names = [tuple(dict.fromkeys(n for e in stage for n in e.parameters)) for stage in shared]
-    stages = [sum_of_equations(stage, own) for stage, own in zip(shared, names)]
+    stages, shared = stages_over_records(equations, sharing)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
-    stacked = None if rows is None else [_stacked(r, sharing, own) for r, own in zip(rows, names)]
+    stacked = None
+    if rows is not None:
+        stacked = [_stacked(r, sharing, stage.parameters) for r, stage in zip(rows, stages)]
     solutions = solve_stages([stage.flattened() for stage in stages], known, stacked, apart)
     values = found_values(solutions, known)
     # What belongs to one recording cannot differ between recordings.

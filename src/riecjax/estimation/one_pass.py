@@ -7,7 +7,7 @@ are filled up to one of three lengths behind the recording's end, which is trace
 recording is worked through in parts that overlap by the longest window.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -72,7 +72,7 @@ class Part(NamedTuple):
     record: Record
     first: Int[Array, ""] | int
     held: Int[Array, ""] | None
-    levels: Float[Array, " signals"]
+    levels: dict[str, Float[Array, ""]]
 
 
 class Watched(NamedTuple):
@@ -325,13 +325,13 @@ def _reaches(
     return found
 
 
-def disturbed(record: Record, levels: Float[Array, " signals"]) -> Record:
+def disturbed(record: Record, levels: Mapping[str, Float[Array, ""]]) -> Record:
     """The record with so much white noise on each signal; the same at a sample in any stretch."""
     first = jnp.round(record.skipped / record.time_step).astype(int)
     place = first + jnp.arange(record.sample_count)
     noise = jnp.asarray(NOISE, record.time_step.dtype)
     added = {
-        name: values + level * noise[(place + i * APART) % NOISE.size]
-        for i, ((name, values), level) in enumerate(zip(record.arrays.items(), levels))
+        name: record.arrays[name] + level * noise[(place + i * APART) % NOISE.size]
+        for i, (name, level) in enumerate(sorted(levels.items()))
     }
     return record.with_signals(added, missing=record.missing)

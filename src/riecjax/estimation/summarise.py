@@ -146,7 +146,7 @@ class _Reading:
         self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
         self.record, self.survey = record, survey
         self.step, self.count = float(record.time_step), record.sample_count
-        self.levels = np.array([noise_level(np.asarray(v)) for v in record.arrays.values()])
+        self.levels = {k: noise_level(np.asarray(v)) for k, v in record.arrays.items()}
         length = float(criterion.typical_length)
         most = max((self.count - 2) // 2, 1)
         self.half = int(np.clip(round(length / (2 * self.step)), 1, most)) if length else 0
@@ -267,7 +267,7 @@ class _Reading:
     def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
         """The recording cut into parts, each with what its windows reach beyond it."""
         if layout.filled is None:
-            yield Part(self.record, 0, None, jnp.asarray(self.levels))
+            yield Part(self.record, 0, None, self.levels)
             return
         margin = self.criterion.margin
         for start in range(0, self.count, layout.starts):
@@ -277,7 +277,7 @@ class _Reading:
                 _filled_up(self.record, begin, stop, layout.filled),
                 jnp.asarray(start - begin),
                 jnp.asarray(stop - begin),
-                jnp.asarray(self.levels),
+                self.levels,
             )
 
     def _rows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:

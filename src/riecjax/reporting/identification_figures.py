@@ -5,11 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.criteria.criterion import Rows
-from riecjax.estimation.assembly import all_rows
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.question import record_keys
-from riecjax.estimation.sharing import Sharing, values_of_record
+from riecjax.estimation.sharing import values_of_record
+from riecjax.estimation.sums import Survey
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (
     BLUE,
@@ -183,46 +181,36 @@ def _fit_figure(result: Identification) -> Chart:
 
 
 def _fits(result: Identification) -> Iterator[tuple[int, _Fit]]:
-    """Each equation's rows on each record, with the place of its stage."""
-    estimate, procedure, records = result.estimate, result.procedure, result.records
-    single = Sharing(procedure.parameters, (), 1)
+    """Some rows of each equation on each record, with the place of its stage."""
+    estimate, summary = result.estimate, result.estimate.summary
+    assert summary is not None
     given = {name: float(value) for name, value in estimate.known.items()}
     found = {name: float(estimate[name]) for name in estimate.parameters}
-    for i, (record, key) in enumerate(zip(records, record_keys(result.key, len(records)))):
+    for i, recording in enumerate(summary.recordings):
         known = {n: v for n, v in values_of_record(given, i).items() if n not in found}
         estimated = {n: v for n, v in values_of_record(found, i).items() if n not in given}
-        # The check of this record has compiled the same function.
-        for place, rows in enumerate(
-            all_rows(procedure, single, [record], estimate.criterion, [key])
-        ):
-            equations = procedure.stages[place]
-            # On one record every equation has as many rows as the others.
-            parts = np.split(np.arange(rows.columns.shape[1]), len(equations))
-            for equation, part in zip(equations, parts):
-                yield place, _fit(rows, part, equation.parameters, record, known, estimated)
+        for place, stage in enumerate(recording.stages):
+            for equation in stage:
+                assert equation.survey is not None
+                yield place, _fit(equation.survey, equation.parameters, known, estimated)
 
 
 def _fit(
-    rows: Rows,
-    part: np.ndarray,
+    survey: Survey,
     names: tuple[str, ...],
-    record: Record,
     known: Mapping[str, float],
     estimated: Mapping[str, float],
 ) -> _Fit:
     """What the known terms and parameters give, and what the estimated ones explain of it."""
-    if rows.kept is not None:
-        part = part[np.asarray(rows.kept)[part]]
-    columns = np.asarray(rows.columns)[:, part]
-    held = {name: columns[1 + rows.parameters.index(name)] for name in names}
+    columns = np.asarray(survey.rows).T
+    held = dict(zip(names, columns[1:]))
     target = columns[0] - sum(known[name] * held.pop(name) for name in names if name in known)
     # Where no term is known beforehand, an earlier stage found the coefficient that sets the scale.
     if held and not target.any():
         first = next(iter(held))
         target = -estimated[first] * held.pop(first)
-    explained = sum((estimated[n] * column for n, column in held.items()), np.zeros(part.size))
-    first_sample = np.floor(np.asarray(rows.position)[part]).astype(int)
-    return _Fit(target, explained, np.asarray(record.elapsed)[first_sample])
+    explained = sum((estimated[n] * column for n, column in held.items()), np.zeros(target.size))
+    return _Fit(target, explained, np.asarray(survey.start))
 
 
 def _fit_panel(explained: np.ndarray, measured: np.ndarray, name: str, unit: str) -> Panel:

@@ -13,7 +13,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
@@ -115,6 +114,7 @@ def window_choice(
     *,
     windows: AbstractWindows | None = None,
     test_function: AbstractTestFunction | None = None,
+    errors: list[list[EquationError]] | None = None,
 ) -> WindowChoice:
     """Predict the share of error at every window length, and recommend a range (not under jit).
 
@@ -123,31 +123,33 @@ def window_choice(
     share of error is not the same as a small bias; [`window_sweep`][] shows how estimates move.
 
     **Arguments:** `estimate`: or parameter name to value, and then `windows`, whose law is the
-    current one. `test_function`: the estimate's by default, or the boxcar.
+    current one. `test_function`: the estimate's by default, or the boxcar. `errors` of each
+    equation on each record, from [`errors_over_records`][], if they are known.
 
     **Raises:** `ModelError` without windows, for a parameter without a value or for what is no test
     function; `DataError` for a missing signal or records of unequal time steps.
     """
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
-    criterion = estimate.criterion if isinstance(estimate, Estimate) else None
-    if isinstance(criterion, RIEC):
-        windows = windows or criterion.windows
-        test_function = test_function or criterion.test_function
+    if isinstance(estimate, Estimate):
+        windows = windows or estimate.criterion.in_windows
+        test_function = test_function or estimate.criterion.weight
     if windows is None:
         raise ModelError("a choice of windows needs some to start from: windows=AllWindows(...).")
     weight = test_function or Boxcar()
     require("the test function", weight, AbstractTestFunction, "rx.Hat(), an object")
     alpha, beta = float(windows.alpha), float(windows.beta)
-    errors = [joined(parts, 1) for parts in errors_over_records(model, recordings, values)]
+    if errors is None:
+        errors = errors_over_records(model, recordings, values)
+    whole = [joined(parts, 1) for parts in errors]
     # Means stay in: an offset is what long windows see most of.
-    spectra = [error_spectrum(error, parts=PARTS, detrend=False) for error in errors]
+    spectra = [error_spectrum(error, parts=PARTS, detrend=False) for error in whole]
     longest = min(0.5 / spectrum.resolution for spectrum in spectra)
     shortest = FEWEST_SAMPLES * float(recordings[0].time_step)
     length = np.geomspace(shortest, max(longest, 2 * shortest), LENGTHS)
     equations = tuple(
         _of_equation(error, spectrum, length, (alpha, beta), weight)
-        for error, spectrum in zip(errors, spectra)
+        for error, spectrum in zip(whole, spectra)
     )
     recommended, reason = _recommend(equations, length)
     return WindowChoice(length, equations, alpha, beta, recommended, reason)

@@ -4,7 +4,9 @@ With an exact model every window length finds the same parameters, up to scatter
 leaves something out, that weighs differently at different lengths, and the estimates drift.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,18 +15,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax import tails
-from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, require
-from riecjax.estimation.assembly import all_normal_equations, short_blocks
-from riecjax.estimation.blocks import FEWEST_WINDOWS, blocks_in_use, put_together
-from riecjax.estimation.identify import (
-    known_values,
-    plan_stages,
-    record_keys,
-    require_settings,
-)
+from riecjax.estimation.assembly import stages_over_records
+from riecjax.estimation.blocks import FEWEST_WINDOWS, ShortBlocks, blocks_in_use, put_together
 from riecjax.estimation.influence import block_influence
+from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import (
     HasProcedure,
     Procedure,
@@ -32,10 +29,13 @@ from riecjax.estimation.procedure import (
     found_values,
     solve_stages,
 )
+from riecjax.estimation.question import Question, question, task
 from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.summarise import summed
+from riecjax.estimation.summary import Summary
 from riecjax.findings import Finding
 from riecjax.leaves import namespace
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Record
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window of a sweep spans at least."""
@@ -142,8 +142,8 @@ class WindowSweep(eqx.Module):
 
 def window_sweep(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
-    criterion: RIEC,
+    records: Record | Sequence[Record] | Summary,
+    criterion: RIEC | None = None,
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
@@ -152,67 +152,92 @@ def window_sweep(
     longest: float | None = None,
     bands: int = 10,
 ) -> WindowSweep:
-    """Identify a model again and again, with windows from short to long (not under jit).
+    """Estimate a model's parameters again and again, with windows from short to long.
 
-    Each band reaches from a length to twice that length.
+    Not under jit. Each band spans two bins of window lengths, about an octave, and shares one
+    with the next. All windows of a band count, also where the criterion draws some.
 
     **Arguments:** as for [`identify`][], and
 
+    - `records`: or a [`Summary`][] with bins of window lengths, from which no sample is read;
+      `criterion` and what follows `own` are then those it was made with.
     - `shortest`, `longest`: ends of the sweep in seconds; by default a tenth of the criterion's
       alpha, at least four samples, to twice its beta, at most a tenth of all records together.
-    - `bands`: number of lengths.
+    - `bands`: number of lengths, give or take one.
 
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
     """
     procedure = as_procedure(model)
-    require(
-        "the criterion", criterion, RIEC, "rx.RIEC(rx.AllWindows(0.05, 0.5)), which has windows"
-    )
-    require_settings(key, known, own)
-    recordings = as_records(records)
-    sharing = Sharing(procedure.parameters, own, len(recordings))
-    given = known_values(procedure, sharing, known or {})
-    plan = plan_stages(procedure, sharing, given)
-    low, high = _reach(recordings, criterion, shortest, longest)
-    alpha = np.geomspace(low, high / 2, bands)
-    beta = 2 * alpha
-    # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
-    lengthy = _with_windows(criterion, alpha[-1], beta[-1]).fitted(recordings)
-    used = blocks_in_use(short_blocks(recordings, lengthy), np.asarray(FEWEST_WINDOWS * beta[-1]))
-    theta, influence, residual = _estimates(
-        procedure,
-        sharing,
-        recordings,
-        lengthy,
-        record_keys(key, len(recordings)),
-        given,
-        used,
-        (jnp.asarray(alpha), jnp.asarray(beta)),
-    )
-    units = sharing.values(procedure.units)
-    stages = [(label, unknown) for label, unknown in plan if unknown]
-    return WindowSweep(
-        alpha=jnp.asarray(alpha),
-        beta=jnp.asarray(beta),
-        theta=theta,
-        influence=influence,
-        relative_rms=residual,
-        block_count=namespace(used).sum(used),
-        parameters=tuple(name for _, unknown in stages for name in unknown),
-        units=tuple(units.items()),
-        stage_names=tuple(label for label, _ in stages),
-    )
+    if isinstance(records, Summary):
+        summary = records
+        summary.require_model(procedure)
+    else:
+        require(
+            "the criterion", criterion, RIEC, "rx.RIEC(rx.AllWindows(0.05, 0.5)), which has windows"
+        )
+        assert isinstance(criterion, RIEC)
+        asked = task(procedure, records, criterion.every, key)
+        edges = sweep_edges(
+            asked.records, criterion, shortest=shortest, longest=longest, bands=bands
+        )
+        summary = summed(asked, bins=edges)
+    unknown = question(procedure, len(summary.recordings), known, own)
+    return _sweep(procedure, summary, unknown, _bands(summary, shortest, longest))
+
+
+def sweep_edges(
+    records: Sequence[Record],
+    criterion: AbstractCriterion,
+    *,
+    shortest: float | None = None,
+    longest: float | None = None,
+    bands: int = 10,
+) -> Float[np.ndarray, " edges"]:
+    """Edges of bins of window lengths in seconds that serve a sweep and the criterion's own band.
+
+    Alpha and beta are among them: the lengths between them, below and above are each cut in
+    equal ratios.
+
+    **Raises:** `DataError` if the records are too short for any sweep.
+    """
+    lengths = [_Recorded(float(r.time_step), r.sample_count) for r in records]
+    low, high = _reach(lengths, criterion, shortest, longest)
+    windows = criterion.in_windows
+    assert windows is not None
+    ratio = np.log(high / low) / (bands + 1)
+    inner = [v for v in (float(windows.alpha), float(windows.beta)) if low < v < high]
+    ends = [low, *inner, high]
+    parts = [
+        np.geomspace(a, b, max(round(np.log(b / a) / ratio), 1) + 1)
+        for a, b in itertools.pairwise(ends)
+    ]
+    return np.unique(np.concatenate(parts))
+
+
+class _Recorded(NamedTuple):
+    """Seconds to a sample of a recording, and samples."""
+
+    step: float
+    samples: int
+
+    @property
+    def duration(self) -> float:
+        return self.step * (self.samples - 1)
 
 
 def _reach(
-    records: list[Record], criterion: RIEC, shortest: float | None, longest: float | None
+    records: list[_Recorded],
+    criterion: AbstractCriterion,
+    shortest: float | None,
+    longest: float | None,
 ) -> tuple[float, float]:
-    coarsest = max(float(record.time_step) for record in records)
-    multiple = criterion.test_function.smoothness
-    low = max(float(criterion.windows.alpha) / 10, multiple * FEWEST_SAMPLES * coarsest)
-    recorded = sum(float(record.duration) for record in records) / FEWEST_STRETCHES
-    each = min(float(record.duration) for record in records) / 2
-    high = min(2 * float(criterion.windows.beta), recorded, each)
+    windows = criterion.in_windows
+    assert windows is not None
+    coarsest = max(record.step for record in records)
+    low = max(float(windows.alpha) / 10, criterion.smoothness * FEWEST_SAMPLES * coarsest)
+    recorded = sum(record.duration for record in records) / FEWEST_STRETCHES
+    each = min(record.duration for record in records) / 2
+    high = min(2 * float(windows.beta), recorded, each)
     low = low if shortest is None else shortest
     high = high if longest is None else longest
     if not 0 < low < high / 2:
@@ -223,26 +248,64 @@ def _reach(
     return low, high
 
 
-def _with_windows(criterion: RIEC, alpha: Array | float, beta: Array | float) -> RIEC:
-    return RIEC(criterion.windows.between(alpha, beta), criterion.test_function)
+def _bands(
+    summary: Summary, shortest: float | None, longest: float | None
+) -> list[tuple[int, int]]:
+    """Pairs of neighbouring bins of a Summary within the reach of a sweep."""
+    bins = summary.bins
+    if bins is None:
+        raise DataError(
+            "this Summary keeps the sums of all window lengths together: make it with bins, "
+            "rx.summarise(..., bins=12)."
+        )
+    lengths = [_Recorded(float(r.time_step), int(r.samples)) for r in summary.recordings]
+    law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
+    low, high = _reach(lengths, law, shortest, longest)
+    inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))
+    found = [(i, i + 2) for i in range(inside.size - 1) if inside[i] and inside[i + 1]]
+    if len(found) < 2:
+        raise DataError(
+            f"the Summary's bins of window lengths make fewer than two bands from {low:.3g} to "
+            f"{high:.3g} s: make it anew with more of them."
+        )
+    return found
+
+
+def _sweep(
+    procedure: Procedure, summary: Summary, unknown: Question, bands: list[tuple[int, int]]
+) -> WindowSweep:
+    ends = np.array([summary.lengths_of(band) for band in bands])
+    short = summary.short_blocks
+    # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
+    used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
+    every = [summary.equations(band) for band in bands]
+    equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
+    theta, influence, residual = _estimates(equations, unknown.given, short, used, unknown.sharing)
+    stages = [(label, names) for label, names in unknown.plan if names]
+    return WindowSweep(
+        alpha=ends[:, 0],
+        beta=ends[:, 1],
+        theta=theta,
+        influence=influence,
+        relative_rms=residual,
+        block_count=namespace(used).sum(used),
+        parameters=tuple(name for _, names in stages for name in names),
+        units=tuple(unknown.sharing.values(procedure.units).items()),
+        stage_names=tuple(label for label, _ in stages),
+    )
 
 
 @eqx.filter_jit
 def _estimates(
-    procedure: Procedure,
-    sharing: Sharing,
-    records: list[Record],
-    criterion: RIEC,
-    keys: list[Key[Array, ""] | None],
+    equations: list[list[NormalEquations]],
     given: Mapping[str, Array],
+    short: ShortBlocks,
     used: Int[Array, " records"],
-    lengths: tuple[Float[Array, " bands"], Float[Array, " bands"]],
+    sharing: Sharing,
 ) -> tuple[Float[Array, "bands p"], Float[Array, "bands blocks p"], Float[Array, "bands stages"]]:
-    def at_length(length: tuple[Array, Array]) -> tuple[Array, Array, Array, Array]:
-        fine = all_normal_equations(
-            procedure, sharing, records, _with_windows(criterion, *length), keys
-        )
-        stages = [put_together(stage, fine.short, used) for stage in fine.stages]
+    def at_length(own: list[list[NormalEquations]]) -> tuple[Array, Array, Array, Array]:
+        shared, _ = stages_over_records(own, sharing)
+        stages = [put_together(stage, short, used) for stage in shared]
         solutions = solve_stages(stages, given)
         return (
             jnp.concatenate([stage.solution.theta for stage in solutions]),
@@ -251,8 +314,7 @@ def _estimates(
             jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
         )
 
-    # One length after the other: rows of all of them at once would need ten times the memory.
-    theta, influence, residual, held = jax.lax.map(at_length, lengths)
+    theta, influence, residual, held = jax.lax.map(at_length, equations)
     known = (held >= SHARE_OF_BLOCKS * jnp.max(held)) & (held > 0)
     return (
         jnp.where(known[:, None], theta, jnp.nan),

@@ -13,7 +13,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.estimation.estimate import Estimate
@@ -203,6 +202,7 @@ def residual_tests(
     *,
     windows: AbstractWindows | None = None,
     lags: int | None = None,
+    errors: list[list[EquationError]] | None = None,
 ) -> ResidualTests:
     """Test what an identified model leaves unexplained (not under jit).
 
@@ -212,6 +212,7 @@ def residual_tests(
     - `windows`: whose errors eq. (18) is tested on; by default those of the estimate.
     - `lags`: longest lag of correlations in samples; by default the longest window or else 50
       samples, no more than 400 and a tenth of the records.
+    - `errors` of each equation on each record, from [`errors_over_records`][], if they are known.
 
     **Raises:** `ModelError` for a parameter without a value; `DataError` for a missing signal,
     records of unequal time steps or too short ones.
@@ -219,7 +220,8 @@ def residual_tests(
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     windows = windows_of(estimate) if windows is None else windows
-    errors = errors_over_records(model, recordings, values)
+    if errors is None:
+        errors = errors_over_records(model, recordings, values)
     if lags is None:
         samples = sum(record.sample_count for record in recordings)
         step = float(recordings[0].time_step)
@@ -235,8 +237,7 @@ def residual_tests(
 
 def windows_of(estimate: Estimate | Mapping[str, float | Array]) -> AbstractWindows | None:
     """The windows of an estimate's criterion, if it has some."""
-    criterion = estimate.criterion if isinstance(estimate, Estimate) else None
-    return criterion.windows if isinstance(criterion, RIEC) else None
+    return estimate.criterion.in_windows if isinstance(estimate, Estimate) else None
 
 
 def _residual(
