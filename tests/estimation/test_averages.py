@@ -14,11 +14,9 @@ from riecjax.equations.term import Term
 from riecjax.estimation.averages import (
     activity,
     averaged_rows,
-    centres_of,
     compressed,
     hat_half,
     merged,
-    observed,
 )
 from riecjax.estimation.bursts import sizes_in_bursts
 from riecjax.estimation.excitation import excitation_of
@@ -26,6 +24,7 @@ from riecjax.estimation.noise import DIFFERENCE_ORDER, noise_level
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import as_procedure
 from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.summarise import summarise
 from riecjax.records.record import Record
 
 STEP, COUNT = 0.01, 400
@@ -185,15 +184,6 @@ def test_hats_are_as_long_as_a_typical_window(criterion, held, half):
     assert int(jax.jit(lambda n: hat_half(criterion, n, jnp.asarray(STEP)))(held)) == half
 
 
-@pytest.mark.parametrize(("held", "half"), [(12, 5), (4000, 10), (100_000, 30), (100_000, 49_998)])
-def test_centres_spread_over_a_record(held, half):
-    centres = np.asarray(centres_of(held, half))
-    inside = centres[centres + half < held]
-    assert inside[0] == half
-    assert held - half - inside[-1] <= max(held // 4000, 1)
-    assert inside.size >= min(held - 2 * half, 4000)
-
-
 def record_of_bursts(seed, offset=0.0):
     """A force on a known mass and on something that acts at one sample in 20."""
     rng = np.random.default_rng(seed)
@@ -217,7 +207,7 @@ BURSTS = Equation(
 def test_sizes_in_bursts_are_those_of_the_samples_where_a_term_acts(criterion):
     records = [record_of_bursts(0, 1.0), record_of_bursts(1, 7.0)]
     procedure = as_procedure(BURSTS)
-    seen = [observed(procedure, record, criterion, 0) for record in records]
+    seen = summarise(procedure, records, criterion).recordings
     sharing = Sharing(BURSTS.parameters, ("offset",), 2)
     values = {"m": 2.0, "offset[1]": 1.0, "offset[2]": 7.0, "f": 1.0, "k": 4.0}
     values = {name: jnp.asarray(value) for name, value in values.items()}

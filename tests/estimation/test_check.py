@@ -13,7 +13,6 @@ from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError
 from riecjax.estimation.check import check
-from riecjax.estimation.excitation import excitation
 from riecjax.estimation.identify import identify
 from riecjax.estimation.noise import noise_level
 from riecjax.records.record import Record
@@ -39,7 +38,7 @@ def test_own_share_is_the_sine_of_the_angle_to_the_other_regressors(angle):
     basis, _ = np.linalg.qr(rng.normal(size=(4000, 2)))
     a, b = basis[:, 0], np.cos(angle) * basis[:, 0] + np.sin(angle) * basis[:, 1]
     record = record_of(a=a, b=b)
-    (found,) = excitation(equation("a", "b"), record, DOLS())
+    (found,) = check(equation("a", "b"), record, DOLS()).excitations
     (expected,) = scipy.linalg.subspace_angles(a[:, None], b[:, None])
     np.testing.assert_allclose(found.own_share, np.sin(expected), rtol=1e-6)
 

@@ -12,10 +12,11 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import IdentifiabilityError
-from riecjax.estimation.averages import observed
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.identify import identify, pose
-from riecjax.estimation.procedure import simultaneous, staged
+from riecjax.estimation.identify import identify
+from riecjax.estimation.procedure import as_procedure, simultaneous, staged
+from riecjax.estimation.question import question
+from riecjax.estimation.summarise import summarise
 from riecjax.records.record import Record
 
 M, C, K, FORCE = 2.0, 3.0, 80.0, 40.0
@@ -66,12 +67,11 @@ def record(motion, noise=0.0, mean=0.0, seed=0):
 
 def findings(model, records, criterion=HATS, **settings):
     records = records if isinstance(records, list) else [records]
-    asked = pose(model, records, criterion, **{"key": None, "known": None, "own": (), **settings})
-    seen = [
-        observed(asked.procedure, one, asked.criterion, seed)
-        for seed, one in enumerate(asked.records)
-    ]
-    return constant_targets(asked.procedure, asked.sharing, seen, asked.given)
+    procedure = as_procedure(model)
+    sums = summarise(model, records, criterion).recordings
+    given = {"known": None, "own": (), **settings}
+    asked = question(procedure, len(records), given["known"], given["own"])
+    return constant_targets(procedure, asked.sharing, sums, asked.given)
 
 
 DRIFT = FORCE * (1 + 0.02 * np.sin(0.4 * TIME + 1))

@@ -129,7 +129,7 @@ def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(use
         [fine],
         unknowns(flat, {}),
         values,
-        ShortBlocks((6,), jnp.array([1.0])),
+        ShortBlocks(np.array([6]), jnp.array([1.0])),
         jnp.array([used]),
     )
     beside = np.eye(6, k=1) + np.eye(6, k=-1) if used == 3 else np.zeros((6, 6))
@@ -173,7 +173,7 @@ def test_the_corrected_sandwich_is_the_same_in_32_bit_and_in_any_unit():
             [equations],
             unknowns([equations.flattened()], {}),
             {"a": jnp.asarray(theta[0]), "b": jnp.asarray(theta[1])},
-            ShortBlocks((6,), jnp.array([1.0], dtype)),
+            ShortBlocks(np.array([6]), jnp.array([1.0], dtype)),
             jnp.array([3]),
         )
 

@@ -34,7 +34,7 @@ from riecjax.estimation.normal_equations import NormalEquations, normal_equation
 # squares' own standard errors are far too small for such data.
 ROWS, SHORT, BLOCKS = 2000, 200, 40
 SECONDS = 0.1
-SETTING = ShortBlocks((SHORT,), jnp.array([SECONDS]))
+SETTING = ShortBlocks(np.array([SHORT]), jnp.array([SECONDS]))
 
 
 def autoregression(key, rho, shape=()):
@@ -160,7 +160,7 @@ def test_the_jackknife_is_the_refit_without_each_block():
     rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
     made = normal_equations(rows, block_of_row=jnp.arange(60) // 6, block_count=10)
     fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
-    evidence = evidence_of(fine, 10, ShortBlocks((10,), jnp.array([1.0])))
+    evidence = evidence_of(fine, 10, ShortBlocks(np.array([10]), jnp.array([1.0])))
     theta = np.linalg.lstsq(a, y)[0]
     block = np.arange(60) // 6
     left = np.stack([np.linalg.lstsq(a[block != i], y[block != i])[0] for i in range(10)])
@@ -177,7 +177,7 @@ def test_the_sandwich_weighs_lags_as_newey_and_west_do():
     rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
     made = normal_equations(rows, block_of_row=jnp.arange(60), block_count=60)
     fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
-    evidence = evidence_of(fine, 12, ShortBlocks((60,), jnp.array([SECONDS * SHORT / 60])))
+    evidence = evidence_of(fine, 12, ShortBlocks(np.array([60]), jnp.array([SECONDS * SHORT / 60])))
     scores = a * (y - a @ np.linalg.lstsq(a, y)[0])[:, None]
     meat = scores.T @ scores
     for k in range(1, 5):
@@ -218,7 +218,7 @@ def test_blocks_are_never_of_two_records_and_hold_everything():
     counts[1, 30:] = 0
     moments = jnp.array(counts)[:, :, None, None] * jnp.ones((1, 1, 2, 2))
     fine = NormalEquations(moments, jnp.array(counts), ("a",))
-    short = ShortBlocks((50, 30), jnp.array([0.1, 0.1]))
+    short = ShortBlocks(np.array([50, 30]), jnp.array([0.1, 0.1]))
     used = blocks_in_use(short, jnp.asarray(1.0))
     np.testing.assert_array_equal(used, [5, 3])
     merged = np.asarray(put_together(fine, short, used).count).reshape(2, MOST_BLOCKS)
@@ -250,13 +250,13 @@ def plain_politis_white(x):
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_the_block_length_rule_is_the_published_one(rho):
     series = np.asarray(autoregression(jax.random.key(11), rho))
-    short = ShortBlocks((ROWS,), jnp.array([0.01]))
+    short = ShortBlocks(np.array([ROWS]), jnp.array([0.01]))
     found = politis_white(jnp.array(series)[None, :, None], short)
     np.testing.assert_allclose(found, [0.01 * plain_politis_white(series)], rtol=1e-6)
 
 
 def test_correlated_errors_call_for_longer_blocks():
-    short = ShortBlocks((ROWS,), jnp.array([0.01]))
+    short = ShortBlocks(np.array([ROWS]), jnp.array([0.01]))
     lengths = [
         float(politis_white(autoregression(jax.random.key(3), rho)[None, :, None], short)[0])
         for rho in (0.0, 0.8, 0.98)
@@ -265,7 +265,7 @@ def test_correlated_errors_call_for_longer_blocks():
 
 
 def test_blocks_are_four_windows_long_unless_errors_last_longer_or_records_are_short():
-    short = ShortBlocks((400,), jnp.array([0.1]))
+    short = ShortBlocks(np.array([400]), jnp.array([0.1]))
     window = jnp.asarray(0.3)
     assert float(block_length(short, window, jnp.array([0.5]))) == pytest.approx(1.2)
     assert float(block_length(short, window, jnp.array([0.5, 1.7]))) == pytest.approx(1.7)

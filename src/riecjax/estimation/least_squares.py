@@ -83,11 +83,15 @@ def _eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array
 _one_by_one = jax.custom_batching.sequential_vmap(_eigen)
 
 
+FACTORED = 2**13
+"""Rows whose rounding a triangular factor may hold, and which decides about its rank."""
+
+
 def solve_rows(rows: Rows) -> Solution:
     """Solve rows by a singular value decomposition: dearer, accurate to eps times cond."""
     scale = unit_scale(jnp.sum(rows.regressors**2, axis=0))
     matrix = rows.regressors * scale[None, :]
-    tolerance = float(jnp.finfo(matrix.dtype).eps) * max(matrix.shape)
+    tolerance = float(jnp.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)
     theta = lx.linear_solve(
         lx.MatrixLinearOperator(matrix), rows.target, solver=lx.SVD(rcond=tolerance), throw=False
     ).value

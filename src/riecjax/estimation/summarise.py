@@ -20,7 +20,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import mixing_expressions
 from riecjax.errors import ModelError
 from riecjax.estimation.assembly import sum_of_equations, traced_sums
-from riecjax.estimation.averages import compressed, factor_of
+from riecjax.estimation.averages import compressed, factor_of, hat_half
 from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.noise import noise_level
 from riecjax.estimation.normal_equations import NormalEquations
@@ -147,9 +147,7 @@ class _Reading:
         self.record, self.survey = record, survey
         self.step, self.count = float(record.time_step), record.sample_count
         self.levels = {k: noise_level(np.asarray(v)) for k, v in record.arrays.items()}
-        length = float(criterion.typical_length)
-        most = max((self.count - 2) // 2, 1)
-        self.half = int(np.clip(round(length / (2 * self.step)), 1, most)) if length else 0
+        self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
 
     def sums(self) -> RecordingSums:
         """Everything that is kept of it."""
@@ -321,8 +319,11 @@ class _Reading:
         for stage, names in zip(stages, self.procedure.stage_parameters):
             apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
             total = np.asarray(sum_of_equations(apart, names).total().gram)
-            scale = np.sqrt(np.maximum(np.diagonal(total), np.finfo(total.dtype).tiny))
-            squares = np.linalg.eigvalsh(np.nan_to_num(total / np.outer(scale, scale)))
+            if not np.isfinite(total).all():
+                continue  # for the fit to refuse
+            size = np.diagonal(total)
+            scale = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
+            squares = np.linalg.eigvalsh(total * np.outer(scale, scale))
             if not squares[0] * gram_condition_limit(total.dtype) ** 2 > squares[-1]:
                 return True
         return False
