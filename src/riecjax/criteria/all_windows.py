@@ -219,7 +219,9 @@ def moments_of_rows(
 
     def in_blocks(values: Float[Array, "columns n"]) -> Float[Array, "columns count size"]:
         if not isinstance(size, int):
-            return jnp.where((place == jnp.arange(count)[:, None])[None], values[:, None, :], 0.0)
+            return jnp.where(
+                (place[None, :] == jnp.arange(count)[:, None])[None], values[:, None, :], 0.0
+            )
         # Room behind, so that no slice would begin earlier than asked for.
         padded = jnp.pad(values, ((0, 0), (0, count * size)))
         part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * size, axis=1)

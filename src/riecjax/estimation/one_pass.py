@@ -8,6 +8,7 @@ recording is worked through in parts that overlap by the longest window.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from riecjax.criteria.chunks import Blocks, in_chunks
+from riecjax.criteria.chunks import ROUND, Blocks, in_chunks
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.windows import WindowSet
@@ -29,13 +30,19 @@ from riecjax.estimation.procedure import Procedure
 from riecjax.records.record import Record
 
 PART = 2**17
-"""Starts to a part of a long recording, and the longest of the lengths that are filled up to."""
-FILLED = (2**12, 2**15, PART)
+"""Starts to a part of a long recording."""
+FILLED = (2**12, 2**15)
 """Samples that shorter recordings are filled up to."""
 NOISE = np.random.default_rng(0).standard_normal(2**16)
 """White noise of unit size, which is sent through the equations."""
 APART = 9973
 """Samples between where two signals begin to take their noise."""
+
+
+SELDOM = 8
+"""Chunks of a record of which one tells what noise adds to averaged rows."""
+Noise = Callable[[], Columns]
+"""What noise adds to an equation's columns, evaluated only where it is asked for."""
 
 
 class Lengths(NamedTuple):
@@ -118,7 +125,7 @@ def of_all_windows(
     """
 
     def watch(
-        equation: Equation, columns: Columns, noise: Columns, record: Record, blocks: Blocks
+        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
     ) -> Watched:
         moments = tuple(
             (jnp.swapaxes(sums, 0, 1), jnp.swapaxes(count, 0, 1))
@@ -126,7 +133,7 @@ def of_all_windows(
                 criterion.moments_of(columns, which.lags, blocks, which.reach) for which in lengths
             )
         )
-        watched = _watched(columns, noise, blocks, half, request.averaged, None, moments)
+        watched = _watched(columns, noise, record, blocks, half, request.averaged, None, moments)
         if not request.surveyed:
             return watched
         windows = _some_windows(criterion, blocks, band, request.surveyed)
@@ -156,13 +163,12 @@ def of_rows(
     """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
 
     def watch(
-        equation: Equation, columns: Columns, noise: Columns, record: Record, blocks: Blocks
+        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
     ) -> Watched:
         bare = None if criterion.smoothness else underived(equation)
-        return _watched(columns, noise, blocks, half, request.averaged, bare, ())
+        return _watched(columns, noise, record, blocks, half, request.averaged, bare, ())
 
     held = part.record.sample_count if part.held is None else part.held
-    noisy = disturbed(part.record, part.levels)
     drawn = criterion.draw(part.record, key, part.held)
     block_of_row = jnp.clip((drawn.start / request.block).astype(int), 0, request.blocks - 1)
 
@@ -172,7 +178,7 @@ def of_rows(
         found = normal_equations(rows, block_of_row=block_of_row, block_count=request.blocks)
         survey = None
         if request.surveyed:
-            noise = sampled_columns(equation, noisy, criterion.smoothness) - columns
+            noise = partial(_added_by_noise, equation, columns, part.record, part.levels)
             shape = WindowSet(drawn.start[None], drawn.stop[None])
             blocks = Blocks(0, part.record.sample_count, 1, held)
             survey = _surveyed(criterion, equation, columns, noise, shape, part.record, blocks)
@@ -200,16 +206,14 @@ def _in_chunks(
     procedure: Procedure,
     criterion: AbstractCriterion,
     part: Part,
-    watch: Callable[[Equation, Columns, Columns, Record, Blocks], Watched],
+    watch: Callable[[Equation, Columns, Noise, Record, Blocks], Watched],
     reach: int,
     request: Request,
 ) -> list[list[Watched]]:
     def of_chunk(record: Record, blocks: Blocks) -> list[list[Watched]]:
-        noisy = disturbed(record, part.levels)
-
         def of_equation(equation: Equation) -> Watched:
             columns = sampled_columns(equation, record, criterion.smoothness)
-            noise = sampled_columns(equation, noisy, criterion.smoothness) - columns
+            noise = partial(_added_by_noise, equation, columns, record, part.levels)
             return watch(equation, columns, noise, record, blocks)
 
         return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
@@ -232,7 +236,8 @@ def _in_chunks(
 
 def _watched(
     columns: Columns,
-    noise: Columns,
+    noise: Noise,
+    record: Record,
     blocks: Blocks,
     half: Int[Array, ""],
     each: int,
@@ -248,7 +253,14 @@ def _watched(
         rows = jnp.where(kept[:, None], rows, 0.0)
         return rows.reshape(blocks.number, each, -1)
 
-    added = averaged(noise)
+    def noise_gram() -> Float[Array, "blocks 2+p 2+p"]:
+        added = averaged(noise())
+        return jnp.einsum("bri,brj->bij", added, added)
+
+    size = 2 + len(columns.parameters)
+    nothing = jnp.zeros((blocks.number, size, size), columns.values.dtype)
+    chunk = jnp.round(record.skipped / record.time_step / ROUND).astype(int)
+    added = jax.lax.cond(chunk % SELDOM == 0, noise_gram, lambda: nothing)
     at = jnp.arange(columns.sample_count)
     there = (at >= blocks.first) & (at < blocks.first + blocks.size * blocks.number)
     there = there & (at < blocks.held)
@@ -257,7 +269,7 @@ def _watched(
     return Watched(
         moments,
         averaged(columns),
-        jnp.einsum("bri,brj->bij", added, added),
+        added,
         jax.tree.map(lambda leaf: leaf[None], acts),
         None,
     )
@@ -282,7 +294,7 @@ def _surveyed(
     criterion: AbstractCriterion,
     equation: Equation,
     columns: Columns,
-    noise: Columns,
+    noise: Noise,
     windows: WindowSet,
     record: Record,
     blocks: Blocks,
@@ -304,7 +316,7 @@ def _surveyed(
     return Surveyed(
         values,
         values if finer is criterion else rows(columns, finer)[0],
-        rows(noise, criterion)[0],
+        rows(noise(), criterion)[0],
         record.elapsed[at].reshape(shape),
         kept,
         {name: reach[None] for name, reach in _reaches(equation, record, blocks.held).items()},
@@ -323,6 +335,13 @@ def _reaches(
             low = jnp.min(argument, where=real, initial=jnp.inf)
             found[term.prefix] = jnp.stack([low, jnp.max(argument, where=real, initial=-jnp.inf)])
     return found
+
+
+def _added_by_noise(
+    equation: Equation, columns: Columns, record: Record, levels: Mapping[str, Float[Array, ""]]
+) -> Columns:
+    """What noise of these levels adds to an equation's columns."""
+    return sampled_columns(equation, disturbed(record, levels), columns.smoothness) - columns
 
 
 def disturbed(record: Record, levels: Mapping[str, Float[Array, ""]]) -> Record:

@@ -1,5 +1,6 @@
 """The verb that reads samples: sum up what recordings say to a model."""
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
@@ -244,19 +245,17 @@ class _Reading:
             block = -(-n // 2)
             request = Request(jnp.asarray(block), 2, AVERAGED // 2, self.survey * SURVEYED // 2)
             return _Layout(block, n, self._filled(n) if fill else None, request)
-        # Of long recordings the overlap of short blocks would cost as much as they do.
-        block = 4 * longest if n >= 4 * longest * MOST_BLOCKS else longest
-        starts = max(PART, 4 * block)
+        starts = max(PART, 4 * longest)
         filled = starts + reach + 2 * self.criterion.margin
         if not fill:
             starts, filled = n, None
-        elif n <= starts:
+        elif n <= FILLED[-1]:
             starts = filled = self._filled(n)
-        blocks = -(-starts // block)
+        blocks = -(-starts // longest)
         size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
-        averaged, surveyed = (max(k * block // size, 1) for k in (AVERAGED, SURVEYED))
-        request = Request(block, blocks, averaged, surveyed if self.survey else 0)
-        return _Layout(block, starts, filled, request)
+        averaged, surveyed = (max(k * longest // size, 1) for k in (AVERAGED, SURVEYED))
+        request = Request(longest, blocks, averaged, surveyed if self.survey else 0)
+        return _Layout(longest, starts, filled, request)
 
     def _filled(self, samples: int) -> int:
         longer = [length for length in FILLED if length >= samples]
@@ -265,7 +264,8 @@ class _Reading:
     def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
         """The recording cut into parts, each with what its windows reach beyond it."""
         if layout.filled is None:
-            yield Part(self.record, 0, None, self.levels)
+            record = dataclasses.replace(self.record, skipped=np.zeros(()))
+            yield Part(record, 0, None, self.levels)
             return
         margin = self.criterion.margin
         for start in range(0, self.count, layout.starts):
@@ -343,11 +343,11 @@ class _Reading:
             count,
             Averages(
                 compressed(rows[:, 1:], rows[:, 0] > 0),
-                factor_of(sum(p.noise.sum(0) for p in parts)),
+                _noise_factor(sum(p.noise.sum(0) for p in parts), float(np.sum(rows[:, 0]))),
                 np.asarray(independent),
             ),
             Activity(*(sum(leaves) for leaves in zip(*(jax.tree.leaves(a) for a in acts)))),
-            _survey([p.survey for p in parts]) if self.survey else None,
+            _survey([p.survey for p in parts], float(self.record.skipped)) if self.survey else None,
             None,
             equation.parameters,
         )
@@ -372,6 +372,11 @@ class _Reading:
         }
         digest.update(json.dumps(settings, sort_keys=True, default=str).encode())
         return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)
+
+
+def _noise_factor(gram: np.ndarray, rows: float) -> np.ndarray:
+    """The factor of what noise adds to so many rows, by those that tell of it."""
+    return factor_of(gram * (rows / gram[0, 0] if gram[0, 0] > 0 else 0.0))
 
 
 def _described(equation: Equation) -> list[object]:
@@ -404,7 +409,7 @@ def _filled_up(record: Record, begin: int, stop: int, length: int) -> Record:
         (),
         {name: filled(mask) for name, mask in record.missing.items()},
         stamps,
-        np.asarray(record.skipped) + begin * np.asarray(record.time_step),
+        np.asarray(record.elapsed)[begin] - np.asarray(record.skipped),
     )
 
 
@@ -418,13 +423,13 @@ def _together(values: np.ndarray, pairs: int) -> np.ndarray:
     return filled.reshape(values.shape[0], count, pairs, *values.shape[2:]).sum(2)
 
 
-def _survey(parts: list[Surveyed]) -> Survey:
+def _survey(parts: list[Surveyed], skipped: float) -> Survey:
     def flat(of: str) -> Float[np.ndarray, "rows columns"]:
         return np.concatenate([getattr(p, of).reshape(-1, p.rows.shape[-1]) for p in parts])
 
     kept: Int[np.ndarray, " rows"] = np.flatnonzero(np.concatenate([p.kept.ravel() for p in parts]))
     rows, finer, noise = flat("rows"), flat("finer"), flat("noise")
-    start = np.concatenate([p.start.ravel() for p in parts])
+    start = skipped + np.concatenate([p.start.ravel() for p in parts])
     shown = kept[np.linspace(0, max(kept.size - 1, 0), min(kept.size, SHOWN)).astype(int)]
     shown = shown[np.argsort(start[shown], kind="stable")]
     with np.errstate(over="ignore", invalid="ignore"):

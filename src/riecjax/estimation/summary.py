@@ -20,6 +20,8 @@ from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sums import EquationSums, RecordingSums
 from riecjax.leaves import is_concrete, namespace
 
+ROOMS = (128, 1024)
+"""Blocks of a recording that arrays have room for; there are no more than the last."""
 SCHEMA = 1
 """Of what a Summary holds; another one is refused."""
 
@@ -188,11 +190,13 @@ class Summary(eqx.Module):
         """Of each equation of each stage, normal equations with axes `(recordings, blocks)`.
 
         Of the bins in use, or of others. Where a recording has fewer blocks than another, empty
-        ones follow, up to a power of two: few lengths of arrays serve all recordings.
+        ones follow, up to one of a few numbers: then few functions serve all recordings.
         """
         first, last = self.band if band is None else band
         count = max(one.stages[0][0].count.shape[-1] for one in self.recordings)
-        room = 2 ** int(np.ceil(np.log2(max(count, 2))))
+        room = count
+        if is_concrete(self.recordings):
+            room = min((number for number in ROOMS if number >= count), default=count)
         xp = namespace(self.recordings)
 
         def stacked(i: int, j: int) -> NormalEquations:
