@@ -94,7 +94,12 @@ def compressed(rows: Float[np.ndarray, "rows columns"], kept: Bool[np.ndarray, "
 
 
 def factor_of(gram: Float[np.ndarray, "columns columns"]) -> Factor:
-    """A triangular factor of which this is the square, to half of its digits (not under jit)."""
+    """A triangular factor of which this is the square, to half of its digits (not under jit).
+
+    NaN throughout where the square is not finite.
+    """
+    if not np.isfinite(gram).all():
+        return np.full(np.shape(gram), np.nan)
     squares, vectors = np.linalg.eigh(np.asarray(gram))
     return _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T)
 
@@ -107,6 +112,8 @@ def merged(factors: Iterable[Factor]) -> Factor:
 def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:
     """A triangular factor without a negative number on its diagonal, filled up with zeros."""
     size = rows.shape[1]
+    if not np.isfinite(rows).all():
+        return np.full((size, size), np.nan)
     found = np.linalg.qr(rows, mode="r")
     factor = np.zeros((size, size))
     factor[: len(found)] = np.where(np.diagonal(found) < 0, -1.0, 1.0)[:, None] * found

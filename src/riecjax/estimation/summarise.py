@@ -147,9 +147,12 @@ class _Reading:
         self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
         self.record, self.survey = record, survey
         self.step, self.count = float(record.time_step), record.sample_count
-        self.levels = {k: noise_level(np.asarray(v)) for k, v in record.arrays.items()}
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.levels = {k: noise_level(np.asarray(v)) for k, v in record.arrays.items()}
         self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
 
+    # What overflows is for the fit to refuse.
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def sums(self) -> RecordingSums:
         """Everything that is kept of it."""
         equations = [e for stage in self.procedure.stages for e in stage]
