@@ -59,8 +59,8 @@ class Bump(AbstractTestFunction):
         return 1
 
     def describe(self) -> dict[str, object]:
-        """Name and exponent."""
-        return {**super().describe(), "p": self.p}
+        """Name, exponent and number of window lengths."""
+        return {**super().describe(), "p": self.p, "lengths": self.lengths}
 
     def gain(
         self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]

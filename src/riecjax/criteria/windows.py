@@ -244,6 +244,15 @@ class AllWindows(AbstractWindows):
         """False: there is nothing to draw."""
         return False
 
+    def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
+        """The same windows with other lengths.
+
+        An upper limit that was found out for shorter ones is dropped, or it would cut longer ones.
+        """
+        longer = is_concrete(beta, self.beta) and float(beta) > float(self.beta)
+        limit = None if longer else self.longest_samples
+        return dataclasses.replace(super().between(alpha, beta), longest_samples=limit)
+
     def reach(self, sample_count: int) -> int:
         """No window is longer, in samples."""
         return sample_count if self.longest_samples is None else self.longest_samples
@@ -355,6 +364,7 @@ class RandomWindows(AbstractWindows):
             "alpha": np.asarray(self.alpha).tolist(),
             "beta": np.asarray(self.beta).tolist(),
             "windows": self.count,
+            **({"between_samples": True} if self.between_samples else {}),
         }
 
     def draw(

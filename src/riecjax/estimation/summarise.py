@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -167,7 +168,7 @@ class _Reading:
         block, stages = (self._all_windows if closed else self._rows)(not mixing)
         blocks = stages[0][0].count.shape[-1]
         offered = self.criterion.row_count(self.record)
-        return RecordingSums(
+        sums = RecordingSums(
             tuple(tuple(stage) for stage in stages),
             np.asarray(blocks),
             np.asarray(block * self.step),
@@ -176,6 +177,8 @@ class _Reading:
             np.asarray(self.step),
             self._digest(),
         )
+        # The order of axes in memory is one in which NumPy adds up: it must survive a file.
+        return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
 
     def _all_windows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
         windows = self._windows()
@@ -373,7 +376,7 @@ class _Reading:
             "key": None if self.key is None else jax.random.key_data(self.key).tolist(),
             "bins": None if self.bins is None else self.bins.edges.tolist(),
         }
-        digest.update(json.dumps(settings, sort_keys=True, default=str).encode())
+        digest.update(json.dumps(settings, sort_keys=True, default=_without_address).encode())
         return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)
 
 
@@ -394,6 +397,12 @@ def _described(equation: Equation) -> list[object]:
         for term in equation.terms
     ]
     return [equation.name, terms, getattr(equation.where, "__qualname__", None)]
+
+
+def _without_address(value: object) -> str:
+    """What is printed of an object but for where it lies in memory: elsewhere in other processes,
+    which would then count a recording that two of them summed as two."""
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", str(value))
 
 
 def _filled_up(record: Record, begin: int, stop: int, length: int) -> Record:

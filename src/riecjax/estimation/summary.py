@@ -18,12 +18,14 @@ from riecjax.estimation.blocks import ShortBlocks
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sums import EquationSums, RecordingSums
-from riecjax.leaves import is_concrete, namespace
+from riecjax.leaves import Leaf, is_concrete, namespace
 
 ROOMS = (128, 1024)
 """Blocks of a recording that arrays have room for; there are no more than the last."""
 SCHEMA = 1
 """Of what a Summary holds; another one is refused."""
+UNKNOWN = "0" * 64
+"""Digest of a recording that was summed by jit."""
 
 
 class Outline(eqx.Module):
@@ -67,7 +69,7 @@ class Summary(eqx.Module):
     recordings: tuple[RecordingSums, ...]
     criterion: AbstractCriterion
     outline: Outline
-    edges: Float[Array, " edges"] | None
+    edges: Float[Leaf, " edges"] | None
     in_law: tuple[int, int] = eqx.field(static=True)
     band: tuple[int, int] = eqx.field(static=True)
     asked: tuple[float, float] | None = eqx.field(static=True, default=None)
@@ -94,13 +96,18 @@ class Summary(eqx.Module):
 
         In whatever order and parts recordings come together, estimates are the same to the bit.
 
-        **Raises:** `ModelError` for summaries of other equations, criteria or bins.
+        **Raises:** `ModelError` for summaries of other equations, criteria or bins; for a recording
+        that two of them hold differently, scaled or with a stretch left out; and for sums that were
+        made under `jit`, which do not tell whose they are.
         """
         every: dict[str, RecordingSums] = {}
         for one in (self, *others):
             require("what is merged", one, Summary, "summary.merge(other): one after the other")
             self._require_alike(one)
-            every |= dict(zip(one.digests, one.recordings))
+            for digest, recording in zip(one.digests, one.recordings):
+                if UNKNOWN in (digest, *every):
+                    _require_alone(every)
+                every[digest] = _one_of(every.get(digest, recording), recording)
         return self.of_recordings(every[digest] for digest in sorted(every))
 
     def of_recordings(self, recordings: Iterable[RecordingSums]) -> "Summary":
@@ -123,9 +130,10 @@ class Summary(eqx.Module):
         Whole blocks are left out; windows that start before them may reach into the stretch. What
         remains is as one recording, shorter by them.
 
-        **Raises:** `DataError` if fewer than two blocks remain.
+        **Raises:** `DataError` if fewer than two blocks remain; `ModelError` if there is no such
+        recording.
         """
-        one = self.recordings[recording]
+        (one,) = self.select(recording).recordings
         edges = float(one.block_seconds) * np.arange(int(one.blocks) + 1)
         kept = (edges[1:] <= start) | (edges[:-1] >= stop)
         if kept.sum() < 2:
@@ -160,22 +168,36 @@ class Summary(eqx.Module):
                 "cannot be chosen: make it with bins, rx.summarise(..., bins=12)."
             )
         band = bins.nearest(alpha, beta)
-        low, high = self.lengths_of(band)
-        near = np.allclose([low, high], [alpha, beta], rtol=1e-9)
+        asked = (float(alpha), float(beta))
+        snapped = any(self._lags(band, one) != self._lags_of(asked, one) for one in self.recordings)
         return dataclasses.replace(
             self,
-            criterion=self.criterion.between(low, high),
+            # Lengths that round to the same samples are the same windows: those asked for.
+            criterion=self.criterion.between(*(self.lengths_of(band) if snapped else asked)),
             band=band,
-            asked=None if near else (float(alpha), float(beta)),
+            asked=asked if snapped else None,
         )
 
     def lengths_of(self, band: tuple[int, int]) -> tuple[float, float]:
         """Shortest and longest window in seconds of some bins, first and one beyond the last."""
+        coarsest = max(self.recordings, key=lambda one: float(one.time_step))
+        first, last = self._lags(band, coarsest)
+        unit = self._lag_seconds(coarsest)
+        return first * unit, last * unit
+
+    def _lag_seconds(self, one: RecordingSums) -> float:
+        return self.criterion.lag_samples * float(one.time_step)
+
+    def _lags(self, band: tuple[int, int], one: RecordingSums) -> tuple[int, int]:
+        """Shortest and longest lag of some bins in a recording."""
         assert self.bins is not None
-        coarsest = max(float(one.time_step) for one in self.recordings)
-        unit = self.criterion.lag_samples * coarsest
-        first, last = self.bins.lags(unit, np.iinfo(np.int32).max)
-        return float(first[band[0]] * unit), float(last[band[1] - 1] * unit)
+        first, last = self.bins.lags(self._lag_seconds(one), np.iinfo(np.int32).max)
+        return int(first[band[0]]), int(last[band[1] - 1])
+
+    def _lags_of(self, lengths: tuple[float, float], one: RecordingSums) -> tuple[int, int]:
+        """Shortest and longest lag of a criterion with windows of these lengths in seconds."""
+        shortest, longest = (max(round(x / self._lag_seconds(one)), 1) for x in lengths)
+        return shortest, longest
 
     @property
     def short_blocks(self) -> ShortBlocks:
@@ -202,7 +224,7 @@ class Summary(eqx.Module):
         def stacked(i: int, j: int) -> NormalEquations:
             every = [one.stages[i][j] for one in self.recordings]
 
-            def of(leaf: Callable[[EquationSums], Array]) -> Array:
+            def of(leaf: Callable[[EquationSums], Leaf]) -> Array:
                 parts = [_sum_of_bins(leaf(e), first, last, xp) for e in every]
                 return xp.stack([_filled_up(part, room, xp) for part in parts])
 
@@ -236,9 +258,8 @@ class Summary(eqx.Module):
             why = "other equations or parameters"
         elif other.criterion.describe() != self.criterion.describe():
             why = "another criterion"
-        elif (other.edges is None) != (self.edges is None) or (
-            self.edges is not None
-            and not np.array_equal(np.asarray(self.edges), np.asarray(other.edges))
+        elif (other.in_law, other.band) != (self.in_law, self.band) or not np.array_equal(
+            _edges_of(other), _edges_of(self)
         ):
             why = "other bins of window lengths"
         if why is not None:
@@ -261,13 +282,53 @@ def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
     return summaries[0].merge(*summaries[1:])
 
 
+def _edges_of(summary: Summary) -> np.ndarray:
+    return np.zeros(0) if summary.edges is None else np.asarray(summary.edges)
+
+
+def _require_alone(every: dict[str, RecordingSums]) -> None:
+    """Raise `ModelError` if there are others beside a recording that does not tell which it is."""
+    if every:
+        raise ModelError(
+            "sums that were made under jax.jit do not tell which recordings they are of, so that "
+            "they cannot be merged: make them by rx.summarise outside of it."
+        )
+
+
+def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
+    """One of two sums of the same recording: the same one in whatever order they come.
+
+    They may differ by rounding, where other machines made them, and in what only a survey keeps.
+
+    **Raises:** `ModelError` where they count other windows.
+    """
+    if one is other:
+        return one
+    counts = [[e.count for stage in r.stages for e in stage] for r in (one, other)]
+    if not all(a.shape == b.shape and np.allclose(a, b, rtol=1e-6) for a, b in zip(*counts)):
+        raise ModelError(
+            "summaries cannot be merged that hold a recording differently, scaled or with a "
+            "stretch left out: select(...) those that should count from one of them."
+        )
+
+    def rank(sums: RecordingSums) -> tuple[int, bytes]:
+        leaves = jax.tree.leaves(sums)
+        return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
+
+    return min(one, other, key=rank)
+
+
 def of_blocks(one: RecordingSums, kept: np.ndarray) -> RecordingSums:
     """The sums of some of a recording's blocks."""
+    if kept.size == int(one.blocks):
+        return one
 
     def of(equation: EquationSums) -> EquationSums:
-        return dataclasses.replace(
-            equation, moments=equation.moments[:, kept], count=equation.count[:, kept]
+        moments, count = (
+            np.asarray(leaf[:, kept], order="C") for leaf in (equation.moments, equation.count)
         )
+        # A factor of all rows has no parts.
+        return dataclasses.replace(equation, moments=moments, count=count, factor=None)
 
     stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
     share = kept.size / int(one.blocks)
@@ -300,7 +361,7 @@ def _scaled(one: RecordingSums, factor: float) -> RecordingSums:
     return dataclasses.replace(one, stages=stages, offered=one.offered * factor)
 
 
-def _sum_of_bins(values: Array, first: int, last: int, xp: Any) -> Array:
+def _sum_of_bins(values: Leaf, first: int, last: int, xp: Any) -> Array:
     return values[first] if last == first + 1 else xp.sum(values[first:last], axis=0)
 
 
