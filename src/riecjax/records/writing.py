@@ -106,12 +106,17 @@ def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
             np.savetxt(stream, table, delimiter=",", fmt="%.17g")
 
 
-def _write_npz(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
+def write_npz(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays by name to an NPZ archive of exactly this file name."""
     # NumPy's savez takes names as keywords, and so not all names.
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, values in columns.items():
+        for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, values, allow_pickle=False)
+
+
+def _write_npz(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
+    write_npz(file, columns)
 
 
 def _write_mat(file: Path, columns: Columns, units: Mapping[str, str]) -> None:

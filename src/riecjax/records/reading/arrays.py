@@ -24,12 +24,15 @@ def read_npz(file: Path) -> Channels:
         arrays = {}
         for member in members:
             with archive.open(member) as stream:
-                arrays[member.filename.removesuffix(".npy")] = _array(stream, member.file_size)
+                arrays[member.filename.removesuffix(".npy")] = read_array(stream, member.file_size)
     return vectors(arrays)
 
 
-def _array(stream: IO[bytes], size: int) -> np.ndarray:
-    """One array, once its declared shape is known to fit into the bytes that are there."""
+def read_array(stream: IO[bytes], size: int) -> np.ndarray:
+    """One array, once its declared shape is known to fit into the bytes that are there.
+
+    **Raises:** `ValueError` if it does not, or for Python objects, which are never made.
+    """
     version = np.lib.format.read_magic(stream)
     header = {
         (1, 0): np.lib.format.read_array_header_1_0,

@@ -1,0 +1,107 @@
+"""A criterion as plain data, for files, and back.
+
+Each part is its class's name and its fields, parts within parts. A file names classes and never
+imports them: what is read is looked for among the subclasses that the running program has defined,
+so that a new test function needs nothing here, and a file can run no code.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+# For its side effect: every test function that can be asked for by name is defined.
+import riecjax.criteria.test_function_names  # noqa: F401
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.laws import AbstractLaw
+from riecjax.criteria.test_functions import AbstractTestFunction
+from riecjax.criteria.windows import AbstractWindows
+from riecjax.errors import DataError, ModelError
+
+FAMILIES = (AbstractCriterion, AbstractWindows, AbstractLaw, AbstractTestFunction)
+"""What a criterion is made of."""
+RESERVED = ("class", "from")
+"""Keys beside the fields' names: keywords of Python, and so no names of fields."""
+
+
+def written(part: eqx.Module) -> dict[str, Any]:
+    """A part of a criterion as nested dictionaries of what JSON has words for.
+
+    `{"class": name, "from": module, field: value, ...}`, where an array is `{dtype: list}`.
+
+    **Raises:** `ModelError` for what is code rather than numbers, as a law that is a function.
+    """
+    kind = type(part)
+    fields = {
+        field.name: _written(getattr(part, field.name), f"the {field.name} of {kind.__name__}")
+        for field in dataclasses.fields(part)
+    }
+    return {"class": kind.__name__, "from": kind.__module__} | fields
+
+
+def _written(value: Any, name: str) -> Any:
+    if isinstance(value, FAMILIES):
+        return written(value)
+    if isinstance(value, tuple | list):
+        return [_written(each, name) for each in value]
+    if isinstance(value, np.ndarray | jax.Array) and value.dtype.kind in "fiub":
+        return {str(value.dtype): np.asarray(value).tolist()}
+    plain = value.item() if isinstance(value, np.generic) else value
+    if plain is None or isinstance(plain, bool | int | float | str):
+        return plain
+    raise ModelError(
+        f"{name} is code, which no file can hold: give numbers in its place; in place of a law of "
+        f"window lengths that is a function, a list of weights, law=[1, 2, 1]."
+    )
+
+
+def criterion_of(document: dict[str, Any]) -> AbstractCriterion:
+    """The criterion that [`written`][riecjax.criteria.written.written] described.
+
+    **Raises:** `DataError` for a class that is not defined here, or one with other fields.
+    """
+    found = _read(document)
+    if not isinstance(found, AbstractCriterion):
+        raise DataError("what it calls a criterion is none.")
+    return found
+
+
+def _read(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_read(each) for each in value)
+    if not isinstance(value, dict):
+        return value
+    if "class" in value:
+        fields = {name: _read(each) for name, each in value.items() if name not in RESERVED}
+        try:
+            return _class_of(value["class"], value["from"])(**fields)
+        except (TypeError, ModelError):
+            raise DataError(
+                f"its {value['class']} has other settings than the one of this name here."
+            ) from None
+    ((dtype, values),) = value.items()
+    array = np.array(values, dtype)
+    # Constructors take any NumPy array to 64-bit; JAX's pass unchanged.
+    return array if array.dtype == np.float64 else jnp.asarray(array)
+
+
+def _class_of(name: str, module: str) -> type:
+    """The class of this name, as it was defined last; of several modules', that of `module`."""
+    found = {kind.__module__: kind for kind in _subclasses(*FAMILIES) if kind.__name__ == name}
+    if module not in found and len(found) != 1:
+        raise DataError(
+            f"it was made with {name} of '{module}', a class that is not defined here: import the "
+            f"module that defines it first."
+        )
+    return found[module] if module in found else next(iter(found.values()))
+
+
+def _subclasses(*kinds: type) -> Iterator[type]:
+    for kind in kinds:
+        below = kind.__subclasses__()
+        yield from below
+        yield from _subclasses(*below)
