@@ -79,7 +79,8 @@ class SameWindows(RandomWindows):
     def draw(self, key, sample_count, time_step, multiple=1):
         rng = np.random.default_rng(0)
         lag = rng.integers(round(0.05 / STEP), round(0.5 / STEP) + 1, self.count)
-        start = rng.integers(0, sample_count - lag)
+        share = rng.integers(0, 2**20, self.count)
+        start = (jnp.asarray(share, jnp.int32) % (sample_count - lag)).astype(jnp.int32)
         return WindowSet(jnp.asarray(start, jnp.int32), jnp.asarray(start + lag, jnp.int32))
 
 

@@ -133,7 +133,8 @@ def test_figures_show_its_unit():
     equation, record = oscillator()
     procedure = staged(equation)
     criterion = rx.RIEC(rx.RandomWindows(0.2, 0.8, 300), Cosine())
-    estimate = rx.identify(procedure, record, criterion, key=KEY)
+    summary = rx.summarise(procedure, record, criterion, key=KEY, survey=True)
+    estimate = rx.estimate(procedure, summary)
     result = Identification(
         model="oscillator",
         procedure=procedure,

@@ -21,8 +21,9 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError
 from riecjax.estimation.check import Check
-from riecjax.estimation.identify import identify
+from riecjax.estimation.identify import estimate, identify
 from riecjax.estimation.procedure import staged
+from riecjax.estimation.summarise import summarise
 from riecjax.records.record import Record
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
@@ -286,8 +287,9 @@ def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion
     equation = Equation(*EQUATION.terms[:2], -Term(1.0, "f", unit="N"), unit="N")
     procedure = staged(equation)
     key = jax.random.key(0)
-    estimate = identify(procedure, record, criterion, key=key)
-    chart = identification_figures(result_of(estimate, procedure, record))["fit"]
+    summary = summarise(procedure, record, criterion, key=key, survey=True)
+    found = estimate(procedure, summary)
+    chart = identification_figures(result_of(found, procedure, record))["fit"]
     fit, residual = chart.panels
     dots, left = fit.marks[-1], residual.marks[-1]
     assert isinstance(dots, Dots)
@@ -299,7 +301,7 @@ def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion
     assert abs(explained @ scatter) < 1e-9 * (explained @ explained)
     assert fit.x.label.endswith(f"({unit})")
     share = np.sqrt(np.mean(scatter**2) / np.mean(measured**2))
-    assert share == pytest.approx(float(estimate.stages[0].relative_rms), rel=1e-6)
+    assert share == pytest.approx(float(found.stages[0].relative_rms), rel=1e-6)
 
 
 def test_no_figure_stays_open_when_written(tmp_path):

@@ -28,6 +28,7 @@ from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import each_bin
 from riecjax.criteria.running_sums import running_sum
 from riecjax.errors import ModelError
+from riecjax.leaves import Leaf
 
 
 class Starts(NamedTuple):
@@ -199,8 +200,8 @@ def _referred(
 
 def moments_of_rows(
     rows_of_length: Callable[[Int[Array, ""]], tuple[Float[Array, "columns n"], Array]],
-    lengths: Int[Array, " lengths"],
-    weights: Float[Array, " lengths"],
+    lengths: Int[Leaf, " lengths"],
+    weights: Float[Leaf, " lengths"],
     blocks: Blocks,
     *,
     skip_empty: bool = False,
@@ -211,7 +212,7 @@ def moments_of_rows(
     and where there is one; `weights` of the lengths; with `skip_empty` those of weight zero, which
     come last, take no time, and nothing can be differentiated backwards.
     """
-    columns = jax.eval_shape(rows_of_length, lengths[0])[0]
+    columns = jax.eval_shape(rows_of_length, jnp.asarray(lengths)[0])[0]
     count, room = blocks.number, columns.shape[1]
     # Whole blocks are a reshape; those of a traced size are told apart by where they begin.
     size = blocks.size
@@ -227,7 +228,7 @@ def moments_of_rows(
         part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * size, axis=1)
         return part.reshape(values.shape[0], count, size)
 
-    def added(total: tuple[Array, Array], length: Array, weight: Array) -> tuple[Array, Array]:
+    def added(total: tuple[Array, Array], length: Leaf, weight: Leaf) -> tuple[Array, Array]:
         rows, whole = rows_of_length(length)
         parts = in_blocks(rows)
         number = jnp.sum(in_blocks(whole[None].astype(rows.dtype))[0], axis=1)
@@ -267,7 +268,7 @@ def unbroken_boxcar_moments(
     end = jnp.arange(block + reach)
 
     def of_bin(which: LagBins) -> _Sums:
-        def shifted(by: Array) -> Array:
+        def shifted(by: Leaf) -> Array:
             return jax.lax.dynamic_slice_in_dim(blocks.running, by, block, axis=2)
 
         lags = which.last - which.first + 1
@@ -350,7 +351,7 @@ def boxcar_moments(
     """Sum of the outer products of all boxcar rows, and their number."""
     at, runs, begins = _places(present, starts)
 
-    def of_bin(shortest: Int[Array, ""], longest: Int[Array, ""]) -> _Sums:
+    def of_bin(shortest: Int[Leaf, ""], longest: Int[Leaf, ""]) -> _Sums:
         last = jnp.minimum(at + longest, runs.last)
         count = jnp.where(begins, jnp.maximum(last - at - shortest + 1, 0), 0)
         inner = jnp.where((count > 0)[None, :], _between(phi, at + shortest, last), 0.0)
@@ -366,7 +367,7 @@ def hat_moments(
     """Sum of the outer products of all hat rows, and their number."""
     at, runs, begins = _places(present, starts)
 
-    def of_bin(shortest: Int[Array, ""], longest: Int[Array, ""]) -> _Sums:
+    def of_bin(shortest: Int[Leaf, ""], longest: Int[Leaf, ""]) -> _Sums:
         # From the start: L up to the longest, with the end at t + 2 L inside the run.
         reach = jnp.minimum(longest, (runs.last - at) // 2)
         count = jnp.where(begins, jnp.maximum(reach - shortest + 1, 0), 0)
@@ -396,7 +397,7 @@ def _sums(inner: Array, squares: Int[Array, " n"], count: Int[Array, " n"]) -> _
 
 
 def _moments(
-    phi: Float[Array, "columns n"], bins: LagBins, of_bin: Callable[[Array, Array], _Sums]
+    phi: Float[Array, "columns n"], bins: LagBins, of_bin: Callable[[Leaf, Leaf], _Sums]
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
     def weighted(which: LagBins) -> _Sums:
         return jax.tree.map(lambda leaf: which.weight * leaf, of_bin(which.first, which.last))

@@ -40,9 +40,9 @@ class LagBins(NamedTuple):
     before it is rounded to lags, for derivatives by alpha and beta only.
     """
 
-    first: Int[Array, " bins"]
-    last: Int[Array, " bins"]
-    weight: Float[Array, " bins"]
+    first: Int[Leaf, " bins"]
+    last: Int[Leaf, " bins"]
+    weight: Float[Leaf, " bins"]
     edges: Edges | None = None
 
     def with_edges_as_bins(self, most: int) -> "LagBins":

@@ -93,7 +93,7 @@ def compressed(rows: Float[np.ndarray, "rows columns"], kept: Bool[np.ndarray, "
     return _factor(np.concatenate([np.ones((len(there), 1)), there], axis=1))
 
 
-def factor_of(gram: Float[np.ndarray, "columns columns"]) -> Factor:
+def factor_of(gram: Float[Leaf, "columns columns"]) -> Factor:
     """A triangular factor of which this is the square, to half of its digits (not under jit).
 
     NaN throughout where the square is not finite.

@@ -36,11 +36,11 @@ class ShortBlocks(NamedTuple):
     array; `seconds` that a block of each record lasts.
     """
 
-    number: Int[Array, " records"]
-    seconds: Float[Array, " records"]
+    number: Int[Leaf, " records"]
+    seconds: Float[Leaf, " records"]
 
     @property
-    def durations(self) -> Float[Array, " records"]:
+    def durations(self) -> Float[Leaf, " records"]:
         """Seconds of each record."""
         return self.seconds * self.number
 

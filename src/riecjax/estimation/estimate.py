@@ -14,7 +14,7 @@ from riecjax.estimation.least_squares import gram_condition_limit
 from riecjax.estimation.procedure import EquationFit, StageSolution
 from riecjax.estimation.summary import Summary
 from riecjax.findings import Finding
-from riecjax.leaves import namespace
+from riecjax.leaves import Leaf, namespace
 
 FEWEST_BLOCKS = 7
 """Blocks of time below which intervals are rough; ten stretches of twice the longest window may
@@ -72,7 +72,7 @@ class Estimate(AbstractEstimate):
     criterion: AbstractCriterion
     block_count: Int[Array, "*batch"]
     block_length: Float[Array, "*batch"]
-    rows_offered: Float[Array, "*batch stages"]
+    rows_offered: Float[Leaf, "*batch stages"]
     summary: Summary | None
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
@@ -234,10 +234,13 @@ class Estimate(AbstractEstimate):
             )
 
     def _few_windows(self) -> Iterator[Finding]:
+        # What moments leave of data that fit to their rounding says nothing of errors.
+        rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
+        told = [s.relative_rms > rounding for s in self.stages for _ in s.parameters]
         few = [
             f"{name} ({float(number):.2g})"
-            for name, number in zip(self.parameters, self.effective_windows)
-            if float(number) < FEWEST_WINDOWS
+            for name, number, some in zip(self.parameters, self.effective_windows, told)
+            if some and float(number) < FEWEST_WINDOWS
         ]
         if few:
             yield Finding(

@@ -41,7 +41,7 @@ from riecjax.estimation.sharing import Sharing
 from riecjax.estimation.summarise import summed
 from riecjax.estimation.summary import Summary, as_summary
 from riecjax.findings import Finding
-from riecjax.leaves import is_concrete, on_host
+from riecjax.leaves import Leaf, is_concrete, on_host
 from riecjax.records.record import Record
 
 DOUBTFUL = 5.0
@@ -183,7 +183,7 @@ class _Solved(NamedTuple):
     counts: list[Float[Array, ""]]
     totals: list[Float[Array, "columns columns"]]
 
-    def offered_to(self, summary: Summary, procedure: Procedure) -> Float[Array, " stages"]:
+    def offered_to(self, summary: Summary, procedure: Procedure) -> Float[Leaf, " stages"]:
         """Rows of each stage there would be without gaps; NaN if not known."""
         each = sum(one.offered for one in summary.recordings)
         sizes = np.array([len(procedure.stages[stage.stage]) for stage in self.stages])

@@ -27,6 +27,7 @@ from riecjax.equations.term import Terms, evaluate
 from riecjax.estimation.averages import activity, averaged_rows, underived
 from riecjax.estimation.normal_equations import normal_equations
 from riecjax.estimation.procedure import Procedure
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 
 PART = 2**17
@@ -79,7 +80,7 @@ class Part(NamedTuple):
     record: Record
     first: Int[Array, ""] | int
     held: Int[Array, ""] | None
-    levels: dict[str, Float[Array, ""]]
+    levels: Mapping[str, Float[Leaf, ""]]
 
 
 class Watched(NamedTuple):
@@ -338,13 +339,13 @@ def _reaches(
 
 
 def _added_by_noise(
-    equation: Equation, columns: Columns, record: Record, levels: Mapping[str, Float[Array, ""]]
+    equation: Equation, columns: Columns, record: Record, levels: Mapping[str, Float[Leaf, ""]]
 ) -> Columns:
     """What noise of these levels adds to an equation's columns."""
     return sampled_columns(equation, disturbed(record, levels), columns.smoothness) - columns
 
 
-def disturbed(record: Record, levels: Mapping[str, Float[Array, ""]]) -> Record:
+def disturbed(record: Record, levels: Mapping[str, Float[Leaf, ""]]) -> Record:
     """The record with so much white noise on each signal; the same at a sample in any stretch."""
     first = jnp.round(record.skipped / record.time_step).astype(int)
     place = first + jnp.arange(record.sample_count)

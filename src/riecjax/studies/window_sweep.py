@@ -34,7 +34,7 @@ from riecjax.estimation.sharing import Sharing
 from riecjax.estimation.summarise import summed
 from riecjax.estimation.summary import Summary
 from riecjax.findings import Finding
-from riecjax.leaves import namespace
+from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record
 
 FEWEST_SAMPLES = 4
@@ -63,8 +63,8 @@ class WindowSweep(eqx.Module):
     - `parameters`, `units`, `stage_names`: as in an estimate.
     """
 
-    alpha: Float[Array, " bands"]
-    beta: Float[Array, " bands"]
+    alpha: Float[Leaf, " bands"]
+    beta: Float[Leaf, " bands"]
     theta: Float[Array, "bands p"]
     influence: Float[Array, "bands blocks p"]
     relative_rms: Float[Array, "bands stages"]
@@ -143,7 +143,7 @@ class WindowSweep(eqx.Module):
 def window_sweep(
     model: Equation | Procedure | HasProcedure,
     records: Record | Sequence[Record] | Summary,
-    criterion: RIEC | None = None,
+    criterion: AbstractCriterion | None = None,
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
