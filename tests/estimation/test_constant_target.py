@@ -69,8 +69,8 @@ def findings(model, records, criterion=HATS, **settings):
     records = records if isinstance(records, list) else [records]
     procedure = as_procedure(model)
     sums = summarise(model, records, criterion).recordings
-    given = {"known": None, "own": (), **settings}
-    asked = question(procedure, len(records), given["known"], given["own"])
+    given = {"known": None, "per_record": (), **settings}
+    asked = question(procedure, len(records), given["known"], given["per_record"])
     return constant_targets(procedure, asked.sharing, sums, asked.given)
 
 
@@ -138,7 +138,7 @@ def test_loads_that_differ_between_records_tell_the_stiffness():
     half = [record((0.5 * x, 0.5 * v, 0.5 * a, 0.5 * force)), record((x, v, a, force))]
     assert not findings(WITH_OFFSET, half)
     # An offset for each record takes that away again.
-    (finding,) = findings(WITH_OFFSET, half, own=("offset",))
+    (finding,) = findings(WITH_OFFSET, half, per_record=("offset",))
     assert "so offset[1], offset[2] alone explain" in finding.message
 
 

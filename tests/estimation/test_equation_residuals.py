@@ -110,7 +110,7 @@ def test_each_equation_leaves_a_share_of_its_own(case):
 def test_several_records_with_a_parameter_of_their_own_add_up():
     records = [record(0), record(1)]
     found = identify(
-        simultaneous(spring(), damped()), records, DOLS(), own=("c",), intervals=Sandwich()
+        simultaneous(spring(), damped()), records, DOLS(), per_record=("c",), intervals=Sandwich()
     )
     parts = []
     for i, one in enumerate(records):

@@ -195,7 +195,7 @@ def test_unequal_records_own_parameters_and_stages_have_finite_intervals():
     record = noisy("step", 1)
     records = [record, noisy("step", 2).part(0, 320)]
     offset = Equation(*FORCE.terms, -Term("offset", constant), name="force")
-    several = identify(offset, records, SHORT_WINDOWS, own=("offset",))
+    several = identify(offset, records, SHORT_WINDOWS, per_record=("offset",))
     other = Equation(
         Term(1.0, "F"), -Term("k", "x"), -Term("c", "v"), -Term("m", "v", derivative=1)
     )

@@ -93,7 +93,7 @@ def functions_compiled(work):
     """Names of what is compiled by some work, of the names that compiling shows."""
     names = []
 
-    def listen(event: str, duration: float, **about: str | int) -> None:
+    def listen(event: str, duration_secs: float, **about: str | int) -> None:
         if event.endswith("backend_compile_duration"):
             names.append(str(about.get("fun_name")))
 

@@ -39,7 +39,7 @@ KEY = jax.random.key(0)
 
 @pytest.mark.parametrize("criterion", CRITERIA, ids=["dols", "riec"])
 def test_offsets_of_each_record_leave_the_shared_parameters_exact(criterion):
-    estimate = identify(EQUATION, RECORDS, criterion, key=KEY, own=["offset"])
+    estimate = identify(EQUATION, RECORDS, criterion, key=KEY, per_record=["offset"])
     assert estimate.parameters == ("M", "c", "offset[1]", "offset[2]", "offset[3]")
     assert float(estimate["M"]) == pytest.approx(12.0, rel=1e-5)
     assert float(estimate["c"]) == pytest.approx(5.0, rel=1e-4)
@@ -54,7 +54,7 @@ def test_own_offsets_equal_the_dense_solution():
         r.with_signals({"force": r["force"] + np.random.default_rng(i).normal(size=r.sample_count)})
         for i, r in enumerate(RECORDS)
     ]
-    estimate = identify(EQUATION, noisy, DOLS(), own=["offset"])
+    estimate = identify(EQUATION, noisy, DOLS(), per_record=["offset"])
     ones = [np.zeros((r.sample_count, 3)) for r in noisy]
     for i, block in enumerate(ones):
         block[:, i] = 1.0
@@ -72,9 +72,11 @@ def test_without_own_offsets_one_shared_offset_is_found():
 
 
 def test_own_parameters_may_be_known_all_at_once_or_one_by_one():
-    at_once = identify(EQUATION, RECORDS, DOLS(), own=["offset"], known={"offset": 1.0})
+    at_once = identify(EQUATION, RECORDS, DOLS(), per_record=["offset"], known={"offset": 1.0})
     assert at_once.parameters == ("M", "c")
-    one = identify(EQUATION, RECORDS, DOLS(), own=["offset"], known={"offset[2]": OFFSETS[1]})
+    one = identify(
+        EQUATION, RECORDS, DOLS(), per_record=["offset"], known={"offset[2]": OFFSETS[1]}
+    )
     assert one.parameters == ("M", "c", "offset[1]", "offset[3]")
     assert float(one["offset[1]"]) == pytest.approx(OFFSETS[0], rel=1e-6)
 
@@ -93,8 +95,8 @@ def test_a_parameter_that_is_called_like_another_ones_own_keeps_its_value():
 @pytest.mark.parametrize("count", [1, 2])
 def test_names_that_own_parameters_would_collide_with_are_refused(count):
     equation = Equation(*EQUATION.terms, Term("offset[2]", "q"))
-    with pytest.raises(ModelError, match=r"called 'offset\[2\]'.*own=\['offset'\].*Rename"):
-        identify(equation, RECORDS[:count], DOLS(), own=["offset"])
+    with pytest.raises(ModelError, match=r"called 'offset\[2\]'.*per_record=\['offset'\].*Rename"):
+        identify(equation, RECORDS[:count], DOLS(), per_record=["offset"])
     apart = identify(equation, RECORDS[0], DOLS())
     assert float(apart["offset"]) == pytest.approx(OFFSETS[0], rel=1e-6)
     assert float(apart["offset[2]"]) == pytest.approx(0.0, abs=1e-6)
@@ -105,7 +107,7 @@ def test_a_known_value_of_one_record_goes_before_that_of_all():
         {"offset": 1.0, "offset[2]": OFFSETS[1]},
         {"offset[2]": OFFSETS[1], "offset": 1.0},
     ):
-        estimate = identify(EQUATION, RECORDS, DOLS(), own=["offset"], known=known)
+        estimate = identify(EQUATION, RECORDS, DOLS(), per_record=["offset"], known=known)
         assert [float(estimate[f"offset[{i}]"]) for i in (1, 2, 3)] == [1.0, OFFSETS[1], 1.0]
 
 
@@ -126,7 +128,7 @@ def test_own_parameters_survive_the_solve_by_rows():
         for i, r in enumerate(RECORDS)
     ]
     equation = Equation(*EQUATION.terms, Term("c2", "dp"))
-    estimate = identify(equation, nearly, DOLS(), own=["offset"])
+    estimate = identify(equation, nearly, DOLS(), per_record=["offset"])
     assert float(estimate["offset[1]"]) == pytest.approx(OFFSETS[0], rel=1e-6)
     assert float(estimate["c"] + estimate["c2"]) == pytest.approx(5.0, rel=1e-6)
 
@@ -134,8 +136,11 @@ def test_own_parameters_survive_the_solve_by_rows():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (dict(own=["friction"]), "unknown parameter 'friction'; the model has: M, c, offset"),
-        (dict(own=["offset"], known={"offset[4]": 1.0}), r"unknown parameter 'offset\[4\]'"),
+        (
+            dict(per_record=["friction"]),
+            "unknown parameter 'friction'; the model has: M, c, offset",
+        ),
+        (dict(per_record=["offset"], known={"offset[4]": 1.0}), r"unknown parameter 'offset\[4\]'"),
         (dict(known={"offset[1]": 1.0}), r"unknown parameter 'offset\[1\]'"),
     ],
 )

@@ -60,7 +60,7 @@ ASKED = {
         )
         for value in (None, [1.0, 2.0], "2", np.ones(2))
     },
-    "own, one name": ((EQUATION, RECORD, ALL), {"own": "k"}, "own=('k',)"),
+    "per record, one name": ((EQUATION, RECORD, ALL), {"per_record": "k"}, "per_record=('k',)"),
 }
 
 
@@ -134,8 +134,16 @@ def test_simulate(case):
 START = {"k": 1.0}
 REFINED = {
     "no start": ((EQUATION, RECORD, None), {}, "start is None. Write"),
-    "own, letters": ((EQUATION, RECORD, START), {"own": "mk"}, "own=('mk',): a tuple of names"),
-    "own, a number": ((EQUATION, RECORD, START), {"own": 5}, "own=('offset',)"),
+    "per record, letters": (
+        (EQUATION, RECORD, START),
+        {"per_record": "mk"},
+        "per_record=('mk',): a tuple of names",
+    ),
+    "per record, a number": (
+        (EQUATION, RECORD, START),
+        {"per_record": 5},
+        "per_record=('offset',)",
+    ),
     "known, a name": ((EQUATION, RECORD, START), {"known": "m"}, "known={'m': 2.0}"),
     "known, a number": ((EQUATION, RECORD, START), {"known": 5}, "known={'m': 2.0}"),
     "intervals' name": ((EQUATION, RECORD, START), {"intervals": "a"}, "intervals=rx.Sandwich()"),
@@ -186,7 +194,7 @@ STUDIED = {
     "a criterion's name": (rx.window_sweep, "riec", {}, "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
     "a criterion's class": (rx.window_sweep, rx.RIEC, {}, "the class RIEC"),
     "no windows": (rx.window_sweep, rx.DOLS(), {}, "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
-    "sweep's own": (rx.window_sweep, ALL, {"own": "k"}, "own=('k',)"),
+    "sweep's own": (rx.window_sweep, ALL, {"per_record": "k"}, "per_record=('k',)"),
     "scatter's name": (rx.seed_scatter, "riec", {"key": None}, "rx.RIEC(rx.RandomWindows("),
     "scatter's seed": (rx.seed_scatter, ALL, {"key": 3}, "key=jax.random.key(3)"),
 }

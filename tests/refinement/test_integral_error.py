@@ -162,7 +162,7 @@ def test_friction_that_is_not_linear_is_found_from_far_away(record, kind, test_f
 def test_two_recordings_add_up(record):
     by = IntegralError(RIEC(AllWindows(0.05, 0.5)))
     halves = [record.part(0, 3500), record.part(3500, 8001)]
-    refined = refine(balance(), halves, START, by, own=("Fv",))
+    refined = refine(balance(), halves, START, by, per_record=("Fv",))
     assert refined.parameters == ("M", "Fv[1]", "Fv[2]", "Fc", "Fs", "vs")
     for name in ("Fv[1]", "Fv[2]"):
         assert float(refined[name]) == pytest.approx(TRUTH["Fv"], rel=0.02)

@@ -198,7 +198,7 @@ def two_masses():
 
 
 def test_several_records_with_a_value_of_their_own(two_masses):
-    refined = refine(oscillator(), two_masses, START, own=("m",))
+    refined = refine(oscillator(), two_masses, START, per_record=("m",))
     assert refined.parameters == ("m[1]", "m[2]", "r", "r2", "k")
     for name, true in {"m[1]": 1.5, "m[2]": HEAVIER, "r": 0.8, "r2": 0.5, "k": 20.0}.items():
         low, high = refined.interval(name, 0.999)
@@ -209,9 +209,9 @@ def test_several_records_with_a_value_of_their_own(two_masses):
 
 def test_bounds_of_a_records_own_parameter_hold_in_each_or_in_one(two_masses):
     def fit(bounds):
-        return refine(oscillator(), two_masses, START, own=("m",), bounds=bounds)
+        return refine(oscillator(), two_masses, START, per_record=("m",), bounds=bounds)
 
-    free = refine(oscillator(), two_masses, START, own=("m",))
+    free = refine(oscillator(), two_masses, START, per_record=("m",))
     wide = fit({"m": (0.0, 9.0)})
     np.testing.assert_allclose(wide.theta, free.theta, rtol=1e-5)
     both = fit({"m": (0.5, 1.4)})
@@ -237,12 +237,12 @@ def test_bounds_of_a_records_own_parameter_hold_in_each_or_in_one(two_masses):
 )
 def test_bounds_and_priors_are_checked_in_each_record(two_masses, settings, words):
     with pytest.raises(ModelError, match=words):
-        refine(oscillator(), two_masses, START, own=("m",), **settings)
+        refine(oscillator(), two_masses, START, per_record=("m",), **settings)
 
 
 def test_a_prior_of_all_leaves_out_the_record_whose_value_is_known(two_masses):
     settings = {"known": {"m[2]": HEAVIER}, "priors": {"m": Prior(1.4, 1e-4)}}
-    refined = refine(oscillator(), two_masses, START, own=("m",), **settings)
+    refined = refine(oscillator(), two_masses, START, per_record=("m",), **settings)
     assert refined.parameters == ("m[1]", "r", "r2", "k")
     assert float(refined["m[1]"]) == pytest.approx(1.4, abs=1e-3)
 

@@ -137,7 +137,7 @@ def test_several_records_with_offsets_of_their_own():
     one, two = oscillator(0), oscillator(1, count=6000)
     two = two.with_signals({"u": two["u"] + 3.0})
     model = Equation(*drag_oscillator_equation().terms, Term("offset", constant))
-    sweep = window_sweep(model, [one, two], CRITERION, key=KEY, own=["offset"], bands=3)
+    sweep = window_sweep(model, [one, two], CRITERION, key=KEY, per_record=["offset"], bands=3)
     assert sweep.parameters[-2:] == ("offset[1]", "offset[2]")
     np.testing.assert_allclose(sweep.theta[:, -1], 3.0, rtol=1e-2)
 

@@ -54,7 +54,7 @@ def command(
         criterion,
         key=jax.random.key(seed),
         known=known,
-        own=own,
+        per_record=own,
     )
     doubts = [finding for recording in loaded for finding in recording.findings]
     checked = checked._replace(findings=[*doubts, *checked.findings])

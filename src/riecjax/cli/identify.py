@@ -152,7 +152,7 @@ def command(
     further = load(validation_files, recordings, model, criterion)
     records = [recording.record for recording in estimating]
     key = jax.random.key(seed)
-    settings = {"known": known, "own": own}
+    settings = {"known": known, "per_record": own}
     # What is refused without arithmetic is refused before a sample is read.
     unknown = question(procedure, len(records), **settings)
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
@@ -160,7 +160,7 @@ def command(
     # Read once: all that follows is made from these sums.
     bins = _bins(records, criterion) if sweep else None
     summary = summarise(procedure, records, criterion, key=key, bins=bins, survey=True)
-    estimate = on_host(estimated(procedure, summary, known=known, per_record=own, intervals=judge))
+    estimate = on_host(estimated(procedure, summary, **settings, intervals=judge))
     # What `riecjax check` refuses is refused here, before any of it is shown.
     raise_if_refused(excitations(summary, unknown))
     # What is asked for first is shown first: all that follows is about how far to trust it.
@@ -178,7 +178,7 @@ def command(
     from riecjax.reporting.identification_page import identification_page
 
     checked = check(procedure, records, criterion, key=key, **settings, summary=summary)
-    refined = refining.run(model, records, estimate, own=own, key=key, intervals=judge)
+    refined = refining.run(model, records, estimate, per_record=own, key=key, intervals=judge)
     found = estimate if refined is None else refined
     to_simulate = _to_simulate(held, further)
     validations, failed = validation_runs(model, found.values, to_simulate)

@@ -199,7 +199,7 @@ def _referred(
 
 
 def moments_of_rows(
-    rows_of_length: Callable[[Int[Array, ""]], tuple[Float[Array, "columns n"], Array]],
+    rows_of_length: Callable[[Int[Leaf, ""]], tuple[Float[Array, "columns n"], Array]],
     lengths: Int[Leaf, " lengths"],
     weights: Float[Leaf, " lengths"],
     blocks: Blocks,

@@ -18,6 +18,7 @@ from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, rea
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.columns import Columns
 from riecjax.errors import ModelError
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 
 
@@ -99,7 +100,7 @@ class Bump(AbstractTestFunction):
         everywhere = self._at_every_start(columns, blocks.held)
         start = jnp.arange(columns.sample_count)
 
-        def rows_of_length(length: Array) -> tuple[Array, Array]:
+        def rows_of_length(length: Leaf) -> tuple[Array, Array]:
             inside = start + length < blocks.held
             window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
             unbroken = whole(window, columns.present)

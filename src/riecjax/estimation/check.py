@@ -76,7 +76,7 @@ def check(
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
-    own: Sequence[str] = (),
+    per_record: Sequence[str] = (),
     summary: Summary | None = None,
 ) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
@@ -88,7 +88,7 @@ def check(
     """
     asked = task(model, records, criterion, key)
     procedure, recordings, criterion, _ = asked
-    unknown = question(procedure, len(recordings), known, own)
+    unknown = question(procedure, len(recordings), known, per_record)
     read = [signals_read(procedure, record, criterion) for record in recordings]
     summary = summed(asked, survey=True) if summary is None else summary
     excited = excitations(summary, unknown)

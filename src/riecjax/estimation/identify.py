@@ -55,7 +55,7 @@ def identify(
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
-    own: Sequence[str] = (),
+    per_record: Sequence[str] = (),
     intervals: AbstractIntervals | None = None,
 ) -> Estimate:
     """Identify the parameters of a model that is linear in them.
@@ -73,8 +73,8 @@ def identify(
       model that names none).
     - `key`: for random windows, `jax.random.key(seed)`. All equations share its windows.
     - `known`: parameters held at these values instead of being estimated.
-    - `own`: parameters with a value of their own in each record, such as a sensor's offset; in
-      the result `offset` becomes `offset[1]`, `offset[2]`, ...
+    - `per_record`: parameters with a value of their own in each record, such as a sensor's offset;
+      in the result `offset` becomes `offset[1]`, `offset[2]`, ...
     - `intervals`: how uncertainty is judged, [`BlockBootstrap`][] by default; [`Sandwich`][] is
       cheaper where thousands of fits are vmapped.
 
@@ -86,7 +86,7 @@ def identify(
     combination that cannot be told apart.
     """
     asked = task(model, records, criterion, key)
-    unknown = question(asked.procedure, len(asked.records), known, own)
+    unknown = question(asked.procedure, len(asked.records), known, per_record)
     _require_intervals(intervals)
     return _estimated(asked.procedure, summed(asked), unknown, intervals)
 

@@ -69,14 +69,14 @@ def question(
     procedure: Procedure,
     record_count: int,
     known: Mapping[str, float | Array] | None,
-    own: Sequence[str],
+    per_record: Sequence[str],
 ) -> Question:
     """What can be refused of known values and names; see [`identify`][] for the arguments.
 
     **Raises:** `ModelError` as [`identify`][].
     """
-    require_settings(None, known, own)
-    sharing = Sharing(procedure.parameters, own, record_count)
+    require_settings(None, known, per_record)
+    sharing = Sharing(procedure.parameters, per_record, record_count)
     given = known_values(procedure, sharing, known or {})
     return Question(sharing, given, plan_stages(procedure, sharing, given))
 
@@ -87,13 +87,14 @@ WRITE_CRITERION = (
 )
 
 
-def require_settings(key: object, known: object, own: object) -> None:
+def require_settings(key: object, known: object, per_record: object) -> None:
     """Raise `ModelError` unless these are a key, values by name and names, or left out."""
     require_key(key)
     write = "known={'m': 2.0}: values by name"
     require("known", {} if known is None else known, Mapping, write)
-    name = own if isinstance(own, str) else "offset"
-    require("own", own, (list, tuple, set, frozenset), f"own=('{name}',): a tuple of names")
+    name = per_record if isinstance(per_record, str) else "offset"
+    kinds = (list, tuple, set, frozenset)
+    require("per_record", per_record, kinds, f"per_record=('{name}',): a tuple of names")
 
 
 def require_key(key: object) -> None:

@@ -29,9 +29,9 @@ class Sharing:
             base, number = _numbered(name)
             if number and base in self.own:
                 raise ModelError(
-                    f"the model has a parameter called '{name}', and with own=['{base}'] that is "
-                    f"what {base} is called in recording {number}. Rename one of the two, or leave "
-                    f"{base} out of own."
+                    f"the model has a parameter called '{name}', and with per_record=['{base}'] "
+                    f"that is what {base} is called in recording {number}. Rename one of the two, "
+                    f"or leave {base} out of per_record."
                 )
         self.parameters = self.everywhere(parameters)
         self.individual = frozenset(self.everywhere(sorted(self.own)))

@@ -47,7 +47,7 @@ def refine(
     known: Mapping[str, float | Array] | None = None,
     bounds: Mapping[str, Bounds] | None = None,
     priors: Mapping[str, Prior] | None = None,
-    own: Sequence[str] = (),
+    per_record: Sequence[str] = (),
     key: Key[Array, ""] | None = None,
     intervals: AbstractIntervals | None = None,
     solver: Solver | None = None,
@@ -74,8 +74,8 @@ def refine(
     - `bounds`: (lower, upper) by name, `None` where there is none.
     - `priors`: normal laws (mean, standard deviation) by name, weighed against the scatter that the
       fit leaves.
-    - `own`: names of parameters that take a value of their own in each record. What is given for
-      `offset` holds in every record, but for those given by their own name, `offset[2]`.
+    - `per_record`: names of parameters that take a value of their own in each record. What is
+      given for `offset` holds in every record, but for those given by their own name, `offset[2]`.
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
@@ -88,7 +88,7 @@ def refine(
     search that fails raises nothing: see `status` of the result.
     """
     recordings = as_records(records)
-    require_settings(key, known, own)
+    require_settings(key, known, per_record)
     require("start", start, (AbstractEstimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
     require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
     require("intervals", intervals or Sandwich(), AbstractIntervals, "intervals=rx.Sandwich()")
@@ -100,7 +100,7 @@ def refine(
             "the model", model, (), f"{model.__name__}(...), with a value for each of its fields"
         )
     objective = (OutputError() if by is None else by).suited(model)
-    setup = _setup(objective, model, recordings, start, dict(known or {}), tuple(own), key)
+    setup = _setup(objective, model, recordings, start, dict(known or {}), tuple(per_record), key)
     laws = Laws.of(
         setup.names, setup.values, setup.of_free(bounds or {}), setup.of_free(priors or {})
     )
@@ -152,7 +152,7 @@ def _setup(
     records: list[Record],
     start: AbstractEstimate | Mapping[str, float | Array],
     known: dict[str, float | Array],
-    own: tuple[str, ...],
+    per_record: tuple[str, ...],
     key: Key[Array, ""] | None,
 ) -> Setup:
     """Every parameter's value, and which are free."""
@@ -166,8 +166,8 @@ def _setup(
         carried = start.known
         start = {name: start.single()[name] for name in start.parameters}
     given = {**start, **carried, **known}
-    local = names or tuple(dict.fromkeys(local_name(name, own) for name in given))
-    sharing = Sharing(local, own, len(records))
+    local = names or tuple(dict.fromkeys(local_name(name, per_record) for name in given))
+    sharing = Sharing(local, per_record, len(records))
     if unknown := [n for n in given if n not in (*local, *sharing.parameters)]:
         raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {', '.join(local)}.")
     require_numbers(known)

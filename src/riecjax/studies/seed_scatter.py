@@ -50,7 +50,7 @@ def seed_scatter(
     *,
     key: Key[Array, ""],
     known: Mapping[str, float | Array] | None = None,
-    own: Sequence[str] = (),
+    per_record: Sequence[str] = (),
     seeds: int = 32,
 ) -> SeedScatter:
     """Identify with `seeds` draws of random windows, vmapped; other arguments as for `identify`.
@@ -61,13 +61,13 @@ def seed_scatter(
     require(
         "the criterion", criterion, AbstractCriterion, "rx.RIEC(rx.RandomWindows(0.05, 0.5, 8000))"
     )
-    require_settings(key, known, own)
+    require_settings(key, known, per_record)
     if not criterion.needs_key:
         raise ModelError("only random windows scatter from seed to seed; this criterion has none.")
     if seeds < 2:
         raise ModelError(f"scatter needs at least two seeds; got {seeds}.")
     recordings = as_records(records)
-    sharing = Sharing(procedure.parameters, own, len(recordings))
+    sharing = Sharing(procedure.parameters, per_record, len(recordings))
     given = known_values(procedure, sharing, known or {})
     plan = plan_stages(procedure, sharing, given)
     keys = jax.random.split(key, seeds)

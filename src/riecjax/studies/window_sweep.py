@@ -147,7 +147,7 @@ def window_sweep(
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
-    own: Sequence[str] = (),
+    per_record: Sequence[str] = (),
     shortest: float | None = None,
     longest: float | None = None,
     bands: int = 10,
@@ -160,7 +160,7 @@ def window_sweep(
     **Arguments:** as for [`identify`][], and
 
     - `records`: or a [`Summary`][] with bins of window lengths, from which no sample is read;
-      `criterion` and what follows `own` are then those it was made with.
+      `criterion` and what follows `per_record` are then those it was made with.
     - `shortest`, `longest`: ends of the sweep in seconds; by default a tenth of the criterion's
       alpha, at least four samples, to twice its beta, at most a tenth of all records together.
     - `bands`: number of lengths, give or take one.
@@ -181,7 +181,7 @@ def window_sweep(
             asked.records, criterion, shortest=shortest, longest=longest, bands=bands
         )
         summary = summed(asked, bins=edges)
-    unknown = question(procedure, len(summary.recordings), known, own)
+    unknown = question(procedure, len(summary.recordings), known, per_record)
     return _sweep(procedure, summary, unknown, _bands(summary, shortest, longest))
 
 
