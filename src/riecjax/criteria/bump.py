@@ -122,7 +122,7 @@ class Bump(AbstractTestFunction):
 
     def _at_every_start(
         self, columns: Columns, held: Int[Array, ""] | int | None
-    ) -> Callable[[Array], Float[Array, "columns n"]]:
+    ) -> Callable[[Leaf], Float[Array, "columns n"]]:
         """A function of window length: integrals of every column over the windows at each start."""
         # A constant has no derivative, while the sum of a weight's derivative is not quite zero.
         values = jnp.stack(
@@ -134,7 +134,7 @@ class Bump(AbstractTestFunction):
         size = 2 * columns.sample_count
         spectrum = jnp.fft.rfft(values, size, axis=-1)
 
-        def everywhere(length: Array) -> Float[Array, "columns n"]:
+        def everywhere(length: Leaf) -> Float[Array, "columns n"]:
             weights = jnp.fft.rfft(self.weights(length, columns), size, axis=-1)
             # Summed over the order of derivative: correlation of each column with its weight.
             product = jnp.sum(spectrum * jnp.conj(weights)[:, None, :], axis=0)
@@ -159,7 +159,7 @@ class Bump(AbstractTestFunction):
         start = jnp.minimum(windows.start, sample_count - 1 - length)
         return WindowSet(start, start + length), lengths
 
-    def weights(self, length: Int[Array, ""], columns: Columns) -> Float[Array, "3 n"]:
+    def weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "3 n"]:
         """(-1)^k d^k phi / dt^k dt at the samples of a window of `length` samples, k = 0, 1, 2."""
         sample = jnp.arange(columns.sample_count)
         # By whole numbers: at the window's end |tau| is 1 but for rounding, and a compiler may

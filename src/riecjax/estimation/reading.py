@@ -306,6 +306,9 @@ def _filled_up(record: Record, begin: int, stop: int, length: int) -> Record:
         return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
 
     stamps = None if record.stamps is None else filled(record.stamps)
+    earlier = begin * float(record.time_step)
+    if record.stamps is not None:
+        earlier = float(record.stamps[begin]) - float(record.stamps[0])
     return Record(
         {name: filled(values) for name, values in record.arrays.items()},
         record.time_step,
@@ -313,7 +316,7 @@ def _filled_up(record: Record, begin: int, stop: int, length: int) -> Record:
         (),
         {name: filled(mask) for name, mask in record.missing.items()},
         stamps,
-        np.asarray(record.elapsed)[begin] - np.asarray(record.skipped),
+        earlier,
     )
 
 
