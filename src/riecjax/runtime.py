@@ -1,9 +1,12 @@
 """JAX's global settings, which no import makes: the command line does, or whoever asks for it."""
 
+import functools
+import operator
 import os
 import platform
 import sys
 import zlib
+from importlib import metadata
 from pathlib import Path
 
 SMALL_LOOP_BYTES = 10**6
@@ -20,10 +23,9 @@ _FLAGS = {
     _SMALL_LOOPS: f"--xla_backend_extra_options={_SMALL_LOOPS}={SMALL_LOOP_BYTES}",
 }
 # Of code that runs once, what it takes to make it fast is more than what that saves.
-_ONCE = {
-    "xla_cpu_use_fusion_emitters": "--xla_cpu_use_fusion_emitters=false",
-    "xla_backend_optimization_level": "--xla_backend_optimization_level=0",
-}
+_ONCE = {"xla_backend_optimization_level": "--xla_backend_optimization_level=0"}
+# XLA ends the process at an option that it does not know: these are gone from that version on.
+_GONE = {(0, 11): {"xla_cpu_use_fusion_emitters": "--xla_cpu_use_fusion_emitters=false"}}
 
 
 def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int = 1) -> None:
@@ -43,7 +45,7 @@ def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int =
     flags = os.environ.get("XLA_FLAGS", "")
     started = _has_started()
     # To compile fast is a wish, which a process that has begun otherwise cannot fulfil.
-    wanted = _FLAGS | _ONCE if once and not started else _FLAGS
+    wanted = _FLAGS | _compiling_fast() if once and not started else _FLAGS
     missing = [flag for name, flag in wanted.items() if name not in flags]
     if missing and started:
         raise RuntimeError("start_jax() is too late: call it before the first JAX array is made.")
@@ -55,6 +57,13 @@ def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int =
         jax.config.update("jax_num_cpu_devices", devices)
     if keep_compiled and not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         _keep_compiled()
+
+
+def _compiling_fast() -> dict[str, str]:
+    """Options for code that runs once, of those that the installed XLA knows."""
+    installed = tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2])
+    known = [flags for gone, flags in _GONE.items() if installed < gone]
+    return functools.reduce(operator.or_, known, _ONCE)
 
 
 def compiles_loops_whole() -> bool:

@@ -13,6 +13,7 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
+from riecjax.estimation import reading
 from riecjax.estimation.assembly import stage_normal_equations
 from riecjax.estimation.identify import identify
 from riecjax.estimation.procedure import staged
@@ -97,7 +98,6 @@ def test_an_expression_that_mixes_samples_is_refused_where_it_would_see_only_a_c
     record = Record(arrays_of(5000), STEP)
     criterion = RIEC(AllWindows(0.1, 0.9))
     assert np.isfinite(identify(mixing, record, criterion)["k"])
-    monkeypatch.setattr(chunks, "WHOLE", 700)
-    monkeypatch.setattr(chunks, "CHUNK", 700)
+    monkeypatch.setattr(reading, "PART", 700)
     with pytest.raises(ModelError, match="mixes samples"):
         identify(mixing, record, criterion)
