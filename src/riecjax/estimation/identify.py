@@ -187,8 +187,9 @@ class _Solved(NamedTuple):
     totals: list[Float[Array, "columns columns"]]
 
     def offered_to(self, summary: Summary, procedure: Procedure) -> Float[Leaf, " stages"]:
-        """Rows of each stage there would be without gaps; NaN if not known."""
+        """Rows of each stage there would be without gaps; NaN if not known, as of another band."""
         each = sum(one.offered for one in summary.recordings)
+        each = each if summary.band == summary.in_law else np.nan
         sizes = np.array([len(procedure.stages[stage.stage]) for stage in self.stages])
         return each * sizes
 

@@ -87,7 +87,7 @@ class Reading:
         """Everything that is kept of it."""
         equations = [e for stage in self.procedure.stages for e in stage]
         mixing = mixing_expressions(equations, self.record)
-        if mixing and self.count > PART:
+        if mixing and (self.count > PART or self.criterion.in_chunks(self.record)):
             raise ModelError(
                 f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
                 f"long is worked through in chunks. Compute it beforehand as a signal of the "
