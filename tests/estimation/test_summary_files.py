@@ -671,3 +671,20 @@ def fixed(one: RecordingSums) -> RecordingSums:
         one,
         replace_fn=lambda leaf: np.zeros(()),
     )
+
+
+def test_a_summary_is_of_its_equations_numbers_too():
+    """With another factor in front of the force, sums are other sums; a known value moves none."""
+    record = rx.Record({"x": np.sin(np.arange(900) / 7), "u": np.cos(np.arange(900) / 9)}, 0.01)
+    criterion = rx.RIEC(rx.AllWindows(0.1, 0.5))
+
+    def equation(factor, **known):
+        return rx.Equation(rx.Term("k", "x", **known), rx.Term("c", "x", derivative=1), -factor)
+
+    once, twice = (equation(rx.Term(number, "u")) for number in (1.0, 2.0))
+    summary = rx.summarise(once, record, criterion)
+    with pytest.raises(rx.ModelError, match="made for other equations"):
+        rx.estimate(twice, summary)
+    held = equation(rx.Term(1.0, "u"), known=3.0)
+    assert rx.summarise(held, record, criterion).digests == summary.digests
+    assert float(rx.estimate(held, summary).known["k"]) == 3.0

@@ -1,10 +1,13 @@
 """What tells recordings apart: a digest of samples and of everything that their sums depend on."""
 
+import dataclasses
 import hashlib
 import json
 import re
 from collections.abc import Callable
+from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Key, UInt32
@@ -44,18 +47,27 @@ def digest_of(
     return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)
 
 
+def fingerprint_of(procedure: Procedure) -> str:
+    """SHA-256 of what a procedure's sums depend on, without the samples (not under jit)."""
+    equations = [[_described(e) for e in stage] for stage in procedure.stages]
+    written = json.dumps(equations, sort_keys=True, default=_without_address)
+    return hashlib.sha256(written.encode()).hexdigest()
+
+
 def _described(equation: Equation) -> list[object]:
     """What an equation's sums depend on, as far as it has a name, a number or code."""
-    terms = [
-        [
-            _function(term.of),
-            term.derivative,
-            list(term.parameters),
-            [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(term)],
-        ]
-        for term in equation.terms
-    ]
-    return [equation.name, terms, _function(equation.where)]
+    return [equation.name, [_written(term) for term in equation.terms], _function(equation.where)]
+
+
+def _written(value: Any) -> object:
+    """A term, or a part of it, field by field. What is known of a coefficient moves no sum."""
+    if isinstance(value, eqx.Module):
+        fields = [field.name for field in dataclasses.fields(value)]
+        kept = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
+        return [type(value).__name__, {name: _written(part) for name, part in kept.items()}]
+    if eqx.is_array(value):
+        return np.asarray(value).tolist()
+    return _function(value) if callable(value) else value
 
 
 def _function(expression: str | Callable | None) -> object:

@@ -258,7 +258,7 @@ class Estimate(AbstractEstimate):
                 "band_snapped",
                 f"windows of {alpha:.4g} to {beta:.4g} s were asked for; sums are kept by bins of "
                 f"length, and those from {low:.4g} to {high:.4g} s were taken. Summarise anew with "
-                f"bins that have these edges for exactly that band.",
+                f"these as alpha and beta for exactly that band.",
             )
 
     def _precision(self) -> Iterator[Finding]:

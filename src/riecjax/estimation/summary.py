@@ -15,6 +15,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.length_bins import LengthBins
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.blocks import ShortBlocks
+from riecjax.estimation.digest import fingerprint_of
 from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.procedure import Procedure
 from riecjax.estimation.sums import EquationSums, RecordingSums
@@ -31,17 +32,25 @@ UNKNOWN = "0" * 64
 class Outline(eqx.Module):
     """What was asked of the recordings, as far as sums depend on it.
 
-    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter.
+    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter;
+    `fingerprint` of the equations' terms, empty where their numbers were traced.
     """
 
     stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    fingerprint: str = eqx.field(static=True)
 
     @classmethod
     def of(cls, procedure: Procedure) -> "Outline":
         """Of a procedure."""
         stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in procedure.stages)
-        return cls(stages, tuple(procedure.units.items()))
+        fingerprint = fingerprint_of(procedure) if is_concrete(procedure) else ""
+        return cls(stages, tuple(procedure.units.items()), fingerprint)
+
+    def is_of(self, other: "Outline") -> bool:
+        """Whether both are of the same equations, as far as that is known."""
+        known = bool(self.fingerprint and other.fingerprint)
+        return self.stages == other.stages and (not known or self.fingerprint == other.fingerprint)
 
 
 class Summary(eqx.Module):
@@ -245,8 +254,8 @@ class Summary(eqx.Module):
 
     def require_model(self, procedure: Procedure) -> None:
         """Raise `ModelError` unless these are sums of the procedure's equations."""
-        asked, held = Outline.of(procedure).stages, self.outline.stages
-        if asked != held:
+        if not self.outline.is_of(Outline.of(procedure)):
+            held = self.outline.stages
             named = "; ".join(" + ".join(name for name, _ in stage) for stage in held)
             raise ModelError(
                 f"this Summary was made for other equations ({named}): make it anew for this model."
@@ -254,7 +263,7 @@ class Summary(eqx.Module):
 
     def _require_alike(self, other: "Summary") -> None:
         why = None
-        if other.outline.stages != self.outline.stages:
+        if not self.outline.is_of(other.outline):
             why = "other equations or parameters"
         elif other.criterion.describe() != self.criterion.describe():
             why = "another criterion"
@@ -331,9 +340,9 @@ def of_blocks(one: RecordingSums, kept: np.ndarray) -> RecordingSums:
         return dataclasses.replace(equation, moments=moments, count=count, factor=None)
 
     stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
-    share = kept.size / int(one.blocks)
+    # Rows are not spread evenly over blocks, so that it is not known how many were offered.
     return dataclasses.replace(
-        one, stages=stages, blocks=np.asarray(kept.size), offered=one.offered * share
+        one, stages=stages, blocks=np.asarray(kept.size), offered=np.asarray(np.nan)
     )
 
 

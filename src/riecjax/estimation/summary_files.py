@@ -111,6 +111,7 @@ def _document(summary: Summary) -> Document:
         "dtype": str(summary.recordings[0].stages[0][0].moments.dtype),
         "stages": summary.outline.stages,
         "units": summary.outline.units,
+        "fingerprint": summary.outline.fingerprint,
         "bins": summary.edges is not None,
         "in_law": summary.in_law,
         "band": summary.band,
@@ -196,6 +197,7 @@ def _summary(document: Document, arrays: Arrays) -> Summary:
                 for stage in document["stages"]
             ),
             tuple((name, unit) for name, unit in document["units"]),
+            str(document["fingerprint"]),
         ),
         edges,
         _pair(document["in_law"]),
