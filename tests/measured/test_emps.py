@@ -170,7 +170,7 @@ def test_the_mass_falls_with_window_length_and_the_command_warns(document):
     assert all(later < earlier + 0.1 for earlier, later in itertools.pairwise(masses))
     warnings = [w["message"] for w in found["warnings"] if w["code"] == "window_sensitive"]
     (warning,) = [message for message in warnings if message.startswith("M goes from 95.")]
-    assert " to 91.4" in warning or " to 91.5" in warning
+    assert " to 91.6" in warning
 
 
 def test_sensors_and_sampling_of_the_record_are_sound(document):

@@ -92,6 +92,9 @@ def in_chunks(
         chunks = jax.lax.map(one, jnp.arange(rounds))
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
 
+    # To learn the shapes and to loop it is traced once.
+    one = jax.jit(one)
+
     def add(index: Array, total: Any) -> Any:
         return jax.tree.map(
             lambda every, own: jax.lax.dynamic_update_slice_in_dim(

@@ -1,5 +1,7 @@
 """Whether a record tells a model's parameters apart, known before any of them is estimated."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -105,7 +107,7 @@ def excitations(summary: Summary, unknown: Question) -> list[Excitation]:
         found = [one.stages[i][j].survey for one in summary.recordings]
         assert all(survey is not None for survey in found)
         count = e.count.sum(1)
-        each = jnp.stack([jnp.asarray(s.noise) for s in found if s is not None])
+        each: Any = np.stack([np.asarray(s.noise) for s in found if s is not None])
         return NormalEquations(each * count[:, None, None], count, e.parameters)
 
     noises = [[noise(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]

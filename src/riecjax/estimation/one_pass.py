@@ -128,12 +128,7 @@ def of_all_windows(
     def watch(
         equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
     ) -> Watched:
-        moments = tuple(
-            (jnp.swapaxes(sums, 0, 1), jnp.swapaxes(count, 0, 1))
-            for sums, count in (
-                criterion.moments_of(columns, which.lags, blocks, which.reach) for which in lengths
-            )
-        )
+        moments = tuple(_in_blocks(criterion, columns, which, blocks) for which in lengths)
         watched = _watched(columns, noise, record, blocks, half, request.averaged, None, moments)
         if not request.surveyed:
             return watched
@@ -142,6 +137,29 @@ def of_all_windows(
         return watched._replace(survey=survey)
 
     return _in_chunks(procedure, criterion, part, watch, lengths[-1].reach, request)
+
+
+def _in_blocks(
+    criterion: AbstractCriterion, columns: Columns, lengths: Lengths, blocks: Blocks
+) -> tuple[Array, Array]:
+    """Moments and numbers of windows of some lengths, blocks first and then bins.
+
+    Of windows longer than a block, so many blocks are summed at once that they are not, and the
+    first of them holds the sums: sums within a block are what is fast.
+    """
+    size, wider = blocks.size, 1
+    if isinstance(size, int):
+        while wider * size < lengths.reach and blocks.number % (2 * wider) == 0:
+            wider *= 2
+        blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
+    found = criterion.moments_of(columns, lengths.lags, blocks, lengths.reach)
+
+    def spread(sums: Array) -> Array:
+        apart = jnp.swapaxes(sums, 0, 1)[:, None]
+        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
+        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
+
+    return spread(found[0]), spread(found[1])
 
 
 class Drawn(NamedTuple):
