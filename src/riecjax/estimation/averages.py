@@ -5,8 +5,6 @@ is the second difference over h of c integrated 2 - k times, over h squared. Row
 become a triangular factor, which has every norm and least-squares solution that the rows have.
 """
 
-from collections.abc import Iterable
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -102,11 +100,6 @@ def factor_of(gram: Float[Leaf, "columns columns"]) -> Factor:
         return np.full(np.shape(gram), np.nan)
     squares, vectors = np.linalg.eigh(np.asarray(gram))
     return _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T)
-
-
-def merged(factors: Iterable[Factor]) -> Factor:
-    """The factor of all rows behind these."""
-    return _factor(np.concatenate(list(factors)))
 
 
 def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:

@@ -4,7 +4,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.leaves import Leaf, namespace
-from riecjax.records.record import Record
 
 DIFFERENCE_ORDER = 6
 STRETCHES = 16
@@ -30,13 +29,3 @@ def noise_level(samples: Float[Array, " n"] | Float[np.ndarray, " n"]) -> Float[
     differences = xp.diff(samples, n=DIFFERENCE_ORDER)
     gain = np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2))
     return xp.median(xp.abs(differences)) / (0.6745 * gain)
-
-
-def with_noise(record: Record, seed: int) -> Record:
-    """The record with as much white noise again on every signal as it seems to have."""
-    rng = np.random.default_rng(seed)
-    disturbed = {}
-    for name, signal in record.arrays.items():
-        values = np.asarray(signal)
-        disturbed[name] = values + noise_level(values) * rng.standard_normal(values.shape)
-    return record.with_signals(disturbed, missing=record.missing)

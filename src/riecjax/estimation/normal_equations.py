@@ -58,12 +58,6 @@ class NormalEquations(eqx.Module):
         """The sum over the axis of blocks."""
         return NormalEquations(self.moments.sum(0), self.count.sum(0), self.parameters)
 
-    def in_one_block(self) -> "NormalEquations":
-        """The sum over the axis of blocks, which stays with length one."""
-        return NormalEquations(
-            self.moments.sum(0, keepdims=True), self.count.sum(0, keepdims=True), self.parameters
-        )
-
     def in_blocks_of_records(self) -> "NormalEquations":
         """Of leading axes `(records, blocks)`, the sum over the second."""
         return NormalEquations(self.moments.sum(1), self.count.sum(1), self.parameters)

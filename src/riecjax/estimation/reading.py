@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import LengthBins, law_in_bins
 from riecjax.criteria.windows import MOST_BLOCKS, AllWindows
@@ -45,8 +45,6 @@ SURVEYED = 2048
 """Rows of a recording that a survey looks at, about."""
 SHOWN = 2000
 """Rows of a recording that a survey keeps at most."""
-DRAWN_BLOCKS = 512
-"""Short blocks of a recording's starts where single rows are put into them."""
 
 
 class _Layout(NamedTuple):
@@ -216,9 +214,12 @@ class Reading:
 
     def _rows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
         n = self.count
-        block = min(max(-(-n // DRAWN_BLOCKS), 1), -(-n // 2))
+        block = self.criterion.block_samples(self.record)
         request = Request(
-            jnp.asarray(block), DRAWN_BLOCKS, AVERAGED // DRAWN_BLOCKS, int(self.survey)
+            jnp.asarray(block),
+            SHORT_BLOCKS_OF_ROWS,
+            AVERAGED // SHORT_BLOCKS_OF_ROWS,
+            int(self.survey),
         )
         layout = _Layout(block, n, self._filled(n) if fill else None, request)
         (part,) = self._parts(layout, 0)
