@@ -16,6 +16,7 @@ from riecjax.estimation.averages import (
     averaged_rows,
     compressed,
     hat_half,
+    thinned,
 )
 from riecjax.estimation.bursts import sizes_in_bursts
 from riecjax.estimation.excitation import excitation_of
@@ -253,3 +254,27 @@ def test_the_noise_of_a_long_signal_is_looked_for_in_stretches_of_all_of_it():
     gain = np.linalg.norm(np.poly([1.0] * DIFFERENCE_ORDER))
     expected = np.median(np.abs(np.diff(short, n=DIFFERENCE_ORDER))) / (0.6745 * gain)
     assert float(noise_level(short)) == expected
+
+
+def test_an_equation_that_holds_for_samples_holds_for_means_of_them():
+    """Under hats of as many seconds, thinned columns of a smooth motion give the same rows."""
+    t = STEP * np.arange(4000)
+    values = np.zeros((3, 2, 4000))
+    values[0, 0], values[1, 1] = np.cos(1.3 * t), np.sin(1.3 * t) / 1.3
+    present = np.ones(4000, bool)
+    present[1923] = False
+    columns = Columns(jnp.asarray(values), jnp.asarray(present), jnp.asarray(STEP), ("a",))
+    centres = np.arange(0, 4000, 160)
+    _, kept = averaged_rows(columns, 64, jnp.asarray(centres), 4000)
+    fewer = thinned(columns, 16)
+    means, there = averaged_rows(fewer, 4, jnp.asarray(centres // 16), 4000 // 16)
+    both = np.asarray(kept & there)
+    assert both.sum() > 20
+    # A derivative's integral is its primitive's difference, of means too: the two columns agree.
+    one, other = np.asarray(means)[both].T
+    np.testing.assert_allclose(one, other, rtol=1e-2, atol=1e-3)
+    # Means lie half of their length after the sample that they begin at.
+    later, _ = averaged_rows(columns, 64, jnp.asarray(centres // 16 * 16 + 8), 4000)
+    np.testing.assert_allclose(np.asarray(means)[both], np.asarray(later)[both], atol=2e-2)
+    # The gap takes the mean it lies in with it.
+    assert not there[1920 // 160]

@@ -34,6 +34,22 @@ def hat_half(
     return xp.where(length > 0, half, 0).astype(np.int32)
 
 
+def thinned(columns: Columns, by: int) -> Columns:
+    """Means of so many samples each, in place of these; what is left over at the end is dropped.
+
+    All columns are filtered alike, so that an equation that holds for the samples holds for the
+    means: under hats several times as long, these tell what the samples would.
+    """
+    if by == 1:
+        return columns
+    count = columns.sample_count // by
+    values = columns.values[..., : count * by].reshape(*columns.values.shape[:-1], count, by)
+    present = columns.present
+    if present is not None:
+        present = jnp.all(present[: count * by].reshape(count, by), axis=1)
+    return Columns(jnp.mean(values, axis=-1), present, by * columns.time_step, columns.parameters)
+
+
 def averaged_rows(
     columns: Columns,
     half: int | Int[Leaf, ""],

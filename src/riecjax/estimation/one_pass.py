@@ -24,7 +24,7 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Terms, evaluate
-from riecjax.estimation.averages import activity, averaged_rows, underived
+from riecjax.estimation.averages import activity, averaged_rows, thinned, underived
 from riecjax.estimation.normal_equations import normal_equations
 from riecjax.estimation.procedure import Procedure
 from riecjax.leaves import Leaf
@@ -60,12 +60,13 @@ class Request(NamedTuple):
     """What to sum, as far as it is compiled in.
 
     **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
-    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `averaged`, and
-    those that are `surveyed`, none unless a survey is asked for.
+    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `averaged`, of
+    means of `thin` samples, and those that are `surveyed`, none unless a survey is asked for.
     """
 
     block: Int[Array, ""] | int
     blocks: int
+    thin: int
     averaged: int
     surveyed: int
 
@@ -129,7 +130,7 @@ def of_all_windows(
         equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
     ) -> Watched:
         moments = tuple(_in_blocks(criterion, columns, which, blocks) for which in lengths)
-        watched = _watched(columns, noise, record, blocks, half, request.averaged, None, moments)
+        watched = _watched(columns, noise, record, blocks, half, request, None, moments)
         if not request.surveyed:
             return watched
         windows = _some_windows(criterion, blocks, band, request.surveyed)
@@ -185,7 +186,7 @@ def of_rows(
         equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
     ) -> Watched:
         bare = None if criterion.smoothness else underived(equation)
-        return _watched(columns, noise, record, blocks, half, request.averaged, bare, ())
+        return _watched(columns, noise, record, blocks, half, request, bare, ())
 
     held = part.record.sample_count if part.held is None else part.held
     drawn = criterion.draw(part.record, key, part.held)
@@ -259,15 +260,18 @@ def _watched(
     record: Record,
     blocks: Blocks,
     half: Int[Array, ""],
-    each: int,
+    request: Request,
     bare: np.ndarray | None,
     moments: tuple[tuple[Array, Array], ...],
 ) -> Watched:
+    thin, each = request.thin, request.averaged
     start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
     centres = (start + (jnp.arange(each) * blocks.size // each)[None, :] + half).ravel()
 
     def averaged(of: Columns) -> Float[Array, "blocks rows 2+p"]:
-        rows, kept = averaged_rows(of, half, centres, blocks.held)
+        rows, kept = averaged_rows(
+            thinned(of, thin), (half + thin // 2) // thin, centres // thin, blocks.held // thin
+        )
         rows = jnp.pad(rows, ((0, 0), (1, 0)), constant_values=1.0)
         rows = jnp.where(kept[:, None], rows, 0.0)
         return rows.reshape(blocks.number, each, -1)

@@ -78,6 +78,8 @@ class Reading:
         with np.errstate(over="ignore", invalid="ignore"):
             self.levels = {k: noise_level(np.asarray(v)) for k, v in record.arrays.items()}
         self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
+        # Hats of four means to a side at the least.
+        self.thin = next((by for by in (16, 4) if self.half >= 4 * by), 1)
 
     # What overflows is for the fit to refuse.
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -177,7 +179,8 @@ class Reading:
         longest = windows.reach(n)
         if -(-n // 2) < longest:
             block = -(-n // 2)
-            request = Request(jnp.asarray(block), 2, AVERAGED // 2, self.survey * SURVEYED // 2)
+            averaged, surveyed = AVERAGED // 2, self.survey * SURVEYED // 2
+            request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
             return _Layout(block, n, self._filled(n) if fill else None, request)
         starts = max(PART, 4 * longest)
         filled = starts + reach + 2 * self.criterion.margin
@@ -188,7 +191,7 @@ class Reading:
         blocks = -(-starts // longest)
         size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
         averaged, surveyed = (max(k * longest // size, 1) for k in (AVERAGED, SURVEYED))
-        request = Request(longest, blocks, averaged, surveyed if self.survey else 0)
+        request = Request(longest, blocks, self.thin, averaged, surveyed if self.survey else 0)
         return _Layout(longest, starts, filled, request)
 
     def _filled(self, samples: int) -> int:
@@ -218,6 +221,7 @@ class Reading:
         request = Request(
             jnp.asarray(block),
             SHORT_BLOCKS_OF_ROWS,
+            self.thin,
             AVERAGED // SHORT_BLOCKS_OF_ROWS,
             int(self.survey),
         )
