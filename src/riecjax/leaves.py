@@ -61,3 +61,8 @@ def is_concrete(*trees: object) -> bool:
     return not any(
         isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees) if eqx.is_array(leaf)
     )
+
+
+def is_under_trace() -> bool:
+    """Whether JAX is tracing what runs now, so that known numbers are traced as well."""
+    return not is_concrete(jnp.zeros(()))

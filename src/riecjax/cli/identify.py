@@ -162,7 +162,8 @@ def command(
     summary = summarise(procedure, records, criterion, key=key, bins=bins, survey=True)
     estimate = on_host(estimated(procedure, summary, **settings, intervals=judge))
     # What `riecjax check` refuses is refused here, before any of it is shown.
-    raise_if_refused(excitations(summary, unknown))
+    excited = excitations(summary, unknown)
+    raise_if_refused(excited)
     # What is asked for first is shown first: all that follows is about how far to trust it.
     shown = not as_json and refining.refine == "none"
     if shown:
@@ -177,7 +178,9 @@ def command(
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.identification_page import identification_page
 
-    checked = check(procedure, records, criterion, key=key, **settings, summary=summary)
+    checked = check(
+        procedure, records, criterion, key=key, **settings, summary=summary, excited=excited
+    )
     refined = refining.run(model, records, estimate, per_record=own, key=key, intervals=judge)
     found = estimate if refined is None else refined
     to_simulate = _to_simulate(held, further)

@@ -24,7 +24,11 @@ def chunk_length(record: Record, block: int, reach: int) -> int:
     uncut = WHOLE if record.time_step.dtype == jnp.float64 else WHOLE_32_BIT
     if record.sample_count <= max(uncut, 4 * reach):
         return record.sample_count
-    return -(-max(CHUNK, 4 * reach) // block) * block
+    return _in_whole_blocks(max(CHUNK, 4 * reach), block)
+
+
+def _in_whole_blocks(samples: int, block: int) -> int:
+    return -(-samples // block) * block
 
 
 def is_chunked(record: Record, block: int, reach: int) -> bool:
@@ -72,9 +76,10 @@ def in_chunks(
     """
     n = record.sample_count
     count = -(-n // block) if number is None else number
-    length = -(-max(ROUND, 4 * reach) // block) * block
     if held is None:
         length = chunk_length(record, block, reach)
+    else:
+        length = _in_whole_blocks(max(ROUND, 4 * reach), block)
     width = length + reach + 2 * margin
     if width >= n:
         return of_chunk(record, Blocks(first, block, count, n if held is None else held))

@@ -111,7 +111,7 @@ class AbstractWindows(eqx.Module):
         raise NotImplementedError
 
     def fitted(self, records: Sequence[Record]) -> Self:
-        """The same windows with what can be found out of the records before tracing."""
+        """The same windows with what the records tell before tracing."""
         return self
 
     def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
@@ -218,7 +218,7 @@ class AllWindows(AbstractWindows):
         _require_order(self.alpha, self.beta)
 
     def fitted(self, records: Sequence[Record]) -> Self:
-        """The same windows with `longest_samples` found out, if that is possible.
+        """The same windows with `longest_samples` determined, if that is possible.
 
         A power of two, so that other lengths of about this size compile nothing anew.
         """
@@ -226,7 +226,7 @@ class AllWindows(AbstractWindows):
         if self.longest_samples is not None or not is_concrete(self.beta, steps):
             return self
         samples = max(float(self.beta) / float(step) for step in steps)
-        limit = _power_of_two(samples + 2)
+        limit = power_of_two(samples + 2)
         return dataclasses.replace(self, longest_samples=limit)
 
     @property
@@ -247,7 +247,7 @@ class AllWindows(AbstractWindows):
     def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
         """The same windows with other lengths.
 
-        An upper limit that was found out for shorter ones is dropped, or it would cut longer ones.
+        An upper limit that was determined for shorter ones is dropped, or it would cut longer ones.
         """
         longer = is_concrete(beta, self.beta) and float(beta) > float(self.beta)
         limit = None if longer else self.longest_samples
@@ -264,9 +264,9 @@ class AllWindows(AbstractWindows):
         window every block spans the record, and there are few.
         """
         if self.longest_samples is None:
-            wanted = _power_of_two(sample_count / FEW_BLOCKS)
+            wanted = power_of_two(sample_count / FEW_BLOCKS)
         else:
-            wanted = max(self.longest_samples, _power_of_two(sample_count / MOST_BLOCKS))
+            wanted = max(self.longest_samples, power_of_two(sample_count / MOST_BLOCKS))
         return min(wanted, -(-sample_count // 2))
 
     def in_chunks(self, record: Record) -> bool:
@@ -417,5 +417,6 @@ class RandomWindows(AbstractWindows):
         return WindowSet(start, jnp.minimum(start + length, last))
 
 
-def _power_of_two(value: float) -> int:
+def power_of_two(value: float) -> int:
+    """The least power of two, 2 at least, that is no smaller."""
     return 2 ** int(np.ceil(np.log2(max(value, 2))))

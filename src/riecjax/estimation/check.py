@@ -78,11 +78,13 @@ def check(
     known: Mapping[str, float | Array] | None = None,
     per_record: Sequence[str] = (),
     summary: Summary | None = None,
+    excited: list[Excitation] | None = None,
 ) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
     Nothing is estimated, and nothing that is found here stops a fit; see [`Check.answerable`][].
-    `summary` is what [`summarise`][] made of the same with a survey, if it was asked.
+    `summary` is what [`summarise`][] made of the same with a survey, and `excited` what
+    [`excitations`][] says of it, if they were asked.
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
@@ -91,7 +93,7 @@ def check(
     unknown = question(procedure, len(recordings), known, per_record)
     read = [signals_read(procedure, record, criterion) for record in recordings]
     summary = summed(asked, survey=True) if summary is None else summary
-    excited = excitations(summary, unknown)
+    excited = excitations(summary, unknown) if excited is None else excited
     findings = [
         *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),

@@ -143,9 +143,8 @@ def _estimated(
     if is_concrete(solved.stages):
         raise_if_nothing_to_fit(plan, solved.counts, solved.totals)
         # Sums that were made under jit have no averages to judge by.
-        judged = [one for one in summary.recordings if one.stages[0][0].averages is not None]
-        if len(judged) == len(summary.recordings):
-            for finding in constant_targets(procedure, sharing, judged, given):
+        if all(one.stages[0][0].averages is not None for one in summary.recordings):
+            for finding in constant_targets(procedure, sharing, summary.recordings, given):
                 raise IdentifiabilityError(finding.message, finding.code)
         past_gram = _worst_condition(solved.stages) > gram_condition_limit(window.dtype)
         if past_gram and (rows := _rows(summary, equations)):

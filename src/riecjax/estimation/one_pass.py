@@ -3,7 +3,7 @@
 Every equation's columns are sampled once, chunk by chunk, and what blocks of starts say is added
 up from them: moments of all windows, rows averaged by hats, activity of terms, and, on request, a
 survey for checks and figures. Of recordings of any length the same few functions serve: samples
-are filled up to one of three lengths behind the recording's end, which is traced, and a longer
+are filled up to one of two lengths behind the recording's end, which is traced, and a longer
 recording is worked through in parts that overlap by the longest window.
 """
 
@@ -38,8 +38,6 @@ NOISE = np.random.default_rng(0).standard_normal(2**16)
 """White noise of unit size, which is sent through the equations."""
 APART = 9973
 """Samples between where two signals begin to take their noise."""
-
-
 SELDOM = 8
 """Chunks of a record of which one tells what noise adds to averaged rows."""
 Noise = Callable[[], Columns]
@@ -87,9 +85,9 @@ class Part(NamedTuple):
 class Watched(NamedTuple):
     """What is kept of one equation, by blocks of starts.
 
-    **Fields:** `moments` and `count`, by bins, none of rows that are drawn; `averaged` rows with a
-    leading one, zero where there is none, and `noise`, outer products of what noise adds to these;
-    `activity`, a field after the other; `survey`.
+    **Fields:** `moments`, pairs of sums and numbers of windows, then by bins; `averaged` rows with
+    a leading one, zero where there is none, and `noise`, outer products of what noise adds to
+    these; `activity`, an `Activity` of each chunk; `survey`.
     """
 
     moments: tuple[tuple[Array, Array], ...]
@@ -163,14 +161,6 @@ def _in_blocks(
     return spread(found[0]), spread(found[1])
 
 
-class Drawn(NamedTuple):
-    """Sums of one equation's rows by blocks, and its rows if a survey is asked for."""
-
-    moments: Float[Array, "blocks columns columns"]
-    number: Float[Array, " blocks"]
-    survey: Surveyed | None
-
-
 @eqx.filter_jit
 def of_rows(
     procedure: Procedure,
@@ -179,33 +169,26 @@ def of_rows(
     key: Key[Array, ""] | None,
     half: Int[Array, ""],
     request: Request,
-) -> tuple[list[list[Watched]], list[list[Drawn]]]:
+) -> list[list[Watched]]:
     """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
+    drawn = criterion.draw(part.record, key, part.held)
+    block_of_row = jnp.clip((drawn.start / request.block).astype(int), 0, request.blocks - 1)
 
     def watch(
         equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
     ) -> Watched:
-        bare = None if criterion.smoothness else underived(equation)
-        return _watched(columns, noise, record, blocks, half, request, bare, ())
-
-    held = part.record.sample_count if part.held is None else part.held
-    drawn = criterion.draw(part.record, key, part.held)
-    block_of_row = jnp.clip((drawn.start / request.block).astype(int), 0, request.blocks - 1)
-
-    def sums(equation: Equation) -> Drawn:
-        columns = sampled_columns(equation, part.record, criterion.smoothness)
         rows = criterion.rows_of(columns, drawn, part.held)
         found = normal_equations(rows, block_of_row=block_of_row, block_count=request.blocks)
-        survey = None
-        if request.surveyed:
-            noise = partial(_added_by_noise, equation, columns, part.record, part.levels)
-            shape = WindowSet(drawn.start[None], drawn.stop[None])
-            blocks = Blocks(0, part.record.sample_count, 1, held)
-            survey = _surveyed(criterion, equation, columns, noise, shape, part.record, blocks)
-        return Drawn(found.moments, found.count, survey)
+        moments = ((found.moments[:, None], found.count[:, None]),)
+        bare = None if criterion.smoothness else underived(equation)
+        watched = _watched(columns, noise, record, blocks, half, request, bare, moments)
+        if not request.surveyed:
+            return watched
+        every = WindowSet(drawn.start[None], drawn.stop[None])
+        survey = _surveyed(criterion, equation, columns, noise, every, record, blocks)
+        return watched._replace(survey=survey)
 
-    watched = _in_chunks(procedure, criterion, part, watch, 0, request)
-    return watched, [[sums(equation) for equation in stage] for stage in procedure.stages]
+    return _in_chunks(procedure, criterion, part, watch, 0, request)
 
 
 @eqx.filter_jit

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import LengthBins, law_in_bins
-from riecjax.criteria.windows import MOST_BLOCKS, AllWindows
+from riecjax.criteria.windows import AllWindows, power_of_two
 from riecjax.equations.equation import Equation
 from riecjax.equations.sample_by_sample import mixing_expressions
 from riecjax.errors import ModelError
@@ -132,25 +132,29 @@ class Reading:
             )
             for part in self._parts(layout, lengths[-1].reach)
         ]
-        count = -(-self.count // layout.block)
-        wanted = max(layout.block, 2 ** int(np.ceil(np.log2(max(self.count / MOST_BLOCKS, 1)))))
-        pairs = max(wanted // layout.block, 1)
+        pairs = windows.block(self.count) // layout.block
+        return layout.block * pairs, self._stages(found, layout.block, pairs)
+
+    def _stages(
+        self, found: list[list[list[Watched]]], block: int, pairs: int
+    ) -> list[list[EquationSums]]:
+        """Sums of all equations from what is found in each part, so many blocks put together."""
+        count = -(-self.count // block)
 
         def of_equation(i: int, j: int) -> EquationSums:
             parts = [one[i][j] for one in found]
 
             def kept(of: int) -> np.ndarray:
                 """Sums, or numbers, of all parts and bins, the bins first."""
-                groups = [[p.moments[group][of] for p in parts] for group, _ in enumerate(lengths)]
-                every = np.concatenate([np.concatenate(group) for group in groups], axis=1)
-                return _together(np.moveaxis(every[:count], 1, 0), pairs)
+                groups = zip(*(p.moments for p in parts))
+                every = [np.concatenate([part[of] for part in group]) for group in groups]
+                in_bins = np.moveaxis(np.concatenate(every, axis=1)[:count], 1, 0)
+                return _together(in_bins, pairs)
 
-            moments, number = kept(0), kept(1)
-            return self._equation(self.procedure.stages[i][j], moments, number, parts)
+            return self._equation(self.procedure.stages[i][j], kept(0), kept(1), parts)
 
         shape = [len(stage) for stage in self.procedure.stages]
-        stages = [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
-        return layout.block * pairs, stages
+        return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
 
     def _windows(self) -> AllWindows:
         windows = self.criterion.in_windows
@@ -172,13 +176,12 @@ class Reading:
         within = _arrays(cut, lambda leaf: leaf[:beyond])
         longer = _arrays(cut, lambda leaf: leaf[beyond:])
         longest = float(self.bins.edges[-1]) / self.step + 2
-        return Lengths(within, reach), Lengths(longer, 2 ** int(np.ceil(np.log2(longest))))
+        return Lengths(within, reach), Lengths(longer, power_of_two(longest))
 
     def _layout(self, windows: AllWindows, reach: int, fill: bool) -> _Layout:
         n = self.count
         longest = windows.reach(n)
-        if -(-n // 2) < longest:
-            block = -(-n // 2)
+        if (block := windows.block(n)) < longest:
             averaged, surveyed = AVERAGED // 2, self.survey * SURVEYED // 2
             request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
             return _Layout(block, n, self._filled(n) if fill else None, request)
@@ -196,7 +199,7 @@ class Reading:
 
     def _filled(self, samples: int) -> int:
         longer = [length for length in FILLED if length >= samples]
-        return longer[0] if longer else 2 ** int(np.ceil(np.log2(samples)))
+        return longer[0] if longer else power_of_two(samples)
 
     def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
         """The recording cut into parts, each with what its windows reach beyond it."""
@@ -228,17 +231,8 @@ class Reading:
         layout = _Layout(block, n, self._filled(n) if fill else None, request)
         (part,) = self._parts(layout, 0)
         given = (self.procedure, self.criterion, part, self.key)
-        watched, drawn = jax.tree.map(np.asarray, of_rows(*given, jnp.asarray(self.half), request))
-        count = -(-n // block)
-
-        def of_equation(i: int, j: int) -> EquationSums:
-            own = drawn[i][j]
-            parts = [watched[i][j]._replace(survey=own.survey)]
-            moments, number = (np.asarray(v)[None, :count] for v in (own.moments, own.number))
-            return self._equation(self.procedure.stages[i][j], moments, number, parts)
-
-        shape = [len(stage) for stage in self.procedure.stages]
-        stages = [[of_equation(i, j) for j in range(m)] for i, m in enumerate(shape)]
+        found = jax.tree.map(np.asarray, of_rows(*given, jnp.asarray(self.half), request))
+        stages = self._stages([found], block, 1)
         if self._nearly_collinear(stages):
             rows = all_rows(*given)
             factors = [

@@ -14,8 +14,9 @@ from riecjax.estimation.assembly import traced_sums
 from riecjax.estimation.procedure import HasProcedure, Procedure
 from riecjax.estimation.question import Task, task
 from riecjax.estimation.reading import Reading
-from riecjax.estimation.summary import Outline, Summary, is_under_trace
-from riecjax.leaves import is_concrete
+from riecjax.estimation.summary import Outline, Summary
+from riecjax.estimation.sums import RecordingSums
+from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.record import Record
 
 
@@ -57,17 +58,15 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
     outline = Outline.of(procedure)
     traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
     kept_apart = None if bins is None else _bins(criterion, bins, traced)
-    if traced:
-        sums = [traced_sums(procedure, r, criterion, k) for r, k in zip(records, keys)]
-        return Summary(tuple(sums), criterion, outline, None, (0, 1), (0, 1))
-    sums = [
-        Reading(procedure, record, criterion, key, kept_apart, survey).sums()
-        for record, key in zip(records, keys)
-    ]
-    if kept_apart is None:
-        return Summary(tuple(sums), criterion, outline, None, (0, 1), (0, 1))
-    band = kept_apart.band
-    return Summary(tuple(sums), criterion, outline, kept_apart.edges, band, band)
+    edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
+
+    def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
+        if traced:
+            return traced_sums(procedure, record, criterion, key)
+        return Reading(procedure, record, criterion, key, kept_apart, survey).sums()
+
+    every = tuple(sums(record, key) for record, key in zip(records, keys))
+    return Summary(every, criterion, outline, edges, band, band)
 
 
 def _bins(criterion: AbstractCriterion, bins: int | ArrayLike, traced: bool) -> LengthBins:

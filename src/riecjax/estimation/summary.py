@@ -7,7 +7,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -376,8 +375,3 @@ def _sum_of_bins(values: Leaf, first: int, last: int, xp: Any) -> Array:
 
 def _filled_up(blocks: Array, room: int, xp: Any) -> Array:
     return xp.pad(blocks, [(0, room - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
-
-
-def is_under_trace() -> bool:
-    """Whether JAX is tracing what runs now, so that known numbers are traced as well."""
-    return not is_concrete(jnp.zeros(()))

@@ -18,12 +18,7 @@ from riecjax.estimation.assembly import all_normal_equations
 from riecjax.estimation.influence import in_order, staged_values, unknowns
 from riecjax.estimation.least_squares import solve
 from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.estimation.question import (
-    known_values,
-    plan_stages,
-    record_keys,
-    require_settings,
-)
+from riecjax.estimation.question import question, record_keys, require_key
 from riecjax.estimation.sharing import Sharing
 from riecjax.records.record import Record, as_records
 
@@ -61,15 +56,13 @@ def seed_scatter(
     require(
         "the criterion", criterion, AbstractCriterion, "rx.RIEC(rx.RandomWindows(0.05, 0.5, 8000))"
     )
-    require_settings(key, known, per_record)
+    require_key(key)
     if not criterion.needs_key:
         raise ModelError("only random windows scatter from seed to seed; this criterion has none.")
     if seeds < 2:
         raise ModelError(f"scatter needs at least two seeds; got {seeds}.")
     recordings = as_records(records)
-    sharing = Sharing(procedure.parameters, per_record, len(recordings))
-    given = known_values(procedure, sharing, known or {})
-    plan = plan_stages(procedure, sharing, given)
+    sharing, given, plan = question(procedure, len(recordings), known, per_record)
     keys = jax.random.split(key, seeds)
     theta = _estimates(procedure, sharing, recordings, criterion, keys, given)
     return SeedScatter(theta, tuple(name for _, names in plan for name in names))
