@@ -28,21 +28,24 @@ from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
-from riecjax.estimation.assembly import stage_normal_equations
 from riecjax.estimation.identify import identify
-from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich, Uncertainty
-from riecjax.estimation.normal_equations import NormalEquations
-from riecjax.estimation.procedure import found_values, solve_stages
-from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
-from riecjax.models.quarter_car.identification import QuarterCar
+from riecjax.estimation.stages import found_values, solve_stages
+from riecjax.models.quarter_car.identification import (
+    QuarterCar,
+    quarter_car_by_body,
+    quarter_car_by_wheel,
+)
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import TABLE_2
 from riecjax.paper.reproduction import TRUE_MASSES, identification_record
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich, Uncertainty
 
 PROCEDURES = {"W": quarter_car_by_wheel, "B": quarter_car_by_body}
 READ = ("x1", "x2", "x3", "x4", "F_t")

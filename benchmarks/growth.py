@@ -75,7 +75,7 @@ def windows(count: int) -> Callable[[], Any]:
 
     from riecjax.criteria.criterion import RIEC
     from riecjax.criteria.windows import RandomWindows
-    from riecjax.estimation.normal_equations import normal_equations
+    from riecjax.summaries.normal_equations import normal_equations
 
     criterion = RIEC(RandomWindows(0.02, 0.2, count))
     equation, record = equation_of(5), record_of(8000, 6)

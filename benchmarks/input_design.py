@@ -25,7 +25,7 @@ from riecjax.models.quarter_car.identification import QuarterCar
 from riecjax.records.record import Record
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
-from riecjax.simulation.excitation import band_limited_noise, harmonics
+from riecjax.simulation.inputs import band_limited_noise, harmonics
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem

@@ -22,14 +22,13 @@ from jaxtyping import Array, Key
 from benchmarks.writing import write_json
 from riecjax.criteria.laws import RatioLaw
 from riecjax.criteria.windows import AllWindows
-from riecjax.models.quarter_car.equations import quarter_car_by_body
-from riecjax.models.quarter_car.identification import QuarterCar
+from riecjax.models.quarter_car.identification import QuarterCar, quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import TABLE_2
 from riecjax.paper.reproduction import VALIDATED_STATES, identification_record
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import robson_road
+from riecjax.simulation.inputs import robson_road
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.law_learning import (

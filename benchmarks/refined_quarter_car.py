@@ -68,11 +68,11 @@ from riecjax.refinement.parametric import ByFunction
 from riecjax.refinement.refine import refine
 from riecjax.refinement.refined import Refined
 from riecjax.refinement.shots import Tiles
-from riecjax.simulation.excitation import band_limited_noise, robson_road
+from riecjax.simulation.inputs import band_limited_noise, robson_road
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
-from riecjax.validation.percentage_error import percentage_error
+from riecjax.validation.goodness_of_fit import percentage_error
 
 STEP = 1 / TABLE_2.rate
 PLACES: dict[str, float] = dict(zip(VELOCITIES, BREAK_POINTS))

@@ -30,18 +30,15 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
-from riecjax.estimation.intervals import (
-    AbstractIntervals,
-    BlockBootstrap,
-    Evidence,
-    Sandwich,
-    Uncertainty,
+from riecjax.records.record import Record
+from riecjax.studies.monte_carlo import over_keys
+from riecjax.uncertainty.block_statistics import Evidence
+from riecjax.uncertainty.covariances import (
     effective_freedom,
     jackknife_covariance,
     sandwich_covariance,
 )
-from riecjax.records.record import Record
-from riecjax.studies.monte_carlo import over_keys
+from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap, Sandwich, Uncertainty
 
 STEP = 0.01
 SAMPLES_OF_BLOCK = 256

@@ -28,7 +28,6 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from benchmarks.writing import write_json
-from riecjax.estimation.intervals import BlockBootstrap, Sandwich, Uncertainty
 from riecjax.models.catalogue import built_in_model
 from riecjax.paper.published import TABLE_2
 from riecjax.records.record import Record
@@ -37,10 +36,11 @@ from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
 from riecjax.refinement.refined import Refined
 from riecjax.refinement.shots import Tiles
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
+from riecjax.uncertainty.intervals import BlockBootstrap, Sandwich, Uncertainty
 
 MODEL = built_in_model("quarter-car-source")
 TRUTH = {p.name: float(p.default or 0.0) for p in MODEL.simulation_parameters}

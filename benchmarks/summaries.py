@@ -145,8 +145,8 @@ def lengths() -> dict[str, dict[str, float]]:
 def questions() -> dict[str, dict[str, float]]:
     """Each question to one Summary, against the same to the samples."""
     from riecjax.estimation.identify import estimate, identify
-    from riecjax.estimation.intervals import BlockBootstrap, Sandwich
-    from riecjax.estimation.summarise import summarise
+    from riecjax.summaries.summarise import summarise
+    from riecjax.uncertainty.intervals import BlockBootstrap, Sandwich
 
     model, record = equation(), made_record(SAMPLES)
     summary = summarise(model, record, criterion(), bins=BINS)
@@ -188,7 +188,7 @@ def cost() -> dict[str, dict[str, float]]:
     """Summaries of different content, for two records."""
     import jax
 
-    from riecjax.models.quarter_car.equations import quarter_car_by_body
+    from riecjax.models.quarter_car.identification import quarter_car_by_body
     from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
     from riecjax.paper.reproduction import identification_record
 
@@ -203,7 +203,7 @@ def cost() -> dict[str, dict[str, float]]:
 
 def cost_of(name: str, model: Any, record: Any) -> dict[str, float]:
     from riecjax.estimation.identify import identify
-    from riecjax.estimation.summarise import summarise
+    from riecjax.summaries.summarise import summarise
 
     def summed(**kept: Any) -> Any:
         return summarise(model, record, criterion(), **kept)
@@ -227,7 +227,7 @@ def cost_of(name: str, model: Any, record: Any) -> dict[str, float]:
 def merged() -> dict[str, Any]:
     """Four recordings, summed one by one, against one fit of all."""
     from riecjax.estimation.identify import estimate, identify
-    from riecjax.estimation.summarise import summarise
+    from riecjax.summaries.summarise import summarise
 
     model = equation()
     records = [made_record(SAMPLES // 4, seed) for seed in range(4)]

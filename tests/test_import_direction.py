@@ -12,6 +12,8 @@ STAGES = (
     "records",
     "equations",
     "criteria",
+    "summaries",
+    "uncertainty",
     "estimation",
     "simulation",
     "refinement",
@@ -24,7 +26,7 @@ STAGES = (
 )
 OUTSIDE = ("models", "paper", "reporting", "cli")
 """What the engine never imports."""
-SHARED = ("errors", "findings", "leaves", "runtime", "tails")
+SHARED = ("errors", "findings", "leaves", "linear_algebra", "runtime", "tails")
 """Modules beside the stages that all may import, and that import nothing of the package."""
 ROOT = Path(riecjax.__file__).parent
 MODULES = sorted(path.relative_to(ROOT) for path in ROOT.glob("*/**/*.py"))

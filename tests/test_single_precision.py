@@ -9,7 +9,7 @@ from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
-from riecjax.models.quarter_car.equations import quarter_car_by_body
+from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record

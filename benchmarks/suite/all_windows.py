@@ -15,11 +15,11 @@ from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.least_squares import solve
-from riecjax.estimation.normal_equations import NormalEquations, normal_equations
-from riecjax.models.quarter_car.equations import body_equation
+from riecjax.models.quarter_car.identification import body_equation
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
+from riecjax.summaries.normal_equations import NormalEquations, normal_equations
 
 WINDOWS, SPRUNG_MASS = 8000, 300.0
 SIGNALS = ("x2", "x3", "x4")

@@ -35,7 +35,7 @@ from riecjax.refinement.optimum import Problem, Solver, default_solver, find_opt
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import _setup, _variance
 from riecjax.refinement.shots import Tiles
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import CLASSICAL_RUNGE_KUTTA, AbstractMethod, Adaptive, FixedStep
 
 STEPS, COUNT, TIME_STEP = 8, 8000, 1 / 200

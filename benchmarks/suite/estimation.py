@@ -18,12 +18,12 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
-from riecjax.estimation.intervals import Uncertainty
-from riecjax.models.quarter_car.equations import quarter_car_by_body
+from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record, Signals
 from riecjax.refinement.refine import refine
+from riecjax.uncertainty.intervals import Uncertainty
 
 REPLICATES = 2000
 SEEDS = 20

@@ -14,7 +14,7 @@ from benchmarks.timing import Comparison, Size, compare, seconds
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep
 from riecjax.simulation.simulate import simulate
 

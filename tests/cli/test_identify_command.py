@@ -11,17 +11,17 @@ import pytest
 import scipy.stats
 from command_line import call, quarter_car_columns, write_csv
 
-from riecjax.cli.drive import drive
 from riecjax.cli.main import run
+from riecjax.cli.simulate import drive
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
-from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
-from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
+from riecjax.models.quarter_car.identification import quarter_car_by_body, quarter_car_by_wheel
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.records.record import Record
 from riecjax.simulation.simulate import simulate
+from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich
 
 PARAMETERS = ("K_t", "M_us", "M_s", "K_s", "F_1", "F_2", "F_3", "F_4")
 UNITS = ("N/m", "kg", "kg", "N/m", "N", "N", "N", "N")

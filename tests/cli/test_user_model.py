@@ -21,7 +21,7 @@ UNITS = {"m": "kg", "c": "N s/m", "k": "N/m^3"}
 IMPORTS = """
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
-from riecjax.estimation.procedure import simultaneous, staged
+from riecjax.equations.procedure import simultaneous, staged
 from riecjax.models.model import Model, Quantity
 """
 POSITION = '"x", derivative=2, measured=("v", "a")'

@@ -11,13 +11,13 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
-from riecjax.estimation import reading
-from riecjax.estimation.assembly import stage_normal_equations
 from riecjax.estimation.identify import identify
-from riecjax.estimation.procedure import staged
 from riecjax.records.record import Record
+from riecjax.summaries import reduction as reading
+from riecjax.summaries.stage_sums import stage_normal_equations
 
 EQUATION = Equation(Term("m", "v", derivative=1), Term("k", lambda s: s["x"]), -Term(1.0, "u"))
 STEP = 0.01

@@ -3,9 +3,8 @@ import pytest
 import scipy.integrate
 
 from riecjax.criteria.bump import Bump
-from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.test_functions import Boxcar, Hat, expected_gain
 from riecjax.errors import ModelError
-from riecjax.studies.expected_gain import expected_gain
 
 FREQUENCY = np.array([0.0, 0.3, 1.0, 3.7, 10.0, 42.0])
 WEIGHTS = {

@@ -15,8 +15,8 @@ from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.estimation.least_squares import solve
-from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.records.record import Record
+from riecjax.summaries.normal_equations import NormalEquations
 
 EQUATION = Equation(
     Term("m", "x", derivative=2, measured=("dx",)),

@@ -12,8 +12,8 @@ import scipy.integrate
 import riecjax as rx
 from riecjax.cli.criteria import TEST_FUNCTION_NAMES, CriterionOptions
 from riecjax.criteria.test_function_names import TEST_FUNCTIONS
+from riecjax.equations.procedure import staged
 from riecjax.estimation.check import Check
-from riecjax.estimation.procedure import staged
 from riecjax.models.model import Model
 from riecjax.reporting.identification import Identification
 from riecjax.reporting.identification_figures import identification_figures

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from riecjax.criteria.criterion import DOLS
+from riecjax.equations.bases import friction
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant, difference, faster_than, product
-from riecjax.equations.friction import friction
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify

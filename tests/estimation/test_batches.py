@@ -14,12 +14,11 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
-from riecjax.estimation.intervals import BlockBootstrap, Sandwich
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.refine import refine
-from riecjax.reporting.estimate import estimate_entries
-from riecjax.reporting.parameters import parameter_entries
+from riecjax.reporting.estimate import estimate_entries, parameter_entries
+from riecjax.uncertainty.intervals import BlockBootstrap, Sandwich
 from riecjax.validation.residual_tests import residual_tests
 
 EQUATION = Equation(

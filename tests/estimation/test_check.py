@@ -14,8 +14,8 @@ from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError
 from riecjax.estimation.check import check
 from riecjax.estimation.identify import identify
-from riecjax.estimation.noise import noise_level
 from riecjax.records.record import Record
+from riecjax.summaries.sums import noise_level
 
 KEY = jax.random.key(0)
 CRITERION = RIEC(RandomWindows(0.1, 0.5, 3000))

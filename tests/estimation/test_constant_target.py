@@ -10,14 +10,14 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
+from riecjax.equations.procedure import as_procedure, simultaneous, staged
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.identify import identify
-from riecjax.estimation.procedure import as_procedure, simultaneous, staged
 from riecjax.estimation.question import question
-from riecjax.estimation.summarise import summarise
 from riecjax.records.record import Record
+from riecjax.summaries.summarise import summarise
 
 M, C, K, FORCE = 2.0, 3.0, 80.0, 40.0
 RATE = 100

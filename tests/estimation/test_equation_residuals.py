@@ -14,15 +14,15 @@ from rich.console import Console
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import Procedure, simultaneous, staged
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
-from riecjax.estimation.intervals import Sandwich
-from riecjax.estimation.procedure import Procedure, simultaneous, staged
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.refine import refine
 from riecjax.reporting.estimate import estimate_entries, print_estimate
 from riecjax.reporting.identification_page import _fit
+from riecjax.uncertainty.intervals import Sandwich
 from riecjax.validation.residual_tests import residual_tests
 
 KEY = jax.random.key(2)

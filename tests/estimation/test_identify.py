@@ -8,11 +8,11 @@ import scipy.integrate
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import simultaneous, staged
 from riecjax.equations.term import Term
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
 from riecjax.estimation.identify import identify
-from riecjax.estimation.procedure import simultaneous, staged
-from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
+from riecjax.models.quarter_car.identification import quarter_car_by_body, quarter_car_by_wheel
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record, stack_records

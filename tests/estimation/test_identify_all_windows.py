@@ -14,10 +14,10 @@ from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
-from riecjax.estimation.procedure import staged
 from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.studies.window_sweep import window_sweep

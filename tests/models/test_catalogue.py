@@ -15,7 +15,7 @@ from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import MODELS, built_in_model
 from riecjax.models.model import Model
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 

@@ -8,14 +8,15 @@ import pytest
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
-from riecjax.models.quarter_car.equations import (
+from riecjax.models.quarter_car.identification import (
+    BREAK_POINTS,
+    QuarterCar,
     quarter_car_at_once,
     quarter_car_by_body,
     quarter_car_by_wheel,
 )
-from riecjax.models.quarter_car.identification import BREAK_POINTS, QuarterCar
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 

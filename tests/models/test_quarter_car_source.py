@@ -10,7 +10,7 @@ from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car import curves
 from riecjax.models.quarter_car.source import GRAVITY, QuarterCarSource, contact_share
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 

@@ -10,9 +10,9 @@ from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
-from riecjax.models.two_mass import TwoMass, two_mass_equation
+from riecjax.models.oscillators import TwoMass, two_mass_equation
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
 
 M1, M2, OMEGA, ZETA = 10.0, 1.0, 100.0, 0.5

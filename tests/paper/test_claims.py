@@ -8,19 +8,27 @@ import pytest
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.estimation.identify import identify
-from riecjax.models.quarter_car.equations import quarter_car_by_body
+from riecjax.models.oscillators import two_mass_system
+from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-from riecjax.models.two_mass import two_mass_system
 from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_means
-from riecjax.paper.claims.section_2 import bounded_impulse, drop_outs, window_errors
-from riecjax.paper.claims.section_4 import window_lengths
 from riecjax.paper.claims.section_6 import variation_claims
-from riecjax.paper.demonstration import RATE, SECOND_MASS, Demonstration, demonstrate
+from riecjax.paper.claims.sections_2_and_4 import (
+    bounded_impulse,
+    drop_outs,
+    window_errors,
+    window_lengths,
+)
 from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis
-from riecjax.paper.random_window_errors import WindowErrorMoments
 from riecjax.paper.reproduction import PARAMETERS, identification_record, road_keys
-from riecjax.paper.variation_study import Varied, VariedStudy
-from riecjax.paper.variations import Variations
+from riecjax.paper.section_2 import (
+    RATE,
+    SECOND_MASS,
+    Demonstration,
+    WindowErrorMoments,
+    demonstrate,
+)
+from riecjax.paper.variations import Variations, Varied, VariedStudy
 from riecjax.paper.window_lengths import LENGTHS, LengthMap, estimates_over_lengths
 from riecjax.records.record import Record
 from riecjax.simulation.simulate import simulate

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.paper.eigenstructure import linear_source, table_1
 from riecjax.paper.published import TABLE_1, TABLE_6
+from riecjax.paper.tables import linear_source, table_1
 from riecjax.simulation.linearisation import linearise, modes
 
 # As printed: eigenvalue, frequency, damping ratio; velocities of wheel, body, engine minus body.

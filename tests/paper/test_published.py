@@ -12,10 +12,10 @@ from riecjax.paper.claims.tables import table_claims
 from riecjax.paper.reproduction import identification_record, identify_variants, run_road
 from riecjax.paper.tables import contact, table_3, table_4, table_5
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import robson_road
+from riecjax.simulation.inputs import robson_road
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
-from riecjax.validation.percentage_error import percentage_error
+from riecjax.validation.goodness_of_fit import percentage_error
 
 # The command's default. Over 8 roads the mean of DOLS' B_id stiffness still scatters by 0.5 %.
 ROADS = 32

@@ -10,8 +10,11 @@ from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
-from riecjax.models.quarter_car.equations import quarter_car_by_body, quarter_car_by_wheel
-from riecjax.models.quarter_car.identification import QuarterCar
+from riecjax.models.quarter_car.identification import (
+    QuarterCar,
+    quarter_car_by_body,
+    quarter_car_by_wheel,
+)
 from riecjax.models.quarter_car.reconstruction import Pothole, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
@@ -24,7 +27,7 @@ from riecjax.paper.reproduction import (
     run_road,
 )
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import pothole
+from riecjax.simulation.inputs import pothole
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 

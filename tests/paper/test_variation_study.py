@@ -10,16 +10,17 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.models.quarter_car.reconstruction import reconstructed
-from riecjax.paper import variation_study
+from riecjax.paper import variations as variation_study
 from riecjax.paper.reproduction import PARAMETERS
-from riecjax.paper.variation_study import (
+from riecjax.paper.variations import (
     ERRORS,
+    RoadVariations,
+    Variations,
     parts_of,
     run_variations,
     varied_study,
     write_variations,
 )
-from riecjax.paper.variations import RoadVariations, Variations
 
 PLAN = Variations((5.0, 30.0, 12.0), ("pathological", "higher-mode"), 6, 2)
 KEY = jax.random.key(3)

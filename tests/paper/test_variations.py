@@ -19,7 +19,7 @@ from riecjax.paper.reproduction import (
     training_noise,
 )
 from riecjax.paper.variations import RoadVariations, vary_road
-from riecjax.simulation.excitation import low_passed
+from riecjax.simulation.inputs import low_passed
 from riecjax.simulation.method import FixedStep
 
 # Coarse steps: what is tested is that ways of computing agree, not how accurately.

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.refinement.arrowhead import Linearised, triangular_factor
+from riecjax.linear_algebra import triangular_factor
+from riecjax.refinement.arrowhead import Linearised
 
 ROWS = 12
 

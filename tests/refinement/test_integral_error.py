@@ -12,15 +12,15 @@ from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import simultaneous
 from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
-from riecjax.estimation.intervals import BlockBootstrap
-from riecjax.estimation.procedure import simultaneous
 from riecjax.records.record import Record
 from riecjax.refinement.balance import AbstractBalance, as_balances
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.refine import refine
+from riecjax.uncertainty.intervals import BlockBootstrap
 
 TRUTH = {"M": 2.0, "Fv": 3.0, "Fc": 1.5, "Fs": 4.0, "vs": 0.15}
 START = {"M": 1.0, "Fv": 1.0, "Fc": 1.0, "Fs": 1.0, "vs": 0.4}

@@ -28,10 +28,10 @@ from riecjax.refinement.arrowhead import LevenbergMarquardt
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
-from riecjax.simulation.excitation import band_limited_noise, robson_road
+from riecjax.simulation.inputs import band_limited_noise, robson_road
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
-from riecjax.validation.percentage_error import validate
+from riecjax.validation.goodness_of_fit import validate
 
 STEP = 1 / 200
 METHOD = FixedStep(3)

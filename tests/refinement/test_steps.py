@@ -15,9 +15,8 @@ from jaxtyping import Array
 from riecjax.errors import ModelError
 from riecjax.models.oscillators import Duffing
 from riecjax.records.record import Record
-from riecjax.refinement.halved_steps import Halved, resolved
-from riecjax.refinement.misfit import AbstractMisfit
-from riecjax.refinement.optimum import RefinementStatus
+from riecjax.refinement.objective import AbstractMisfit
+from riecjax.refinement.optimum import Halved, RefinementStatus, resolved
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import _setup, refine
 from riecjax.refinement.shots import Tiles

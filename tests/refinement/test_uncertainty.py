@@ -8,7 +8,6 @@ import pytest
 from benchmarks.drag_problem import BOUND, RATE, START, TRUTH, motion, oscillator, record, signals
 from jaxtyping import Array
 
-from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.coordinates import Prior
 from riecjax.refinement.output_error import OutputError
@@ -16,6 +15,7 @@ from riecjax.refinement.refine import refine
 from riecjax.refinement.shots import Tiles
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem
+from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich
 
 WHOLE = OutputError(method=FixedStep(1))
 SEEDS = 100

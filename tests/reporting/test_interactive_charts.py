@@ -23,7 +23,7 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.charts.spaces import narrowest
+from riecjax.reporting.charts.layout import narrowest
 
 
 def figure_of(mark: Any, x: Axis | None = None, y: Axis | None = None) -> dict[str, Any]:

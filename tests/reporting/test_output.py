@@ -18,12 +18,11 @@ from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError
 from riecjax.estimation.check import Check
 from riecjax.estimation.identify import estimate, identify
-from riecjax.estimation.procedure import staged
-from riecjax.estimation.summarise import summarise
 from riecjax.records.record import Record
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
@@ -36,7 +35,8 @@ from riecjax.reporting.identification import (
 from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import emit, versions, write_folder
 from riecjax.reporting.page import Page, Section
-from riecjax.studies.seed_scatter import SeedScatter
+from riecjax.studies.monte_carlo import SeedScatter
+from riecjax.summaries.summarise import summarise
 from riecjax.validation.residual_tests import ResidualTests
 
 DOCUMENT = {

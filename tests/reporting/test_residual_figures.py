@@ -10,9 +10,12 @@ from riecjax.equations.term import Term
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import Chart, HeatMap, Line
 from riecjax.reporting.charts.printed import printed
-from riecjax.reporting.residual_figures import density_label, residual_figures
-from riecjax.reporting.window_choice_figures import window_choice_figures
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.reporting.residual_figures import (
+    density_label,
+    residual_figures,
+    window_choice_figures,
+)
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.studies.window_choice import window_choice
 from riecjax.validation.residual_tests import residual_tests
 

@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import simultaneous, staged
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import ModelError
-from riecjax.estimation.procedure import simultaneous, staged
 from riecjax.models.emps import (
     emps_asymmetric_equation,
     emps_asymmetric_system,
@@ -26,12 +26,12 @@ from riecjax.models.oscillators import (
     pendulum_equation,
     pendulum_system,
 )
-from riecjax.models.quarter_car.equations import (
+from riecjax.models.quarter_car.identification import (
     quarter_car_at_once,
     quarter_car_by_body,
     quarter_car_by_wheel,
+    quarter_car_system,
 )
-from riecjax.models.quarter_car.identification import quarter_car_system
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.linearisation import linearise

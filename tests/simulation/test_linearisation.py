@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from riecjax.models.catalogue import built_in_model
-from riecjax.models.oscillators import DragOscillator
+from riecjax.models.oscillators import DragOscillator, TwoMass
 from riecjax.models.quarter_car.curves import BumpStopSpring, HardeningMount, LinearDamper
 from riecjax.models.quarter_car.source import QuarterCarSource
-from riecjax.models.two_mass import TwoMass
 from riecjax.simulation.linearisation import linearise, modes
 
 

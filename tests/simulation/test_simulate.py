@@ -16,7 +16,7 @@ from riecjax.errors import DataError, ModelError, SimulationError
 from riecjax.models.oscillators import Duffing
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import Adaptive, FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem

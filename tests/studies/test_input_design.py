@@ -12,7 +12,7 @@ from riecjax.models.oscillators import DragOscillator
 from riecjax.records.record import Record
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
-from riecjax.simulation.excitation import band_limited_noise, harmonics, multisine
+from riecjax.simulation.inputs import band_limited_noise, harmonics, multisine
 from riecjax.simulation.method import Adaptive, FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem, Quantities

@@ -5,12 +5,12 @@ import pytest
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
-from riecjax.estimation.procedure import staged
 from riecjax.records.record import Record
-from riecjax.studies.seed_scatter import seed_scatter
+from riecjax.studies.monte_carlo import seed_scatter
 
 FIRST = Equation(Term("m", "v", derivative=1, measured=("a",)), -Term(1.0, "f"), name="first")
 SECOND = Equation(

@@ -12,11 +12,11 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
-from riecjax.models.quarter_car.equations import mass_equation, quarter_car_by_body
+from riecjax.models.quarter_car.identification import mass_equation, quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.studies.window_choice import window_choice
 
 

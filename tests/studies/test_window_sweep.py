@@ -14,7 +14,7 @@ from riecjax.errors import DataError
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import DragOscillator, drag_oscillator_equation
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.window_sweep import window_sweep
 

@@ -8,12 +8,12 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
+from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.procedure import staged
-from riecjax.models.two_mass import TwoMass, two_mass_equation
+from riecjax.models.oscillators import TwoMass, two_mass_equation
 from riecjax.records.record import Record, stack_records
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
 from riecjax.validation.equation_error import equation_error, errors_over_records, joined
 

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from riecjax.records.record import Record
-from riecjax.validation.goodness_of_fit import nrmse_fit, variance_accounted_for
-from riecjax.validation.percentage_error import percentage_error, validate
+from riecjax.validation.goodness_of_fit import (
+    nrmse_fit,
+    percentage_error,
+    validate,
+    variance_accounted_for,
+)
 
 MEASURES = (nrmse_fit, variance_accounted_for, percentage_error)
 

@@ -9,9 +9,13 @@ import pytest
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
-from riecjax.models.oscillators import Duffing, duffing_equation, pendulum_equation
+from riecjax.models.oscillators import (
+    Duffing,
+    duffing_equation,
+    pendulum_equation,
+    two_mass_equation,
+)
 from riecjax.models.quarter_car.identification import quarter_car_system
-from riecjax.models.two_mass import two_mass_equation
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.method import FixedStep

@@ -7,7 +7,7 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.records.record import Record
-from riecjax.validation.percentage_error import Validation, percentage_error, validate
+from riecjax.validation.goodness_of_fit import Validation, percentage_error, validate
 
 
 def test_error_of_three_four_five_is_as_by_hand():

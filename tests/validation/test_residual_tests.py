@@ -13,14 +13,12 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
-from riecjax.models.oscillators import Duffing, duffing_equation
-from riecjax.models.quarter_car.equations import quarter_car_by_body
-from riecjax.models.quarter_car.identification import QuarterCar
+from riecjax.models.oscillators import Duffing, TwoMass, duffing_equation, two_mass_equation
+from riecjax.models.quarter_car.identification import QuarterCar, quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-from riecjax.models.two_mass import TwoMass, two_mass_equation
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise
+from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
 from riecjax.validation.equation_error import EquationError
 from riecjax.validation.error_correlation import (

@@ -40,7 +40,7 @@ def command(
     import jax
 
     from riecjax.estimation.check import check
-    from riecjax.models.resolve import find_model
+    from riecjax.models.catalogue import find_model
     from riecjax.reporting.checking import check_document, print_check
     from riecjax.reporting.output import emit
     from riecjax.reporting.page import Page

@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from jaxtyping import Array, Float, Key
 
     from riecjax.criteria.criterion import AbstractCriterion
+    from riecjax.equations.procedure import Procedure
     from riecjax.estimation.estimate import Estimate
-    from riecjax.estimation.procedure import Procedure
-    from riecjax.estimation.summary import Summary
     from riecjax.models.model import Model
     from riecjax.records.record import Record
     from riecjax.refinement.refined import Refined
     from riecjax.reporting.identification import ValidationRun
     from riecjax.reporting.refinement import Refinement
-    from riecjax.studies.seed_scatter import SeedScatter
+    from riecjax.studies.monte_carlo import SeedScatter
     from riecjax.studies.window_choice import WindowChoice
     from riecjax.studies.window_sweep import WindowSweep
+    from riecjax.summaries.summary import Summary
     from riecjax.validation.residual_tests import ResidualTests
 
 
@@ -134,13 +134,13 @@ def command(
     from riecjax.estimation.check import check, raise_if_refused
     from riecjax.estimation.excitation import excitations
     from riecjax.estimation.identify import estimate as estimated
-    from riecjax.estimation.intervals import BlockBootstrap, Naive, Sandwich
     from riecjax.estimation.question import question
-    from riecjax.estimation.summarise import summarise
     from riecjax.leaves import on_host
-    from riecjax.models.resolve import find_model
+    from riecjax.models.catalogue import find_model
     from riecjax.reporting.estimate import estimate_entries, print_estimate
     from riecjax.reporting.output import emit, require_folder
+    from riecjax.summaries.summarise import summarise
+    from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich
 
     if out is not None:
         require_folder(out)
@@ -288,7 +288,7 @@ def _seeds(
     key: "Key[Array, '']",
     settings: dict[str, Any],
 ) -> "SeedScatter | None":
-    from riecjax.studies.seed_scatter import seed_scatter
+    from riecjax.studies.monte_carlo import seed_scatter
 
     if not criterion.needs_key:
         return None

@@ -15,9 +15,9 @@ from riecjax.findings import Finding
 if TYPE_CHECKING:
     from riecjax.criteria.criterion import AbstractCriterion
     from riecjax.models.model import Model
-    from riecjax.models.preparation import Preparation
-    from riecjax.records.reading.assembly import Selection
+    from riecjax.records.preparation.steps import Preparation
     from riecjax.records.reading.channels import Channels
+    from riecjax.records.reading.selection import Selection
     from riecjax.records.record import Record
 
 RECORD_OPTIONS = (
@@ -125,7 +125,7 @@ class RecordingOptions:
     every: int
 
     def selection(self) -> "Selection":
-        from riecjax.records.reading.assembly import Selection
+        from riecjax.records.reading.selection import Selection
 
         return Selection(
             rename=self.rename,
@@ -136,7 +136,7 @@ class RecordingOptions:
         )
 
     def preparation(self) -> "Preparation":
-        from riecjax.models.preparation import Preparation
+        from riecjax.records.preparation.steps import Preparation
 
         return Preparation(
             start=self.start,
@@ -181,10 +181,10 @@ def load(
     """
     import numpy as np
 
-    from riecjax.estimation.question import signals_read
-    from riecjax.models.preparation import prepare
-    from riecjax.records.reading.assembly import record_from_channels
+    from riecjax.records.preparation.steps import prepare
     from riecjax.records.reading.read import read_channels
+    from riecjax.records.reading.selection import record_from_channels
+    from riecjax.summaries.task import signals_read
 
     procedure = model.build_procedure()
     loaded = []
@@ -198,7 +198,7 @@ def load(
                 given = tuple(record.arrays)
                 record, mismatched = with_model_units(record, model, options)
                 idle = options.preparation().idle_cuts(record)
-                record, steps = prepare(record, model, options.preparation())
+                record, steps = prepare(record, model.derived, options.preparation())
                 read = signals_read(procedure, record, criterion)
             unread = [name for name in record.arrays if name not in read]
             steps = [step for step in steps if step.partition(":")[0] not in unread]
@@ -239,7 +239,7 @@ def _why_missing(channels: "Channels", signal: str) -> str:
     """Why the column of this name, perhaps with its unit behind it, is no signal; empty if none."""
     import numpy as np
 
-    from riecjax.records.reading.unit_names import split_unit
+    from riecjax.records.reading.units import split_unit
 
     for column, why in channels.left_out.items():
         if signal in (column, split_unit(column)[0]):
@@ -256,7 +256,7 @@ def with_model_units(
     record: "Record", model: "Model", options: RecordingOptions
 ) -> tuple["Record", dict[str, str]]:
     """The record in the model's units, and what the file says against them, by signal."""
-    from riecjax.records.reading.unit_names import NOT_SI
+    from riecjax.records.reading.units import NOT_SI
 
     stated = dict(record.units)
     units = {quantity.name: quantity.unit for quantity in model.signals if quantity.unit}

@@ -88,7 +88,7 @@ def _study(seed: int, quick: bool, as_json: bool, out: Path | None) -> None:
     from riecjax.models.quarter_car.reconstruction import reconstructed
     from riecjax.paper.claims.evaluate import evaluate_claims
     from riecjax.paper.study import FULL, QUICK, run_study
-    from riecjax.paper.variation_study import write_variations
+    from riecjax.paper.variations import write_variations
     from riecjax.reporting.output import emit
     from riecjax.reporting.paper_charts.all import study_charts
     from riecjax.reporting.reproduction import print_reproduction, reproduction_document

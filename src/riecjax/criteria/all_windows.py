@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Int
 from riecjax.criteria.chunks import Blocks
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import each_bin
-from riecjax.criteria.running_sums import running_sum
+from riecjax.criteria.quadrature import running_sum
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 

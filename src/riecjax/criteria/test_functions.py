@@ -24,7 +24,7 @@ from riecjax.criteria.laws import LagBins
 from riecjax.criteria.quadrature import ORDERS, running_integral
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.columns import Columns
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.records.record import Record
 
 
@@ -342,3 +342,24 @@ def whole(windows: WindowSet, present: Bool[Array, " n"] | None) -> Bool[Array, 
     first = jnp.floor(windows.start).astype(jnp.int32)
     last = jnp.ceil(windows.stop).astype(jnp.int32)
     return absent[last + 1] == absent[first]
+
+
+def expected_gain(
+    frequency: Float[np.ndarray, " frequencies"],
+    alpha: float,
+    beta: float,
+    test_function: AbstractTestFunction,
+    *,
+    power: Literal[1, 2] = 1,
+) -> Float[np.ndarray, " frequencies"]:
+    """Mean of |H|^power over T ~ U(alpha, beta), eq. (14), of the test function's `gain`.
+
+    `power=1` is what Fig. 3 draws; `power=2` is what least squares sees: times the density of an
+    error, and integrated, it is the mean square of the windows' errors.
+
+    **Arguments:** `frequency` in hertz; `alpha`, `beta` in seconds.
+
+    **Raises:** `ModelError` for what is no test function.
+    """
+    require("the test function", test_function, AbstractTestFunction, "rx.Hat(), an object")
+    return test_function.mean_gain(frequency, alpha, beta, power)

@@ -9,19 +9,20 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.equations.term import Terms
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.excitation import Excitation, excitations
-from riecjax.estimation.procedure import HasProcedure, Procedure
-from riecjax.estimation.question import question, signals_read, task
-from riecjax.estimation.summarise import summed
-from riecjax.estimation.summary import Summary
-from riecjax.estimation.sums import Survey
+from riecjax.estimation.question import question
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.quality import check_signals
 from riecjax.records.record import Record
+from riecjax.summaries.summarise import summed
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.sums import Survey
+from riecjax.summaries.task import signals_read, task
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window should span."""

@@ -35,10 +35,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.estimation.procedure import Procedure
+from riecjax.equations.procedure import Procedure
 from riecjax.estimation.sharing import Sharing
-from riecjax.estimation.sums import EquationSums, RecordingSums
 from riecjax.findings import Finding
+from riecjax.summaries.sums import EquationSums, RecordingSums
 
 CONSTANT = 0.1
 """Share of a target, rms, that may vary where it counts as constant."""

@@ -9,12 +9,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
-from riecjax.estimation.intervals import Uncertainty
-from riecjax.estimation.least_squares import gram_condition_limit
-from riecjax.estimation.procedure import EquationFit, StageSolution
-from riecjax.estimation.summary import Summary
+from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
+from riecjax.linear_algebra import gram_condition_limit
+from riecjax.summaries.summary import Summary
+from riecjax.uncertainty.intervals import Uncertainty
 
 FEWEST_BLOCKS = 7
 """Blocks of time below which intervals are rough; ten stretches of twice the longest window may

@@ -10,9 +10,9 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError
-from riecjax.estimation.intervals import Uncertainty
 from riecjax.findings import Finding
 from riecjax.leaves import namespace, on_host
+from riecjax.uncertainty.intervals import Uncertainty
 
 LOST_SHARE = 0.05
 """Share of the bootstrap's replicates that may leave a parameter undetermined."""

@@ -7,15 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.estimation.assembly import stages_over_records
 from riecjax.estimation.estimate import combination
 from riecjax.estimation.identify import not_excited, raise_if_nothing_to_fit
-from riecjax.estimation.normal_equations import NormalEquations
 from riecjax.estimation.question import Question
-from riecjax.estimation.sharing import Sharing
-from riecjax.estimation.summary import Summary
+from riecjax.estimation.sharing import Sharing, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.summary import Summary
 
 UNIDENTIFIABLE = 1e-6
 """Share of a regressor that is its own, below which no sensor could see it."""

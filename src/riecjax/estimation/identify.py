@@ -9,40 +9,33 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
-from riecjax.criteria.criterion import AbstractCriterion, Rows
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, IdentifiabilityError, require
-from riecjax.estimation.assembly import stages_over_records
-from riecjax.estimation.averages import factor_of
-from riecjax.estimation.blocks import ShortBlocks
-from riecjax.estimation.bursts import sizes_in_bursts
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
-from riecjax.estimation.evidence import judge
-from riecjax.estimation.intervals import (
+from riecjax.estimation.question import Question, question
+from riecjax.estimation.sharing import Sharing, stages_over_records
+from riecjax.estimation.stages import StageSolution, found_values, sizes_in_bursts, solve_stages
+from riecjax.findings import Finding
+from riecjax.leaves import Leaf, is_concrete, on_host
+from riecjax.linear_algebra import factor_of, gram_condition_limit
+from riecjax.records.record import Record
+from riecjax.summaries.blocks import ShortBlocks
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.summarise import summed
+from riecjax.summaries.summary import Summary, as_summary
+from riecjax.summaries.task import task
+from riecjax.uncertainty.covariances import naive_covariance
+from riecjax.uncertainty.intervals import (
     AbstractIntervals,
     BlockBootstrap,
     Naive,
     Uncertainty,
-    naive_covariance,
+    judge,
 )
-from riecjax.estimation.least_squares import gram_condition_limit
-from riecjax.estimation.normal_equations import NormalEquations
-from riecjax.estimation.procedure import (
-    HasProcedure,
-    Procedure,
-    StageSolution,
-    as_procedure,
-    found_values,
-    solve_stages,
-)
-from riecjax.estimation.question import Question, question, task
-from riecjax.estimation.sharing import Sharing
-from riecjax.estimation.summarise import summed
-from riecjax.estimation.summary import Summary, as_summary
-from riecjax.findings import Finding
-from riecjax.leaves import Leaf, is_concrete, on_host
-from riecjax.records.record import Record
 
 DOUBTFUL = 5.0
 """Standard errors within which an estimate of zero leaves its interval's width in doubt."""

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import lineax as lx
 from jaxtyping import Array, Float, Int
 
-from riecjax.criteria.criterion import Rows
-from riecjax.estimation.elimination import unit_scale
-from riecjax.estimation.normal_equations import NormalEquations
+from riecjax.criteria.rows import Rows
+from riecjax.linear_algebra import symmetric_eigen, unit_scale
+from riecjax.summaries.normal_equations import NormalEquations
 
 
 class Solution(eqx.Module):
@@ -27,16 +27,6 @@ class Solution(eqx.Module):
     condition_number: Float[Array, ""]
     rank: Int[Array, ""]
     weakest_direction: Float[Array, " p"]
-
-
-def gram_condition_limit(dtype: jnp.dtype) -> float:
-    """Condition number past which the Gram matrix no longer serves and rows must be solved.
-
-    Normal equations square the condition number: a relative error of about eps cond^2 in theta.
-    The limit keeps that below 1e-5 in 64-bit (cond 2e5) and below 1e-2 in 32-bit (cond 290).
-    """
-    eps = float(jnp.finfo(dtype).eps)
-    return float((1e-5 / eps) ** 0.5) if eps < 1e-10 else float((1e-2 / eps) ** 0.5)
 
 
 def solve(equations: NormalEquations) -> Solution:
@@ -63,24 +53,6 @@ def solve(equations: NormalEquations) -> Solution:
     )
     singular_values = jnp.sqrt(jnp.maximum(eigenvalues, 0))
     return _solution(theta * scale, singular_values, vectors[:, 0], tolerance**0.5)
-
-
-def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
-    """Eigenvalues of a symmetric matrix, least first, and eigenvectors in columns.
-
-    Under vmap, a CPU takes one matrix at a time; other devices take them all at once.
-    """
-    return jax.lax.platform_dependent(matrix, cpu=_one_by_one, default=_eigen)
-
-
-def _eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
-    values, vectors = jnp.linalg.eigh(matrix)
-    return values, vectors
-
-
-# LAPACK's batched calls wait for threads of the pool that they run on: two at once, on a machine of
-# two cores, wait for each other for ever (jaxlib 0.10.2).
-_one_by_one = jax.custom_batching.sequential_vmap(_eigen)
 
 
 FACTORED = 2**13

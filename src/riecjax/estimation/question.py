@@ -1,59 +1,17 @@
 """What is asked of records: everything that can be refused before any arithmetic."""
 
-import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
+from jaxtyping import Array
 
-from riecjax.criteria.criterion import RIEC, AbstractCriterion
-from riecjax.criteria.windows import DEFAULT_BAND
-from riecjax.equations.equation import Equation
-from riecjax.errors import MissingSignalError, ModelError, require
-from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.procedure import Procedure
+from riecjax.errors import ModelError, require
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import is_concrete, is_number
-from riecjax.records.record import Record, as_records
-
-
-class Task(NamedTuple):
-    """What is to be summed: a procedure's equations on records, by a criterion fitted to them.
-
-    `keys`: what each record's random windows are drawn with.
-    """
-
-    procedure: Procedure
-    records: list[Record]
-    criterion: AbstractCriterion
-    keys: list[Key[Array, ""] | None]
-
-
-def task(
-    model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
-    criterion: AbstractCriterion | None,
-    key: Key[Array, ""] | None,
-) -> Task:
-    """What can be refused of records before arithmetic; see [`identify`][] for the arguments.
-
-    **Raises:** `ModelError` and `DataError` as [`identify`][].
-    """
-    if criterion is None:
-        criterion = RIEC.of_band(getattr(model, "band", None) or DEFAULT_BAND)
-    procedure = as_procedure(model)
-    require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    require_key(key)
-    recordings = as_records(records)
-    if criterion.needs_key and key is None:
-        raise ModelError("random windows need a key: key=jax.random.key(seed).")
-    for record in recordings:
-        criterion.check(record)
-    keys = record_keys(key, len(recordings))
-    return Task(procedure, recordings, criterion.fitted(recordings), keys)
+from riecjax.summaries.task import require_key
 
 
 class Question(NamedTuple):
@@ -81,12 +39,6 @@ def question(
     return Question(sharing, given, plan_stages(procedure, sharing, given))
 
 
-WRITE_CRITERION = (
-    "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, or "
-    "rx.DOLS()"
-)
-
-
 def require_settings(key: object, known: object, per_record: object) -> None:
     """Raise `ModelError` unless these are a key, values by name and names, or left out."""
     require_key(key)
@@ -95,55 +47,6 @@ def require_settings(key: object, known: object, per_record: object) -> None:
     name = per_record if isinstance(per_record, str) else "offset"
     kinds = (list, tuple, set, frozenset)
     require("per_record", per_record, kinds, f"per_record=('{name}',): a tuple of names")
-
-
-def require_key(key: object) -> None:
-    """Raise `ModelError` for a seed, several keys or anything else in place of a key."""
-    if key is None:
-        return
-    if isinstance(key, jax.Array):
-        typed = jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
-        # Keys of jax.random.PRNGKey are a row of whole numbers.
-        if (typed and key.ndim == 0) or (key.dtype == jnp.uint32 and key.ndim == 1):
-            return
-        if typed or key.dtype == jnp.uint32:
-            raise ModelError(
-                f"the key is an array of {len(key)} keys. Write key=keys[0], or map over them by "
-                f"jax.vmap."
-            )
-    seed = key if isinstance(key, int | np.integer) else 0
-    require("the key", key, (), f"key=jax.random.key({int(seed)})")
-
-
-def signals_read(
-    procedure: Procedure, record: Record, criterion: AbstractCriterion
-) -> tuple[str, ...]:
-    """Names of the record's signals that a criterion reads for a procedure's equations.
-
-    Raises what `identify` would raise of this one record, before any arithmetic.
-
-    **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
-    for an expression that fails.
-    """
-    criterion.check(record)
-    read: set[str] = set()
-    for stage in procedure.stages:
-        for equation in stage:
-            with _saying_whose_derivative(equation):
-                read |= equation.signals_read(record, criterion.smoothness)
-            eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
-    return tuple(name for name in record.arrays if name in read)
-
-
-@contextlib.contextmanager
-def _saying_whose_derivative(equation: Equation) -> Iterator[None]:
-    """Of a missing signal that the equation calls a derivative, say whose it is."""
-    try:
-        yield
-    except MissingSignalError as error:
-        below = [of for of, name in equation.derivatives if name == error.signal]
-        known = next((of for of in below if of in error.available), "")
-        raise MissingSignalError(error.signal, error.available, known) from None
 
 
 def known_values(
@@ -185,10 +88,3 @@ def plan_stages(
     if not any(unknown for _, unknown in plan):
         raise ModelError("every parameter is known; nothing is left to identify.")
     return plan
-
-
-def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:
-    """The key that each of several records draws its windows with."""
-    if key is None or count == 1:
-        return [key] * count
-    return list(jax.random.split(key, count))

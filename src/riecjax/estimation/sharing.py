@@ -3,7 +3,18 @@
 from collections.abc import Container, Iterable, Mapping
 from typing import TypeVar
 
+import jax.numpy as jnp
+from jaxtyping import Array, Key
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
+from riecjax.records.record import Record
+from riecjax.summaries.normal_equations import (
+    NormalEquations,
+    stack_normal_equations,
+)
+from riecjax.summaries.stage_sums import stage_normal_equations, sum_of_equations
 
 Value = TypeVar("Value")
 
@@ -111,3 +122,54 @@ def _numbered(name: str) -> tuple[str, str]:
     """The parts of `offset[2]`, `offset` and `2`; of any other name, itself and nothing."""
     base, bracket, number = name.removesuffix("]").rpartition("[")
     return (base, number) if bracket and name.endswith("]") and number.isdigit() else (name, "")
+
+
+def all_normal_equations(
+    procedure: Procedure,
+    sharing: Sharing,
+    records: list[Record],
+    criterion: AbstractCriterion,
+    keys: list[Key[Array, ""] | None],
+) -> list[NormalEquations]:
+    """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
+    of_stages = []
+    for i, (record, key) in enumerate(zip(records, keys)):
+        stages = stage_normal_equations(procedure, record, criterion, key, blocks=True)
+        of_stages.append([over_records(stage, sharing, i) for stage in stages])
+    return [stack_normal_equations(parts) for parts in zip(*of_stages)]
+
+
+def over_records(equations: NormalEquations, sharing: Sharing, index: int) -> NormalEquations:
+    """Normal equations of one record, from 0, among the parameters of all records."""
+    if not sharing.own:
+        return equations
+    names = equations.parameters
+    return equations.rename(sharing.of_record(names, index)).embed(sharing.everywhere(names))
+
+
+def stages_over_records(
+    equations: list[list[NormalEquations]], sharing: Sharing
+) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
+    """Normal equations of stages, and of each equation, among the parameters of all records.
+
+    **Arguments:** `equations` of each stage, with a leading axis of records.
+    """
+    apart = [[_over_all_records(e, sharing) for e in stage] for stage in equations]
+    names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
+    return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
+
+
+def _over_all_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+    """The same of normal equations with a leading axis of records."""
+    if not sharing.own:
+        return equations
+    every = [
+        NormalEquations(equations.moments[i], equations.count[i], equations.parameters)
+        for i in range(sharing.record_count)
+    ]
+    shared = [over_records(e, sharing, i) for i, e in enumerate(every)]
+    return NormalEquations(
+        jnp.stack([e.moments for e in shared]),
+        jnp.stack([e.count for e in shared]),
+        shared[0].parameters,
+    )

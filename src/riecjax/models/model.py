@@ -12,7 +12,7 @@ from riecjax.errors import ModelError, users_code
 if TYPE_CHECKING:
     from jaxtyping import Array
 
-    from riecjax.estimation.procedure import Procedure
+    from riecjax.equations.procedure import Procedure
     from riecjax.records.record import Record
     from riecjax.refinement.parametric import AbstractParametric
     from riecjax.simulation.system import AbstractSystem
@@ -72,7 +72,7 @@ class Model:
         **Raises:** `ModelError` if this model is only for simulation.
         """
         from riecjax.equations.equation import Equation
-        from riecjax.estimation.procedure import Procedure, staged
+        from riecjax.equations.procedure import Procedure, staged
 
         if self.procedure is None:
             raise ModelError(f"model '{self.name}' can be simulated but not identified.")

@@ -11,7 +11,7 @@ from riecjax.paper.published import TABLE_2
 from riecjax.paper.reproduction import road_keys, training_noise
 from riecjax.paper.variations import by_body
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import low_passed
+from riecjax.simulation.inputs import low_passed
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 

@@ -10,23 +10,24 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
 from riecjax.criteria.windows import RandomWindows
-from riecjax.estimation.assembly import stage_normal_equations
-from riecjax.estimation.procedure import Procedure, found_values, solve_stages
-from riecjax.models.quarter_car.equations import (
+from riecjax.equations.procedure import Procedure
+from riecjax.estimation.stages import found_values, solve_stages
+from riecjax.models.quarter_car.identification import (
+    QuarterCar,
     body_equation,
     mass_equation,
     tyre_equation,
     wheel_equation,
 )
-from riecjax.models.quarter_car.identification import QuarterCar
 from riecjax.models.quarter_car.reconstruction import Pothole, Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource, contact_share
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import band_limited_noise, pothole, robson_road
+from riecjax.simulation.inputs import band_limited_noise, pothole, robson_road
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import Simulation, simulate
-from riecjax.validation.percentage_error import percentage_error
+from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.validation.goodness_of_fit import percentage_error
 
 TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 VALIDATED_STATES = ("x1", "x2", "x3", "x4")

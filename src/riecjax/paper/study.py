@@ -10,15 +10,17 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.leaves import on_host
 from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_car_source
-from riecjax.paper.demonstration import Demonstration, demonstrate
 from riecjax.paper.hysteresis import Hysteresis, hysteresis
-from riecjax.paper.pothole_ramps import errors_over_ramps
 from riecjax.paper.published import TABLE_6
-from riecjax.paper.random_window_errors import WindowErrorMoments, window_error_moments
 from riecjax.paper.reproduction import RoadResult, run_road
-from riecjax.paper.trajectories import Trajectories, validation_trajectories
-from riecjax.paper.variation_study import VariedStudy, run_variations, varied_study
-from riecjax.paper.variations import Variations
+from riecjax.paper.section_2 import (
+    Demonstration,
+    WindowErrorMoments,
+    demonstrate,
+    window_error_moments,
+)
+from riecjax.paper.trajectories import Trajectories, errors_over_ramps, validation_trajectories
+from riecjax.paper.variations import Variations, VariedStudy, run_variations, varied_study
 from riecjax.paper.window_lengths import LengthMap, length_map
 from riecjax.studies.monte_carlo import over_keys
 

@@ -10,15 +10,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from riecjax.models.quarter_car.identification import QuarterCar
-from riecjax.models.quarter_car.reconstruction import Reconstruction
+from riecjax.models.quarter_car.reconstruction import Pothole, Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource
-from riecjax.paper.published import CRITERIA, TABLE_2
+from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
 from riecjax.paper.reproduction import (
     VALIDATED_STATES,
     Parameters,
     RoadResult,
+    pothole_velocity,
     road_keys,
     stack_models,
+    validation_errors,
     validation_inputs,
 )
 from riecjax.records.record import Record
@@ -65,3 +67,23 @@ def _trajectories(models: Parameters, source: QuarterCarSource, velocity: Array)
 
 def _states(record: Record) -> Float[Array, "n 4"]:
     return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
+
+
+RAMPS = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8)
+"""Metres over which the road falls into the hole; the reconstruction's is 1.29 m."""
+
+
+@eqx.filter_jit
+def errors_over_ramps(
+    roads: RoadResult, source: QuarterCarSource, shapes: Reconstruction
+) -> Float[Array, "ramps roads criteria variants 4"]:
+    """p_i of x1 to x4 in percent, on pot-holes of the same depth and length with these ramps."""
+    models = stack_models(roads.parameters, CRITERIA, VARIANTS)
+
+    def on(ramp: Array) -> Array:
+        hole = Pothole(shapes.pothole.depth, shapes.pothole.length, ramp)
+        inputs = Record({"v_r": pothole_velocity(hole)}, 1 / TABLE_2.rate)
+        truth = simulate(source, inputs).record
+        return jax.vmap(lambda each: validation_errors(each, truth)[0])(models)
+
+    return jax.lax.map(on, jnp.array(RAMPS))

@@ -5,21 +5,30 @@ models is driven with it, and the variant B_id is identified by DOLS and by RIEC
 of windows. All of these models are validated on the two inputs of Section 5.
 """
 
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from jaxtyping import Array, Bool, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.estimation.assembly import stage_normal_equations
-from riecjax.estimation.procedure import found_values, solve_stages
-from riecjax.models.quarter_car.equations import quarter_car_by_body
+from riecjax.errors import DataError
+from riecjax.estimation.stages import found_values, solve_stages
+from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_car_source
-from riecjax.paper.published import TABLE_2, MountVariant
+from riecjax.paper.published import TABLE_2, TABLE_6, MountVariant
 from riecjax.paper.reproduction import (
+    INPUTS,
     PARAMETERS,
+    VALIDATED_STATES,
     paper_criteria,
     prediction_errors,
     road_keys,
@@ -27,9 +36,12 @@ from riecjax.paper.reproduction import (
     validation_inputs,
 )
 from riecjax.records.record import Record
-from riecjax.simulation.excitation import low_passed
+from riecjax.records.writing import write_whole
+from riecjax.simulation.inputs import low_passed
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
+from riecjax.studies.monte_carlo import over_keys
+from riecjax.summaries.stage_sums import stage_normal_equations
 
 
 class Variations(NamedTuple):
@@ -114,3 +126,200 @@ def by_body(
     stages = stage_normal_equations(quarter_car_by_body(), record, criterion, key)
     values = found_values(solve_stages(stages, {}), {})
     return jnp.stack([values[name] for name in PARAMETERS])
+
+
+ROADS_TO_A_PART = 4
+UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | {
+    f"F_{i}": "N" for i in range(1, 5)
+}
+ERRORS = tuple(f"{where} p_{i + 1} [%]" for where in INPUTS for i in range(len(VALIDATED_STATES)))
+"""Columns of validation errors: infinite where a model lost its solution."""
+SETTINGS = b"riecjax.variations"
+
+
+class Part(NamedTuple):
+    """Some roads under one mount; `stop` is not included."""
+
+    case: str
+    first: int
+    stop: int
+
+    @property
+    def file(self) -> str:
+        """Name of the file it is kept in."""
+        return f"{self.case}-{self.first:05d}.parquet"
+
+
+def parts_of(plan: Variations) -> list[Part]:
+    """The parts of a study, in the order of the table."""
+    return [
+        Part(case, first, min(first + ROADS_TO_A_PART, plan.roads))
+        for case in plan.cases
+        for first in range(0, plan.roads, ROADS_TO_A_PART)
+    ]
+
+
+def run_variations(
+    plan: Variations,
+    key: Key[Array, ""],
+    shapes: Reconstruction,
+    *,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> pa.Table:
+    """The tidy table: a row for each case, road, bandwidth, method and draw of windows.
+
+    **Arguments:**
+
+    - `folder`: where finished parts are kept until the table is whole. Those of an interrupted
+      study with the same plan, key and versions are taken up; others are computed anew.
+    - `progress`: called with the numbers of finished and of all parts.
+
+    **Raises:** `DataError` for a folder that cannot be written to.
+    """
+    settings = _settings(plan, key)
+    parts = parts_of(plan)
+    tables = []
+    for done, part in enumerate(parts):
+        table = None if folder is None else _kept(folder / part.file, settings)
+        if table is None:
+            table = _table(plan, part, _run(plan, part, key, shapes), settings)
+            if folder is not None:
+                _keep(table, folder / part.file)
+        tables.append(table)
+        if progress is not None:
+            progress(done + 1, len(parts))
+    return pa.concat_tables(tables)
+
+
+def write_variations(table: pa.Table, file: Path, parts: Path) -> None:
+    """The whole table as one Parquet file; the parts that it was made of are removed.
+
+    **Raises:** `DataError` for a file that cannot be written.
+    """
+    _keep(table, file)
+    shutil.rmtree(parts, ignore_errors=True)
+
+
+def _run(
+    plan: Variations, part: Part, key: Key[Array, ""], shapes: Reconstruction
+) -> RoadVariations:
+    # Arrays, so that all mounts share what is compiled.
+    mount = jax.tree.map(jnp.asarray, TABLE_6[part.case])
+    bandwidths = jnp.asarray(plan.bandwidths)
+    return over_keys(
+        vary_road,
+        key,
+        part.stop - part.first,
+        mount,
+        bandwidths,
+        jax.tree.map(jnp.asarray, shapes),
+        plan.draws,
+        first=part.first,
+        chunk=ROADS_TO_A_PART,
+    )
+
+
+def _table(plan: Variations, part: Part, found: RoadVariations, settings: bytes) -> pa.Table:
+    roads = np.arange(part.first, part.stop)
+    # DOLS has no draws; RIEC's are numbered.
+    models = [("DOLS", 0), *(("RIEC", draw) for draw in range(plan.draws))]
+    grid = np.meshgrid(
+        roads, np.arange(len(plan.bandwidths)), np.arange(len(models)), indexing="ij"
+    )
+    road, band, model = (axis.ravel() for axis in grid)
+    parameters = np.asarray(found.parameters).reshape(-1, len(PARAMETERS))
+    kept = np.asarray(found.successful).reshape(-1)
+    errors = np.asarray(found.errors).reshape(-1, len(ERRORS))
+    errors = np.where(kept[:, None] & np.isfinite(errors), errors, np.inf)
+    columns: dict[str, object] = {
+        "case": pa.array([part.case] * road.size),
+        "road": road.astype(np.int32),
+        "bandwidth [Hz]": np.array(plan.bandwidths)[band],
+        "method": pa.array([models[m][0] for m in model]),
+        "draw": np.array([models[m][1] for m in model], np.int32),
+        **{f"{name} [{UNITS[name]}]": parameters[:, i] for i, name in enumerate(PARAMETERS)},
+        **{name: errors[:, i] for i, name in enumerate(ERRORS)},
+        "simulated": kept,
+    }
+    return pa.table(columns).replace_schema_metadata({SETTINGS: settings})
+
+
+def _settings(plan: Variations, key: Key[Array, ""]) -> bytes:
+    """What a part's numbers depend on."""
+    from importlib.metadata import version
+
+    versions = {name: version(name) for name in ("riecjax", "jax", "jaxlib")}
+    precision = str(jnp.zeros(()).dtype)
+    data = np.asarray(jax.random.key_data(key)).tolist()
+    content = {"plan": plan._asdict(), "key": data, "versions": versions, "precision": precision}
+    return json.dumps(content, sort_keys=True).encode()
+
+
+def _kept(file: Path, settings: bytes) -> pa.Table | None:
+    try:
+        table = pq.read_table(file)
+    except (OSError, pa.ArrowInvalid):
+        return None  # not there, or broken
+    metadata = table.schema.metadata or {}
+    return table if metadata.get(SETTINGS) == settings else None
+
+
+def _keep(table: pa.Table, file: Path) -> None:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
+    write_whole(file, lambda temporary: pq.write_table(table, temporary))
+
+
+class Varied(NamedTuple):
+    """The models of one case and method, in arrays read off the table.
+
+    **Fields:** `parameters` by name, in SI units; `errors`, the sum of p_i over x1 to x4 in
+    percent, by input; `each` of the four.
+    """
+
+    parameters: dict[str, Float[np.ndarray, "roads bandwidths draws"]]
+    errors: dict[str, Float[np.ndarray, "roads bandwidths draws"]]
+    each: dict[str, Float[np.ndarray, "roads bandwidths draws 4"]]
+
+
+class VariedStudy(NamedTuple):
+    """The whole study: its plan, and by case and method what was found."""
+
+    plan: Variations
+    found: dict[str, dict[str, Varied]]
+
+    @property
+    def bandwidths(self) -> Float[np.ndarray, " bandwidths"]:
+        """Hz."""
+        return np.array(self.plan.bandwidths)
+
+    def by_case(self) -> list[tuple[str, dict[str, Varied]]]:
+        """In the order of the plan."""
+        return [(case, self.found[case]) for case in self.plan.cases]
+
+
+def varied_study(plan: Variations, table: pa.Table) -> VariedStudy:
+    """The table in arrays."""
+    found: dict[str, dict[str, Varied]] = {}
+    case, method = (np.array(table[name].to_pylist()) for name in ("case", "method"))
+    for name in plan.cases:
+        for kind in ("RIEC", "DOLS"):
+            chosen = (case == name) & (method == kind)
+            shape = (plan.roads, len(plan.bandwidths), plan.draws if kind == "RIEC" else 1)
+
+            def column(label: str, rows: np.ndarray = chosen, shape=shape) -> np.ndarray:
+                return table[label].to_numpy()[rows].reshape(shape)
+
+            each = {
+                where: np.stack([column(e) for e in ERRORS if e.startswith(where)], axis=-1)
+                for where in INPUTS
+            }
+            found.setdefault(name, {})[kind] = Varied(
+                {n: column(f"{n} [{UNITS[n]}]") for n in PARAMETERS},
+                {where: errors.sum(axis=-1) for where, errors in each.items()},
+                each,
+            )
+    return VariedStudy(plan, found)

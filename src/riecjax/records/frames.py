@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.assembly import Selection, record_from_channels
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels, vectors
-from riecjax.records.reading.unit_names import split_unit
+from riecjax.records.reading.selection import Selection, record_from_channels
+from riecjax.records.reading.units import split_unit
 from riecjax.records.record import Record
 
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
-from riecjax.estimation.elimination import solve_scaled
+from riecjax.linear_algebra import solve_scaled, triangular_factor
 
 FIRST_DAMPING = 1e-2
 """Damping of the first step, relative to the curvature."""
@@ -135,18 +135,6 @@ class Residual(eqx.Module):
 
     windows: Float[Array, "windows columns"]
     priors: Float[Array, " p"]
-
-
-def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*batch n n"]:
-    """Upper triangle R with R^T R = moments, to rounding; zero for a column that is."""
-    n, diagonal = moments.shape[-1], jnp.diagonal(moments, axis1=-2, axis2=-1)
-    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
-    # Columns that explain one another would leave a pivot of rounding, of either sign.
-    rounding = 8 * n * jnp.finfo(moments.dtype).eps
-    identity = jnp.eye(n, dtype=moments.dtype).reshape((1,) * (moments.ndim - 2) + (n, n))
-    scaled = moments * scale[..., :, None] * scale[..., None, :] + rounding * identity
-    factor = jnp.swapaxes(jnp.linalg.cholesky(scaled), -1, -2)
-    return jnp.where(diagonal > 0, jnp.sqrt(jnp.maximum(diagonal, 0.0)), 0.0)[..., None, :] * factor
 
 
 class _State(eqx.Module):

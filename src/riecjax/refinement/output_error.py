@@ -18,10 +18,9 @@ from riecjax.refinement.objective import AbstractObjective, Parameters, Setup
 from riecjax.refinement.output_misfit import OutputMisfit, Recorded
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
 from riecjax.refinement.shots import AbstractShooting, Shots, WholeRecord
-from riecjax.simulation.measured_states import measured_states, state_sources
+from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
-from riecjax.simulation.step_size import MOST_STEPS, spread_points, suitable_steps
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
 
 Along = tuple[Leaf, Leaf]
 """States and inputs at points along a recording."""

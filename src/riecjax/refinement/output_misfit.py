@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
-from riecjax.estimation.blocks import ShortBlocks
-from riecjax.estimation.elimination import solve_scaled
-from riecjax.estimation.normal_equations import NormalEquations, stack_normal_equations
 from riecjax.estimation.sharing import Sharing
 from riecjax.leaves import Leaf, held_still
-from riecjax.refinement.misfit import AbstractMisfit, Expansion
+from riecjax.linear_algebra import solve_scaled
+from riecjax.refinement.objective import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
+from riecjax.summaries.blocks import ShortBlocks
+from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
 
 RIDGE = 1e-10
 """What keeps a start that no residual depends on from being divided by zero; relative."""

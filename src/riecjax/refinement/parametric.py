@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import Procedure, require_no_slip
 from riecjax.errors import ModelError
-from riecjax.estimation.procedure import Procedure, require_no_slip
 from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import EquationSystem, equation_system

@@ -10,23 +10,28 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.errors import ModelError, require
-from riecjax.estimation.elimination import solve_scaled, unit_scale
 from riecjax.estimation.estimated_parameters import AbstractEstimate
-from riecjax.estimation.evidence import judge
-from riecjax.estimation.intervals import AbstractIntervals, Sandwich, Uncertainty
-from riecjax.estimation.least_squares import symmetric_eigen
-from riecjax.estimation.normal_equations import NormalEquations
-from riecjax.estimation.question import record_keys, require_numbers, require_settings
+from riecjax.estimation.question import require_numbers, require_settings
 from riecjax.estimation.sharing import Sharing, local_name
 from riecjax.leaves import Leaf, is_concrete
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
 from riecjax.records.record import Record, as_records
 from riecjax.refinement.coordinates import Bounds, Laws, Prior
-from riecjax.refinement.halved_steps import Optimum, halve_steps, resolved
-from riecjax.refinement.misfit import AbstractMisfit, Expansion
-from riecjax.refinement.objective import AbstractObjective, Setup
-from riecjax.refinement.optimum import Problem, RefinementStatus, Solver, find_optimum
+from riecjax.refinement.objective import AbstractMisfit, AbstractObjective, Expansion, Setup
+from riecjax.refinement.optimum import (
+    Optimum,
+    Problem,
+    RefinementStatus,
+    Solver,
+    find_optimum,
+    halve_steps,
+    resolved,
+)
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refined import Refined
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.task import record_keys
+from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich, Uncertainty, judge
 
 SILENT = 1e-20
 """Share of what is left that a parameter must be able to move by its own size to count at all."""

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
-from riecjax.estimation.intervals import Uncertainty
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf
 from riecjax.refinement.optimum import RefinementStatus
+from riecjax.uncertainty.intervals import Uncertainty
 
 
 class Refined(AbstractEstimate):

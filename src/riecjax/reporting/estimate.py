@@ -10,8 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.reporting.output import Document, finite, number
-from riecjax.reporting.parameters import parameter_entries
 
 
 def estimate_entries(model: str, estimate: Estimate) -> Document:
@@ -127,3 +127,18 @@ def _parameter_table(document: Document) -> Table:
         value = number(entry["value"])
         table.add_row(Text(name), *("" for _ in before), value, "", "known", Text(entry["unit"]))
     return table
+
+
+def parameter_entries(estimate: AbstractEstimate) -> dict[str, Any]:
+    """Value, unit, standard error and interval of each estimated parameter; lists of a batch."""
+    units = dict(estimate.units)
+    entries = {}
+    for name in estimate.parameters:
+        low, high = estimate.interval(name)
+        entries[name] = {
+            "value": finite(estimate[name]),
+            "unit": units.get(name, ""),
+            "std_error": finite(estimate.standard_error(name)),
+            "interval95": [finite(low), finite(high)],
+        }
+    return entries

@@ -7,21 +7,20 @@ from typing import Any, NamedTuple
 from jaxtyping import Array, Key
 from rich.console import Console
 
+from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.procedure import Procedure
 from riecjax.findings import Finding
 from riecjax.records.record import Record
 from riecjax.reporting.checking import excitation_entries, start_times
-from riecjax.reporting.estimate import estimate_entries, print_estimate
+from riecjax.reporting.estimate import estimate_entries, parameter_entries, print_estimate
 from riecjax.reporting.output import Document, finite, number, versions
-from riecjax.reporting.parameters import parameter_entries
 from riecjax.reporting.refinement import (
     Refinement,
     refinement_entries,
     refinement_in_words,
 )
-from riecjax.studies.seed_scatter import SeedScatter
+from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.studies.window_choice import WindowChoice
 from riecjax.studies.window_sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut

@@ -7,7 +7,6 @@ import numpy as np
 
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.sharing import values_of_record
-from riecjax.estimation.sums import Survey
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (
     BLUE,
@@ -26,9 +25,9 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import Identification, ValidationRun
-from riecjax.reporting.residual_figures import residual_figures
-from riecjax.reporting.window_choice_figures import window_choice_figures
+from riecjax.reporting.residual_figures import residual_figures, window_choice_figures
 from riecjax.studies.window_sweep import WindowSweep
+from riecjax.summaries.sums import Survey
 
 MOST_POINTS = 2000
 MOST_COLUMNS = 3

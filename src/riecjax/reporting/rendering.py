@@ -12,7 +12,7 @@ from plotly.offline import get_plotlyjs
 
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.charts.spaces import narrowest
+from riecjax.reporting.charts.layout import narrowest
 from riecjax.reporting.output import Document
 from riecjax.reporting.page import Page, Section, Table
 

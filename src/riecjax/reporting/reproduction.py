@@ -8,11 +8,19 @@ from rich.table import Table as RichTable
 
 from riecjax.models.quarter_car.reconstruction import reconstruction_document
 from riecjax.paper.claims.claim import Claim, Evidence
-from riecjax.paper.eigenstructure import ModeComparison, table_1
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS, PublishedMode
 from riecjax.paper.reproduction import RoadResult
 from riecjax.paper.study import Scale
-from riecjax.paper.tables import Cell, Table, contact, table_3, table_4, table_5
+from riecjax.paper.tables import (
+    Cell,
+    ModeComparison,
+    Table,
+    contact,
+    table_1,
+    table_3,
+    table_4,
+    table_5,
+)
 from riecjax.reporting.output import Document, finite, number, versions
 
 FEW_ROADS = 8

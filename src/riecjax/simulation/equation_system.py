@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import AbstractTerm, Expression, Term, Terms
 from riecjax.errors import ModelError, users_code
-from riecjax.estimation.procedure import Procedure
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Signals
 from riecjax.simulation.system import AbstractSystem, Quantities

@@ -4,9 +4,11 @@ from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from riecjax.errors import ModelError
+from riecjax.records.record import Record
 
 Quantities = tuple[tuple[str, str], ...]
 """(name, unit) of several quantities, in order."""
@@ -67,3 +69,38 @@ class AbstractSystem(eqx.Module):
         """State to the state that is its time derivative: `d<state>`, where there is one."""
         names = self.state_names
         return {name: f"d{name}" for name in names if f"d{name}" in names}
+
+
+def state_sources(system: AbstractSystem, record: Record) -> dict[str, str]:
+    """Source of each state: `measured`, `differences` of its recorded integral, or `zero`."""
+    integral = {velocity: state for state, velocity in system.velocity_of.items()}
+    return {
+        name: "measured"
+        if name in record.arrays
+        else "differences"
+        if integral.get(name) in record.arrays
+        else "zero"
+        for name in system.state_names
+    }
+
+
+def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n states"]:
+    """Each state at each sample; zero where nothing tells it."""
+    integral = {velocity: state for state, velocity in system.velocity_of.items()}
+    columns = []
+    for name, source in state_sources(system, record).items():
+        if source == "measured":
+            columns.append(record[name])
+        elif source == "differences":
+            columns.append(_differences(record[integral[name]], record.time_step))
+        else:
+            columns.append(jnp.zeros(record.sample_count, record.time_step.dtype))
+    return jnp.stack(columns, axis=-1)
+
+
+def _differences(samples: Array, step: Array) -> Array:
+    """Second-order differences, one-sided at the ends."""
+    inner = samples[2:] - samples[:-2]
+    first = -3 * samples[0] + 4 * samples[1] - samples[2]
+    last = 3 * samples[-1] - 4 * samples[-2] + samples[-3]
+    return jnp.concatenate([first[None], inner, last[None]]) / (2 * step)

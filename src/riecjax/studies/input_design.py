@@ -19,7 +19,7 @@ from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 from riecjax.refinement.parametric import as_parametric_system
-from riecjax.simulation.excitation import multisine
+from riecjax.simulation.inputs import multisine
 from riecjax.simulation.method import AbstractMethod
 from riecjax.studies.output_information import Experiment, inverse, plan_experiment
 

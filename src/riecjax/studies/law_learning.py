@@ -19,21 +19,15 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import RatioLaw
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.assembly import stage_normal_equations
-from riecjax.estimation.procedure import (
-    HasProcedure,
-    Procedure,
-    as_procedure,
-    found_values,
-    solve_stages,
-)
+from riecjax.estimation.stages import found_values, solve_stages
 from riecjax.records.record import Record, stack_records
-from riecjax.simulation.measured_states import measured_states
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.simulate import simulate
-from riecjax.simulation.system import AbstractSystem
-from riecjax.validation.percentage_error import percentage_error
+from riecjax.simulation.system import AbstractSystem, measured_states
+from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.validation.goodness_of_fit import percentage_error
 
 TOLERANCE = 1e-4
 """Change of a weight's logarithm, and share of the error, that are not worth another step."""

@@ -4,7 +4,7 @@ XLA keeps small batched operations on one core of a CPU; told that the CPU is se
 `riecjax.start_jax`), a chunk is shared out among them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -12,7 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.errors import ModelError, require
+from riecjax.estimation.least_squares import solve
+from riecjax.estimation.question import question
+from riecjax.estimation.sharing import Sharing, all_normal_equations
+from riecjax.records.record import Record, as_records
+from riecjax.summaries.task import record_keys, require_key
+from riecjax.uncertainty.scores import in_order, staged_values, unknowns
 
 
 def over_keys(
@@ -76,3 +87,69 @@ def _batch(
         # Nothing is exchanged between devices, so there is nothing to check.
         check_vma=False,
     )(keys, arrays)
+
+
+class SeedScatter(eqx.Module):
+    """Estimates from many draws of windows.
+
+    **Fields:** `theta`, shape `(seeds, p)`; `parameters`.
+    """
+
+    theta: Float[Array, "seeds p"]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def spread(self) -> Float[Array, " p"]:
+        """Standard deviation over the draws: of the sampling, not of the parameters."""
+        return jnp.std(self.theta, axis=0, ddof=1)
+
+
+def seed_scatter(
+    model: Equation | Procedure | HasProcedure,
+    records: Record | Sequence[Record],
+    criterion: AbstractCriterion,
+    *,
+    key: Key[Array, ""],
+    known: Mapping[str, float | Array] | None = None,
+    per_record: Sequence[str] = (),
+    seeds: int = 32,
+) -> SeedScatter:
+    """Identify with `seeds` draws of random windows, vmapped; other arguments as for `identify`.
+
+    **Raises:** `ModelError` for a criterion that draws nothing, or fewer than two seeds.
+    """
+    procedure = as_procedure(model)
+    require(
+        "the criterion", criterion, AbstractCriterion, "rx.RIEC(rx.RandomWindows(0.05, 0.5, 8000))"
+    )
+    require_key(key)
+    if not criterion.needs_key:
+        raise ModelError("only random windows scatter from seed to seed; this criterion has none.")
+    if seeds < 2:
+        raise ModelError(f"scatter needs at least two seeds; got {seeds}.")
+    recordings = as_records(records)
+    sharing, given, plan = question(procedure, len(recordings), known, per_record)
+    keys = jax.random.split(key, seeds)
+    theta = _estimates(procedure, sharing, recordings, criterion, keys, given)
+    return SeedScatter(theta, tuple(name for _, names in plan for name in names))
+
+
+@eqx.filter_jit
+def _estimates(
+    procedure: Procedure,
+    sharing: Sharing,
+    records: list[Record],
+    criterion: AbstractCriterion,
+    keys: Key[Array, " seeds"],
+    known: Mapping[str, Array],
+) -> Float[Array, "seeds p"]:
+    def with_key(key: Key[Array, ""]) -> Float[Array, " p"]:
+        own_keys = record_keys(key, len(records))
+        stages = all_normal_equations(procedure, sharing, records, criterion, own_keys)
+        flat = [stage.flattened() for stage in stages]
+        totals = [stage.total() for stage in flat]
+        plan = unknowns(flat, known)
+        return in_order(plan, staged_values(totals, plan, known, lambda e: solve(e).theta))
+
+    # Some at a time: rows of all draws at once would need their memory many times over.
+    return jax.lax.map(with_key, keys, batch_size=4)

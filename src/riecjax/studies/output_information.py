@@ -15,13 +15,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from riecjax.errors import ModelError
-from riecjax.estimation.elimination import solve_scaled
 from riecjax.leaves import is_concrete
+from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
 from riecjax.refinement.output_misfit import observed
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
+from riecjax.simulation.linearisation import suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep
-from riecjax.simulation.step_size import suitable_steps
 from riecjax.simulation.system import AbstractSystem
 
 

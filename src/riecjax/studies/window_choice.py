@@ -16,9 +16,9 @@ from jaxtyping import Array, Float
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.procedure import HasProcedure, Procedure
 from riecjax.records.record import Record, as_records
 from riecjax.validation.equation_error import EquationError, errors_over_records, joined
 from riecjax.validation.error_spectrum import ErrorSpectrum, error_spectrum

@@ -17,25 +17,20 @@ from jaxtyping import Array, Float, Int, Key
 from riecjax import tails
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, require
-from riecjax.estimation.assembly import stages_over_records
-from riecjax.estimation.blocks import FEWEST_WINDOWS, ShortBlocks, blocks_in_use, put_together
-from riecjax.estimation.influence import block_influence
-from riecjax.estimation.normal_equations import NormalEquations
-from riecjax.estimation.procedure import (
-    HasProcedure,
-    Procedure,
-    as_procedure,
-    found_values,
-    solve_stages,
-)
-from riecjax.estimation.question import Question, question, task
-from riecjax.estimation.sharing import Sharing
-from riecjax.estimation.summarise import summed
-from riecjax.estimation.summary import Summary
+from riecjax.estimation.question import Question, question
+from riecjax.estimation.sharing import Sharing, stages_over_records
+from riecjax.estimation.stages import found_values, solve_stages
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record
+from riecjax.summaries.blocks import FEWEST_WINDOWS, ShortBlocks, blocks_in_use, merge_blocks
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.summarise import summed
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.task import task
+from riecjax.uncertainty.scores import block_influence
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window of a sweep spans at least."""
@@ -305,7 +300,7 @@ def _estimates(
 ) -> tuple[Float[Array, "bands p"], Float[Array, "bands blocks p"], Float[Array, "bands stages"]]:
     def at_length(own: list[list[NormalEquations]]) -> tuple[Array, Array, Array, Array]:
         shared, _ = stages_over_records(own, sharing)
-        stages = [put_together(stage, short, used) for stage in shared]
+        stages = [merge_blocks(stage, short, used) for stage in shared]
         solutions = solve_stages(stages, given)
         return (
             jnp.concatenate([stage.solution.theta for stage in solutions]),

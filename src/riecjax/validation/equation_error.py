@@ -16,8 +16,8 @@ from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.estimation.sharing import values_of_record
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record

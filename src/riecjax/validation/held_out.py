@@ -17,12 +17,10 @@ from jaxtyping import Array, Float
 
 from riecjax.errors import DataError, SimulationError
 from riecjax.records.record import Record
-from riecjax.simulation.measured_states import state_sources
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
-from riecjax.simulation.system import AbstractSystem, Quantities
-from riecjax.validation.goodness_of_fit import nrmse_fit, variance_accounted_for
-from riecjax.validation.percentage_error import percentage_error
+from riecjax.simulation.system import AbstractSystem, Quantities, state_sources
+from riecjax.validation.goodness_of_fit import nrmse_fit, percentage_error, variance_accounted_for
 
 PREDICTS_WELL = 80.0
 """Fit in percent from which a signal is predicted well."""

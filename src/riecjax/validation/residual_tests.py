@@ -15,8 +15,8 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure, told_apart
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.procedure import HasProcedure, Procedure, told_apart
 from riecjax.findings import Finding
 from riecjax.records.record import Record, as_records
 from riecjax.validation.equation_error import (

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.records.preparation.differentiation import central_difference, differentiate
+from riecjax.records.preparation.filtering import central_difference, differentiate
 from riecjax.records.record import Record
 
 RATE = 1000.0

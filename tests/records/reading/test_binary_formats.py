@@ -14,7 +14,7 @@ import scipy.io
 from pyarrow import parquet
 
 from riecjax.errors import DataError
-from riecjax.records.reading import limits
+from riecjax.records.reading import channels as limits
 from riecjax.records.reading.read import read_channels, read_record
 
 N = 40

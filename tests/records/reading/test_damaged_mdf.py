@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.records.reading import measurement
+from riecjax.records.reading import mdf as measurement
 from riecjax.records.reading.read import read_channels
 
 TIME = np.arange(400) * 0.01

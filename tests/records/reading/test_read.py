@@ -9,7 +9,7 @@ import pytest
 import scipy.io
 
 from riecjax.errors import DataError
-from riecjax.records.reading import limits
+from riecjax.records.reading import channels as limits
 from riecjax.records.reading.read import read_record
 
 ENDINGS = (".csv", ".npz", ".mat")

@@ -17,8 +17,7 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.bases import RoofFunctions
 from riecjax.leaves import Leaf
-from riecjax.models.quarter_car.equations import suspension_velocity
-from riecjax.models.quarter_car.identification import BREAK_POINTS, QuarterCar
+from riecjax.models.quarter_car.identification import BREAK_POINTS, QuarterCar, suspension_velocity
 from riecjax.records.record import Signals
 from riecjax.refinement.balance import AbstractBalance
 from riecjax.refinement.parametric import ByFunction

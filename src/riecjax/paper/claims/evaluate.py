@@ -1,9 +1,13 @@
 """Every statement that the numbers at hand decide."""
 
 from riecjax.paper.claims.claim import Claim
-from riecjax.paper.claims.section_2 import bounded_impulse, drop_outs, window_errors
-from riecjax.paper.claims.section_4 import window_lengths
 from riecjax.paper.claims.section_6 import variation_claims
+from riecjax.paper.claims.sections_2_and_4 import (
+    bounded_impulse,
+    drop_outs,
+    window_errors,
+    window_lengths,
+)
 from riecjax.paper.claims.tables import table_claims
 from riecjax.paper.study import PaperStudy
 

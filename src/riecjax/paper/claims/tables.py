@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_means
-from riecjax.paper.eigenstructure import table_1
-from riecjax.paper.pothole_ramps import RAMPS
 from riecjax.paper.published import CRITERIA, VARIANTS
 from riecjax.paper.reproduction import INPUTS, TRUE_MASSES, RoadResult
+from riecjax.paper.tables import table_1
+from riecjax.paper.trajectories import RAMPS
 
 SLIGHT = 0.03
 """Relative bias that the paper calls very slight: Table 3's is 1.2 %."""

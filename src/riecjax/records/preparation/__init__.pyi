@@ -1,5 +1,5 @@
-from .differentiation import central_difference as central_difference
-from .differentiation import differentiate as differentiate
+from .filtering import central_difference as central_difference
+from .filtering import differentiate as differentiate
 from .filtering import low_pass as low_pass
 from .filtering import remove_drift as remove_drift
 from .filtering import remove_offset as remove_offset
@@ -7,5 +7,5 @@ from .resampling import decimate as decimate
 from .resampling import on_grid as on_grid
 from .resampling import resample as resample
 from .resampling import upsample as upsample
-from .splitting import split as split
-from .splitting import split_at as split_at
+from .stretches import split as split
+from .stretches import split_at as split_at

@@ -7,9 +7,9 @@ from collections import Counter
 from typing import NamedTuple
 
 from riecjax.errors import DataError
-from riecjax.records.reading.limits import MOST_COLUMNS
+from riecjax.records.reading.channels import MOST_COLUMNS
 from riecjax.records.reading.numerals import is_missing, is_number, is_stamp
-from riecjax.records.reading.unit_names import bare_unit, is_unit
+from riecjax.records.reading.units import bare_unit, is_unit
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In order of preference; a blank stands for any white space."""

@@ -8,11 +8,13 @@ import numpy as np
 
 from riecjax.records.reading.channels import (
     Channels,
+    check_column_count,
     check_names,
+    check_unpacked,
+    foreign_reader,
     vectors,
     with_structure_times,
 )
-from riecjax.records.reading.limits import check_column_count, check_unpacked, foreign_reader
 from riecjax.records.reading.matlab_elements import inflated
 
 V73 = b"MATLAB 7.3"

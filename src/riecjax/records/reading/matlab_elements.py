@@ -9,7 +9,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 
-from riecjax.records.reading.limits import LARGEST_FILE, check_unpacked
+from riecjax.records.reading.channels import LARGEST_FILE, check_unpacked
 
 HEADER = 128
 MATRIX, COMPRESSED = 14, 15

@@ -7,8 +7,14 @@ from typing import Any
 import numpy as np
 
 from riecjax.records.reading.arrow import compute
-from riecjax.records.reading.channels import TIME_COLUMNS, Channels, check_names
-from riecjax.records.reading.limits import check_column_count, check_unpacked, foreign_reader
+from riecjax.records.reading.channels import (
+    TIME_COLUMNS,
+    Channels,
+    check_column_count,
+    check_names,
+    check_unpacked,
+    foreign_reader,
+)
 from riecjax.records.reading.numerals import unwrapped
 
 UNNAMED_INDEX = "__index_level_0__"

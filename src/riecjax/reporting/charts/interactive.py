@@ -5,14 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from riecjax.reporting.charts.axes import (
-    plain_number,
-    plain_text,
-    plain_values,
-    plotly_axis,
-    reach_of,
-    share_axis,
-)
 from riecjax.reporting.charts.chart import (
     Chart,
     Dots,
@@ -25,7 +17,21 @@ from riecjax.reporting.charts.chart import (
     Stems,
     as_array,
 )
-from riecjax.reporting.charts.spaces import LEFT, LEGEND, RIGHT, TITLE, Spaces, has_legend, places
+from riecjax.reporting.charts.layout import (
+    LEFT,
+    LEGEND,
+    RIGHT,
+    TITLE,
+    Spaces,
+    has_legend,
+    places,
+    plain_number,
+    plain_text,
+    plain_values,
+    plotly_axis,
+    reach_of,
+    share_axis,
+)
 
 DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot"}
 GREY_KEY = "#666666"

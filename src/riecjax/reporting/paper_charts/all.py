@@ -4,14 +4,17 @@ from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_ca
 from riecjax.paper.reproduction import RoadResult
 from riecjax.paper.study import PaperStudy
 from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.paper_charts.demonstration import figure_2, figure_3
-from riecjax.reporting.paper_charts.hysteresis import figure_13
-from riecjax.reporting.paper_charts.identified import figure_7, tables_at_a_glance
-from riecjax.reporting.paper_charts.source_model import figure_5, figure_6, figure_8
-from riecjax.reporting.paper_charts.validation import figure_9, figure_10
+from riecjax.reporting.paper_charts.identified import (
+    figure_7,
+    figure_9,
+    figure_10,
+    tables_at_a_glance,
+)
+from riecjax.reporting.paper_charts.models import figure_2, figure_3, figure_5, figure_6, figure_8
 from riecjax.reporting.paper_charts.variations import (
     figure_11,
     figure_12,
+    figure_13,
     figure_14,
     length_map_chart,
 )

@@ -1,0 +1,178 @@
+"""In which order equations are solved: one by one, or together.
+
+Both are lists of stages. A stage is a group of equations whose normal equations are added; what
+earlier stages found is known to later ones. The paper's three stages are `staged(...)` of three
+equations; its remark that all parameters may be estimated at once is `simultaneous(...)`.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import equinox as eqx
+
+from riecjax.equations.equation import Equation
+from riecjax.errors import ModelError, require
+from riecjax.leaves import Leaf
+from riecjax.records.record import Record
+
+
+class Procedure(eqx.Module):
+    """Stages of equations; see [`staged`][] and [`simultaneous`][]."""
+
+    stages: tuple[tuple[Equation, ...], ...]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all coefficients, in order of first appearance."""
+        return tuple(dict.fromkeys(name for names in self.stage_parameters for name in names))
+
+    @property
+    def stage_parameters(self) -> list[tuple[str, ...]]:
+        """Names of the coefficients of each stage, in order of first appearance."""
+        return [
+            tuple(dict.fromkeys(name for equation in stage for name in equation.parameters))
+            for stage in self.stages
+        ]
+
+    @property
+    def equation_names(self) -> list[tuple[str, ...]]:
+        """Names of the equations of each stage, numbered where several are called the same."""
+        names = iter(told_apart([e.name for stage in self.stages for e in stage]))
+        return [tuple(next(names) for _ in stage) for stage in self.stages]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each coefficient."""
+        units: dict[str, str] = {}
+        for stage in self.stages:
+            for equation in stage:
+                units |= {k: v for k, v in equation.units.items() if v or k not in units}
+        return units
+
+    @property
+    def known(self) -> Mapping[str, Leaf]:
+        """Values that the equations themselves call known."""
+        known: dict[str, Leaf] = {}
+        for stage in self.stages:
+            for equation in stage:
+                known |= equation.known
+        return known
+
+    def plan(self, known: set[str]) -> list[tuple[str, tuple[str, ...]]]:
+        """(stage name, parameters it finds) for each stage, given what is known beforehand.
+
+        **Raises:** `ModelError` if a stage has nothing to set its scale: every coefficient in it
+        is unknown and no term is known, so that zero would solve it.
+        """
+        found: set[str] = set(known)
+        plan = []
+        for stage, names in zip(self.stages, self.stage_parameters):
+            unknown = tuple(name for name in names if name not in found)
+            label = " + ".join(equation.name for equation in stage)
+            if unknown and not all(_anchored(stage, found)):
+                raise ModelError(
+                    f"{label}: every coefficient is unknown, so all of them zero would fit. "
+                    f"Fix one of {', '.join(unknown)} (on the command line: --set NAME=VALUE)."
+                )
+            plan.append((label, unknown))
+            found |= set(unknown)
+        return plan
+
+
+def _anchored(stage: tuple[Equation, ...], found: set[str]) -> list[bool]:
+    """For each equation, whether a known term sets its scale, if through shared parameters."""
+    reached, size = set(found), -1
+    while len(reached) > size:
+        size = len(reached)
+        for equation in stage:
+            if equation.has_target or set(equation.parameters) & reached:
+                reached |= set(equation.parameters)
+    return [bool(set(equation.parameters) & reached) for equation in stage]
+
+
+class HasProcedure(Protocol):
+    """Something that builds a procedure, such as a built-in `Model`."""
+
+    def build_procedure(self) -> Procedure:
+        """The procedure."""
+        ...
+
+
+def as_procedure(model: Equation | Procedure | HasProcedure) -> Procedure:
+    """The procedure of an equation, of a model, or itself.
+
+    **Raises:** `ModelError` for anything else, saying what to write.
+    """
+    if isinstance(model, Procedure):
+        return model
+    if isinstance(model, Equation):
+        return staged(model)
+    require_no_slip(model)
+    if not hasattr(model, "build_procedure"):
+        require("the model", model, (Equation, Procedure), SOME_MODEL)
+    return model.build_procedure()
+
+
+SOME_MODEL = "an rx.Equation(...), rx.staged(...) of several, or rx.find_model('quarter-car')"
+
+
+def require_no_slip(model: object) -> None:
+    """Raise `ModelError` for what is often taken for a model, saying what to write."""
+    if isinstance(model, str):
+        write = f"rx.find_model('{model}') for a built-in model or one of a file"
+    elif isinstance(model, list | tuple):
+        write = "rx.staged(*equations), or rx.simultaneous(*equations) to solve them together"
+    elif isinstance(model, Record):
+        write = "the model first, then its records"
+    elif isinstance(model, type) and (
+        issubclass(model, Equation | Procedure) or hasattr(model, "build_procedure")
+    ):
+        write = SOME_MODEL
+    else:
+        return
+    require("the model", model, (), write)
+
+
+def staged(*equations: Equation) -> Procedure:
+    """Solve equations one after the other; each takes what came before as known.
+
+    **Raises:** `ModelError` for what is no `Equation`.
+    """
+    _require_equations(equations, "staged")
+    return Procedure(tuple((equation,) for equation in equations))
+
+
+def simultaneous(*equations: Equation) -> Procedure:
+    """Solve equations together for all their parameters: one Gram matrix, summed over them.
+
+    The equations' residuals are weighted alike, so they should be in the same unit. An equation
+    all of whose terms are unknown pulls its coefficients towards zero, where its residual vanishes:
+    by how much is a finding, `no_known_term`, and solving it after the others by [`staged`][]
+    avoids it.
+
+    **Raises:** `ModelError` for what is no `Equation`.
+    """
+    _require_equations(equations, "simultaneous")
+    return Procedure((equations,))
+
+
+def _require_equations(equations: tuple[object, ...], name: str) -> None:
+    for equation in equations:
+        require(
+            f"an equation of {name}(...)",
+            equation,
+            Equation,
+            f"rx.{name}(first, second): equations one by one, rx.{name}(*equations) of a list",
+        )
+    if not equations:
+        raise ModelError(f"{name}(...) needs at least one equation.")
+
+
+def told_apart(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, numbered where several are equal: `spring (1)`, `spring (2)`."""
+    place = {name: 0 for name in names}
+    unique = []
+    for name in names:
+        place[name] += 1
+        unique.append(f"{name} ({place[name]})" if names.count(name) > 1 else name)
+    return tuple(unique)

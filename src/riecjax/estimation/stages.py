@@ -1,0 +1,203 @@
+"""Stages solved in turn, each with what earlier ones found, and what is left of every equation."""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.criteria.rows import Rows
+from riecjax.estimation.least_squares import Solution, solve, solve_rows
+from riecjax.estimation.sharing import Sharing
+from riecjax.linear_algebra import solve_scaled
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.sums import RecordingSums
+
+
+class EquationFit(eqx.Module):
+    """What is left of one equation, in a stage that may have several.
+
+    **Fields:** `relative_rms` of the residual against the equation's target, or against its largest
+    term where it has none (or nothing in it is unknown); `residual_rms` in the unit of the rows;
+    `count` of rows; `shrinkage`: of an equation without a target, share by which it makes its
+    coefficients smaller than the stage's other equations would have them; `parameters` found here.
+    """
+
+    relative_rms: Float[Array, ""]
+    residual_rms: Float[Array, ""]
+    count: Float[Array, ""]
+    shrinkage: Float[Array, ""]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+
+
+class StageSolution(eqx.Module):
+    """What one stage found.
+
+    **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
+    the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
+    per unit of its parameter, and where it acts if that is in bursts; `equations`, what is left of
+    each; `parameters` found here; `stage` its place in the procedure.
+    """
+
+    solution: Solution
+    relative_rms: Float[Array, ""]
+    residual_rms: Float[Array, ""]
+    count: Float[Array, ""]
+    relative_size: Float[Array, " p"]
+    equations: tuple[EquationFit, ...]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    stage: int = eqx.field(static=True)
+
+
+def found_values(
+    solutions: Iterable[StageSolution], known: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Every parameter by name: what is known, and what the stages found."""
+    values = dict(known)
+    for stage in solutions:
+        values |= dict(zip(stage.parameters, stage.solution.theta))
+    return values
+
+
+def solve_stages(
+    stages: list[NormalEquations],
+    known: Mapping[str, Array],
+    rows: list[Rows] | None = None,
+    apart: list[list[NormalEquations]] | None = None,
+) -> list[StageSolution]:
+    """Solve each stage's normal equations (blocks along the leading axis) in turn.
+
+    Given `rows`, they are solved instead of the Gram matrices, which is slower and more accurate.
+    Of a stage of several equations what each leaves is told if they are given `apart`.
+    """
+    found = dict(known)
+    solutions = []
+    for i, blocks in enumerate(stages):
+        equations = blocks.total().fix(found)
+        if not equations.parameters:
+            continue
+        solution = solve(equations) if rows is None else solve_rows(rows[i].fix(found))
+        residual = equations.residual_energy(solution.theta)
+        positive = equations.energy > 0
+        relative, absolute = _rms(residual, equations.energy, equations.count)
+        alone = EquationFit(
+            relative, absolute, equations.count, jnp.zeros_like(relative), equations.parameters
+        )
+        before = found
+        found = found | dict(zip(equations.parameters, solution.theta))
+        several = apart[i] if apart else []
+        fits = [_equation_fit(part.total(), equations, before, found) for part in several]
+        solutions.append(
+            StageSolution(
+                solution,
+                relative,
+                absolute,
+                equations.count,
+                jnp.sqrt(jnp.diagonal(equations.gram) / jnp.where(positive, equations.energy, 1.0)),
+                tuple(fits) or (alone,),
+                equations.parameters,
+                i,
+            )
+        )
+    return solutions
+
+
+def _rms(energy: Array, reference: Array, count: Array) -> tuple[Array, Array]:
+    """Root mean squares relative to a reference (0 where that is silent), and absolute."""
+    positive = reference > 0
+    share = jnp.where(positive, energy / jnp.where(positive, reference, 1.0), 0.0)
+    return jnp.sqrt(share), jnp.sqrt(energy / jnp.maximum(count, 1))
+
+
+def _equation_fit(
+    part: NormalEquations,
+    stage: NormalEquations,
+    before: Mapping[str, Array],
+    found: Mapping[str, Array],
+) -> EquationFit:
+    """What a stage leaves of one of its equations.
+
+    **Arguments:** `part`, the equation with all its coefficients; `stage`, with those that it
+    finds; `before` and `found`, what is known before the stage and after it.
+    """
+    equation = part.fix(before)
+    unknown = equation.parameters
+    theta = jnp.stack([found[name] for name in unknown]) if unknown else jnp.zeros(0)
+    energy = equation.residual_energy(theta)
+    values = jnp.stack([jnp.asarray(found[name]) for name in part.parameters])
+    largest = jnp.maximum(part.energy, jnp.max(values**2 * jnp.diagonal(part.gram)))
+    has_target = (equation.energy > 0) & bool(unknown)
+    relative, absolute = _rms(
+        energy, jnp.where(has_target, equation.energy, largest), equation.count
+    )
+    shrinkage = jnp.zeros_like(relative)
+    if unknown:
+        shrinkage = jnp.where(has_target, 0.0, _shrinkage(equation, stage, theta, energy))
+    return EquationFit(relative, absolute, equation.count, shrinkage, unknown)
+
+
+def _shrinkage(
+    equation: NormalEquations, stage: NormalEquations, theta: Float[Array, " own"], energy: Array
+) -> Float[Array, ""]:
+    """Share by which an equation without a target shrinks its coefficients theta.
+
+    Its residual A theta is homogeneous: scaled with s, theta costs s^2 |A theta|^2, and the minimum
+    of the sum trades that against what the stage's other equations ask for. With S their curvature
+    along theta, all other parameters following, the sum's slope vanishes at s = 1 and theirs alone
+    at 1 + |A theta|^2 / S.
+    """
+    own = np.array([stage.parameters.index(name) for name in equation.parameters])
+    others = np.setdiff1d(np.arange(len(stage.parameters)), own)
+    rest = stage.gram - equation.embed(stage.parameters).gram
+    pulled = rest[:, own] @ theta
+    curvature = theta @ pulled[own]
+    if others.size:
+        follow = solve_scaled(rest[np.ix_(others, others)], pulled[others][:, None])[:, 0]
+        curvature = curvature - pulled[others] @ follow
+    both = energy + jnp.maximum(curvature, 0.0)
+    return jnp.where(both > 0, energy / jnp.where(both > 0, both, 1.0), 0.0)
+
+
+STEADY = 3.0
+"""Kurtosis of a signal without bursts: a Gaussian's. A sinusoid's is half of it."""
+
+
+def sizes_in_bursts(
+    stage: int,
+    sharing: Sharing,
+    recordings: Sequence[RecordingSums],
+    values: Mapping[str, Array],
+    found: Collection[str],
+    names: Collection[str],
+) -> dict[str, float]:
+    """r.m.s. of terms where they act over the target's, sample by sample (not under jit).
+
+    Each sample of a term weighs as much as its energy: 10 times the plain r.m.s. for what acts 1 %
+    of the time, and no more than it for what is as steady as noise. A friction that differs just
+    before and just after a reversal cancels in windows, and not here. Terms under a derivative are
+    left out: differentiated noise comes in bursts as well.
+
+    **Arguments:** `stage`, its place in the procedure; `values` of all parameters; of `found`,
+    which this stage finds, those of `names` are asked for.
+    """
+    powers = dict.fromkeys(names, (0.0, 0.0, 0.0))
+    for i, recording in enumerate(recordings):
+        for equation in recording.stages[stage]:
+            seen = equation.activity
+            if seen is None:
+                continue
+            called = sharing.of_record(equation.parameters, i)
+            mix = np.array([1.0, *(0.0 if n in found else -float(values[n]) for n in called)])
+            gram = np.asarray(seen.gram, float)
+            target = float(mix @ gram @ mix) / max(float(seen.samples), 1.0)
+            squares, fourths = np.asarray(seen.square)[1:], np.asarray(seen.fourth)[1:]
+            for name, square, fourth in zip(called, squares, fourths):
+                if name in powers:
+                    before = powers[name]
+                    both = before[0] + float(square), before[1] + float(fourth)
+                    powers[name] = (*both, max(before[2], target))
+    return {
+        name: float(np.sqrt(fourth / STEADY / square / target)) if square * target > 0 else 0.0
+        for name, (square, fourth, target) in powers.items()
+    }

@@ -1,0 +1,129 @@
+"""Small dense linear algebra: elimination in bulk, eigenvalues, triangular factors."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+
+def solve_scaled(
+    matrix: Float[Array, "p p"], right: Float[Array, "p k"], ridge: float = 0.0
+) -> Float[Array, "p k"]:
+    """matrix^-1 right, by elimination once the matrix has a diagonal of ones (plus `ridge`).
+
+    Rows and columns of a Gram matrix have the units of its parameters, whose sizes would else
+    decide what is rounded away. A ridge keeps one that nothing depends on from a division by zero.
+    """
+    scale = unit_scale(jnp.diagonal(matrix))
+    scaled = matrix * scale[:, None] * scale[None, :]
+    if ridge:
+        scaled = scaled + ridge * jnp.eye(scaled.shape[0], dtype=scaled.dtype)
+    return scale[:, None] * eliminate(scaled, scale[:, None] * right)
+
+
+def eliminate(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
+    """matrix^-1 right, see [`eliminate_with_pivots`][]."""
+    return eliminate_with_pivots(matrix, right)[0]
+
+
+def eliminate_with_pivots(
+    matrix: Float[Array, "p p"], right: Float[Array, "p k"]
+) -> tuple[Float[Array, "p k"], Float[Array, " p"]]:
+    """matrix^-1 right by Gauss and Jordan's elimination, and its pivots, which are not exchanged.
+
+    For matrices whose leading blocks are positive definite, which need no exchange; scale them to a
+    diagonal of ones first (see [`solve_scaled`][]). A compiler turns it into vector instructions
+    over thousands of small matrices, where LAPACK is called once for each.
+    """
+    size = matrix.shape[0]
+
+    def step(table: Array, k: Array) -> tuple[Array, Array]:
+        row = table[k] / table[k, k]
+        cleared = table - table[:, k][:, None] * row[None, :]
+        return cleared.at[k].set(row), table[k, k]
+
+    table = jnp.concatenate([matrix, right], axis=1)
+    table, pivots = jax.lax.scan(step, table, jnp.arange(size))
+    return table[:, size:], pivots
+
+
+def unit_scale(diagonal: Float[Array, " p"]) -> Float[Array, " p"]:
+    """Factors that bring a matrix with this diagonal to a diagonal of ones, on either side.
+
+    Parameters may differ by ten powers of ten. 1 where the diagonal is zero.
+    """
+    size = jnp.abs(diagonal)
+    return jnp.where(size > 0, 1 / jnp.sqrt(jnp.where(size > 0, size, 1.0)), 1.0)
+
+
+def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
+    """Eigenvalues of a symmetric matrix, least first, and eigenvectors in columns.
+
+    Under vmap, a CPU takes one matrix at a time; other devices take them all at once.
+    """
+    return jax.lax.platform_dependent(matrix, cpu=_one_by_one, default=_eigen)
+
+
+def _eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
+    values, vectors = jnp.linalg.eigh(matrix)
+    return values, vectors
+
+
+# LAPACK's batched calls wait for threads of the pool that they run on: two at once, on a machine of
+# two cores, wait for each other for ever (jaxlib 0.10.2).
+_one_by_one = jax.custom_batching.sequential_vmap(_eigen)
+
+Factor = Float[np.ndarray, "columns columns"]
+
+
+def compressed(rows: Float[np.ndarray, "rows columns"], kept: Bool[np.ndarray, " rows"]) -> Factor:
+    """The triangular factor of `[1, rows]` for those that are kept (not under jit).
+
+    Its first row holds the columns' means times the root of the rows' number.
+    """
+    there = np.asarray(rows, float)[np.asarray(kept)]
+    return _factor(np.concatenate([np.ones((len(there), 1)), there], axis=1))
+
+
+def factor_of(gram: Float[Array | np.ndarray, "columns columns"]) -> Factor:
+    """A triangular factor of which this is the square, to half of its digits (not under jit).
+
+    NaN throughout where the square is not finite.
+    """
+    if not np.isfinite(gram).all():
+        return np.full(np.shape(gram), np.nan)
+    squares, vectors = np.linalg.eigh(np.asarray(gram))
+    return _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T)
+
+
+def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:
+    """A triangular factor without a negative number on its diagonal, filled up with zeros."""
+    size = rows.shape[1]
+    if not np.isfinite(rows).all():
+        return np.full((size, size), np.nan)
+    found = np.linalg.qr(rows, mode="r")
+    factor = np.zeros((size, size))
+    factor[: len(found)] = np.where(np.diagonal(found) < 0, -1.0, 1.0)[:, None] * found
+    return factor
+
+
+def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*batch n n"]:
+    """Upper triangle R with R^T R = moments, to rounding; zero for a column that is."""
+    n, diagonal = moments.shape[-1], jnp.diagonal(moments, axis1=-2, axis2=-1)
+    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
+    # Columns that explain one another would leave a pivot of rounding, of either sign.
+    rounding = 8 * n * jnp.finfo(moments.dtype).eps
+    identity = jnp.eye(n, dtype=moments.dtype).reshape((1,) * (moments.ndim - 2) + (n, n))
+    scaled = moments * scale[..., :, None] * scale[..., None, :] + rounding * identity
+    factor = jnp.swapaxes(jnp.linalg.cholesky(scaled), -1, -2)
+    return jnp.where(diagonal > 0, jnp.sqrt(jnp.maximum(diagonal, 0.0)), 0.0)[..., None, :] * factor
+
+
+def gram_condition_limit(dtype: jnp.dtype) -> float:
+    """Condition number past which the Gram matrix no longer serves and rows must be solved.
+
+    Normal equations square the condition number: a relative error of about eps cond^2 in theta.
+    The limit keeps that below 1e-5 in 64-bit (cond 2e5) and below 1e-2 in 32-bit (cond 290).
+    """
+    eps = float(jnp.finfo(dtype).eps)
+    return float((1e-5 / eps) ** 0.5) if eps < 1e-10 else float((1e-2 / eps) ** 0.5)

@@ -1,0 +1,161 @@
+"""From a record as read to the record that a model's equations read."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.preparation import (
+    differentiate,
+    low_pass,
+    remove_drift,
+    remove_offset,
+    upsample,
+)
+from riecjax.records.record import Record
+from riecjax.records.time_base import STEP_TOLERANCE
+
+
+class Step(NamedTuple):
+    """One step, in words for the result's provenance, and what it does."""
+
+    words: str
+    apply: Callable[[Record], Record]
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What a user asks to be done to a record, in this order.
+
+    **Fields:**
+
+    - `start`, `stop`: times to cut at in seconds from the recording's first sample, or `None`.
+    - `offsets`, `drifts`: signals to remove the mean or a straight line from.
+    - `cutoffs`: signal to cut-off in Hz of a low-pass.
+    - `upsample`: factor of a band-limited interpolation.
+    - `derivatives`: new signal to the signal whose derivative it is.
+    - `every`: use every n-th sample.
+    """
+
+    start: float | None = None
+    stop: float | None = None
+    offsets: tuple[str, ...] = ()
+    drifts: tuple[str, ...] = ()
+    cutoffs: Mapping[str, float] = field(default_factory=dict)
+    upsample: int = 1
+    derivatives: Mapping[str, str] = field(default_factory=dict)
+    every: int = 1
+
+    def idle_cuts(self, record: Record) -> dict[str, str]:
+        """Of `start` and `stop`, those that cut nothing off a record, and that in words."""
+        time = np.asarray(record.elapsed)
+        idle = {}
+        if self.start is not None and self.start <= time[0]:
+            idle["start"] = f"a cut from {self.start:g} s on removes nothing: {_lasts(record)}"
+        if self.stop is not None and self.stop >= time[-1]:
+            idle["stop"] = f"a cut up to {self.stop:g} s removes nothing: {_lasts(record)}"
+        return idle
+
+    def steps(self) -> list[Step]:
+        """The steps in the order in which they are taken."""
+        steps = []
+        if self.start is not None or self.stop is not None:
+            low = "the start" if self.start is None else f"{self.start:g} s"
+            high = "the end" if self.stop is None else f"{self.stop:g} s"
+            steps.append(Step(f"cut from {low} to {high}", partial(cut, self.start, self.stop)))
+        steps += [
+            Step(f"{name}: mean removed", partial(_of_signal, remove_offset, name))
+            for name in self.offsets
+        ]
+        steps += [
+            Step(f"{name}: straight line removed", partial(_of_signal, remove_drift, name))
+            for name in self.drifts
+        ]
+        if self.cutoffs:
+            listed = ", ".join(f"{name} at {cutoff:g} Hz" for name, cutoff in self.cutoffs.items())
+            steps.append(
+                Step(
+                    f"zero-phase 4th-order Butterworth low-pass: {listed}",
+                    lambda record: low_pass(record, dict(self.cutoffs)),
+                )
+            )
+        if self.upsample > 1:
+            steps.append(
+                Step(
+                    f"band-limited up-sampling by {self.upsample}",
+                    lambda record: upsample(record, self.upsample),
+                )
+            )
+        steps += [_derivative(name, of) for name, of in self.derivatives.items()]
+        if self.every > 1:
+            ending = {1: "st", 2: "nd", 3: "rd"}.get(self.every % 10, "th")
+            ending = "th" if 10 < self.every % 100 < 14 else ending
+            steps.append(Step(f"every {self.every}{ending} sample", lambda r: r.every(self.every)))
+        return steps
+
+
+def prepare(
+    record: Record, derived: Mapping[str, str], preparation: Preparation
+) -> tuple[Record, list[str]]:
+    """Take the steps; add derivatives (`derived`: new signal to its signal) that are still missing.
+
+    Those are added before the record is thinned, which would coarsen their differences.
+
+    **Returns:** the prepared record, and the steps that were taken, in words.
+
+    **Raises:** `DataError` for a missing signal or settings that the record does not allow.
+    """
+    preparation = replace(preparation, **dict.fromkeys(preparation.idle_cuts(record)))
+    steps = preparation.steps()
+    thinning = steps[-1:] if preparation.every > 1 else []
+    words = []
+    for step in steps[: len(steps) - len(thinning)]:
+        record = step.apply(record)
+        words.append(step.words)
+    for name, of in derived.items():
+        if name not in record.signals:
+            step = _derivative(name, of)
+            record = step.apply(record)
+            words.append(step.words)
+    for step in thinning:
+        record = step.apply(record)
+        words.append(step.words)
+    return record, words
+
+
+def cut(start: float | None, stop: float | None, record: Record) -> Record:
+    """The samples between two times in seconds from the recording's first sample, both included.
+
+    **Raises:** `DataError` if fewer than two samples lie there.
+    """
+    time = np.asarray(record.elapsed)
+    # Stamps since 1970 are rounded to a quarter of a microsecond, and the time step with them.
+    rounding = STEP_TOLERANCE * float(record.time_step)
+    first = 0 if start is None else int(np.searchsorted(time, start - rounding))
+    last = time.size if stop is None else int(np.searchsorted(time, stop + rounding))
+    if last - first < 2:
+        raise DataError(f"there are no two samples between these times; {_lasts(record)}")
+    return record.part(first, last)
+
+
+def _lasts(record: Record) -> str:
+    first, last = (float(time) for time in np.asarray(record.elapsed)[[0, -1]])
+    stamp = float(np.asarray(record.time)[0])
+    stamped = f", stamped {stamp - first:.15g}" if stamp != first else ""
+    return (
+        f"the record lasts from {first:.6g} to {last:.6g} s, counted from its first sample"
+        f"{stamped}."
+    )
+
+
+def _of_signal(step: Callable[..., Record], name: str, record: Record) -> Record:
+    return step(record, name)
+
+
+def _derivative(name: str, of: str) -> Step:
+    return Step(
+        f"{name}: central differences of {of}", lambda record: differentiate(record, of, name)
+    )

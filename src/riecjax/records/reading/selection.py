@@ -1,0 +1,275 @@
+"""From the channels of a file to a record: which are signals, which is time, in which units."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.derived import derived
+from riecjax.records.reading.channels import TIME_COLUMNS, Channels, listed
+from riecjax.records.reading.units import SECONDS, split_unit
+from riecjax.records.record import Record
+
+
+class Selection(NamedTuple):
+    """What a user asks of a file's channels.
+
+    **Fields:** `rename`, signal to column; `scale`, column or signal to factor; `units`, signal to
+    unit; `derive`, signal to formula; `time_step` in s; `resample` in Hz.
+    """
+
+    rename: Mapping[str, str] = {}
+    scale: Mapping[str, float] = {}
+    units: Mapping[str, str] = {}
+    derive: Mapping[str, str] = {}
+    time_step: float | None = None
+    resample: float | None = None
+
+
+class _Signals(NamedTuple):
+    """Signals by name, with the column each comes from and its unit."""
+
+    values: dict[str, np.ndarray]
+    column: dict[str, str]
+    units: dict[str, str]
+
+
+def record_from_channels(channels: Channels, selection: Selection) -> Record:
+    """Make a record of a file's channels.
+
+    **Raises:** `DataError` for a missing or ambiguous column, no time or several, and samples that
+    do not make a record (see [`Record.from_samples`][]); `ModelError` for a formula.
+    """
+    if not channels.columns:
+        raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
+    rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
+    signals = _scaled(_renamed(channels, rename), channels, selection.scale)
+    times = {} if selection.time_step is not None else _times(signals, channels, rename)
+    if selection.time_step is not None:
+        signals = _evenly_timed(signals, rename)
+    else:
+        signals = _with_times(signals, times, rename)
+        if not signals.values:
+            raise DataError(
+                f"a record needs at least one signal beside its time{_first_reason(channels)}."
+            )
+    if selection.resample is not None:
+        return _resampled(signals, times, selection)
+    values, time = _on_one_axis(signals.values, times)
+    values = _finite(_with_derived(values, time, selection.derive), selection)
+    return Record.from_samples(
+        values,
+        time=time,
+        time_step=selection.time_step,
+        units={**signals.units, **selection.units},
+    )
+
+
+def column_named(channels: Channels, name: str) -> str:
+    """The column called `name`, or the only one called so but for its unit in brackets.
+
+    **Raises:** `DataError` if there is none, or there are several.
+    """
+    if name in channels.columns:
+        return name
+    found = [column for column in channels.columns if split_unit(column)[0] == name]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise DataError(f"'{name}' may be any of: {listed(found)}; give the full name.")
+    if name in channels.left_out:
+        raise DataError(f"column '{name}' cannot be a signal: {channels.left_out[name]}.")
+    raise DataError(f"there is no column '{name}'; there are: {listed(channels.columns)}.")
+
+
+def _first_reason(channels: Channels) -> str:
+    """Why a column that was left out is none, for a message: the one named as time first."""
+    named = sorted(channels.left_out, key=lambda name: split_unit(name)[0] not in TIME_COLUMNS)
+    return f"; column '{named[0]}' is none: {channels.left_out[named[0]]}" if named else ""
+
+
+def _renamed(channels: Channels, rename: Mapping[str, str]) -> _Signals:
+    taken = set(rename.values())
+    column = {_short_name(channels, name): name for name in channels.columns if name not in taken}
+    # A new name takes the place of a column that is called so.
+    column |= rename
+    values = {name: channels.columns[source] for name, source in column.items()}
+    units = {k: channels.units[c] for k, c in column.items() if c in channels.units}
+    empty = [name for name in values if name not in rename and np.isnan(values[name]).all()]
+    values = {name: array for name, array in values.items() if name not in empty}
+    return _Signals(values, column, units)
+
+
+def _short_name(channels: Channels, column: str) -> str:
+    """A column's name without its unit in brackets, unless another column is called that."""
+    short = split_unit(column)[0]
+    alike = [other for other in channels.columns if split_unit(other)[0] == short]
+    return short if alike == [column] else column
+
+
+def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -> _Signals:
+    """Scaled signals; what is scaled no longer has the unit that the file states."""
+    values, units, done = dict(signals.values), dict(signals.units), set()
+    for name, factor in scale.items():
+        if not (np.isfinite(factor) and factor != 0):
+            raise DataError(f"the scale of '{name}' must be a number other than 0; got {factor:g}.")
+        targets = [name]
+        if name not in values or name in channels.columns:
+            source = column_named(channels, name)
+            targets = [signal for signal in values if signals.column[signal] == source]
+        for target in targets:
+            if target in done:
+                raise DataError(f"'{target}' is scaled twice.")
+            values[target] = values[target] * factor
+            units.pop(target, None)
+            done.add(target)
+    return _Signals(values, signals.column, units)
+
+
+def _times(
+    signals: _Signals, channels: Channels, rename: Mapping[str, str]
+) -> dict[str, np.ndarray]:
+    """Signal to its time in s, for each signal that has one."""
+    found = _time_name(signals, rename)
+    if found is not None:
+        time = _in_seconds(found, signals)
+        rest = [name for name in signals.values if name != found]
+        return {name: time for name in rest if signals.values[name].size == time.size}
+    axes = {time: _in_seconds(time, signals) for time in _axes(channels, signals)}
+    times = {
+        name: axes[channels.time_of[column]]
+        for name, column in signals.column.items()
+        if name in signals.values
+        and column in channels.time_of
+        and column not in axes
+        and channels.time_of[column] in axes
+    }
+    if not times:
+        raise DataError(
+            f"there is no time column ('t' or 'time'); there are: {listed(channels.columns)}."
+            f" Name it by renaming it to t (on the command line: --map t=COLUMN), or give the "
+            f"seconds between samples (--time-step){_first_reason(channels)}."
+        )
+    return times
+
+
+def _axes(channels: Channels, signals: _Signals) -> list[str]:
+    used = dict.fromkeys(channels.time_of.values())
+    return [name for name in used if name in signals.values]
+
+
+def _time_name(signals: _Signals, rename: Mapping[str, str]) -> str | None:
+    if "t" in rename:
+        return "t"
+    for wanted in TIME_COLUMNS:
+        for name in signals.values:
+            base, unit = split_unit(name)
+            if name == wanted or (base == wanted and unit in SECONDS):
+                return name
+    return None
+
+
+def _in_seconds(name: str, signals: _Signals) -> np.ndarray:
+    """Time in s, converted from the unit that the file states for it."""
+    unit = signals.units.get(name)
+    if unit is None:
+        return signals.values[name]
+    # "seconds since 2024-01-01", as NetCDF has it.
+    factor = SECONDS.get(unit) or SECONDS.get(unit.split(" since ")[0])
+    if factor is None:
+        raise DataError(
+            f"time '{name}' is in '{unit}', which is not known; scale it to seconds (on the"
+            f" command line: --scale {name}=FACTOR)."
+        )
+    return signals.values[name] * factor
+
+
+def _evenly_timed(signals: _Signals, rename: Mapping[str, str]) -> _Signals:
+    """Signals of a file without time: those of the length that most have."""
+    time = _time_name(signals, rename)
+    if time is not None:
+        raise DataError(
+            f"time is in column '{time}'; a time step is for files without time. Leave it out, or"
+            " rename that column."
+        )
+    wanted = [name for name in signals.values if name in rename] or list(signals.values)
+    lengths = [signals.values[name].size for name in wanted]
+    usual = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    kept = {name: array for name, array in signals.values.items() if array.size == usual}
+    for name in rename:
+        if name not in kept:
+            raise DataError(
+                f"column '{rename[name]}' has another length than the others, {usual} samples."
+            )
+    return signals._replace(values=kept)
+
+
+def _with_times(
+    signals: _Signals, times: Mapping[str, np.ndarray], rename: Mapping[str, str]
+) -> _Signals:
+    """The signals that have a time; those asked for by name must."""
+    for name in rename:
+        if name not in times and name != "t":
+            size = max((time.size for time in times.values()), default=0)
+            size = size or signals.values[_time_name(signals, rename) or name].size
+            raise DataError(
+                f"column '{rename[name]}' has another length than the time, {size} samples."
+            )
+    return signals._replace(values={name: signals.values[name] for name in times})
+
+
+def _on_one_axis(
+    values: dict[str, np.ndarray], times: dict[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+    """Signals and their one time, less the rows in which nothing stands."""
+    if not times:
+        return values, None
+    first = next(iter(times))
+    for name, time in times.items():
+        if time is not times[first] and not np.array_equal(time, times[first]):
+            raise DataError(
+                f"'{first}' and '{name}' have different times; bring them to a common rate (on the"
+                " command line: --resample HZ), or name the time of the signals you need by"
+                " renaming it to t."
+            )
+    time = times[first]
+    filled = ~np.isnan(time) | np.any([~np.isnan(each) for each in values.values()], axis=0)
+    if filled.all():
+        return values, time
+    return {name: array[filled] for name, array in values.items()}, time[filled]
+
+
+def _resampled(signals: _Signals, times: dict[str, np.ndarray], selection: Selection) -> Record:
+    from riecjax.records.preparation.resampling import on_grid
+
+    pairs = {}
+    for name, values in _finite(signals.values, selection).items():
+        step = selection.time_step
+        time = times[name] if step is None else step * np.arange(values.size)
+        known = ~np.isnan(time)
+        pairs[name] = time[known], values[known]
+    time, values = on_grid(pairs, float(selection.resample or 0.0))
+    return Record.from_samples(
+        _with_derived(values, time, selection.derive),
+        time=time,
+        units={**signals.units, **selection.units},
+    )
+
+
+def _finite(values: dict[str, np.ndarray], selection: Selection) -> dict[str, np.ndarray]:
+    """Without the infinite by-products of files from which signals are asked for by name."""
+    wanted = {*selection.rename, *selection.derive}
+    if not wanted - {"t"}:
+        return values
+    return {k: v for k, v in values.items() if k in wanted or not np.isinf(v).any()}
+
+
+def _with_derived(
+    values: dict[str, np.ndarray], time: np.ndarray | None, derive: Mapping[str, str]
+) -> dict[str, np.ndarray]:
+    values = dict(values)
+    for name, formula in derive.items():
+        known = values if time is None or "t" in values else {**values, "t": time}
+        values[name] = derived(formula, known)
+    return values

@@ -1,0 +1,86 @@
+"""What tells recordings apart: a digest of samples and of everything that their sums depend on."""
+
+import dataclasses
+import hashlib
+import json
+import re
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Key, UInt32
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.length_bins import LengthBins
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import Procedure
+from riecjax.records.record import Record
+
+
+def digest_of(
+    procedure: Procedure,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    bins: LengthBins | None,
+) -> UInt32[np.ndarray, "8"]:
+    """SHA-256 of a recording's samples and of all settings (not under jit).
+
+    Functions of the signals count by their name and what they were compiled to, so that other
+    versions of Python may tell recordings apart that are the same.
+    """
+    digest = hashlib.sha256()
+    for arrays in (record.arrays, record.missing):
+        for name, values in sorted(arrays.items()):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(values).data)
+    settings = {
+        "time_step": float(record.time_step),
+        "criterion": criterion.describe(),
+        "equations": [[_described(e) for e in stage] for stage in procedure.stages],
+        "key": None if key is None else jax.random.key_data(key).tolist(),
+        "bins": None if bins is None else bins.edges.tolist(),
+    }
+    digest.update(json.dumps(settings, sort_keys=True, default=_without_address).encode())
+    return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)
+
+
+def fingerprint_of(procedure: Procedure) -> str:
+    """SHA-256 of what a procedure's sums depend on, without the samples (not under jit)."""
+    equations = [[_described(e) for e in stage] for stage in procedure.stages]
+    written = json.dumps(equations, sort_keys=True, default=_without_address)
+    return hashlib.sha256(written.encode()).hexdigest()
+
+
+def _described(equation: Equation) -> list[object]:
+    """What an equation's sums depend on, as far as it has a name, a number or code."""
+    return [equation.name, [_written(term) for term in equation.terms], _function(equation.where)]
+
+
+def _written(value: Any) -> object:
+    """A term, or a part of it, field by field. What is known of a coefficient moves no sum."""
+    if isinstance(value, eqx.Module):
+        fields = [field.name for field in dataclasses.fields(value)]
+        kept = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
+        return [type(value).__name__, {name: _written(part) for name, part in kept.items()}]
+    if eqx.is_array(value):
+        return np.asarray(value).tolist()
+    return _function(value) if callable(value) else value
+
+
+def _function(expression: str | Callable | None) -> object:
+    """A signal's name, or a function's name with its code and what that refers to."""
+    code = getattr(expression, "__code__", None)
+    if code is None:
+        return expression
+    cells = [cell.cell_contents for cell in getattr(expression, "__closure__", None) or ()]
+    constants = [value for value in code.co_consts if not hasattr(value, "co_code")]
+    return [code.co_name, code.co_code.hex(), constants, list(code.co_names), cells]
+
+
+def _without_address(value: object) -> str:
+    """What is printed of an object but for where it lies in memory: elsewhere in other processes,
+    which would then count a recording that two of them summed as two."""
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", str(value))

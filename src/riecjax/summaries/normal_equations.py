@@ -1,0 +1,141 @@
+"""Normal equations: all that least squares needs to know of its rows, and additive."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from riecjax.criteria.rows import Rows
+from riecjax.errors import ModelError
+from riecjax.leaves import namespace
+
+
+class NormalEquations(eqx.Module):
+    """Gram matrix of target and regressors, with the number of rows behind it.
+
+    Additive over windows, records, blocks of time and machines: adding two gives what their rows
+    stacked would give. A leading axis of blocks is allowed, see [`NormalEquations.total`][].
+
+    **Fields:**
+
+    - `moments`: `[y A]^T [y A]`, shape `(..., 1 + p, 1 + p)`.
+    - `count`: number of rows, shape `(...)`.
+    - `parameters`: names of the p regressors, in the order of the matrix.
+    """
+
+    moments: Float[Array, "*blocks columns columns"]
+    count: Float[Array, "*blocks"]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def gram(self) -> Float[Array, "*blocks p p"]:
+        """A^T A."""
+        return self.moments[..., 1:, 1:]
+
+    @property
+    def moment(self) -> Float[Array, "*blocks p"]:
+        """A^T y."""
+        return self.moments[..., 1:, 0]
+
+    @property
+    def energy(self) -> Float[Array, "*blocks"]:
+        """y^T y."""
+        return self.moments[..., 0, 0]
+
+    def __add__(self, other: "NormalEquations") -> "NormalEquations":
+        if self.parameters != other.parameters:
+            raise ModelError(
+                f"normal equations of different parameters cannot be added: {self.parameters} and "
+                f"{other.parameters}. Bring both to the same ones by `embed`."
+            )
+        return NormalEquations(
+            self.moments + other.moments, self.count + other.count, self.parameters
+        )
+
+    def total(self) -> "NormalEquations":
+        """The sum over the axis of blocks."""
+        return NormalEquations(self.moments.sum(0), self.count.sum(0), self.parameters)
+
+    def in_blocks_of_records(self) -> "NormalEquations":
+        """Of leading axes `(records, blocks)`, the sum over the second."""
+        return NormalEquations(self.moments.sum(1), self.count.sum(1), self.parameters)
+
+    def flattened(self) -> "NormalEquations":
+        """The same with one leading axis for all that there are."""
+        shape = self.moments.shape[-2:]
+        return NormalEquations(
+            self.moments.reshape(-1, *shape), self.count.reshape(-1), self.parameters
+        )
+
+    def rename(self, parameters: tuple[str, ...]) -> "NormalEquations":
+        """The same equations with other names for the regressors."""
+        return NormalEquations(self.moments, self.count, parameters)
+
+    def embed(self, parameters: tuple[str, ...]) -> "NormalEquations":
+        """The same equations among more parameters, with zeros for those that do not occur."""
+        if missing := set(self.parameters) - set(parameters):
+            raise ModelError(f"cannot leave out {sorted(missing)}; fix them instead.")
+        index = jnp.array([0] + [1 + parameters.index(name) for name in self.parameters])
+        size = 1 + len(parameters)
+        moments = jnp.zeros((*self.moments.shape[:-2], size, size), self.moments.dtype)
+        moments = moments.at[..., index[:, None], index[None, :]].set(self.moments)
+        return NormalEquations(moments, self.count, parameters)
+
+    def fix(self, known: Mapping[str, Array | float]) -> "NormalEquations":
+        """The equations left when these parameters take these values: their columns join y.
+
+        Names that do not occur here are ignored. Rows are not needed again, so that one set of
+        normal equations serves every variant of what is known.
+        """
+        kept = tuple(name for name in self.parameters if name not in known)
+        # y' = y - sum known_j a_j is a linear map of the columns [y A].
+        mix = jnp.zeros((1 + len(kept), 1 + len(self.parameters)), self.moments.dtype)
+        mix = mix.at[0, 0].set(1.0)
+        for j, name in enumerate(self.parameters):
+            if name in known:
+                mix = mix.at[0, 1 + j].set(-jnp.asarray(known[name], mix.dtype))
+            else:
+                mix = mix.at[1 + kept.index(name), 1 + j].set(1.0)
+        return NormalEquations(mix @ self.moments @ mix.T, self.count, kept)
+
+    def residual_energy(self, theta: Float[Array, " p"]) -> Float[Array, "*blocks"]:
+        """Sum of squared residuals at theta; below about 1e-16 of `energy` it is rounding."""
+        v = jnp.concatenate([jnp.ones((1,), theta.dtype), -theta])
+        return jnp.maximum(jnp.einsum("i,...ij,j->...", v, self.moments, v), 0.0)
+
+
+def normal_equations(
+    rows: Rows,
+    *,
+    block_of_row: Int[Array, " rows"] | None = None,
+    block_count: int = 1,
+) -> NormalEquations:
+    """Normal equations of rows, one for each of `block_count` blocks (leading axis)."""
+    columns = rows.columns
+    if block_of_row is None:
+        return NormalEquations((columns @ columns.T)[None], rows.count()[None], rows.parameters)
+    products = columns[:, None, :] * columns[None, :, :]
+    moments = jax.ops.segment_sum(
+        jnp.moveaxis(products, -1, 0), block_of_row, num_segments=block_count
+    )
+    kept = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
+    count = jax.ops.segment_sum(kept.astype(columns.dtype), block_of_row, num_segments=block_count)
+    return NormalEquations(moments, count, rows.parameters)
+
+
+def stack_normal_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Of one record after another; where one has fewer blocks than another, empty ones follow."""
+    most = max(part.count.shape[0] for part in parts)
+
+    xp = namespace(parts)
+
+    def filled_up(blocks: Array) -> Array:
+        return xp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
+
+    return NormalEquations(
+        xp.stack([filled_up(part.moments) for part in parts]),
+        xp.stack([filled_up(part.count) for part in parts]),
+        parts[0].parameters,
+    )

@@ -1,0 +1,82 @@
+"""The verb that reads samples: sum up what recordings say to a model."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Array, Key
+from numpy.typing import ArrayLike
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.length_bins import LengthBins
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure
+from riecjax.errors import ModelError
+from riecjax.leaves import is_concrete, is_under_trace
+from riecjax.records.record import Record
+from riecjax.summaries.reduction import Reading
+from riecjax.summaries.stage_sums import traced_sums
+from riecjax.summaries.summary import Outline, Summary
+from riecjax.summaries.sums import RecordingSums
+from riecjax.summaries.task import Task, task
+
+
+def summarise(
+    model: Equation | Procedure | HasProcedure,
+    record: Record | Sequence[Record],
+    criterion: AbstractCriterion | None = None,
+    *,
+    key: Key[Array, ""] | None = None,
+    bins: int | ArrayLike | None = None,
+    survey: bool = False,
+) -> Summary:
+    """Sum up what one or several recordings say to a model: all that [`estimate`][] needs.
+
+    Each recording is read once, and the same few compiled functions serve recordings of any length.
+    Under `jax.jit`, `jax.vmap` and `jax.grad` shapes are those of the records, and only moments are
+    summed.
+
+    **Arguments:** `model`, `record`, `criterion` and `key` as for [`identify`][];
+
+    - `bins`: keep the sums of windows of different length apart, so that a band can be chosen
+      afterwards: so many bins from alpha to beta in equal ratios, or their edges in seconds, to
+      which alpha and beta are added.
+    - `survey`: sum up also what [`check`][] and figures ask for.
+
+    **Returns:** a [`Summary`][] of the recordings in this order.
+
+    **Raises:** `ModelError` for a missing key, for bins of a criterion that does not sum all
+    windows, or for an expression that mixes samples of a long record; `DataError` for a missing
+    signal or a record shorter than a window.
+    """
+    asked = task(model, record, criterion, key)
+    return summed(asked, bins=bins, survey=survey)
+
+
+def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = False) -> Summary:
+    """The Summary of a task; see [`summarise`][]."""
+    procedure, records, criterion, keys = asked
+    outline = Outline.of(procedure)
+    traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
+    kept_apart = None if bins is None else _bins(criterion, bins, traced)
+    edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
+
+    def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
+        if traced:
+            return traced_sums(procedure, record, criterion, key)
+        return Reading(procedure, record, criterion, key, kept_apart, survey).sums()
+
+    every = tuple(sums(record, key) for record, key in zip(records, keys))
+    return Summary(every, criterion, outline, edges, band, band)
+
+
+def _bins(criterion: AbstractCriterion, bins: int | ArrayLike, traced: bool) -> LengthBins:
+    windows = criterion.in_windows
+    if traced or not criterion.in_closed_form or windows is None:
+        raise ModelError(
+            "bins of window lengths are kept of all windows, with numbers that are known: use "
+            "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
+        )
+    alpha, beta = float(windows.alpha), float(windows.beta)
+    if isinstance(bins, int | np.integer):
+        return LengthBins.of_number(alpha, beta, int(bins))
+    return LengthBins.around(alpha, beta, bins)

@@ -1,0 +1,377 @@
+"""All that recordings say to a model, kept as sums: what every estimate is made from."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.length_bins import LengthBins
+from riecjax.equations.procedure import Procedure
+from riecjax.errors import DataError, ModelError, require
+from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.summaries.blocks import ShortBlocks
+from riecjax.summaries.digest import fingerprint_of
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.sums import EquationSums, RecordingSums
+
+ROOMS = (128, 1024)
+"""Blocks of a recording that arrays have room for; there are no more than the last."""
+SCHEMA = 1
+"""Of what a Summary holds; another one is refused."""
+UNKNOWN = "0" * 64
+"""Digest of a recording that was summed by jit."""
+
+
+class Outline(eqx.Module):
+    """What was asked of the recordings, as far as sums depend on it.
+
+    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter;
+    `fingerprint` of the equations' terms, empty where their numbers were traced.
+    """
+
+    stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
+    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    fingerprint: str = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, procedure: Procedure) -> "Outline":
+        """Of a procedure."""
+        stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in procedure.stages)
+        fingerprint = fingerprint_of(procedure) if is_concrete(procedure) else ""
+        return cls(stages, tuple(procedure.units.items()), fingerprint)
+
+    def is_of(self, other: "Outline") -> bool:
+        """Whether both are of the same equations, as far as that is known."""
+        known = bool(self.fingerprint and other.fingerprint)
+        return self.stages == other.stages and (not known or self.fingerprint == other.fingerprint)
+
+
+class Summary(eqx.Module):
+    """What recordings say to a model under a criterion: moments of short blocks of time.
+
+    Sums of recordings, files and machines add up, so that summaries merge, and the samples are not
+    needed again: [`estimate`][] finds parameters from a Summary for any known values, any
+    intervals, and any part of the recordings or blocks of time. Where moments are kept by bins of
+    window lengths, a band of lengths can be chosen afterwards too.
+
+    Its size does not grow with the length of a recording beyond `MOST_BLOCKS` blocks: short blocks
+    then pair up. See [`Summary.byte_count`][].
+
+    **Fields:**
+
+    - `recordings`: sums of each, in the order in which a recording's own parameters are numbered.
+    - `criterion`: what made the rows, with the band of window lengths in use.
+    - `outline`: names of equations and parameters, and units.
+    - `edges`: of bins of window lengths in seconds, or `None`; `in_law`, the bins that the
+      criterion was given, first and one beyond the last.
+    - `band`: the bins in use, first and one beyond the last.
+    - `asked`: alpha and beta that were asked for, where the bins' edges are others; else `None`.
+    """
+
+    recordings: tuple[RecordingSums, ...]
+    criterion: AbstractCriterion
+    outline: Outline
+    edges: Float[Leaf, " edges"] | None
+    in_law: tuple[int, int] = eqx.field(static=True)
+    band: tuple[int, int] = eqx.field(static=True)
+    asked: tuple[float, float] | None = eqx.field(static=True, default=None)
+
+    @property
+    def bins(self) -> LengthBins | None:
+        """Bins of window lengths that are kept apart, if any."""
+        return None if self.edges is None else LengthBins(np.asarray(self.edges), self.in_law)
+
+    @property
+    def byte_count(self) -> int:
+        """Bytes of all arrays: for p parameters about `8 bins blocks (1 + p)^2` an equation and
+        recording."""
+        leaves = jax.tree.leaves(eqx.filter(self.recordings, eqx.is_array))
+        return sum(leaf.size * leaf.dtype.itemsize for leaf in leaves)
+
+    @property
+    def digests(self) -> tuple[str, ...]:
+        """Of each recording's content and of all settings (not of one that was summed by jit)."""
+        return tuple(np.asarray(r.digest).astype(">u4").tobytes().hex() for r in self.recordings)
+
+    def merge(self, *others: "Summary") -> "Summary":
+        """A Summary of the recordings of all, each once, sorted by digest.
+
+        In whatever order and parts recordings come together, estimates are the same to the bit.
+
+        **Raises:** `ModelError` for summaries of other equations, criteria or bins; for a recording
+        that two of them hold differently, scaled or with a stretch left out; and for sums that were
+        made under `jit`, which do not tell whose they are.
+        """
+        every: dict[str, RecordingSums] = {}
+        for one in (self, *others):
+            require("what is merged", one, Summary, "summary.merge(other): one after the other")
+            self._require_alike(one)
+            for digest, recording in zip(one.digests, one.recordings):
+                if UNKNOWN in (digest, *every):
+                    _require_alone(every)
+                every[digest] = _one_of(every.get(digest, recording), recording)
+        return self.of_recordings(every[digest] for digest in sorted(every))
+
+    def of_recordings(self, recordings: Iterable[RecordingSums]) -> "Summary":
+        """The same of other recordings."""
+        return dataclasses.replace(self, recordings=tuple(recordings))
+
+    def select(self, *indices: int) -> "Summary":
+        """A Summary of these recordings only, numbered from zero.
+
+        **Raises:** `ModelError` if there are none of these numbers, or none at all.
+        """
+        count = len(self.recordings)
+        if not indices or any(not -count <= i < count for i in indices):
+            raise ModelError(f"recordings are numbered from 0 to {count - 1}; got {indices}.")
+        return self.of_recordings(self.recordings[i] for i in indices)
+
+    def leave_out(self, start: float, stop: float, *, recording: int = 0) -> "Summary":
+        """Without the windows that start in blocks touched by a stretch of time, in seconds.
+
+        Whole blocks are left out; windows that start before them may reach into the stretch. What
+        remains is as one recording, shorter by them.
+
+        **Raises:** `DataError` if fewer than two blocks remain; `ModelError` if there is no such
+        recording.
+        """
+        (one,) = self.select(recording).recordings
+        edges = float(one.block_seconds) * np.arange(int(one.blocks) + 1)
+        kept = (edges[1:] <= start) | (edges[:-1] >= stop)
+        if kept.sum() < 2:
+            raise DataError(
+                f"fewer than two blocks of {float(one.block_seconds):.3g} s would remain of "
+                f"recording {recording + 1}."
+            )
+        others = list(self.recordings)
+        others[recording] = of_blocks(one, np.flatnonzero(kept))
+        return self.of_recordings(others)
+
+    def scale(self, factor: float) -> "Summary":
+        """Every sum multiplied: a factor below one forgets, as older recordings may be.
+
+        **Raises:** `ModelError` for a negative factor.
+        """
+        if is_concrete(factor) and not float(factor) >= 0:
+            raise ModelError(f"sums are scaled by a factor of zero or more; got {factor}.")
+        return self.of_recordings(_scaled(one, factor) for one in self.recordings)
+
+    def between(self, alpha: float, beta: float) -> "Summary":
+        """The same for windows of other lengths, from alpha to beta seconds.
+
+        The band snaps to the nearest edges of the bins; what was asked for stays in `asked`.
+
+        **Raises:** `ModelError` unless moments were kept by bins of window lengths.
+        """
+        bins = self.bins
+        if bins is None:
+            raise ModelError(
+                "this Summary keeps the sums of all window lengths together, so that another band "
+                "cannot be chosen: make it with bins, rx.summarise(..., bins=12)."
+            )
+        band = bins.nearest(alpha, beta)
+        asked = (float(alpha), float(beta))
+        snapped = any(self._lags(band, one) != self._lags_of(asked, one) for one in self.recordings)
+        return dataclasses.replace(
+            self,
+            # Lengths that round to the same samples are the same windows: those asked for.
+            criterion=self.criterion.between(*(self.lengths_of(band) if snapped else asked)),
+            band=band,
+            asked=asked if snapped else None,
+        )
+
+    def lengths_of(self, band: tuple[int, int]) -> tuple[float, float]:
+        """Shortest and longest window in seconds of some bins, first and one beyond the last."""
+        coarsest = max(self.recordings, key=lambda one: float(one.time_step))
+        first, last = self._lags(band, coarsest)
+        unit = self._lag_seconds(coarsest)
+        return first * unit, last * unit
+
+    def _lag_seconds(self, one: RecordingSums) -> float:
+        return self.criterion.lag_samples * float(one.time_step)
+
+    def _lags(self, band: tuple[int, int], one: RecordingSums) -> tuple[int, int]:
+        """Shortest and longest lag of some bins in a recording."""
+        assert self.bins is not None
+        first, last = self.bins.lags(self._lag_seconds(one), np.iinfo(np.int32).max)
+        return int(first[band[0]]), int(last[band[1] - 1])
+
+    def _lags_of(self, lengths: tuple[float, float], one: RecordingSums) -> tuple[int, int]:
+        """Shortest and longest lag of a criterion with windows of these lengths in seconds."""
+        shortest, longest = (max(round(x / self._lag_seconds(one)), 1) for x in lengths)
+        return shortest, longest
+
+    @property
+    def short_blocks(self) -> ShortBlocks:
+        """The blocks of time that moments are kept for."""
+        xp = namespace(self.recordings)
+        return ShortBlocks(
+            xp.stack([xp.asarray(one.blocks) for one in self.recordings]),
+            xp.stack([xp.asarray(one.block_seconds) for one in self.recordings]),
+        )
+
+    def equations(self, band: tuple[int, int] | None = None) -> list[list[NormalEquations]]:
+        """Of each equation of each stage, normal equations with axes `(recordings, blocks)`.
+
+        Of the bins in use, or of others. Where a recording has fewer blocks than another, empty
+        ones follow, up to one of a few numbers: then few functions serve all recordings.
+        """
+        first, last = self.band if band is None else band
+        count = max(one.stages[0][0].count.shape[-1] for one in self.recordings)
+        room = count
+        if is_concrete(self.recordings):
+            room = min((number for number in ROOMS if number >= count), default=count)
+        xp = namespace(self.recordings)
+
+        def stacked(i: int, j: int) -> NormalEquations:
+            every = [one.stages[i][j] for one in self.recordings]
+
+            def of(leaf: Callable[[EquationSums], Leaf]) -> Array:
+                parts = [_sum_of_bins(leaf(e), first, last, xp) for e in every]
+                return xp.stack([_filled_up(part, room, xp) for part in parts])
+
+            return NormalEquations(
+                of(lambda e: e.moments), of(lambda e: e.count), every[0].parameters
+            )
+
+        return [
+            [stacked(i, j) for j, _ in enumerate(stage)]
+            for i, stage in enumerate(self.outline.stages)
+        ]
+
+    def save(self, path: str | Path) -> None:
+        """Write to an NPZ file with a checksum; see [`load`][]."""
+        from riecjax.summaries.summary_files import save
+
+        save(self, path)
+
+    def require_model(self, procedure: Procedure) -> None:
+        """Raise `ModelError` unless these are sums of the procedure's equations."""
+        if not self.outline.is_of(Outline.of(procedure)):
+            held = self.outline.stages
+            named = "; ".join(" + ".join(name for name, _ in stage) for stage in held)
+            raise ModelError(
+                f"this Summary was made for other equations ({named}): make it anew for this model."
+            )
+
+    def _require_alike(self, other: "Summary") -> None:
+        why = None
+        if not self.outline.is_of(other.outline):
+            why = "other equations or parameters"
+        elif other.criterion.describe() != self.criterion.describe():
+            why = "another criterion"
+        elif (other.in_law, other.band) != (self.in_law, self.band) or not np.array_equal(
+            _edges_of(other), _edges_of(self)
+        ):
+            why = "other bins of window lengths"
+        if why is not None:
+            raise ModelError(f"summaries cannot be merged that were made for {why}.")
+
+
+def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
+    """One Summary, or several merged.
+
+    **Raises:** `ModelError` for anything else.
+    """
+    if isinstance(summaries, Summary):
+        return summaries
+    write = "rx.summarise(model, record)"
+    require("the Summary", summaries, (list, tuple), write)
+    for one in summaries:
+        require("one of the summaries", one, Summary, write)
+    if not summaries:
+        raise ModelError("at least one Summary is needed.")
+    return summaries[0].merge(*summaries[1:])
+
+
+def _edges_of(summary: Summary) -> np.ndarray:
+    return np.zeros(0) if summary.edges is None else np.asarray(summary.edges)
+
+
+def _require_alone(every: dict[str, RecordingSums]) -> None:
+    """Raise `ModelError` if there are others beside a recording that does not tell which it is."""
+    if every:
+        raise ModelError(
+            "sums that were made under jax.jit do not tell which recordings they are of, so that "
+            "they cannot be merged: make them by rx.summarise outside of it."
+        )
+
+
+def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
+    """One of two sums of the same recording: the same one in whatever order they come.
+
+    They may differ by rounding, where other machines made them, and in what only a survey keeps.
+
+    **Raises:** `ModelError` where they count other windows.
+    """
+    if one is other:
+        return one
+    counts = [[e.count for stage in r.stages for e in stage] for r in (one, other)]
+    if not all(a.shape == b.shape and np.allclose(a, b, rtol=1e-6) for a, b in zip(*counts)):
+        raise ModelError(
+            "summaries cannot be merged that hold a recording differently, scaled or with a "
+            "stretch left out: select(...) those that should count from one of them."
+        )
+
+    def rank(sums: RecordingSums) -> tuple[int, bytes]:
+        leaves = jax.tree.leaves(sums)
+        return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
+
+    return min(one, other, key=rank)
+
+
+def of_blocks(one: RecordingSums, kept: np.ndarray) -> RecordingSums:
+    """The sums of some of a recording's blocks."""
+    if kept.size == int(one.blocks):
+        return one
+
+    def of(equation: EquationSums) -> EquationSums:
+        moments, count = (
+            np.asarray(leaf[:, kept], order="C") for leaf in (equation.moments, equation.count)
+        )
+        # A factor of all rows has no parts.
+        return dataclasses.replace(equation, moments=moments, count=count, factor=None)
+
+    stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
+    # Rows are not spread evenly over blocks, so that it is not known how many were offered.
+    return dataclasses.replace(
+        one, stages=stages, blocks=np.asarray(kept.size), offered=np.asarray(np.nan)
+    )
+
+
+def _scaled(one: RecordingSums, factor: float) -> RecordingSums:
+    """Sums times a factor; triangular factors, whose squares are sums, times its root."""
+
+    def of(equation: EquationSums) -> EquationSums:
+        root = namespace(factor).sqrt(factor)
+        scaled: dict[str, Any] = {
+            "moments": equation.moments * factor,
+            "count": equation.count * factor,
+            "factor": None if equation.factor is None else equation.factor * root,
+        }
+        if equation.averages is not None:
+            scaled["averages"] = dataclasses.replace(
+                equation.averages,
+                rows=equation.averages.rows * root,
+                noise=equation.averages.noise * root,
+            )
+        if equation.activity is not None:
+            scaled["activity"] = jax.tree.map(lambda leaf: leaf * factor, equation.activity)
+        return dataclasses.replace(equation, **scaled)
+
+    stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
+    return dataclasses.replace(one, stages=stages, offered=one.offered * factor)
+
+
+def _sum_of_bins(values: Leaf, first: int, last: int, xp: Any) -> Array:
+    return values[first] if last == first + 1 else xp.sum(values[first:last], axis=0)
+
+
+def _filled_up(blocks: Array, room: int, xp: Any) -> Array:
+    return xp.pad(blocks, [(0, room - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))

@@ -1,0 +1,232 @@
+"""A Summary in an NPZ file: arrays by name, and one JSON document of all that is no array.
+
+Names are paths, as in `0/stages/1/0/moments`: recording, stage, equation, field. The document, an
+array of bytes called `summary`, holds the rest and a checksum of everything. There is no pickle:
+reading a file runs no code of it.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from riecjax.criteria.written import criterion_of, written
+from riecjax.errors import DataError, ModelError, require
+from riecjax.leaves import is_concrete
+from riecjax.records.reading.channels import foreign_reader
+from riecjax.records.reading.npz import read_array
+from riecjax.records.writing import write_npz, write_whole
+from riecjax.summaries.summary import SCHEMA, Outline, Summary
+from riecjax.summaries.sums import Activity, Averages, EquationSums, RecordingSums, Survey
+
+DOCUMENT = "summary"
+"""Name of the JSON document among the arrays."""
+EDGES = "edges"
+"""Name of the array of the bins' edges."""
+FORMAT = "riecjax.Summary"
+LARGEST = 2**31
+"""Bytes that a file may unpack to: it is refused by what it declares, before it is read."""
+HEADER = 256
+"""Bytes at most that stand before an array's numbers: 64 or 128 for so few axes."""
+
+Arrays = dict[str, np.ndarray]
+Document = dict[str, Any]
+
+
+def save(summary: Summary, path: str | os.PathLike[str]) -> None:
+    """Write a Summary to an NPZ file of exactly this name, whole or not at all.
+
+    **Raises:** `DataError` if the file cannot be written; `ModelError` for a criterion with a law
+    that is a function, for sums that are traced or of a batch, or for more than `LARGEST` bytes.
+    """
+    file = _path(path)
+    if not is_concrete(summary) or any(np.ndim(one.blocks) for one in summary.recordings):
+        raise ModelError(
+            "sums of jax.jit or jax.vmap are saved outside of it, and one by one of a batch."
+        )
+    arrays = _named(summary.recordings)
+    if summary.edges is not None:
+        arrays[EDGES] = np.asarray(summary.edges)
+    document = _document(summary)
+    document["checksum"] = _checksum(document, arrays)
+    text = json.dumps(document).encode()
+    arrays[DOCUMENT] = np.frombuffer(text, np.uint8)
+    if (size := sum(array.nbytes + HEADER for array in arrays.values())) > LARGEST:
+        raise ModelError(
+            f"this Summary takes {size} bytes, and a file may hold {LARGEST}: save its recordings "
+            f"apart, summary.select(0).save(...), or make it with fewer bins."
+        )
+    write_whole(file, lambda temporary: write_npz(temporary, arrays))
+
+
+def load(path: str | os.PathLike[str]) -> Summary:
+    """Read a Summary that [`Summary.save`][] wrote, equal to the bit.
+
+    A test function, or another part of a criterion, of one's own must be defined before: import
+    its module.
+
+    **Raises:** `DataError`, in one line, for a file that is not there, is no Summary, is damaged,
+    was written with another schema, or names a class that is not defined.
+    """
+    file = _path(path)
+    if not file.is_file():
+        raise DataError(f"there is no file '{file}'.")
+    try:
+        with foreign_reader("Summary"):
+            document, arrays = _contents(file)
+            return _summary(document, arrays)
+    except DataError as error:
+        raise DataError(" ".join(f"{file.name}: {error}".split())) from None
+
+
+def _path(path: str | os.PathLike[str]) -> Path:
+    require("the file", path, (str, os.PathLike), "its name, 'recording.npz'", DataError)
+    return Path(path)
+
+
+def _named(recordings: tuple[RecordingSums, ...]) -> Arrays:
+    """All arrays of recordings by their paths."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(recordings)
+    return {_name(path): np.asarray(leaf) for path, leaf in leaves}
+
+
+def _name(path: tuple[Any, ...]) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator="/")
+
+
+def _document(summary: Summary) -> Document:
+    """All that is no array, but for the checksum."""
+    return {
+        "format": FORMAT,
+        "schema": SCHEMA,
+        "riecjax": version("riecjax"),
+        "dtype": str(summary.recordings[0].stages[0][0].moments.dtype),
+        "stages": summary.outline.stages,
+        "units": summary.outline.units,
+        "fingerprint": summary.outline.fingerprint,
+        "bins": summary.edges is not None,
+        "in_law": summary.in_law,
+        "band": summary.band,
+        "asked": summary.asked,
+        "criterion": written(summary.criterion),
+        "recordings": [
+            [[_structure(equation) for equation in stage] for stage in one.stages]
+            for one in summary.recordings
+        ],
+    }
+
+
+def _structure(equation: EquationSums) -> Document:
+    """Names, and which of the optional parts there are; of a survey, whose reaches it has."""
+    return {
+        "parameters": equation.parameters,
+        "averages": equation.averages is not None,
+        "activity": equation.activity is not None,
+        "survey": None if equation.survey is None else sorted(equation.survey.reach),
+        "factor": equation.factor is not None,
+    }
+
+
+def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of the document and of every array's name, dtype, shape and bytes."""
+    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _contents(file: Path) -> tuple[Document, Arrays]:
+    """The document and all arrays, once sizes, schema and checksum are seen to be right."""
+    with zipfile.ZipFile(file) as archive:
+        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        if sum(member.file_size for member in archive.infolist()) > LARGEST:
+            raise DataError(f"declares to unpack to more than {LARGEST} bytes, and is not read.")
+
+        def read(name: str) -> np.ndarray:
+            with archive.open(members[name]) as stream:
+                return read_array(stream, members[name].file_size)
+
+        if DOCUMENT not in members:
+            raise DataError("it is no Summary, of which summary.save(path) makes a file.")
+        document = json.loads(read(DOCUMENT).tobytes())
+        _require_schema(document)
+        arrays = {name: read(name) for name in members if name != DOCUMENT}
+    if document.pop("checksum") != _checksum(document, arrays):
+        raise DataError("it is damaged: its checksum is another. Copy it again, or make it anew.")
+    return document, {name: _native(array) for name, array in arrays.items()}
+
+
+def _native(array: np.ndarray) -> np.ndarray:
+    """The array in this machine's order of bytes, and one that may be written to."""
+    return array.astype(array.dtype.newbyteorder("="), order="C")
+
+
+def _require_schema(document: Any) -> None:
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise DataError("it is no Summary, of which summary.save(path) makes a file.")
+    if document["schema"] != SCHEMA:
+        raise DataError(
+            f"it was written with schema {document['schema']}, this version reads {SCHEMA}: make "
+            f"it anew, or use riecjax {document['riecjax']}."
+        )
+
+
+def _summary(document: Document, arrays: Arrays) -> Summary:
+    """The Summary of a document and its arrays."""
+    edges = arrays.pop(EDGES) if document["bins"] else None
+    empty = tuple(_skeleton(stages) for stages in document["recordings"])
+    paths, structure = jax.tree_util.tree_flatten_with_path(empty)
+    names = [_name(path) for path, _ in paths]
+    if set(names) != set(arrays):
+        raise DataError("its arrays are not those that it lists.")
+    return Summary(
+        jax.tree.unflatten(structure, [arrays[name] for name in names]),
+        criterion_of(document["criterion"]),
+        Outline(
+            tuple(
+                tuple((name, tuple(parameters)) for name, parameters in stage)
+                for stage in document["stages"]
+            ),
+            tuple((name, unit) for name, unit in document["units"]),
+            str(document["fingerprint"]),
+        ),
+        edges,
+        _pair(document["in_law"]),
+        _pair(document["band"]),
+        None if document["asked"] is None else _pair(document["asked"]),
+    )
+
+
+def _pair(values: list[Any]) -> tuple[Any, Any]:
+    first, last = values
+    return first, last
+
+
+def _skeleton(stages: list[list[Document]]) -> RecordingSums:
+    """Sums of a recording with a zero in place of every array that there is."""
+
+    def zeros(kind: type, **others: Any) -> Any:
+        names = [field.name for field in dataclasses.fields(kind)]
+        return kind(**dict.fromkeys(names, 0) | others)
+
+    def of(equation: Document) -> EquationSums:
+        reach = equation["survey"]
+        return zeros(
+            EquationSums,
+            averages=zeros(Averages) if equation["averages"] else None,
+            activity=zeros(Activity) if equation["activity"] else None,
+            survey=None if reach is None else zeros(Survey, reach=dict.fromkeys(reach, 0)),
+            factor=0 if equation["factor"] else None,
+            parameters=tuple(equation["parameters"]),
+        )
+
+    return zeros(RecordingSums, stages=tuple(tuple(of(e) for e in stage) for stage in stages))

@@ -1,0 +1,140 @@
+"""What one recording says of each equation, kept as sums."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt32
+
+from riecjax.leaves import Leaf, namespace
+
+
+class Averages(eqx.Module):
+    """Rows of an equation averaged by hats, as triangular factors: what tells means from motion.
+
+    Row by row nothing is kept. Of rows `[1, y, A]` the triangular factor R of a QR decomposition
+    has every norm, product and least-squares solution of its columns; below its first row, which
+    holds the columns' means times the root of their number, stand their deviations from them.
+
+    **Fields:** `rows` and `noise`, factors of the rows and of what noise adds to them, shape
+    `(2 + p, 2 + p)`; `independent`, rows that share no data.
+    """
+
+    rows: Float[Leaf, "2+p 2+p"]
+    noise: Float[Leaf, "2+p 2+p"]
+    independent: Float[Leaf, ""]
+
+
+class Activity(eqx.Module):
+    """Sums over samples that tell a term which acts in bursts from one that acts all along.
+
+    **Fields:** `square` and `fourth` power of the columns that stand under no derivative, zero for
+    others, shape `(1 + p,)`; `gram`, outer products of all columns, differentiated by differences,
+    shape `(1 + p, 1 + p)`; `samples`, how many were present.
+    """
+
+    square: Float[Leaf, " columns"]
+    fourth: Float[Leaf, " columns"]
+    gram: Float[Leaf, "columns columns"]
+    samples: Float[Leaf, ""]
+
+    def __add__(self, other: "Activity") -> "Activity":
+        """Of both stretches of samples."""
+        return Activity(
+            self.square + other.square,
+            self.fourth + other.fourth,
+            self.gram + other.gram,
+            self.samples + other.samples,
+        )
+
+
+class Survey(eqx.Module):
+    """What only a check and figures ask for.
+
+    **Fields:**
+
+    - `noise`: mean outer product of what the signals' noise adds to a row, shape
+      `(1 + p, 1 + p)`.
+    - `quadrature`: energy of the difference from rows integrated with the highest order, and of
+      these, shape `(2, 1 + p)`; zero where there is no higher order.
+    - `rows`: some of the rows, shape `(rows, 1 + p)`, and `start`, seconds from the recording's
+      first sample to their windows, shape `(rows,)`.
+    - `reach`: for each term with a basis, its prefix, least and largest argument.
+    """
+
+    noise: Float[Leaf, "columns columns"]
+    quadrature: Float[Leaf, "2 columns"]
+    rows: Float[Leaf, "rows columns"]
+    start: Float[Leaf, " rows"]
+    reach: dict[str, Float[Leaf, "2"]]
+
+
+class EquationSums(eqx.Module):
+    """Sums over the windows of one equation on one recording.
+
+    **Fields:**
+
+    - `moments`: `[y A]^T [y A]` of windows that start in each short block of time, by bin of
+      window lengths, shape `(bins, blocks, 1 + p, 1 + p)`.
+    - `count`: number of these windows, shape `(bins, blocks)`.
+    - `averages`, `activity`: what [`estimate`][] refuses or doubts by; `None` where they were
+      summed under `jit` or `vmap`.
+    - `survey`: `None` unless it was asked for.
+    - `factor`: triangular factor of all rows, shape `(1 + p, 1 + p)`, where rows are so nearly
+      collinear that their moments lose too many digits; else `None`.
+    - `parameters`: names of the p regressors.
+    """
+
+    moments: Float[Leaf, "bins blocks columns columns"]
+    count: Float[Leaf, "bins blocks"]
+    averages: Averages | None
+    activity: Activity | None
+    survey: Survey | None
+    factor: Float[Leaf, "columns columns"] | None
+    parameters: tuple[str, ...] = eqx.field(static=True)
+
+
+class RecordingSums(eqx.Module):
+    """Sums of all equations on one recording.
+
+    **Fields:**
+
+    - `stages`: equations of each stage of the procedure.
+    - `blocks`: how many short blocks of time hold the recording; arrays may be longer.
+    - `block_seconds`: that each of them lasts.
+    - `offered`: rows there would be of one equation without gaps and masks; NaN if not known.
+    - `samples`, `time_step`: of the recording.
+    - `digest`: SHA-256 of its content and of all settings, zero where it was summed under `jit`.
+    """
+
+    stages: tuple[tuple[EquationSums, ...], ...]
+    blocks: Int[Leaf, ""]
+    block_seconds: Float[Leaf, ""]
+    offered: Float[Leaf, ""]
+    samples: Int[Leaf, ""]
+    time_step: Float[Leaf, ""]
+    digest: UInt32[Leaf, "8"]
+
+
+DIFFERENCE_ORDER = 6
+STRETCHES = 16
+"""Stretches of a long signal that are looked at."""
+STRETCH = 2**10
+"""Samples to each of them."""
+
+
+def noise_level(samples: Float[Array, " n"] | Float[np.ndarray, " n"]) -> Float[Leaf, ""]:
+    """Standard deviation of the white noise on a smooth signal.
+
+    From the median of its differences of sixth order, which steps and spikes do not reach. Content
+    near half the sampling rate counts as noise. Of a long signal it looks at stretches, evenly
+    spread.
+    """
+    n = samples.shape[0]
+    if n <= DIFFERENCE_ORDER:
+        return np.zeros(())
+    xp = namespace(samples)
+    if n > STRETCHES * STRETCH:
+        starts = np.linspace(0, n - STRETCH, STRETCHES).astype(int)
+        samples = samples[starts[:, None] + np.arange(STRETCH)]
+    differences = xp.diff(samples, n=DIFFERENCE_ORDER)
+    gain = np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2))
+    return xp.median(xp.abs(differences)) / (0.6745 * gain)

@@ -1,0 +1,1 @@
+"""How far estimates can be trusted: blocks of time, covariances, the bootstrap, intervals."""

@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+import scipy.signal
+
+from riecjax.errors import DataError
+from riecjax.models.model import Model
+from riecjax.records.preparation.steps import Preparation, prepare
+from riecjax.records.record import Record
+
+RATE = 1000.0
+TIME = np.arange(4000) / RATE
+AXIS = Model("axis", "", derived={"dq": "q", "ddq": "dq"})
+
+
+def record(**signals: np.ndarray) -> Record:
+    return Record(signals, 1 / RATE)
+
+
+def butterworth(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
+    coefficients = scipy.signal.butter(4, cutoff, fs=RATE)
+    assert coefficients is not None
+    return np.asarray(coefficients[0]), np.asarray(coefficients[1])
+
+
+def test_prepare_filters_then_differentiates_then_thins_out():
+    rng = np.random.default_rng(2)
+    q = np.sin(9 * TIME) + 1e-3 * rng.normal(size=4000)
+    prepared, _ = prepare(record(q=q), AXIS.derived, Preparation(cutoffs={"q": 100.0}, every=10))
+    smooth = scipy.signal.filtfilt(*butterworth(100.0), q)[50:-50]
+    velocity = np.gradient(smooth, 1 / RATE, edge_order=2)
+    acceleration = np.gradient(velocity, 1 / RATE, edge_order=2)
+    assert float(prepared.time_step) == pytest.approx(0.01, rel=1e-12)
+    np.testing.assert_allclose(prepared["q"], smooth[::10], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(prepared["dq"], velocity[::10], rtol=0, atol=1e-7)
+    # Each difference divides the filter's rounding of 1e-11 by the step of 1e-3.
+    np.testing.assert_allclose(prepared["ddq"], acceleration[::10], rtol=0, atol=1e-5)
+
+
+def test_prepare_keeps_a_recorded_derivative():
+    recorded = np.cos(3 * TIME)
+    prepared, _ = prepare(record(q=TIME**3, dq=recorded), AXIS.derived, Preparation())
+    np.testing.assert_array_equal(prepared["dq"], recorded)
+    np.testing.assert_allclose(
+        prepared["ddq"], np.gradient(recorded, 1 / RATE, edge_order=2), atol=1e-9
+    )
+
+
+def test_the_steps_that_were_taken_in_words():
+    asked = Preparation(cutoffs={"q": 100.0}, every=10)
+    _, words = prepare(record(q=TIME**3), AXIS.derived, asked)
+    assert words == [
+        "zero-phase 4th-order Butterworth low-pass: q at 100 Hz",
+        "dq: central differences of q",
+        "ddq: central differences of dq",
+        "every 10th sample",
+    ]
+    assert prepare(record(q=TIME), {}, Preparation())[1] == []
+
+
+@pytest.mark.parametrize(("count", "ending"), [(2, "2nd"), (3, "3rd"), (11, "11th"), (21, "21st")])
+def test_thinning_is_described_in_english(count, ending):
+    _, words = prepare(record(q=TIME), {}, Preparation(every=count))
+    assert words == [f"every {ending} sample"]
+
+
+def test_every_step_of_a_preparation_is_taken_in_order():
+    asked = Preparation(
+        start=1.0,
+        stop=3.0,
+        offsets=("q",),
+        drifts=("p",),
+        upsample=2,
+        derivatives={"v": "q"},
+        every=4,
+    )
+    prepared, words = prepare(record(q=5 + np.sin(9 * TIME), p=TIME), {}, asked)
+    assert [word.split()[0] for word in words] == ["cut", "q:", "p:", "band-limited", "v:", "every"]
+    assert float(prepared.time_step) == pytest.approx(2 / RATE)
+    # 44 samples are lost at either end of the cut record to the interpolation.
+    assert float(prepared.time[0]) == pytest.approx(1.044)
+    mean = 5 + np.sin(9 * TIME[1000:3001]).mean()
+    expected = 5 + np.sin(9 * np.asarray(prepared.time)) - mean
+    np.testing.assert_allclose(prepared["q"], expected, atol=1e-6)
+    np.testing.assert_allclose(prepared["p"], 0, atol=1e-9)
+    np.testing.assert_allclose(prepared["v"][1:-1], 9 * np.cos(9 * prepared.time)[1:-1], atol=1e-3)
+
+
+def test_a_cut_outside_the_record_is_refused_with_its_times():
+    with pytest.raises(DataError, match=r"lasts from 0 to 3\.999 s"):
+        prepare(record(q=TIME), AXIS.derived, Preparation(start=7.0))
+
+
+EPOCH = 1.7e9
+
+
+def test_a_cut_counts_from_the_first_sample_whatever_its_stamp():
+    stamped = Record.from_samples({"q": TIME}, time=EPOCH + TIME)
+    prepared, words = prepare(stamped, {}, Preparation(start=1.0, stop=2.5))
+    np.testing.assert_allclose(np.asarray(prepared["q"])[[0, -1]], [1.0, 2.5])
+    assert words == ["cut from 1 s to 2.5 s"]
+    # The recording's clock goes on, and its own stamps are kept.
+    # Their rounding, 2.4e-7 s, is in the time step.
+    np.testing.assert_allclose(np.asarray(prepared.elapsed)[[0, -1]], [1.0, 2.5], atol=3e-7)
+    assert float(prepared.start_time) == pytest.approx(EPOCH + 1.0, abs=3e-7)
+    again, _ = prepare(prepared, {}, Preparation(start=2.0))
+    assert float(again["q"][0]) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (Preparation(start=0.0), ["from 0 s on removes nothing"]),
+        (Preparation(start=-2.0, stop=9.0), ["from -2 s on", "up to 9 s removes nothing"]),
+        (Preparation(start=1.0, stop=9.0), ["up to 9 s removes nothing: the record lasts from 0"]),
+        (Preparation(start=1.0, stop=2.0), []),
+    ],
+)
+def test_a_cut_that_removes_nothing_is_not_said_to_be_made(asked, words):
+    stamped = Record.from_samples({"q": TIME}, time=EPOCH + TIME)
+    idle = list(asked.idle_cuts(stamped).values())
+    assert len(idle) == len(words)
+    assert all(word in message for word, message in zip(words, idle))
+    assert all("to 3.999 s, counted from its first sample, stamped 1700000000." in m for m in idle)
+    _, steps = prepare(stamped, {}, asked)
+    assert steps == (
+        [] if asked.start in (0, -2) else [f"cut from 1 s to {'the end' if words else '2 s'}"]
+    )

@@ -1,0 +1,690 @@
+"""Summaries in files, from other processes, put together and taken apart."""
+
+import io
+import json
+import subprocess
+import sys
+import zipfile
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import riecjax as rx
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.laws import RatioLaw, UniformLaw
+from riecjax.criteria.written import criterion_of, written
+from riecjax.records.writing import write_npz
+from riecjax.summaries import summary_files
+from riecjax.summaries.sums import RecordingSums
+
+STEP = 0.01
+KEY = jax.random.key(3)
+TRUTH = {"m": 2.0, "d": 0.7, "k": 30.0}
+OSCILLATOR = rx.Equation(
+    rx.Term("m", "x", derivative=2, measured=("dx", "ddx"), unit="kg"),
+    rx.Term("d", "x", derivative=1, measured=("dx",), unit="N s/m"),
+    rx.Term("k", "x", unit="N/m"),
+    -rx.Term(1.0, "u", unit="N"),
+    name="oscillator",
+)
+SPRING = rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "f"), name="spring")
+
+
+def samples(count: int, seed: int, step: float = STEP, k2: float = 0.0) -> dict[str, np.ndarray]:
+    """Two harmonics of an oscillator under an exact force, and white noise on that."""
+    rng = np.random.default_rng(seed)
+    t = step * np.arange(count)
+    phase = rng.uniform(0, 2 * np.pi, 2)
+    waves = [(1.0, 3.0, phase[0]), (0.3, 11.0, phase[1])]
+    x = np.sum([a * np.sin(w * t + p) for a, w, p in waves], axis=0)
+    dx = np.sum([a * w * np.cos(w * t + p) for a, w, p in waves], axis=0)
+    ddx = np.sum([-a * w**2 * np.sin(w * t + p) for a, w, p in waves], axis=0)
+    u = TRUTH["m"] * ddx + TRUTH["d"] * dx + TRUTH["k"] * x + k2 * x**2
+    u = u + 0.5 * rng.normal(size=count)
+    return {"x": x, "dx": dx, "ddx": ddx, "u": u}
+
+
+@cache
+def record(count: int = 1500, seed: int = 0, step: float = STEP, k2: float = 0.0) -> rx.Record:
+    return rx.Record.from_samples(samples(count, seed, step, k2), time_step=step)
+
+
+class Parabola(rx.Bump):
+    """Of one's own: a bump with further settings."""
+
+    name: ClassVar[str] = "parabola"
+    powers: tuple[float, ...] = eqx.field(static=True, default=(1.0, 0.1))
+    scale: jax.Array | None = None
+
+
+ALL = rx.AllWindows(0.1, 0.6)
+BOXCAR = rx.RIEC(ALL)
+CRITERIA: dict[str, AbstractCriterion] = {
+    "dols": rx.DOLS(),
+    "boxcar": BOXCAR,
+    "hat": rx.RIEC(ALL, rx.Hat(quadrature=6)),
+    "bump": rx.RIEC(ALL, rx.Bump(5, lengths=7)),
+    "stepped": rx.RIEC(rx.AllWindows(0.1, 0.6, law=[1.0, 1 / 3, 0.2]), rx.Hat()),
+    "ratios": rx.RIEC(rx.AllWindows(0.1, 0.6, law=RatioLaw([1.0, 0.1]))),
+    "fixed limit": rx.RIEC(rx.AllWindows(0.1, 0.6, longest_samples=100)),
+    "random": rx.RIEC(rx.RandomWindows(0.1, 0.6, 300), rx.Hat()),
+    "between": rx.RIEC(rx.RandomWindows(0.1, 0.6, 300, between_samples=True)),
+    "own": rx.RIEC(ALL, Parabola(4, 5, (0.1, 2.0), jnp.asarray(0.1, jnp.float32))),
+}
+
+
+def same_arrays(one: object, other: object) -> None:
+    """Leaf by leaf the same bytes, in the same order in memory: NumPy adds up as that tells it."""
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other)):
+        a, b = np.asarray(a), np.asarray(b)
+        assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes())
+        assert a.flags.c_contiguous
+        assert b.flags.c_contiguous
+
+
+def same_estimates(model: rx.Equation, one: rx.Summary, other: rx.Summary, **settings) -> None:
+    a, b = (rx.estimate(model, summary, **settings) for summary in (one, other))
+    assert a.parameters == b.parameters
+    for get in (
+        lambda e: e.theta,
+        lambda e: e.uncertainty.covariance,
+        lambda e: e.standard_errors,
+        lambda e: [e.interval(name) for name in e.parameters],
+    ):
+        np.testing.assert_array_equal(np.asarray(get(a)), np.asarray(get(b)), strict=True)
+    assert a.findings() == b.findings()
+
+
+def through_a_file(summary: rx.Summary, folder: Path) -> rx.Summary:
+    summary.save(folder / "kept.npz")
+    return rx.load(folder / "kept.npz")
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+def test_a_summary_comes_back_to_the_bit(name, tmp_path):
+    summary = rx.summarise(OSCILLATOR, record(), CRITERIA[name], key=KEY, survey=name == "hat")
+    again = through_a_file(summary, tmp_path)
+    assert again.criterion == summary.criterion
+    assert again.criterion.describe() == summary.criterion.describe()
+    assert again.outline == summary.outline
+    assert again.digests == summary.digests
+    same_arrays(again.recordings, summary.recordings)
+    same_estimates(OSCILLATOR, again, summary)
+
+
+@pytest.mark.parametrize("name", ["boxcar", "stepped", "bump"])
+def test_bins_survey_and_lengths_of_several_recordings_come_back_to_the_bit(name, tmp_path):
+    records = [record(1500, 1), record(2200, 2), record(1700, 3, 0.008)]
+    summary = rx.summarise(OSCILLATOR, records, CRITERIA[name], bins=9, survey=True)
+    again = through_a_file(summary, tmp_path)
+    same_arrays((again.recordings, again.edges), (summary.recordings, summary.edges))
+    same_estimates(OSCILLATOR, again, summary, per_record=["d"])
+    one, other = (s.between(0.13, 0.5) for s in (again, summary))
+    assert (one.band, one.asked, one.in_law) == (other.band, other.asked, other.in_law)
+    same_estimates(OSCILLATOR, through_a_file(one, tmp_path), other)
+    shorter = summary.leave_out(2.0, 5.0, recording=1)
+    again = through_a_file(shorter, tmp_path)
+    same_arrays(again.recordings, shorter.recordings)
+    same_estimates(OSCILLATOR, again, shorter)
+
+
+def test_a_basis_and_a_factor_of_rows_come_back_to_the_bit(tmp_path):
+    made = samples(1500, 4)
+    made["y"] = made["x"] + 1e-7 * np.random.default_rng(5).normal(size=1500)
+    near = rx.Record.from_samples(made, time_step=STEP)
+    model = rx.Equation(
+        rx.Terms("F", rx.roof([-3.0, 0.0, 3.0]), "dx"),
+        rx.Term("a", "x"),
+        rx.Term("b", "y"),
+        -rx.Term(1.0, "u"),
+    )
+    summary = rx.summarise(model, near, rx.DOLS(), survey=True)
+    sums = summary.recordings[0].stages[0][0]
+    assert sums.factor is not None
+    assert sums.survey is not None
+    assert sums.survey.reach
+    again = through_a_file(summary, tmp_path)
+    same_arrays(again.recordings, summary.recordings)
+    same_estimates(model, again, summary)
+
+
+def test_32_bit_comes_back_to_the_bit(tmp_path):
+    with jax.enable_x64(False):
+        summary = rx.summarise(OSCILLATOR, record(1500, 6), CRITERIA["hat"], bins=4)
+        again = through_a_file(summary, tmp_path)
+        assert again.recordings[0].stages[0][0].moments.dtype == np.float32
+        same_arrays(again.recordings, summary.recordings)
+        same_estimates(OSCILLATOR, again, summary)
+
+
+def test_numbers_of_a_criterion_keep_their_precision():
+    narrow = rx.RIEC(rx.AllWindows(jnp.asarray(0.1, jnp.float32), 0.6), Parabola(scale=None))
+    again = criterion_of(json.loads(json.dumps(written(narrow))))
+    assert isinstance(again, rx.RIEC)
+    assert again.windows.alpha.dtype == np.float32
+    assert again.windows.beta.dtype == np.float64
+    assert again == narrow
+    assert hash(again.test_function) == hash(narrow.test_function)
+    assert isinstance(again.windows.every.law, UniformLaw)
+
+
+def test_a_name_stays_as_it_is_and_nothing_else_is_left_behind(tmp_path):
+    summary = rx.summarise(OSCILLATOR, record(), rx.DOLS())
+    file = tmp_path / "sums of monday"
+    file.write_text("older")
+    summary.save(str(file))
+    assert [path.name for path in tmp_path.iterdir()] == ["sums of monday"]
+    same_arrays(rx.load(file).recordings, summary.recordings)
+    with np.load(file, allow_pickle=False) as arrays:
+        np.testing.assert_array_equal(
+            arrays["0/stages/0/0/moments"], summary.recordings[0].stages[0][0].moments
+        )
+        assert json.loads(arrays["summary"].tobytes())["schema"] == 1
+
+
+def refused(path: Any, words: str) -> None:
+    with pytest.raises(rx.DataError, match=words) as caught:
+        rx.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_summary_is_refused_in_one_line(tmp_path):
+    refused(tmp_path / "none.npz", "there is no file")
+    refused(tmp_path, "there is no file")
+    refused(None, "the file is None")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    refused(tmp_path / "empty.npz", "not a zip file")
+    (tmp_path / "text.npz").write_text("t,x\n0,1\n")
+    refused(tmp_path / "text.npz", "not a zip file")
+    np.savez(tmp_path / "other.npz", x=np.zeros(3))
+    refused(tmp_path / "other.npz", "it is no Summary")
+    np.savez(tmp_path / "named.npz", summary=np.frombuffer(b"[1, 2]", np.uint8))
+    refused(tmp_path / "named.npz", "it is no Summary")
+    np.savez(tmp_path / "bytes.npz", summary=np.frombuffer(b"\xff{", np.uint8))
+    refused(tmp_path / "bytes.npz", "not a readable Summary file")
+    np.savez(tmp_path / "pickled.npz", summary=np.array([{}], object), allow_pickle=True)
+    refused(tmp_path / "pickled.npz", "Python objects")
+
+
+def rewritten(file: Path, change) -> None:
+    """Change the document and the arrays of a file, with a checksum that is right again."""
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    document = json.loads(arrays.pop("summary").tobytes())
+    del document["checksum"]
+    change(document, arrays)
+    document["checksum"] = summary_files._checksum(document, arrays)
+    arrays["summary"] = np.frombuffer(json.dumps(document).encode(), np.uint8)
+    np.savez(file, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 1: .* 9.1"),
+        (lambda d, _: d.pop("criterion"), "not a readable Summary file"),
+        (
+            lambda d, _: d["criterion"].update({"class": "Tent", "from": "rig"}),
+            "Tent of 'rig'.*imp",
+        ),
+        (lambda d, _: d["criterion"].update(speed=1), "RIEC has other settings"),
+        (lambda d, _: d.update(criterion=d["criterion"]["windows"]), "a criterion is none"),
+        (lambda d, _: d["criterion"].update(windows=3), "RIEC has other settings"),
+        (lambda _, a: a.pop("0/digest"), "arrays are not those"),
+        (lambda _, a: a.update(more=np.zeros(1)), "arrays are not those"),
+        (lambda d, _: d.update(recordings=[]), "arrays are not those"),
+    ],
+)
+def test_other_contents_are_refused_in_one_line(change, words, tmp_path):
+    file = tmp_path / "kept.npz"
+    rx.summarise(OSCILLATOR, record(), CRITERIA["boxcar"]).save(file)
+    rewritten(file, lambda d, a: None)
+    rx.load(file)
+    rewritten(file, change)
+    refused(file, words)
+
+
+def test_an_array_that_was_changed_is_found_by_the_checksum(tmp_path):
+    file = tmp_path / "kept.npz"
+    rx.summarise(OSCILLATOR, record(), rx.DOLS()).save(file)
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    arrays["0/stages/0/0/moments"][0, 3, 1, 1] *= 1 + 1e-15
+    np.savez(file, **arrays)
+    refused(file, "checksum")
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED])
+def test_damaged_files_are_refused_or_say_the_same(packing, tmp_path, monkeypatch):
+    """Every fiftieth byte flipped, and files cut short: what passes has lost nothing."""
+    monkeypatch.setattr("riecjax.records.writing.zipfile.ZIP_DEFLATED", packing)
+    file = tmp_path / "kept.npz"
+    summary = rx.summarise(SPRING, spring_record(600, 0), rx.RIEC(ALL), bins=2)
+    summary.save(file)
+    whole = file.read_bytes()
+    refusals = []
+    cut = [whole[:size] for size in range(0, len(whole), max(len(whole) // 50, 1))]
+    flipped = []
+    for place in range(0, len(whole), 50):
+        for bits in (0xFF, 0x01):
+            changed = bytearray(whole)
+            changed[place] ^= bits
+            flipped.append(bytes(changed))
+    # The directory at the end is where most of what can be declared stands.
+    for place in range(len(whole) - 400, len(whole)):
+        flipped.append(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
+    for content in [*cut, *flipped]:
+        file.write_bytes(content)
+        try:
+            again = rx.load(file)
+        except rx.DataError as error:
+            refusals.append(str(error))
+        else:
+            same_arrays(again.recordings, summary.recordings)
+            assert again.criterion == summary.criterion
+            assert (again.outline, again.band) == (summary.outline, summary.band)
+    assert not any("\n" in words for words in refusals)
+    assert len(refusals) > 0.5 * (len(cut) + len(flipped))
+
+
+def test_a_file_that_declares_too_much_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    file = tmp_path / "kept.npz"
+    rx.summarise(SPRING, spring_record(600, 0), rx.DOLS()).save(file)
+    with zipfile.ZipFile(file) as archive:
+        unpacked = sum(member.file_size for member in archive.infolist())
+    with monkeypatch.context() as limit:
+        limit.setattr(summary_files, "LARGEST", unpacked)
+        rx.load(file)
+        limit.setattr(summary_files, "LARGEST", unpacked - 1)
+        limit.setattr(zipfile.ZipFile, "open", None)
+        refused(file, "declares to unpack to more")
+    huge = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        huge, {"descr": "|u1", "fortran_order": False, "shape": (10**15,)}
+    )
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("summary.npy", huge.getvalue())
+    refused(file, "an array is larger than its file")
+
+
+def test_what_cannot_be_saved_is_refused_in_one_line(tmp_path, monkeypatch):
+    file = tmp_path / "kept.npz"
+    by_density = rx.RIEC(rx.AllWindows(0.1, 0.6, law=jnp.square))
+    summary = rx.summarise(OSCILLATOR, record(), by_density)
+    with pytest.raises(rx.ModelError, match=r"the density of DensityLaw.*law=\[1, 2, 1\]"):
+        summary.save(file)
+    summary = rx.summarise(OSCILLATOR, record(), rx.DOLS())
+    with pytest.raises(rx.DataError, match="No such file or directory"):
+        summary.save(tmp_path / "none" / "kept.npz")
+    with pytest.raises(rx.DataError, match="cannot write"):
+        summary.save(tmp_path)
+    batch = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), summary)
+    with pytest.raises(rx.ModelError, match="one by one of a batch"):
+        batch.save(file)
+    monkeypatch.setattr(summary_files, "LARGEST", summary.byte_count)
+    with pytest.raises(rx.ModelError, match="save its recordings apart"):
+        summary.save(file)
+    assert not list(tmp_path.iterdir())
+
+
+SCRIPT = """
+import sys
+import numpy as np
+import jax
+import riecjax as rx
+rx.start_jax()
+from functools import partial
+
+def squared(power, signals):
+    return signals["x"] ** power
+
+samples, step, file = sys.argv[1:]
+with np.load(samples) as arrays:
+    record = rx.Record.from_samples(dict(arrays), time_step=float(step))
+model = rx.Equation(
+    rx.Term("m", "x", derivative=2, measured=("dx", "ddx"), unit="kg"),
+    rx.Term("d", "x", derivative=1, measured=("dx",), unit="N s/m"),
+    rx.Term("k", "x", unit="N/m"),
+    rx.Term("k2", partial(squared, 2), unit="N/m^2"),
+    -rx.Term(1.0, "u", unit="N"),
+    name="oscillator",
+)
+rx.summarise(model, record, rx.RIEC(rx.AllWindows(0.1, 0.6), rx.Hat()), bins=3).save(file)
+"""
+
+
+def squared(power, signals):
+    return signals["x"] ** power
+
+
+def own_oscillator() -> rx.Equation:
+    """With a term that prints where it lies in memory, which differs from process to process."""
+    *left, right = OSCILLATOR.terms
+    return rx.Equation(
+        *left, rx.Term("k2", partial(squared, 2), unit="N/m^2"), right, name="oscillator"
+    )
+
+
+LENGTHS = ((1500, STEP), (2300, STEP), (1900, 0.008), (1200, STEP))
+
+
+@pytest.fixture(scope="module")
+def four_files(tmp_path_factory):
+    """One file of each of four recordings, each made by a process of its own."""
+    folder = tmp_path_factory.mktemp("four")
+    for i, (count, step) in enumerate(LENGTHS):
+        write_npz(folder / f"samples{i}.npz", samples(count, 10 + i, step, 4.0))
+        given = [str(folder / f"samples{i}.npz"), str(step), str(folder / f"sums{i}.npz")]
+        subprocess.run([sys.executable, "-c", SCRIPT, *given], check=True, timeout=300)
+    return [folder / f"sums{i}.npz" for i in range(len(LENGTHS))]
+
+
+def test_files_of_four_processes_merge_to_the_same_bits_in_any_order(four_files):
+    model = own_oscillator()
+    parts = [rx.load(file) for file in four_files]
+    first = parts[0].merge(*parts[1:])
+    assert len(first.recordings) == 4
+    for order in ((3, 1, 0, 2), (2, 3, 1, 0), (1, 0, 3, 2)):
+        a, b, c, d = (parts[i] for i in order)
+        for merged in (a.merge(b, c, d), a.merge(b).merge(c.merge(d)), b.merge(a, c, d, a)):
+            same_arrays(merged.recordings, first.recordings)
+        same_estimates(model, a.merge(b).merge(c.merge(d)), first)
+    same_estimates(model, first.select(2, 0, 1, 3).merge(), first)
+
+    records = [record(count, 10 + i, step, 4.0) for i, (count, step) in enumerate(LENGTHS)]
+    whole = rx.identify(model, records, rx.RIEC(rx.AllWindows(0.1, 0.6), rx.Hat()))
+    merged = rx.estimate(model, parts)
+    np.testing.assert_allclose(merged.theta, whole.theta, rtol=1e-12)
+    assert float(merged["m"]) == pytest.approx(TRUTH["m"], rel=0.02)
+    assert float(merged["k"]) == pytest.approx(TRUTH["k"], rel=0.02)
+    assert float(merged["k2"]) == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_recording_counts_once_whichever_process_summed_it(four_files):
+    model = own_oscillator()
+    count, step = LENGTHS[1]
+    here = rx.summarise(
+        model, record(count, 11, step, 4.0), rx.RIEC(rx.AllWindows(0.1, 0.6), rx.Hat()), bins=3
+    )
+    there = rx.load(four_files[1])
+    assert here.digests == there.digests
+    merged = here.merge(there, here)
+    assert len(merged.recordings) == 1
+    same_arrays(merged.recordings, there.merge(here).recordings)
+    same_estimates(model, here.merge(there), there.merge(here))
+
+
+def spring_record(count: int, seed: int) -> rx.Record:
+    rng = np.random.default_rng(seed)
+    x = np.sin(0.05 * np.arange(count) + seed) + 0.3 * rng.normal(size=count)
+    f = 3.0 * x + 0.2 * rng.normal(size=count)
+    return rx.Record.from_samples({"x": x, "f": f}, time_step=STEP)
+
+
+def spring_summary(seed: int = 0, criterion: AbstractCriterion = BOXCAR, **settings) -> rx.Summary:
+    return rx.summarise(SPRING, spring_record(1500, seed), criterion, **settings)
+
+
+def test_one_recording_given_twice_counts_once():
+    one = spring_summary()
+    twice = rx.estimate(SPRING, [one, spring_summary(), one])
+    np.testing.assert_array_equal(twice.theta, rx.estimate(SPRING, one).theta)
+    assert int(twice.stages[0].count) == int(rx.estimate(SPRING, one).stages[0].count)
+    surveyed = spring_summary(survey=True)
+    for merged in (one.merge(surveyed), surveyed.merge(one)):
+        assert merged.recordings[0].stages[0][0].survey is not None
+
+
+other_windows = [
+    rx.RIEC(rx.AllWindows(0.1, 0.5)),
+    rx.RIEC(ALL, rx.Boxcar(quadrature=4)),
+    rx.RIEC(rx.AllWindows(0.1, 0.6, law=[1, 2])),
+    rx.DOLS(),
+]
+
+
+@pytest.mark.parametrize("criterion", other_windows)
+def test_summaries_by_other_criteria_are_not_merged(criterion):
+    with pytest.raises(
+        rx.ModelError, match="cannot be merged that were made for another criterion"
+    ):
+        spring_summary().merge(spring_summary(1, criterion))
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (rx.RIEC(ALL, rx.Bump(4, 5)), rx.RIEC(ALL, rx.Bump(4, 6))),
+        (CRITERIA["between"], rx.RIEC(rx.RandomWindows(0.1, 0.6, 300))),
+    ],
+)
+def test_every_setting_that_sums_depend_on_keeps_criteria_and_recordings_apart(one, other):
+    a, b = (spring_summary(0, criterion, key=KEY) for criterion in (one, other))
+    assert a.digests != b.digests
+    with pytest.raises(rx.ModelError, match="another criterion"):
+        a.merge(b)
+
+
+def test_summaries_that_do_not_belong_together_are_refused_in_one_line():
+    one = spring_summary()
+    renamed = rx.Equation(rx.Term("c", "x"), -rx.Term(1.0, "f"), name="spring")
+    other = rx.summarise(renamed, spring_record(1500, 1), rx.RIEC(ALL))
+    for second, words in [
+        (other, "other equations or parameters"),
+        (spring_summary(1, bins=3), "other bins"),
+        (one.scale(0.5), "hold a recording differently, scaled or"),
+        (one.leave_out(2.0, 5.0), "hold a recording differently, scaled or"),
+    ]:
+        for first, then in ((one, second), (second, one)):
+            with pytest.raises(rx.ModelError, match=words) as caught:
+                first.merge(then)
+            assert "\n" not in str(caught.value)
+    binned = spring_summary(bins=3)
+    with pytest.raises(rx.ModelError, match="other bins"):
+        binned.merge(spring_summary(1, bins=4))
+    with pytest.raises(rx.ModelError, match="what is merged is the text"):
+        one.merge("sums.npz")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(rx.ModelError, match="made for other equations"):
+        rx.estimate(OSCILLATOR, one)
+
+
+def test_sums_of_jit_do_not_tell_whose_they_are_and_are_not_merged():
+    """They would all count as one recording."""
+    traced = eqx.filter_jit(lambda r: rx.summarise(SPRING, r, rx.RIEC(ALL)))
+    one, other = (traced(spring_record(1500, seed)) for seed in (0, 1))
+    for parts in ((one, other), (one, spring_summary(2)), (spring_summary(2), one)):
+        with pytest.raises(rx.ModelError, match=r"made under jax\.jit do not tell which"):
+            parts[0].merge(*parts[1:])
+    assert len(one.merge().recordings) == 1
+
+
+def test_scaled_sums_say_the_same_with_half_the_windows(tmp_path):
+    summary = rx.summarise(OSCILLATOR, [record(1500, 1), record(2200, 2)], CRITERIA["hat"])
+    half = through_a_file(summary.scale(0.5), tmp_path)
+    a, b = rx.estimate(OSCILLATOR, summary), rx.estimate(OSCILLATOR, half)
+    np.testing.assert_allclose(a.theta, b.theta, rtol=1e-12)
+    assert float(b.stages[0].count) == 0.5 * float(a.stages[0].count)
+    np.testing.assert_array_equal(b.rows_offered, 0.5 * a.rows_offered)
+
+
+def test_selecting_and_leaving_out_recordings_is_a_fit_of_the_others():
+    records = [record(1500, 1), record(2200, 2), record(1700, 3, 0.008)]
+    summary = rx.summarise(OSCILLATOR, records, CRITERIA["boxcar"])
+    some = rx.estimate(OSCILLATOR, summary.select(2, 0))
+    fit = rx.identify(OSCILLATOR, [records[2], records[0]], CRITERIA["boxcar"])
+    np.testing.assert_allclose(some.theta, fit.theta, rtol=1e-12)
+    np.testing.assert_allclose(some.standard_errors, fit.standard_errors, rtol=1e-9)
+    for numbers in ((3,), (), (-4,)):
+        with pytest.raises(rx.ModelError, match="numbered from 0 to 2"):
+            summary.select(*numbers)
+    with pytest.raises(rx.ModelError, match="numbered from 0 to 2"):
+        summary.leave_out(0.0, 1.0, recording=3)
+
+
+def test_leaving_out_a_stretch_is_a_fit_of_the_windows_that_start_elsewhere():
+    """By hand: rows of DOLS are samples, and blocks are so many of them."""
+    made = spring_record(3000, 4)
+    summary = rx.summarise(SPRING, made, rx.DOLS())
+    each = round(float(summary.recordings[0].block_seconds) / STEP)
+    shorter = summary.leave_out(10.0, 15.0)
+    block = np.arange(3000) // each
+    outside = (block < int(10.0 / STEP / each)) | (block > int((15.0 / STEP - 1e-6) / each))
+    x, f = (np.asarray(made[name])[outside] for name in ("x", "f"))
+    assert float(rx.estimate(SPRING, shorter)["k"]) == pytest.approx((x @ f) / (x @ x), rel=1e-12)
+    assert int(rx.estimate(SPRING, shorter).stages[0].count) == outside.sum()
+    with pytest.raises(rx.DataError, match="fewer than two blocks"):
+        summary.leave_out(0.0, 29.99)
+
+
+def test_a_factor_of_all_rows_does_not_bring_back_what_was_left_out():
+    """Of nearly collinear rows a factor solves; a wild stretch that is left out is not in it."""
+    rng = np.random.default_rng(8)
+    x, f = rng.normal(size=(2, 2000))
+    y = x + 1e-8 * rng.normal(size=2000)
+    f = 3.0 * x + 0.01 * f
+    f[1000:1400] += 100.0 * x[1000:1400]
+    made = rx.Record.from_samples({"x": x, "y": y, "f": f}, time_step=STEP)
+    model = rx.Equation(rx.Term("k", "x"), rx.Term("c", "y"), -rx.Term(1.0, "f"))
+    summary = rx.summarise(model, made, rx.DOLS())
+    assert summary.recordings[0].stages[0][0].factor is not None
+    found = rx.estimate(model, summary.leave_out(9.9, 14.1), known={"c": 0.0})
+    assert float(found["k"]) == pytest.approx(3.0, abs=0.01)
+    with pytest.raises(rx.IdentifiabilityError):
+        rx.estimate(model, summary.leave_out(9.9, 14.1))
+
+
+@pytest.mark.parametrize("weight", [rx.Boxcar(), rx.Hat()], ids=["boxcar", "hat"])
+@pytest.mark.parametrize("step", [STEP, 0.0073])
+@pytest.mark.parametrize(
+    ("alpha", "beta"), [(0.1, 0.6), (0.2, 0.4), (0.1, 0.4), (0.2, 0.9), (0.05, 0.1), (0.17, 0.55)]
+)
+def test_another_band_is_a_fresh_fit_and_says_if_it_snapped(weight, step, alpha, beta):
+    made = record(2000, 5, step)
+    summary = rx.summarise(
+        OSCILLATOR, made, rx.RIEC(ALL, weight), bins=[0.05, 0.1, 0.2, 0.4, 0.6, 0.9]
+    )
+    banded = summary.between(alpha, beta)
+    found = rx.estimate(OSCILLATOR, banded)
+    fresh = rx.identify(OSCILLATOR, made, banded.criterion)
+    np.testing.assert_allclose(found.theta, fresh.theta, rtol=1e-10)
+    assert fresh.summary is not None
+    if int(fresh.summary.recordings[0].blocks) == int(summary.recordings[0].blocks):
+        np.testing.assert_allclose(found.standard_errors, fresh.standard_errors, rtol=1e-8)
+    else:
+        assert beta > 0.6, "windows longer than the law's take longer blocks in a fresh fit"
+    assert float(found.stages[0].count) == pytest.approx(float(fresh.stages[0].count), rel=1e-12)
+
+    # Snapped if windows of the band asked for are others, by their lengths in samples.
+    unit = step * banded.criterion.lag_samples
+    taken = banded.criterion.in_windows
+    assert taken is not None
+    lags = [
+        [round(float(x) / unit) for x in band]
+        for band in ((alpha, beta), (taken.alpha, taken.beta))
+    ]
+    codes = [finding.code for finding in found.findings()]
+    assert ("band_snapped" in codes) == (lags[0] != lags[1])
+    if lags[0] == lags[1]:
+        asked = rx.identify(OSCILLATOR, made, rx.RIEC(rx.AllWindows(alpha, beta), weight))
+        np.testing.assert_allclose(found.theta, asked.theta, rtol=1e-10)
+        assert (float(taken.alpha), float(taken.beta)) == (alpha, beta)
+
+
+def test_the_band_that_was_asked_first_comes_back_as_it_was():
+    summary = spring_summary(bins=4)
+    back = summary.between(0.2, 0.4).between(0.1, 0.6)
+    assert back.asked is None
+    same_arrays(back.recordings, summary.recordings)
+    assert back.criterion.describe() == summary.criterion.describe()
+    assert len(back.merge(spring_summary(1, bins=4)).recordings) == 2
+
+
+def test_another_band_needs_bins():
+    with pytest.raises(rx.ModelError, match="make it with bins"):
+        spring_summary().between(0.2, 0.4)
+    with pytest.raises(rx.ModelError, match="0 < alpha < beta"):
+        spring_summary(bins=3).between(0.4, 0.2)
+
+
+def test_a_class_of_ones_own_must_be_defined_and_is_then_found(tmp_path):
+    own = rx.RIEC(ALL, Parabola(4, 5))
+    file = tmp_path / "kept.npz"
+    spring_summary(0, own).save(file)
+    program = (
+        "import sys, riecjax as rx\ntry: rx.load(sys.argv[1])\nexcept rx.DataError as e: print(e)"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", program, str(file)], capture_output=True, text=True, check=True
+    ).stdout
+    assert told.count("\n") == 1
+    assert f"Parabola of '{Parabola.__module__}', a class that is not defined here: import" in told
+    assert rx.load(file).criterion.describe() == own.describe()
+    spring_summary(0, CRITERIA["bump"]).save(file)
+    told = subprocess.run(
+        [sys.executable, "-c", program, str(file)], capture_output=True, text=True, check=True
+    ).stdout
+    assert told == ""
+
+
+@pytest.mark.parametrize("bins", [None, 5])
+def test_its_size_is_that_of_its_moments(bins):
+    """8 bytes x bins x blocks x (1 + p)^2 an equation and recording, and what does not grow."""
+    records = [record(1500, 1), record(2200, 2)]
+    summary = rx.summarise(OSCILLATOR, records, CRITERIA["boxcar"], bins=bins)
+    blocks = [int(one.blocks) for one in summary.recordings]
+    moments = sum(8 * (bins or 1) * n * 4**2 for n in blocks)
+    rest = summary.byte_count - moments
+    assert 0 < rest <= sum(8 * (bins or 1) * n for n in blocks) + 2 * 1200
+
+
+def test_its_size_does_not_grow_with_the_length_of_a_recording():
+    sizes = []
+    for count in (200_000, 2_000_000):
+        summary = rx.summarise(SPRING, spring_record(count, 1), rx.RIEC(rx.AllWindows(0.05, 0.2)))
+        assert 256 <= int(summary.recordings[0].blocks) <= 1024
+        sizes.append(summary.byte_count)
+        lasting = summary.short_blocks.durations
+        assert float(lasting[0]) == pytest.approx(STEP * count, rel=0.01)
+    assert max(sizes) < 8 * 1024 * (2**2 + 1) + 1200
+
+
+def test_moments_and_counts_are_the_only_ones_that_grow():
+    short, long = (spring_summary().recordings[0], spring_summary_of(6000).recordings[0])
+    for one, other in zip(jax.tree.leaves(fixed(short)), jax.tree.leaves(fixed(long))):
+        assert np.shape(one) == np.shape(other)
+
+
+def spring_summary_of(count: int) -> rx.Summary:
+    return rx.summarise(SPRING, spring_record(count, 0), rx.RIEC(ALL))
+
+
+def fixed(one: RecordingSums) -> RecordingSums:
+    return eqx.tree_at(
+        lambda r: [getattr(e, of) for s in r.stages for e in s for of in ("moments", "count")],
+        one,
+        replace_fn=lambda leaf: np.zeros(()),
+    )
+
+
+def test_a_summary_is_of_its_equations_numbers_too():
+    """With another factor in front of the force, sums are other sums; a known value moves none."""
+    record = rx.Record({"x": np.sin(np.arange(900) / 7), "u": np.cos(np.arange(900) / 9)}, 0.01)
+    criterion = rx.RIEC(rx.AllWindows(0.1, 0.5))
+
+    def equation(factor, **known):
+        return rx.Equation(rx.Term("k", "x", **known), rx.Term("c", "x", derivative=1), -factor)
+
+    once, twice = (equation(rx.Term(number, "u")) for number in (1.0, 2.0))
+    summary = rx.summarise(once, record, criterion)
+    with pytest.raises(rx.ModelError, match="made for other equations"):
+        rx.estimate(twice, summary)
+    held = equation(rx.Term(1.0, "u"), known=3.0)
+    assert rx.summarise(held, record, criterion).digests == summary.digests
+    assert float(rx.estimate(held, summary).known["k"]) == 3.0

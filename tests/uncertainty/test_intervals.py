@@ -1,0 +1,301 @@
+"""Intervals against Monte Carlo and against their formulas, written plainly."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+from riecjax.criteria.rows import Rows
+from riecjax.errors import ModelError
+from riecjax.estimation.least_squares import solve
+from riecjax.linear_algebra import eliminate
+from riecjax.summaries.blocks import MOST_BLOCKS, ShortBlocks, blocks_in_use, merge_blocks
+from riecjax.summaries.normal_equations import NormalEquations, normal_equations
+from riecjax.uncertainty.block_length import block_length, politis_white
+from riecjax.uncertainty.block_statistics import Evidence
+from riecjax.uncertainty.bootstrap import drawn_counts, studentized_replicates, uniform_draws
+from riecjax.uncertainty.covariances import (
+    effective_freedom,
+    jackknife_covariance,
+    naive_covariance,
+    sandwich_covariance,
+)
+from riecjax.uncertainty.intervals import BlockBootstrap
+from riecjax.uncertainty.scores import block_influence, in_order, staged_values, unknowns
+
+# Regressors and errors are first-order autoregressions, as overlapping windows make them: least
+# squares' own standard errors are far too small for such data.
+ROWS, SHORT, BLOCKS = 2000, 200, 40
+SECONDS = 0.1
+SETTING = ShortBlocks(np.array([SHORT]), jnp.array([SECONDS]))
+
+
+def autoregression(key, rho, shape=()):
+    """Unit-variance process of ROWS samples along the last axis."""
+    noise = jax.random.normal(key, (*shape, ROWS)) * jnp.sqrt(1 - rho**2)
+    first = noise[..., 0] / jnp.sqrt(1 - rho**2)
+
+    def step(x, e):
+        return rho * x + e, rho * x + e
+
+    _, rest = jax.lax.scan(step, first, jnp.moveaxis(noise[..., 1:], -1, 0))
+    return jnp.concatenate([first[..., None], jnp.moveaxis(rest, 0, -1)], axis=-1)
+
+
+def short_blocks(columns, names) -> NormalEquations:
+    rows = Rows(columns, jnp.arange(ROWS), names)
+    made = normal_equations(rows, block_of_row=jnp.arange(ROWS) * SHORT // ROWS, block_count=SHORT)
+    return NormalEquations(made.moments[None], made.count[None], names)
+
+
+def evidence_of(fine, blocks=BLOCKS, short=SETTING) -> Evidence:
+    flat = [stage.flattened() for stage in fine]
+    plan = unknowns(flat, {})
+    totals = [stage.total() for stage in flat]
+    values = staged_values(totals, plan, {}, lambda e: solve(e).theta)
+    used = jnp.array([blocks])
+    merged = [merge_blocks(stage, short, used) for stage in fine]
+    return Evidence(
+        merged,
+        plan,
+        {},
+        values,
+        used,
+        block_influence(merged, {}, values),
+        block_influence(flat, {}, values)[None],
+        short,
+        jnp.asarray(SECONDS * SHORT / blocks),
+        fine,
+    )
+
+
+TRUTH = jnp.array([2.0, -300.0])
+UNITS = jnp.array([1.0, 1e-3])
+
+
+def one_stage(key):
+    keys = jax.random.split(key)
+    x = autoregression(keys[0], 0.8, (2,))
+    # Correlated regressors of unlike sizes.
+    regressors = jnp.stack([x[0], 0.6 * x[0] + 0.8 * x[1]]) * UNITS[:, None]
+    y = TRUTH @ regressors + autoregression(keys[1], 0.9)
+    return [short_blocks(jnp.stack([y, *regressors]), ("a", "b"))]
+
+
+def two_stages(key):
+    keys = jax.random.split(key, 3)
+    x, w, v = autoregression(keys[0], 0.8, (3,))
+    first = 2.0 * x + autoregression(keys[1], 0.9)
+    # The second stage's own errors are small: b is uncertain because a, found before, is.
+    second = 2.0 * w + 5.0 * (v + 0.7 * w) + 0.1 * autoregression(keys[2], 0.9)
+    return [
+        short_blocks(jnp.stack([first, x]), ("a",)),
+        short_blocks(jnp.stack([second, w, v + 0.7 * w]), ("a", "b")),
+    ]
+
+
+COVARIANCES = {"jackknife": jackknife_covariance, "sandwich": sandwich_covariance}
+
+
+@pytest.mark.parametrize("experiment", [one_stage, two_stages])
+def test_covariances_agree_with_monte_carlo_and_the_naive_one_does_not(experiment):
+    def judged(key):
+        evidence = evidence_of(experiment(key))
+        found = {name: covariance(evidence) for name, covariance in COVARIANCES.items()}
+        return in_order(evidence.plan, evidence.values), found, naive_covariance(evidence)
+
+    theta, found, naive = jax.jit(jax.vmap(judged))(jax.random.split(jax.random.key(0), 1000))
+    actual = np.cov(np.asarray(theta).T)
+    for covariance in found.values():
+        predicted = np.asarray(covariance).mean(0)
+        # The actual variance is itself known to sqrt(2 / 1000) = 4.5 % (one sigma), and blocks of
+        # 50 rows lose a few percent of the correlation at their borders.
+        np.testing.assert_allclose(np.diag(predicted), np.diag(actual), rtol=0.15)
+        correlation, expected = (c[0, 1] / np.sqrt(c[0, 0] * c[1, 1]) for c in (predicted, actual))
+        assert correlation == pytest.approx(expected, abs=0.1)
+        errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        reach = scipy.stats.t.ppf(0.975, BLOCKS - 1)
+        truth = np.asarray(TRUTH) if experiment is one_stage else np.array([2.0, 5.0])
+        coverage = (np.abs(np.asarray(theta) - truth) < reach * errors).mean(0)
+        assert (coverage > 0.92).all()
+        assert (coverage < 0.975).all()
+    assert np.asarray(naive).mean(0)[-1, -1] < 0.4 * actual[-1, -1]
+
+
+def test_bootstrap_intervals_cover_and_lean_to_the_side_of_a_skewed_estimate():
+    def experiment(key):
+        # The error's size is skewed: a few rows carry most of what misleads.
+        keys = jax.random.split(key)
+        x = jnp.abs(autoregression(keys[0], 0.5))
+        rare = jnp.maximum(autoregression(keys[1], 0.5) - 2.0, 0.0)
+        return [short_blocks(jnp.stack([x * (3.0 + 10 * rare), x]), ("k",))]
+
+    def judged(key):
+        evidence = evidence_of(experiment(key), blocks=20)
+        uncertainty = BlockBootstrap(replicates=400).uncertainty(evidence)
+        return evidence.values["k"], uncertainty
+
+    k, uncertainty = jax.jit(jax.vmap(judged))(jax.random.split(jax.random.key(1), 300))
+    error = np.sqrt(uncertainty.covariance[:, 0, 0])
+    off = np.asarray(k) - float(jnp.mean(k))
+    below, above = (side[:, 0] for side in uncertainty.reach(0.95))
+    inside = (off <= below * error) & (-off <= above * error)
+    student = np.abs(off) < scipy.stats.t.isf(0.025, 19) * error
+    # Rare large values: too low an estimate goes with too small an error, so it must reach up.
+    assert np.mean(above > below) > 0.95
+    assert 0.92 < np.mean(inside) < 0.975
+    assert np.mean(inside) > np.mean(student)
+
+
+def test_the_jackknife_is_the_refit_without_each_block():
+    rng = np.random.default_rng(0)
+    a, y = rng.normal(size=(60, 2)), rng.normal(size=60)
+    rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
+    made = normal_equations(rows, block_of_row=jnp.arange(60) // 6, block_count=10)
+    fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
+    evidence = evidence_of(fine, 10, ShortBlocks(np.array([10]), jnp.array([1.0])))
+    theta = np.linalg.lstsq(a, y)[0]
+    block = np.arange(60) // 6
+    left = np.stack([np.linalg.lstsq(a[block != i], y[block != i])[0] for i in range(10)])
+    expected = 0.9 * (left - theta).T @ (left - theta)
+    np.testing.assert_allclose(jackknife_covariance(evidence), expected, rtol=1e-9)
+    residual = y - a @ theta
+    naive = residual @ residual / 58 * np.linalg.inv(a.T @ a)
+    np.testing.assert_allclose(naive_covariance(evidence), naive, rtol=1e-9)
+
+
+def test_the_sandwich_weighs_lags_as_newey_and_west_do():
+    rng = np.random.default_rng(1)
+    a, y = rng.normal(size=(60, 2)), rng.normal(size=60)
+    rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
+    made = normal_equations(rows, block_of_row=jnp.arange(60), block_count=60)
+    fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
+    evidence = evidence_of(fine, 12, ShortBlocks(np.array([60]), jnp.array([SECONDS * SHORT / 60])))
+    scores = a * (y - a @ np.linalg.lstsq(a, y)[0])[:, None]
+    meat = scores.T @ scores
+    for k in range(1, 5):
+        product = scores[:-k].T @ scores[k:]
+        meat += (1 - k / 5) * (product + product.T)
+    bread = np.linalg.inv(a.T @ a)
+    expected = 12 / 11 * bread @ meat @ bread
+    np.testing.assert_allclose(sandwich_covariance(evidence), expected, rtol=1e-9)
+
+
+def test_replicates_are_refits_of_drawn_blocks_divided_by_their_sandwich():
+    fine = two_stages(jax.random.key(5))
+    evidence = evidence_of(fine, 20)
+    draws = jnp.asarray(uniform_draws(7, 3, 1))
+    found = studentized_replicates(
+        evidence.stages, evidence.plan, {}, evidence.values, evidence.used, draws=draws
+    )
+    middle = np.asarray(in_order(evidence.plan, evidence.values))
+    for one, t in zip(draws, found):
+        drawn = np.asarray(drawn_counts(one, evidence.used)).astype(float)[0]
+        assert drawn.sum() == 20
+        assert not drawn[20:].any()
+        first, second = (np.asarray(stage.moments) for stage in evidence.stages)
+        totals = [np.einsum("b,bij->ij", drawn, m) for m in (first, second)]
+        a = totals[0][1, 0] / totals[0][1, 1]
+        b = (totals[1][2, 0] - totals[1][2, 1] * a) / totals[1][2, 2]
+        scores = np.stack(
+            [first[:, 1, 0] - first[:, 1, 1] * a, second[:, 2, 0] - second[:, 2, 1:] @ [a, b]], 1
+        )
+        slope = np.array([[totals[0][1, 1], 0], totals[1][2, 1:]])
+        moved = np.linalg.solve(slope, scores.T).T
+        error = np.sqrt(drawn @ moved**2)
+        np.testing.assert_allclose(t, (np.array([a, b]) - middle) / error, rtol=1e-8)
+
+
+def test_blocks_are_never_of_two_records_and_hold_everything():
+    counts = np.arange(2 * 50).reshape(2, 50) + 1.0
+    counts[1, 30:] = 0
+    moments = jnp.array(counts)[:, :, None, None] * jnp.ones((1, 1, 2, 2))
+    fine = NormalEquations(moments, jnp.array(counts), ("a",))
+    short = ShortBlocks(np.array([50, 30]), jnp.array([0.1, 0.1]))
+    used = blocks_in_use(short, jnp.asarray(1.0))
+    np.testing.assert_array_equal(used, [5, 3])
+    merged = np.asarray(merge_blocks(fine, short, used).count).reshape(2, MOST_BLOCKS)
+    np.testing.assert_allclose(merged[0, :5], counts[0].reshape(5, 10).sum(1))
+    np.testing.assert_allclose(merged[1, :3], counts[1, :30].reshape(3, 10).sum(1))
+    assert not merged[0, 5:].any()
+    assert not merged[1, 3:].any()
+
+
+def plain_politis_white(x):
+    """The published rule, line by line, for one series (constant for separate blocks)."""
+    n = x.size
+    silent = max(5, int(np.ceil(np.sqrt(np.log10(n)))))
+    most = int(np.ceil(np.sqrt(n))) + silent
+    r = np.array([x[: n - k] @ x[k:] for k in range(most + 1)])
+    loud = np.abs(r / r[0]) >= 2 * np.sqrt(np.log10(n) / n)
+    m = next(
+        (k for k in range(most - silent + 1) if not loud[k + 1 : k + silent + 1].any()),
+        np.flatnonzero(loud).max(),
+    )
+    reach = 2 * max(m, 1)
+    k = np.arange(1, most + 1)
+    taper = np.clip(2 * (1 - k / reach), 0, 1)
+    g = 2 * np.sum(taper * k * r[1:])
+    g0 = r[0] + 2 * np.sum(taper * r[1:])
+    return abs(g / g0) ** (2 / 3) * n ** (1 / 3)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_the_block_length_rule_is_the_published_one(rho):
+    series = np.asarray(autoregression(jax.random.key(11), rho))
+    short = ShortBlocks(np.array([ROWS]), jnp.array([0.01]))
+    found = politis_white(jnp.array(series)[None, :, None], short)
+    np.testing.assert_allclose(found, [0.01 * plain_politis_white(series)], rtol=1e-6)
+
+
+def test_correlated_errors_call_for_longer_blocks():
+    short = ShortBlocks(np.array([ROWS]), jnp.array([0.01]))
+    lengths = [
+        float(politis_white(autoregression(jax.random.key(3), rho)[None, :, None], short)[0])
+        for rho in (0.0, 0.8, 0.98)
+    ]
+    assert lengths[0] < 0.1 < lengths[1] < lengths[2]
+
+
+def test_blocks_are_four_windows_long_unless_errors_last_longer_or_records_are_short():
+    short = ShortBlocks(np.array([400]), jnp.array([0.1]))
+    window = jnp.asarray(0.3)
+    assert float(block_length(short, window, jnp.array([0.5]))) == pytest.approx(1.2)
+    assert float(block_length(short, window, jnp.array([0.5, 1.7]))) == pytest.approx(1.7)
+    # Forty seconds hold twenty blocks of two.
+    assert float(block_length(short, window, jnp.array([30.0]))) == pytest.approx(2.0)
+    assert float(block_length(short, jnp.asarray(3.0), jnp.array([1.0]))) == pytest.approx(6.0)
+
+
+def test_elimination_solves():
+    rng = np.random.default_rng(2)
+    half = rng.normal(size=(6, 9))
+    matrix, right = half @ half.T, rng.normal(size=(6, 2))
+    found = eliminate(jnp.array(matrix), jnp.array(right))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9)
+
+
+def test_too_few_replicates_are_refused():
+    with pytest.raises(ModelError, match="at least 100"):
+        BlockBootstrap(replicates=50)
+
+
+def test_a_variance_that_hangs_on_few_blocks_has_few_degrees_of_freedom():
+    fine = one_stage(jax.random.key(2))
+    evidence = evidence_of(fine, 20)
+
+    def freedom(influence):
+        padded = np.zeros((MOST_BLOCKS, influence.shape[1]))
+        padded[:20] = influence
+        return effective_freedom(evidence._replace(influence=jnp.array(padded)))
+
+    rng = np.random.default_rng(0)
+    many = np.mean([freedom(rng.normal(size=(20, 2))) for _ in range(200)])
+    assert 14 < many <= 19  # 19 less what the clip takes of the scatter
+    rare = np.zeros((20, 2))
+    rare[3] = [1.0, -2.0]
+    np.testing.assert_allclose(freedom(rare), [2.0, 2.0])
+    rare[11] = [1.0, 2.0]
+    np.testing.assert_allclose(freedom(rare), [5.0, 5.0])
+    np.testing.assert_allclose(freedom(np.zeros((20, 2))), [19.0, 19.0])
