@@ -75,11 +75,13 @@ def windows(count: int) -> Callable[[], Any]:
 
     from riecjax.criteria.criterion import RIEC
     from riecjax.criteria.windows import RandomWindows
-    from riecjax.summaries.normal_equations import normal_equations
+    from riecjax.summaries.normal_equations import NormalEquations
 
     criterion = RIEC(RandomWindows(0.02, 0.2, count))
     equation, record = equation_of(5), record_of(8000, 6)
-    drawn = eqx.filter_jit(lambda r, k: normal_equations(criterion.rows(equation, r, k)).moments)
+    drawn = eqx.filter_jit(
+        lambda r, k: NormalEquations.of_rows(criterion.rows(equation, r, k)).moments
+    )
     return lambda: drawn(record, jax.random.key(0))
 
 

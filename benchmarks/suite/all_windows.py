@@ -19,7 +19,7 @@ from riecjax.models.quarter_car.identification import body_equation
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import NormalEquations, normal_equations
+from riecjax.summaries.normal_equations import NormalEquations
 
 WINDOWS, SPRUNG_MASS = 8000, 300.0
 SIGNALS = ("x2", "x3", "x4")
@@ -77,7 +77,7 @@ def over_seeds(record: Record, keys: Array) -> Float[Array, "seeds 5"]:
     equation = body_equation()
 
     def one(key: Array) -> Array:
-        equations = normal_equations(criterion.rows(equation, record, key)).total()
+        equations = NormalEquations.of_rows(criterion.rows(equation, record, key)).total()
         return solve(equations.fix({"M_s": SPRUNG_MASS})).theta
 
     return jax.lax.map(one, keys, batch_size=8)

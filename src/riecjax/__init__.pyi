@@ -95,7 +95,6 @@ from .studies.window_choice import window_choice as window_choice
 from .studies.window_sweep import WindowSweep as WindowSweep
 from .studies.window_sweep import window_sweep as window_sweep
 from .summaries.normal_equations import NormalEquations as NormalEquations
-from .summaries.normal_equations import normal_equations as normal_equations
 from .summaries.stage_sums import stage_normal_equations as stage_normal_equations
 from .summaries.summarise import summarise as summarise
 from .summaries.summary import Summary as Summary

@@ -17,7 +17,7 @@ from riecjax.estimation.identify import identify
 from riecjax.estimation.least_squares import solve
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import NormalEquations, normal_equations
+from riecjax.summaries.normal_equations import NormalEquations
 
 NAMES = ("a", "b", "c")
 
@@ -29,7 +29,7 @@ def as_rows(A, y):
 
 @eqx.filter_jit
 def by_gram(rows):
-    return least_squares.solve(normal_equations(rows).total())
+    return least_squares.solve(NormalEquations.of_rows(rows).total())
 
 
 solve_rows = eqx.filter_jit(least_squares.solve_rows)

@@ -15,7 +15,7 @@ from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations, normal_equations
+from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.few_blocks import OVERLAP, few_blocks_sandwich
 from riecjax.uncertainty.scores import unknowns
 
@@ -102,7 +102,7 @@ def blocks_of(rows, count, names):
     """Normal equations of so many short blocks, and the rows' Gram matrices, plainly."""
     y, a = rows
     of = np.arange(y.size) * count // y.size
-    made = normal_equations(
+    made = NormalEquations.of_rows(
         Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(y.size), names),
         block_of_row=jnp.array(of),
         block_count=count,

@@ -11,7 +11,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.least_squares import solve
 from riecjax.linear_algebra import eliminate
 from riecjax.summaries.blocks import MOST_BLOCKS, ShortBlocks, blocks_in_use, merge_blocks
-from riecjax.summaries.normal_equations import NormalEquations, normal_equations
+from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.block_length import block_length, politis_white
 from riecjax.uncertainty.block_statistics import Evidence
 from riecjax.uncertainty.bootstrap import drawn_counts, studentized_replicates, uniform_draws
@@ -45,7 +45,9 @@ def autoregression(key, rho, shape=()):
 
 def short_blocks(columns, names) -> NormalEquations:
     rows = Rows(columns, jnp.arange(ROWS), names)
-    made = normal_equations(rows, block_of_row=jnp.arange(ROWS) * SHORT // ROWS, block_count=SHORT)
+    made = NormalEquations.of_rows(
+        rows, block_of_row=jnp.arange(ROWS) * SHORT // ROWS, block_count=SHORT
+    )
     return NormalEquations(made.moments[None], made.count[None], names)
 
 
@@ -152,7 +154,7 @@ def test_the_jackknife_is_the_refit_without_each_block():
     rng = np.random.default_rng(0)
     a, y = rng.normal(size=(60, 2)), rng.normal(size=60)
     rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
-    made = normal_equations(rows, block_of_row=jnp.arange(60) // 6, block_count=10)
+    made = NormalEquations.of_rows(rows, block_of_row=jnp.arange(60) // 6, block_count=10)
     fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
     evidence = evidence_of(fine, 10, ShortBlocks(np.array([10]), jnp.array([1.0])))
     theta = np.linalg.lstsq(a, y)[0]
@@ -169,7 +171,7 @@ def test_the_sandwich_weighs_lags_as_newey_and_west_do():
     rng = np.random.default_rng(1)
     a, y = rng.normal(size=(60, 2)), rng.normal(size=60)
     rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
-    made = normal_equations(rows, block_of_row=jnp.arange(60), block_count=60)
+    made = NormalEquations.of_rows(rows, block_of_row=jnp.arange(60), block_count=60)
     fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
     evidence = evidence_of(fine, 12, ShortBlocks(np.array([60]), jnp.array([SECONDS * SHORT / 60])))
     scores = a * (y - a @ np.linalg.lstsq(a, y)[0])[:, None]

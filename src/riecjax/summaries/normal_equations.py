@@ -100,29 +100,32 @@ class NormalEquations(eqx.Module):
                 mix = mix.at[1 + kept.index(name), 1 + j].set(1.0)
         return NormalEquations(mix @ self.moments @ mix.T, self.count, kept)
 
+    @classmethod
+    def of_rows(
+        cls,
+        rows: Rows,
+        *,
+        block_of_row: Int[Array, " rows"] | None = None,
+        block_count: int = 1,
+    ) -> "NormalEquations":
+        """Those of rows, one for each of `block_count` blocks (leading axis)."""
+        columns = rows.columns
+        if block_of_row is None:
+            return cls((columns @ columns.T)[None], rows.count()[None], rows.parameters)
+        products = columns[:, None, :] * columns[None, :, :]
+        moments = jax.ops.segment_sum(
+            jnp.moveaxis(products, -1, 0), block_of_row, num_segments=block_count
+        )
+        kept = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
+        count = jax.ops.segment_sum(
+            kept.astype(columns.dtype), block_of_row, num_segments=block_count
+        )
+        return cls(moments, count, rows.parameters)
+
     def residual_energy(self, theta: Float[Array, " p"]) -> Float[Array, "*blocks"]:
         """Sum of squared residuals at theta; below about 1e-16 of `energy` it is rounding."""
         v = jnp.concatenate([jnp.ones((1,), theta.dtype), -theta])
         return jnp.maximum(jnp.einsum("i,...ij,j->...", v, self.moments, v), 0.0)
-
-
-def normal_equations(
-    rows: Rows,
-    *,
-    block_of_row: Int[Array, " rows"] | None = None,
-    block_count: int = 1,
-) -> NormalEquations:
-    """Normal equations of rows, one for each of `block_count` blocks (leading axis)."""
-    columns = rows.columns
-    if block_of_row is None:
-        return NormalEquations((columns @ columns.T)[None], rows.count()[None], rows.parameters)
-    products = columns[:, None, :] * columns[None, :, :]
-    moments = jax.ops.segment_sum(
-        jnp.moveaxis(products, -1, 0), block_of_row, num_segments=block_count
-    )
-    kept = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
-    count = jax.ops.segment_sum(kept.astype(columns.dtype), block_of_row, num_segments=block_count)
-    return NormalEquations(moments, count, rows.parameters)
 
 
 def stack_normal_equations(parts: Sequence[NormalEquations]) -> NormalEquations:

@@ -29,7 +29,7 @@ from riecjax.equations.term import Terms, evaluate
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.summaries.averages import activity, averaged_rows, thinned, underived
-from riecjax.summaries.normal_equations import normal_equations
+from riecjax.summaries.normal_equations import NormalEquations
 
 PART = 2**17
 """Starts to a part of a long recording."""
@@ -179,7 +179,7 @@ def of_rows(
         equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
     ) -> Watched:
         rows = criterion.rows_of(columns, drawn, part.held)
-        found = normal_equations(rows, block_of_row=block_of_row, block_count=request.blocks)
+        found = NormalEquations.of_rows(rows, block_of_row=block_of_row, block_count=request.blocks)
         moments = ((found.moments[:, None], found.count[:, None]),)
         bare = None if criterion.smoothness else underived(equation)
         watched = _watched(columns, noise, record, blocks, half, request, bare, moments)

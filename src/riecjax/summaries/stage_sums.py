@@ -17,7 +17,6 @@ from riecjax.records.record import Record
 from riecjax.summaries.blocks import short_blocks
 from riecjax.summaries.normal_equations import (
     NormalEquations,
-    normal_equations,
 )
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
@@ -106,7 +105,7 @@ def _equation_by_equation(
     def summed(equation: Equation) -> NormalEquations:
         rows = criterion.rows(equation, record, key)
         block = _block_of_row(rows, samples, count) if count > 1 else None
-        return normal_equations(rows, block_of_row=block, block_count=count)
+        return NormalEquations.of_rows(rows, block_of_row=block, block_count=count)
 
     return [[summed(equation) for equation in stage] for stage in procedure.stages]
 
