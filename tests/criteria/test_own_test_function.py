@@ -88,7 +88,7 @@ def oscillator() -> tuple[rx.Equation, rx.Record]:
 @pytest.mark.parametrize("power", [1, 2])
 def test_its_expected_gain_is_the_mean_of_its_fourier_integrals(power):
     frequency = np.array([0.0, 1.3, 9.0])
-    found = rx.expected_gain(frequency, 0.1, 0.5, Cosine(), power=power)
+    found = rx.criteria.expected_gain(frequency, 0.1, 0.5, Cosine(), power=power)
     for f, mean in zip(frequency, found):
         brute, _ = scipy.integrate.quad(
             lambda length, f=f: integral_size(f, length) ** power, 0.1, 0.5, limit=200
@@ -110,7 +110,7 @@ def test_windows_are_chosen_by_its_gain():
     t = np.arange(16_000) * 0.005
     motion, error = np.sin(2 * np.pi * t), 0.5 * np.sin(2 * np.pi * 3 * t)
     record = rx.Record({"x": motion, "F": 4 * motion + error}, 0.005)
-    choice = rx.window_choice(
+    choice = rx.studies.window_choice(
         rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "F")),
         record,
         {"k": 4.0},

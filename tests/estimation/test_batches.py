@@ -19,7 +19,7 @@ from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.refine import refine
 from riecjax.reporting.estimate import estimate_entries, parameter_entries
 from riecjax.uncertainty.intervals import BlockBootstrap, Sandwich
-from riecjax.validation.residual_tests import residual_tests
+from riecjax.validation.residuals import residual_tests
 
 EQUATION = Equation(
     Term("m", "v", derivative=1, unit="kg"),

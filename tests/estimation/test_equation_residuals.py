@@ -23,7 +23,7 @@ from riecjax.refinement.refine import refine
 from riecjax.reporting.estimate import estimate_entries, print_estimate
 from riecjax.reporting.identification_page import _fit
 from riecjax.uncertainty.intervals import Sandwich
-from riecjax.validation.residual_tests import residual_tests
+from riecjax.validation.residuals import residual_tests
 
 KEY = jax.random.key(2)
 STEP = 0.01

@@ -20,7 +20,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.models.model import Model
 from riecjax.records.record import Record
-from riecjax.studies.window_sweep import window_sweep
+from riecjax.studies.sweep import window_sweep
 
 EQUATION = Equation(
     Term("m", "x", derivative=2, measured=("dx",)),

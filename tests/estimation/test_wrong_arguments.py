@@ -100,7 +100,10 @@ MADE = {
     "a length as text": (lambda: rx.AllWindows("a", 0.5), "alpha is the text 'a'"),
     "two lengths": (lambda: rx.AllWindows(0.1, [0.5, 0.6]), "beta is a list"),
     "a law's name": (lambda: rx.AllWindows(0.1, 0.5, law="uniform"), "law=[1, 2, 1]"),
-    "a law's class": (lambda: rx.AllWindows(0.1, 0.5, law=rx.DensityLaw), "the class DensityLaw"),
+    "a law's class": (
+        lambda: rx.AllWindows(0.1, 0.5, law=rx.criteria.DensityLaw),
+        "the class DensityLaw",
+    ),
     "a count as text": (lambda: rx.RandomWindows(0.1, 0.5, "a"), "rx.RandomWindows(0.05, 0.5,"),
     "a broken count": (lambda: rx.RandomWindows(0.1, 0.5, 2.5), "windows is a float"),
     "a model as name": (lambda: rx.find_model(EQUATION), "rx.find_model('quarter-car')"),
@@ -173,8 +176,8 @@ def test_refine(case):
 
 
 COMPARED = {
-    "windows' name": ({"shooting": "whole"}, "rx.OutputError(rx.Tiles(0.5))"),
-    "windows' class": ({"shooting": rx.Tiles}, "the class Tiles, not an object of it"),
+    "windows' name": ({"shooting": "whole"}, "rx.OutputError(rx.refinement.Tiles(0.5))"),
+    "windows' class": ({"shooting": rx.refinement.Tiles}, "the class Tiles, not an object of it"),
     "a method's name": ({"method": "rk4"}, "method=rx.FixedStep(8)"),
     "a method's class": ({"method": rx.FixedStep}, "method=rx.FixedStep(8)"),
     "starts, a number": ({"starts": 5}, "starts='estimated', 'measured' or values by name"),
@@ -191,12 +194,17 @@ def test_output_error(case):
 
 
 STUDIED = {
-    "a criterion's name": (rx.window_sweep, "riec", {}, "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
-    "a criterion's class": (rx.window_sweep, rx.RIEC, {}, "the class RIEC"),
-    "no windows": (rx.window_sweep, rx.DOLS(), {}, "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
-    "sweep's own": (rx.window_sweep, ALL, {"per_record": "k"}, "per_record=('k',)"),
-    "scatter's name": (rx.seed_scatter, "riec", {"key": None}, "rx.RIEC(rx.RandomWindows("),
-    "scatter's seed": (rx.seed_scatter, ALL, {"key": 3}, "key=jax.random.key(3)"),
+    "a criterion's name": (
+        rx.studies.window_sweep,
+        "riec",
+        {},
+        "rx.RIEC(rx.AllWindows(0.05, 0.5))",
+    ),
+    "a criterion's class": (rx.studies.window_sweep, rx.RIEC, {}, "the class RIEC"),
+    "no windows": (rx.studies.window_sweep, rx.DOLS(), {}, "rx.RIEC(rx.AllWindows(0.05, 0.5))"),
+    "sweep's own": (rx.studies.window_sweep, ALL, {"per_record": "k"}, "per_record=('k',)"),
+    "scatter's name": (rx.studies.seed_scatter, "riec", {"key": None}, "rx.RIEC(rx.RandomWindows("),
+    "scatter's seed": (rx.studies.seed_scatter, ALL, {"key": 3}, "key=jax.random.key(3)"),
 }
 
 

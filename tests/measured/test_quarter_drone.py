@@ -12,7 +12,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.reading.read import read_record
-from riecjax.studies.window_sweep import window_sweep
+from riecjax.studies.sweep import window_sweep
 
 FILES = (
     "sinal2_degraus_malha_fechada.csv",

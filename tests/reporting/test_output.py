@@ -37,7 +37,7 @@ from riecjax.reporting.output import emit, versions, write_folder
 from riecjax.reporting.page import Page, Section
 from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.summaries.summarise import summarise
-from riecjax.validation.residual_tests import ResidualTests
+from riecjax.validation.residuals import ResidualTests
 
 DOCUMENT = {
     "answer": 42,

@@ -16,8 +16,8 @@ from riecjax.reporting.residual_figures import (
     window_choice_figures,
 )
 from riecjax.simulation.inputs import band_limited_noise
-from riecjax.studies.window_choice import window_choice
-from riecjax.validation.residual_tests import residual_tests
+from riecjax.studies.choice import window_choice
+from riecjax.validation.residuals import residual_tests
 
 
 def recording() -> tuple[Equation, Record]:

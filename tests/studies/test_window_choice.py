@@ -17,7 +17,7 @@ from riecjax.models.quarter_car.reconstruction import quarter_car_source, recons
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
-from riecjax.studies.window_choice import window_choice
+from riecjax.studies.choice import window_choice
 
 
 @pytest.fixture(scope="module")

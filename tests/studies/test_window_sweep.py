@@ -16,7 +16,7 @@ from riecjax.models.oscillators import DragOscillator, drag_oscillator_equation
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
-from riecjax.studies.window_sweep import window_sweep
+from riecjax.studies.sweep import window_sweep
 
 KEY = jax.random.key(0)
 CRITERION = RIEC(RandomWindows(0.05, 0.5, 3000), Hat(6))

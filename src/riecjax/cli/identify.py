@@ -40,11 +40,11 @@ if TYPE_CHECKING:
     from riecjax.refinement.refined import Refined
     from riecjax.reporting.identification import ValidationRun
     from riecjax.reporting.refinement import Refinement
+    from riecjax.studies.choice import WindowChoice
     from riecjax.studies.monte_carlo import SeedScatter
-    from riecjax.studies.window_choice import WindowChoice
-    from riecjax.studies.window_sweep import WindowSweep
+    from riecjax.studies.sweep import WindowSweep
     from riecjax.summaries.summary import Summary
-    from riecjax.validation.residual_tests import ResidualTests
+    from riecjax.validation.residuals import ResidualTests
 
 
 class ValidationPart(NamedTuple):
@@ -236,7 +236,7 @@ def _bins(
 ) -> "Float[np.ndarray, ' edges'] | None":
     """Bins of window lengths that the sweep needs, where all windows are summed."""
     from riecjax.errors import DataError
-    from riecjax.studies.window_sweep import sweep_edges
+    from riecjax.studies.sweep import sweep_edges
 
     if not criterion.in_closed_form:
         return None
@@ -251,7 +251,7 @@ def _sweep(
 ) -> "WindowSweep | None":
     from riecjax.errors import DataError
     from riecjax.leaves import on_host
-    from riecjax.studies.window_sweep import window_sweep
+    from riecjax.studies.sweep import window_sweep
 
     if summary.criterion.in_windows is None:
         return None
@@ -266,9 +266,9 @@ def _what_is_left(
     procedure: "Procedure", records: list["Record"], estimate: "Estimate"
 ) -> tuple["ResidualTests | None", "WindowChoice | None", list[Finding]]:
     """Tests of the residual and the choice of windows it suggests, or why there are none."""
-    from riecjax.studies.window_choice import window_choice
-    from riecjax.validation.equation_error import errors_over_records
-    from riecjax.validation.residual_tests import residual_tests
+    from riecjax.studies.choice import window_choice
+    from riecjax.validation.errors import errors_over_records
+    from riecjax.validation.residuals import residual_tests
 
     windowed = estimate.criterion.in_windows is not None
     # A fit is not lost because what it leaves cannot be tested.

@@ -1,1 +1,5 @@
 """Recordings: uniformly sampled named signals, read, checked and prepared once."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Non-linear refinement: what the linear stage cannot reach, from its estimate as a start."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

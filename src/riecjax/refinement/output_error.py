@@ -58,7 +58,7 @@ class OutputError(AbstractObjective):
     every: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
-        write = "rx.OutputError(rx.WholeRecord()), or of windows rx.OutputError(rx.Tiles(0.5))"
+        write = "rx.OutputError(rx.refinement.Tiles(0.5)), or without windows rx.OutputError()"
         require("what OutputError simulates over", self.shooting, AbstractShooting, write)
         require("the method", self.method or FixedStep(), AbstractMethod, "method=rx.FixedStep(8)")
         write = "starts='estimated', 'measured' or values by name such as {'x': 0.0}"

@@ -20,11 +20,11 @@ from riecjax.reporting.refinement import (
     refinement_entries,
     refinement_in_words,
 )
+from riecjax.studies.choice import WindowChoice
 from riecjax.studies.monte_carlo import SeedScatter
-from riecjax.studies.window_choice import WindowChoice
-from riecjax.studies.window_sweep import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residual_tests import ResidualTests
+from riecjax.validation.residuals import ResidualTests
 
 
 class ValidationRun(NamedTuple):

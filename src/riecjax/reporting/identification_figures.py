@@ -26,7 +26,7 @@ from riecjax.reporting.charts.chart import (
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.identification import Identification, ValidationRun
 from riecjax.reporting.residual_figures import residual_figures, window_choice_figures
-from riecjax.studies.window_sweep import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.sums import Survey
 
 MOST_POINTS = 2000

@@ -18,11 +18,11 @@ from riecjax.reporting.charts.chart import (
     Stems,
     labelled,
 )
-from riecjax.studies.window_choice import EquationWindows, WindowChoice
-from riecjax.validation.equation_error import EquationError
+from riecjax.studies.choice import EquationWindows, WindowChoice
 from riecjax.validation.error_correlation import CrossCorrelation
 from riecjax.validation.error_spectrum import ErrorSpectrum, unbroken
-from riecjax.validation.residual_tests import EquationResidual, ResidualTests
+from riecjax.validation.errors import EquationError
+from riecjax.validation.residuals import EquationResidual, ResidualTests
 
 EXCERPT = 400
 """Values of an error that are drawn one by one."""

@@ -1,1 +1,5 @@
 """Simulation of models driven by sampled inputs, and the inputs to drive them with."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.signal
 from jaxtyping import Bool, Float
 
-from riecjax.validation.equation_error import EquationError
+from riecjax.validation.errors import EquationError
 
 SEGMENTS = 32
 """Parts of the record that a segment of the spectrum is one of, halves of segments overlapping."""

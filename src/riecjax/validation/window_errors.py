@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
-from riecjax.validation.equation_error import EquationError, joined
 from riecjax.validation.error_spectrum import unbroken
+from riecjax.validation.errors import EquationError, joined
 
 LENGTHS = 4
 """Window lengths from alpha to beta at which errors are looked at, each at every start."""

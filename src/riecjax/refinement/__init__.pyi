@@ -1,0 +1,5 @@
+from .balance import AbstractBalance as AbstractBalance
+from .optimum import RefinementStatus as RefinementStatus
+from .shots import RandomShots as RandomShots
+from .shots import Tiles as Tiles
+from .shots import WholeRecord as WholeRecord

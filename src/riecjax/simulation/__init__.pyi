@@ -1,0 +1,11 @@
+from .equation_system import EquationSystem as EquationSystem
+from .inputs import band_limited_noise as band_limited_noise
+from .inputs import harmonics as harmonics
+from .inputs import multisine as multisine
+from .inputs import pothole as pothole
+from .inputs import robson_road as robson_road
+from .linearisation import linearise as linearise
+from .linearisation import modes as modes
+from .method import SimulationStatus as SimulationStatus
+from .simulate import Simulation as Simulation
+from .system import AbstractSystem as AbstractSystem

@@ -1,0 +1,11 @@
+from .errors import EquationError as EquationError
+from .errors import equation_error as equation_error
+from .goodness_of_fit import Validation as Validation
+from .goodness_of_fit import nrmse_fit as nrmse_fit
+from .goodness_of_fit import percentage_error as percentage_error
+from .goodness_of_fit import validate as validate
+from .goodness_of_fit import variance_accounted_for as variance_accounted_for
+from .held_out import HeldOut as HeldOut
+from .held_out import validate_held_out as validate_held_out
+from .residuals import ResidualTests as ResidualTests
+from .residuals import residual_tests as residual_tests
