@@ -21,8 +21,7 @@ import numpy as np
 from riecjax.criteria.written import criterion_of, written
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
-from riecjax.records.reading.channels import foreign_reader
-from riecjax.records.reading.npz import read_array
+from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.writing import write_npz, write_whole
 from riecjax.summaries.summary import SCHEMA, Outline, Summary
 from riecjax.summaries.sums import Activity, Averages, EquationSums, RecordingSums, Survey

@@ -11,16 +11,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.arrow import compute
-from riecjax.records.reading.channels import Channels, check_column_count, first_sentence
+from riecjax.records.reading.channels import (
+    Channels,
+    check_column_count,
+    check_names,
+    first_sentence,
+)
 from riecjax.records.reading.dialect import Dialect, Layout, layout
 from riecjax.records.reading.numerals import (
     GROUPED,
     are_stamps,
+    compute,
     is_numeric,
     numbers,
-    present,
     seconds,
+    stripped,
 )
 from riecjax.records.reading.units import split_unit
 
@@ -31,16 +36,15 @@ LONGEST_LINE = 2**22
 FEWEST_LINES, MOST_LINES = 6, 400
 """Lines on which the dialect is decided."""
 MOSTLY = 0.9
-"""Share of numbers past which a text in a column is an error, and the column not one of texts."""
+"""Share of numbers in a column from which a text in it is an error, not a sign of a text column."""
 
 
 class Table(NamedTuple):
-    """A text file's body, its layout, and how its decimal sign was found.
+    """A text file's rows below the header, their layout, and how the decimal sign was found.
 
-    `content` is the whole file in UTF-8; `body` its part below the header, comments removed.
+    `body` is in UTF-8, comments blanked.
     """
 
-    content: bytes
     body: bytes
     layout: Layout
     decimal_given: bool
@@ -64,7 +68,7 @@ def read_delimited(
     """Read a text file of columns with a header row.
 
     Delimiter, decimal sign, header, a row of units, comments and lines above the header are
-    found out; what could be read in two ways is refused.
+    recognised; what could be read in two ways is refused.
 
     **Raises:** `DataError` naming the line and the text that is no number, for rows of unequal
     length, and for files that are not text or have no header.
@@ -74,7 +78,7 @@ def read_delimited(
     found = layout(lines, delimiter, decimal)
     check_column_count(found.width)
     body, comments = _body(content, found)
-    table = Table(content, body, found, decimal is not None)
+    table = Table(body, found, decimal is not None)
     names = _names(found.names)
     columns, left_out, stamped = _columns(table, names)
     units = _units(names, found.units) | dict.fromkeys(stamped, "s")
@@ -163,7 +167,7 @@ def _columns(
     parsed = _parse(table)
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
-    texts = {name: present(parsed.column(place)) for place, name in enumerate(names) if name}
+    texts = {name: stripped(parsed.column(place)) for place, name in enumerate(names) if name}
     _refuse_nameless(parsed, names)
     if table.layout.dialect.decimal == "," and not table.decimal_given:
         _refuse_thousands(table, texts)
@@ -172,12 +176,12 @@ def _columns(
     stamped: list[str] = []
     for name, text in texts.items():
         values = numbers(text, table.layout.dialect.decimal, table.decimal_given)
-        if values is None and _mostly(table, are_stamps(text), text):
+        if values is None and _all_valid(table, are_stamps(text), text):
             values = seconds(text)
             stamped.append(name)
         if values is None:
             valid = is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
-            _mostly(table, valid, text)
+            _all_valid(table, valid, text)
             row = valid.to_pylist().index(False)
             left_out[name] = (
                 f"it holds text, {text[row].as_py()[:40]!r} on line {table.line_of(row)}"
@@ -187,8 +191,8 @@ def _columns(
     return _without_blank_end(columns), left_out, stamped
 
 
-def _mostly(table: Table, valid: Any, text: Any) -> bool:
-    """Whether all are valid; hardly any invalid ones are an error that names the first."""
+def _all_valid(table: Table, valid: Any, text: Any) -> bool:
+    """Whether all texts are valid; up to a tenth that are not raise an error naming the first."""
     flags = np.array([flag for flag in valid.to_pylist() if flag is not None], dtype=bool)
     if flags.size and flags.all():
         return True
@@ -200,7 +204,7 @@ def _mostly(table: Table, valid: Any, text: Any) -> bool:
 
 def _refuse_nameless(parsed: Any, names: list[str]) -> None:
     for place, name in enumerate(names):
-        if not name and present(parsed.column(place)).null_count < parsed.num_rows:
+        if not name and stripped(parsed.column(place)).null_count < parsed.num_rows:
             filled = sum(bool(each) for each in names)
             raise DataError(f"{filled} column names but {len(names)} columns of numbers.")
 
@@ -241,10 +245,7 @@ def _names(header: list[str]) -> list[str]:
     names = [
         name or (f"column {place + 1}" if place < last else "") for place, name in enumerate(header)
     ]
-    given = [name for name in names if name]
-    if len(set(given)) < len(given):
-        twice = next(name for name in given if given.count(name) > 1)
-        raise DataError(f"two columns are called '{twice}'.")
+    check_names(filter(None, names))
     return names
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import MOST_COLUMNS
-from riecjax.records.reading.numerals import is_missing, is_number, is_stamp
+from riecjax.records.reading.numerals import kind_of
 from riecjax.records.reading.units import bare_unit, is_unit
 
 DELIMITERS = (",", ";", "\t", "|", " ")
@@ -147,17 +147,8 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
 
 
 def _kinds(fields: list[str], decimal: str) -> str:
-    """One letter for each field: missing, number, time stamp, or text."""
-    return "".join(
-        "M"
-        if is_missing(field)
-        else "N"
-        if is_number(field, decimal)
-        else "S"
-        if is_stamp(field)
-        else "T"
-        for field in fields
-    )
+    """One letter for each field, as `kind_of` gives them."""
+    return "".join(kind_of(field, decimal) for field in fields)
 
 
 def _fits(kind: str, pattern: str) -> bool:

@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.records.reading.arrow import compute
-
 MISSING = ("", "-", "--", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "<NA>", "null",
            "NULL", "Null", "None", "none", "1.#QNAN", "-1.#IND", "1.#IND", "-nan", "nan(ind)",
            "-nan(ind)", "NaT")  # fmt: skip
@@ -23,7 +21,7 @@ GROUPED = {
     ".": r"^[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?$",
     ",": r"^[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?$",
 }
-"""A number with its thousands set apart, by its decimal sign."""
+"""A number with its digits grouped in thousands, by its decimal sign."""
 STAMP = (
     r"^(?:(\d{4}-\d{2}-\d{2})[T ])?(\d{1,4}):([0-5]\d):([0-5]\d|60)([.,]\d*)?(Z|[+-]\d{2}:?\d{2})?$"
 )
@@ -35,81 +33,70 @@ _MISSING_PATTERN = "^(?:" + "|".join(re.escape(word) for word in MISSING) + ")$"
 DAY = 86400.0
 
 
-def is_missing(text: str) -> bool:
-    """Whether a field says that there is no value."""
-    return text in _MISSING
+def kind_of(text: str, decimal: str) -> str:
+    """What a field holds: `M`, nothing; `N`, a number; `S`, a time stamp; `T`, any other text."""
+    if text in _MISSING:
+        return "M"
+    if _NUMBER[decimal].fullmatch(text):
+        return "N"
+    return "S" if ":" in text and _STAMP.fullmatch(text) else "T"
 
 
-def is_number(text: str, decimal: str) -> bool:
-    """Whether a field is a number with this decimal sign."""
-    return _NUMBER[decimal].fullmatch(text) is not None
+def compute() -> Any:
+    """The module `pyarrow.compute`; its functions are made on import, unseen by type checkers."""
+    import pyarrow.compute
+
+    return pyarrow.compute
 
 
-def is_stamp(text: str) -> bool:
-    """Whether a field is a time stamp, `2024-05-01T10:00:00.25` or `10:00:00.25`."""
-    return ":" in text and _STAMP.fullmatch(text) is not None
-
-
-def present(text: Any) -> Any:
-    """A column of strings (PyArrow) stripped, null where a value is missing."""
+def stripped(text: Any) -> Any:
+    """A column of strings (PyArrow) without white space around, null where a value is missing."""
     import pyarrow as pa
 
     pc = compute()
-
-    stripped = pc.utf8_trim_whitespace(text)
+    text = pc.utf8_trim_whitespace(text)
     # No list of words and no scalar: for these PyArrow imports pandas, where there is one.
-    missing = pc.match_substring_regex(stripped, _MISSING_PATTERN)
-    return pc.if_else(missing, pa.nulls(1, pa.string())[0], stripped)
+    missing = pc.match_substring_regex(text, _MISSING_PATTERN)
+    return pc.if_else(missing, pa.nulls(1, pa.string())[0], text)
 
 
 def numbers(text: Any, decimal: str, grouped: bool) -> np.ndarray | None:
     """A column of stripped strings as floats, NaN for null; `None` if some are no numbers.
 
-    `grouped`: thousands may be set apart by the other sign.
+    `grouped`: the other sign may separate thousands.
     """
     import pyarrow as pa
 
     pc = compute()
-
     plain = text
     if decimal == ",":
-        if not _all(not_dotted(text)):
-            if not grouped or not _all(is_numeric(text, decimal, grouped)):
+        if pc.any(pc.match_substring(text, ".")).as_py():
+            if not grouped or not all_true(is_numeric(text, decimal, grouped)):
                 return None
             plain = pc.replace_substring(plain, ".", "")
         plain = pc.replace_substring(plain, ",", ".")
     try:
-        return _floats(pc.cast(plain, pa.float64()))
+        return floats(pc.cast(plain, pa.float64()))
     except pa.ArrowInvalid:
         pass
-    if not _all(is_numeric(text, decimal, grouped)):
+    if not all_true(is_numeric(text, decimal, grouped)):
         return None
     # What is a number but not to PyArrow: a plus sign, Fortran's exponents, thousands.
     for pattern, sign in ((r"^\+", ""), ("[dD]", "e"), (",", "")):
         plain = pc.replace_substring_regex(plain, pattern, sign)
-    return _floats(pc.cast(plain, pa.float64()))
+    return floats(pc.cast(plain, pa.float64()))
 
 
 def is_numeric(text: Any, decimal: str, grouped: bool) -> Any:
     """Which of a column of strings are numbers; null where null."""
     pc = compute()
-
     found = pc.match_substring_regex(text, NUMBER[decimal])
     return pc.or_(found, pc.match_substring_regex(text, GROUPED[decimal])) if grouped else found
 
 
-def not_dotted(text: Any) -> Any:
-    """Which of a column of strings have no decimal point; null where null."""
-    pc = compute()
-
-    return pc.invert(pc.match_substring(text, "."))
-
-
 def are_stamps(text: Any) -> Any:
     """Which of a column of strings are time stamps; null where null."""
-    pc = compute()
-
-    return pc.match_substring_regex(text, STAMP)
+    return compute().match_substring_regex(text, STAMP)
 
 
 def seconds(text: Any) -> np.ndarray:
@@ -150,11 +137,11 @@ def _clock(stamp: re.Match[str]) -> float:
     return since + (float("0." + (fraction[1:] or "0")) if fraction else 0.0)
 
 
-def _floats(column: Any) -> np.ndarray:
+def floats(column: Any) -> np.ndarray:
+    """A column of PyArrow's as 64-bit floats, shape `(n,)`, NaN for null."""
     return np.array(column.to_numpy(), dtype=float)
 
 
-def _all(mask: Any) -> bool:
-    pc = compute()
-
-    return pc.all(mask).as_py() is not False
+def all_true(mask: Any) -> bool:
+    """Whether a column of truth values holds no False; nulls do not count."""
+    return compute().all(mask).as_py() is not False

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.records.reading.arrow import compute
 from riecjax.records.reading.channels import (
     TIME_COLUMNS,
     Channels,
@@ -15,7 +14,7 @@ from riecjax.records.reading.channels import (
     check_unpacked,
     foreign_reader,
 )
-from riecjax.records.reading.numerals import unwrapped
+from riecjax.records.reading.numerals import compute, floats, unwrapped
 
 UNNAMED_INDEX = "__index_level_0__"
 """What pandas calls the index of a frame when it has no name."""
@@ -85,18 +84,14 @@ def _numbers(column: Any) -> np.ndarray:
         column = pc.cast(column, column.type.value_type)
     kind = column.type
     if not (types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind)):
-        return _floats(pc.cast(column, pa.float64(), safe=False))
+        return floats(pc.cast(column, pa.float64(), safe=False))
     ticks = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
     if types.is_time32(kind):
         column = pc.cast(column, pa.int32())
     counts = pc.cast(column, pa.int64())
     first = pc.min(counts).as_py() if types.is_timestamp(kind) else 0
-    since = _floats(pc.cast(pc.subtract(counts, first or 0), pa.float64(), safe=False)) / ticks
+    since = floats(pc.cast(pc.subtract(counts, first or 0), pa.float64(), safe=False)) / ticks
     return unwrapped(since) if types.is_time(kind) else since
-
-
-def _floats(column: Any) -> np.ndarray:
-    return np.array(column.to_numpy(), dtype=float)
 
 
 def _unit(field: Any) -> str | None:

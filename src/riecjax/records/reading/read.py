@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.records.reading.channels import LARGEST_FILE, Channels
+from riecjax.records.reading.channels import LARGEST_FILE, Channels, read_npz
 from riecjax.records.reading.delimited import read_delimited
 from riecjax.records.reading.matlab import read_mat
 from riecjax.records.reading.mdf import read_mdf
-from riecjax.records.reading.npz import read_npz
 from riecjax.records.reading.parquet import read_parquet
 from riecjax.records.reading.selection import Selection, record_from_channels
 from riecjax.records.record import Record
