@@ -153,9 +153,8 @@ class Record(eqx.Module):
         _require_equal_lengths(arrays)
         if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
-        missing = {k: np.isnan(v) for k, v in arrays.items() if np.isnan(v).any()}
-        filled = {k: _hold(v, missing[k]) if k in missing else v for k, v in arrays.items()}
-        return cls(filled, step, start, units or {}, missing, stamps)
+        filled = {name: hold(values) for name, values in arrays.items()}
+        return cls(filled, step, start, units or {}, gaps(arrays), stamps)
 
     @property
     def signals(self) -> Signals:
@@ -377,7 +376,21 @@ def _require_equal_lengths(arrays: Mapping[str, np.ndarray]) -> None:
         raise DataError(f"all signals and the time must have the same length; got {listed}.")
 
 
-def _hold(samples: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Missing samples replaced by the last one before them, at the start by the first after."""
-    last = np.maximum.accumulate(np.where(missing, -1, np.arange(samples.size)))
-    return samples[np.where(last < 0, np.argmin(missing), last)]
+def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Masks, shape `(n,)`, True where a column is NaN; only of columns that hold a NaN."""
+    masks = {name: np.isnan(values) for name, values in columns.items()}
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+def hold(values: np.ndarray) -> np.ndarray:
+    """NaN replaced by the last value before it, at the start by the first after, else by 0.
+
+    Shapes `(n,)`.
+    """
+    present = ~np.isnan(values)
+    if present.all():
+        return values
+    if not present.any():
+        return np.zeros(values.size)
+    last = np.maximum.accumulate(np.where(present, np.arange(values.size), -1))
+    return values[np.where(last < 0, np.argmax(present), last)]

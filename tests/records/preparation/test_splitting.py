@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.records.preparation.stretches import split, split_at
+from riecjax.records.preparation.steps import split, split_at
 from riecjax.records.record import Record
 
 VALUES = np.arange(100.0)

@@ -7,5 +7,5 @@ from .resampling import decimate as decimate
 from .resampling import on_grid as on_grid
 from .resampling import resample as resample
 from .resampling import upsample as upsample
-from .stretches import split as split
-from .stretches import split_at as split_at
+from .steps import split as split
+from .steps import split_at as split_at

@@ -1,17 +1,14 @@
-"""Filters without phase, and the removal of offset and drift."""
+"""Filters without phase, offsets, drifts and derivatives, each on unbroken stretches."""
 
+from collections.abc import Callable, Mapping
+
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError
-from riecjax.records.preparation.stretches import (
-    longest_stretch,
-    on_stretches,
-    require_samples,
-    with_gaps,
-)
-from riecjax.records.record import Record
+from riecjax.records.record import Record, gaps, hold
 
 FILTER_ORDER = 4
 FILTER_PADDING = 16
@@ -66,13 +63,13 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     columns = {name: filtered(name) for name in cutoffs}
     result = with_gaps(record, columns).part(cut, record.sample_count - cut)
     for name, cutoff in cutoffs.items():
-        require_samples(
-            result,
-            name,
-            f"no stretch of '{name}' without a gap is long enough to be filtered at {cutoff:g} Hz: "
-            f"it takes more than {_shortest(lost[name])} samples, and the longest has "
-            f"{longest_stretch(record, name)}. Raise the cut-off, or repair the gaps.",
-        )
+        if not result.segments([name]):
+            raise DataError(
+                f"no stretch of '{name}' without a gap is long enough to be filtered at "
+                f"{cutoff:g} Hz: it takes more than {_shortest(lost[name])} samples, and the "
+                f"longest has {longest_stretch(record, name)}. Raise the cut-off, or repair the "
+                f"gaps."
+            )
     return result
 
 
@@ -153,3 +150,28 @@ def central_difference(samples: ArrayLike, time_step: ArrayLike) -> Float[np.nda
     return np.gradient(
         values, np.asarray(time_step).item(), edge_order=1 if values.size == 2 else 2
     )
+
+
+def on_stretches(
+    record: Record, signal: str, step: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """What `step` makes of each unbroken stretch of a signal, NaN elsewhere, shape `(n,)`."""
+    samples = np.asarray(record[signal])
+    found = np.full(samples.size, np.nan)
+    for stretch in record.segments([signal]):
+        found[stretch] = step(samples[stretch])
+    return found
+
+
+def with_gaps(
+    record: Record, columns: Mapping[str, np.ndarray], units: Mapping[str, str] | None = None
+) -> Record:
+    """A record with these signals added or replaced, missing where they are NaN."""
+    missing = {name: jnp.asarray(mask) for name, mask in gaps(columns).items()}
+    held = {name: jnp.asarray(hold(values)) for name, values in columns.items()}
+    return record.with_signals(held, units, missing)
+
+
+def longest_stretch(record: Record, signal: str) -> int:
+    """Samples in the longest unbroken stretch of a signal."""
+    return max((part.stop - part.start for part in record.segments([signal])), default=0)

@@ -8,8 +8,8 @@ import scipy.interpolate
 
 from riecjax.errors import DataError
 from riecjax.records.preparation.band_limited import band_limited, reach_beyond
-from riecjax.records.preparation.stretches import gaps, hold, longest_stretch
-from riecjax.records.record import Record
+from riecjax.records.preparation.filtering import longest_stretch
+from riecjax.records.record import Record, gaps, hold
 
 LARGEST_GRID = 50_000_000
 """Samples, over all channels, that a common grid may have before it is refused."""

@@ -1,4 +1,4 @@
-"""From a record as read to the record that a model's equations read."""
+"""From a record as read to the records that a model's equations are estimated and validated on."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -159,3 +159,50 @@ def _derivative(name: str, of: str) -> Step:
     return Step(
         f"{name}: central differences of {of}", lambda record: differentiate(record, of, name)
     )
+
+
+def split(record: Record, share: float) -> tuple[Record, Record]:
+    """Hold out the last `share` of a record's samples, 0 < share < 1.
+
+    The end, and not samples drawn here and there: neighbours of a sample in the estimation part
+    tell it almost exactly, so that validating on it would prove nothing.
+
+    **Returns:** the part to estimate from, and the part to validate on.
+
+    **Raises:** `DataError` for another share, or one that leaves a part without two samples or
+    without any sample of a signal.
+    """
+    if not 0 < share < 1:
+        raise DataError(f"the share to hold out must lie between 0 and 1; got {share:g}.")
+    return _split(record, record.sample_count - round(share * record.sample_count))
+
+
+def split_at(record: Record, seconds: float) -> tuple[Record, Record]:
+    """Split a record before the first sample at or after this time, on the record's own clock.
+
+    **Returns:** the part to estimate from, and the part to validate on.
+
+    **Raises:** `DataError` for a time that leaves a part without two samples or without any sample
+    of a signal.
+    """
+    # A time in decimals stands for the sample nearest to it within rounding.
+    rounding = 1e-6 * float(record.time_step)
+    return _split(record, int(np.searchsorted(np.asarray(record.time), seconds - rounding)))
+
+
+def _split(record: Record, at: int) -> tuple[Record, Record]:
+    if min(at, record.sample_count - at) < 2:
+        raise DataError(
+            f"splitting {record.sample_count} samples into {at} and {record.sample_count - at} "
+            f"leaves a part without two samples. The record lasts from "
+            f"{float(record.time[0]):.12g} to {float(record.time[-1]):.12g} s."
+        )
+    parts = record.part(0, at), record.part(at, record.sample_count)
+    for part, which in zip(parts, ("estimation", "validation")):
+        for name in part.arrays:
+            if not part.segments([name]):
+                raise DataError(
+                    f"the {which} part holds no sample of '{name}'. Split elsewhere, or leave that "
+                    f"signal out."
+                )
+    return parts
