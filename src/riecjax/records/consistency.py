@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.record import Record
+from riecjax.records.record import Record, samples_with_nan
 
 SHORTEST, LONGEST_SHARE = 4, 8
 """Lags: from this many samples to this part of the record, each four times the one before."""
@@ -36,7 +36,7 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
     """
     found = []
     for signal, derivative in dict.fromkeys(pairs):
-        values, rates = _values(record, signal), _values(record, derivative)
+        values, rates = samples_with_nan(record, signal), samples_with_nan(record, derivative)
         best = _best_lag(values, rates, float(record.time_step))
         if best is None:
             continue
@@ -78,13 +78,6 @@ class _Lag(NamedTuple):
         if self.gain < 0:
             return True
         return self.gain * self.correlation > 1 + GAIN or self.gain / self.correlation < 1 - GAIN
-
-
-def _values(record: Record, name: str) -> np.ndarray:
-    values = np.array(record[name], float)
-    if name in record.missing:
-        values[np.asarray(record.missing[name])] = np.nan
-    return values
 
 
 def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Lag | None:

@@ -1,17 +1,16 @@
-"""What is wrong with recorded signals, before anything is computed from them.
+"""Faults of sensors, converters and loggers, found in the samples alone.
 
-Each check is made to stay silent on what machines do: axes at rest, relays and steps, encoders
-that show one value for a while, bumps in a road. What it fires on is worth a look; what to do
-about it stands in the message.
+No check fires on what machines do: axes at rest, relays and steps, encoders that show one value for
+a while, bumps in a road. The message says what to do about a fault.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.record import Record
+from riecjax.records.record import Record, samples_with_nan
 
 FEWEST_SAMPLES = 50
 """Present samples below which only missing and constant signals are reported."""
@@ -60,7 +59,7 @@ COARSE = 0.01
 # Values too large to be squared are for the fit to refuse; here they only compare as infinite.
 @np.errstate(over="ignore", invalid="ignore")
 def check_signals(record: Record, names: Iterable[str]) -> list[Finding]:
-    """Look at these signals for what sensors, converters and loggers do wrong.
+    """Look for faults of sensors, converters and loggers in these signals.
 
     Codes: `missing_samples`, `constant_signal`, `clipped`, `stuck_sensor`, `outliers` and
     `quantised`. A signal that is constant, or has fewer than 50 samples, is not looked at further.
@@ -70,66 +69,70 @@ def check_signals(record: Record, names: Iterable[str]) -> list[Finding]:
     """
     signals = {name: _signal(record, name) for name in dict.fromkeys(names)}
     others = {name: _signal(record, name) for name in record.arrays if name not in signals}
-    found = _missing_samples(record, signals.values())
+    findings = list(_missing_samples(record, signals.values()))
     for name, signal in signals.items():
-        if signal.is_constant:
-            found += _constant(signal)
-        elif signal.present >= FEWEST_SAMPLES:
+        if signal.levels.size == 1:
+            findings.append(
+                signal.finding(
+                    "constant_signal",
+                    f"never varies from {signal.with_unit(signal.levels[0])}, so nothing can be "
+                    f"identified from it. Check that the channel was connected and is the right "
+                    f"one.",
+                )
+            )
+        elif signal.sample_count >= FEWEST_SAMPLES:
             rest = [s for key, s in {**signals, **others}.items() if key != name]
-            found += _clipped(signal)
-            found += _stuck(signal, rest)
-            found += _outliers(signal)
-            found += _quantised(signal)
-    return found
-
-
-class _Runs(NamedTuple):
-    """Stretches of one exact value."""
-
-    starts: np.ndarray
-    lengths: np.ndarray
-    values: np.ndarray
+            findings += _clipped(signal)
+            findings += _stuck(signal, rest)
+            findings += _outliers(signal)
+            findings += _quantised(signal)
+    return findings
 
 
 class _Signal(NamedTuple):
-    """A signal with what several checks ask of it."""
+    """A signal of n samples with what several checks ask of it."""
 
     name: str
     unit: str
     values: np.ndarray
-    """NaN where missing."""
+    """Shape (n,), NaN where missing."""
     time: np.ndarray
+    """Seconds from the recording's first sample, shape (n,)."""
     levels: np.ndarray
     """Distinct values, ascending."""
     counts: np.ndarray
-    """How often each occurs."""
+    """How often each level occurs."""
     rounding: float
     """Distance within which values are one."""
     resolution: float
     """Distance of values where they are multiples of one, else 0."""
-    runs: _Runs
+    run_starts: np.ndarray
+    """First sample of each run, a stretch of one exact value."""
+    run_lengths: np.ndarray
+    """Samples in each run."""
 
     @property
-    def present(self) -> int:
+    def sample_count(self) -> int:
+        """Samples that are not missing."""
         return int(self.counts.sum())
 
     @property
-    def is_constant(self) -> bool:
-        return self.levels.size == 1
+    def run_values(self) -> np.ndarray:
+        return self.values[self.run_starts]
 
-    def says(self, value: float) -> str:
+    def with_unit(self, value: float) -> str:
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
+
+    def finding(self, code: str, message: str) -> Finding:
+        return Finding(code, f"{self.name}: {message}", (self.name,))
 
 
 def _signal(record: Record, name: str) -> _Signal:
-    values = np.array(record[name], float)
-    if name in record.missing:
-        values[np.asarray(record.missing[name])] = np.nan
-    rounding = _rounding(values[~np.isnan(values)])
-    levels, counts = _levels(values[~np.isnan(values)], rounding)
+    values = samples_with_nan(record, name)
+    known = values[~np.isnan(values)]
+    rounding = _rounding(known)
+    levels, counts = _levels(known, rounding)
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
-    lengths = np.diff(np.concatenate([starts, [values.size]]))
-    runs = _Runs(starts, lengths, values[starts])
     return _Signal(
         name,
         dict(record.units).get(name, ""),
@@ -139,23 +142,24 @@ def _signal(record: Record, name: str) -> _Signal:
         counts,
         rounding,
         _resolution(levels),
-        runs,
+        starts,
+        np.diff(starts, append=values.size),
     )
 
 
-def _rounding(present: np.ndarray) -> float:
-    """How far computed values may differ that are one: a share of the range, spikes left out."""
-    if not present.size:
+def _rounding(samples: np.ndarray) -> float:
+    """How far computed values may differ that are one: a share of the range without spikes."""
+    if not samples.size:
         return 0.0
-    whole = float(np.ptp(present))
-    usual = float(np.ptp(np.quantile(present, [MOST_OUTLIERS, 1 - MOST_OUTLIERS])))
+    whole = float(np.ptp(samples))
+    usual = float(np.ptp(np.quantile(samples, [MOST_OUTLIERS, 1 - MOST_OUTLIERS])))
     # What is at rest but for its last digits has no range without its few moves.
     return ROUNDING * (usual if usual > LAST_DIGITS * whole else whole)
 
 
-def _levels(present: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
+def _levels(samples: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
     """Distinct values, ascending, and how often each occurs."""
-    distinct, counts = np.unique(present, return_counts=True)
+    distinct, counts = np.unique(samples, return_counts=True)
     if not distinct.size:
         return distinct, counts
     new = np.concatenate([[True], np.diff(distinct) > rounding])
@@ -175,43 +179,28 @@ def _resolution(levels: np.ndarray) -> float:
     return quantum if np.mean(near[multiples < 100]) > 0.99 else 0.0
 
 
-def _missing_samples(record: Record, signals: Iterable[_Signal]) -> list[Finding]:
+def _missing_samples(record: Record, signals: Iterable[_Signal]) -> Iterator[Finding]:
     """One finding for all signals that lack the same samples, as they do in a logger's pause."""
     alike: dict[bytes, list[_Signal]] = {}
     for signal in signals:
         mask = np.isnan(signal.values)
         if mask.any():
             alike.setdefault(mask.tobytes(), []).append(signal)
-    found = []
     for group in alike.values():
         mask = np.isnan(group[0].values)
-        starts = np.flatnonzero(np.diff(np.concatenate([[False], mask]).astype(np.int8)) == 1)
+        starts = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0) == 1)
         longest = max((s.stop - s.start for s in record.segments([group[0].name])), default=0)
         seconds = max(longest - 1, 0) * float(record.time_step)
         gaps = "gap" if starts.size == 1 else "gaps"
-        found.append(
-            Finding(
-                "missing_samples",
-                f"{', '.join(signal.name for signal in group)}: "
-                f"{_share(mask.sum(), mask.size)} of the samples ({mask.sum()} of {mask.size}) are "
-                f"missing in {starts.size} {gaps}, first at {group[0].time[starts[0]]:.4g} s, and "
-                f"the longest unbroken stretch lasts {seconds:.4g} s; choose windows and filters "
-                f"that are short against it.",
-                tuple(signal.name for signal in group),
-            )
+        names = tuple(signal.name for signal in group)
+        yield Finding(
+            "missing_samples",
+            f"{', '.join(names)}: {_share(mask.sum(), mask.size)} of the samples ({mask.sum()} of "
+            f"{mask.size}) are missing in {starts.size} {gaps}, first at "
+            f"{group[0].time[starts[0]]:.4g} s; the longest unbroken stretch lasts {seconds:.4g} "
+            f"s. Choose windows and filters much shorter than that.",
+            names,
         )
-    return found
-
-
-def _constant(signal: _Signal) -> list[Finding]:
-    return [
-        Finding(
-            "constant_signal",
-            f"{signal.name}: never varies from {signal.says(signal.levels[0])}, so nothing can be "
-            f"identified from it; check that the channel was connected and the right one.",
-            (signal.name,),
-        )
-    ]
 
 
 class _Visits(NamedTuple):
@@ -225,26 +214,23 @@ class _Visits(NamedTuple):
     """Visits that came from far off, and left for far off."""
 
 
-def _clipped(signal: _Signal) -> list[Finding]:
+def _clipped(signal: _Signal) -> Iterator[Finding]:
     """Runs into an extreme from far off, which a crest never does, and sits there."""
-    if signal.levels.size <= FEW_LEVELS or _is_drawn(signal):
-        return []
+    if signal.levels.size <= FEW_LEVELS or _is_piecewise_linear(signal):
+        return
     sides = [_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0)]
     sides = [side for side in sides if side is not None and side.steep]
     if sum(side.steep for side in sides) < FEWEST_VISITS:
-        return []
-    return [
-        Finding(
+        return
+    for side in sides:
+        yield signal.finding(
             "clipped",
-            f"{signal.name}: sits at its {side.which} of {signal.says(side.extreme)} in "
-            f"{side.starts.size} place(s), {_share(side.samples, signal.present)} of the samples, "
-            f"first at {signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range "
-            f"does; record with a larger range or leave those stretches out, unless the limit is "
-            f"real, as of a command or of a wheel that lifts.",
-            (signal.name,),
+            f"sits at its {side.which} of {signal.with_unit(side.extreme)} in {side.starts.size} "
+            f"place(s), {_share(side.samples, signal.sample_count)} of the samples, first at "
+            f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does. "
+            f"Record with a larger range or leave those stretches out, unless the limit is real, "
+            f"as of a command or of a wheel that lifts.",
         )
-        for side in sides
-    ]
 
 
 def _visits(signal: _Signal, which: str, sign: float) -> _Visits | None:
@@ -253,95 +239,83 @@ def _visits(signal: _Signal, which: str, sign: float) -> _Visits | None:
     extreme, samples = signal.levels[order[0]], int(signal.counts[order[0]])
     ratio = PILE_UP if signal.resolution else REPEATS
     piles_up = samples > ratio * np.mean(signal.counts[order[1:]])
-    if not piles_up or samples > LONGEST_REST * signal.present:
+    if not piles_up or samples > LONGEST_REST * signal.sample_count:
         return None
-    visits = np.abs(signal.runs.values - extreme) <= signal.rounding
-    starts, lengths = signal.runs.starts[visits], signal.runs.lengths[visits]
+    visits = np.abs(signal.run_values - extreme) <= signal.rounding
+    starts, lengths = signal.run_starts[visits], signal.run_lengths[visits]
     quantum = max(signal.resolution, signal.rounding)
     steep = np.ones(starts.size, bool)
+    inside = np.pad(sign * (extreme - signal.values), 4, constant_values=np.nan)
     for edges, outward in ((starts, -1), (starts + lengths - 1, 1)):
-        near, far = (_off(signal, edges + k * outward, float(extreme), sign) for k in (2, 4))
+        near, far = (inside[4 + edges + k * outward] for k in (2, 4))
         steep &= (near > STEEP * quantum) & ~_comes_to_rest(near, far, quantum)
     return _Visits(which, float(extreme), starts, samples, int(steep.sum()))
 
 
-def _off(signal: _Signal, samples: np.ndarray, extreme: float, sign: float) -> np.ndarray:
-    """How far samples lie off an extreme, NaN beyond the record's ends."""
-    inside = (samples >= 0) & (samples < signal.values.size)
-    values = signal.values[np.clip(samples, 0, signal.values.size - 1)]
-    return np.where(inside, sign * (extreme - values), np.nan)
-
-
 def _comes_to_rest(near: np.ndarray, far: np.ndarray, quantum: float) -> np.ndarray:
-    """Whether a way to an extreme, seen 2 and 4 samples before, may be a parabola that ends there.
+    """Whether an approach to an extreme, 2 and 4 samples before it, may end there as a parabola.
 
-    At a finite deceleration near : far is 1 : 4 or less, and somewhat more where the last quantum
-    hides when the motion ended; on a straight way it is 1 : 3 to 1 : 2.
+    At a deceleration a, k samples before the extreme seems reached, the distance is
+    a (k + s)^2 / 2, where the last quantum q = a s^2 / 2 hides the end for s samples. Hence
+    sqrt(far / near) = (4 + s) / (2 + s) = 2 - sqrt(q / near), and more where the deceleration
+    falls. On a straight approach far / near is 2 to 3.
     """
     hidden = np.sqrt(np.minimum(quantum / np.maximum(near, quantum), 1.0))
     return near * (2 - hidden) ** 2 <= far
 
 
-def _is_drawn(signal: _Signal) -> bool:
-    """Made of straight lines, as commands are and what is measured never is."""
+def _is_piecewise_linear(signal: _Signal) -> bool:
+    """Whether more than half of the samples lie on straight lines, as only commands do."""
     bend = np.diff(signal.values, 2)
     extreme = np.isin(signal.values[1:-1], signal.levels[[0, -1]])
     inner = np.abs(bend[~extreme & ~np.isnan(bend)])
     return not inner.size or bool(np.mean(inner <= signal.rounding) > 0.5)
 
 
-def _stuck(signal: _Signal, others: list[_Signal]) -> list[Finding]:
-    """A long run of one value, begun or left by a jump, while something else moves on."""
-    runs, values = signal.runs, signal.values
-    usual = float(np.quantile(runs.lengths, 0.95))
-    long = np.flatnonzero(runs.lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
-    if not long.size or signal.levels.size <= FEW_LEVELS or _is_drawn(signal):
-        return []
-    steps = np.abs(np.diff(values))
+def _stuck(signal: _Signal, others: list[_Signal]) -> Iterator[Finding]:
+    """A long run of one value, begun or left by a jump, while another signal moves on."""
+    starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
+    usual = float(np.quantile(lengths, 0.95))
+    long = np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
+    if not long.size or signal.levels.size <= FEW_LEVELS or _is_piecewise_linear(signal):
+        return
+    steps = np.abs(np.diff(signal.values))
     elsewhere = np.ones(steps.size, bool)
     for run in long:
-        elsewhere[runs.starts[run] : runs.starts[run] + runs.lengths[run] - 1] = False
+        elsewhere[starts[run] : starts[run] + lengths[run] - 1] = False
     moving = steps[elsewhere & ~np.isnan(steps)]
     if not moving.size or np.mean(moving == 0) > LONGEST_REST:
-        return []
+        return
     least = max(ABRUPT * float(np.median(moving[moving > 0])), ABRUPT_QUANTA * signal.resolution)
+    # The larger one of the steps into and out of each run.
+    padded = np.pad(steps, 1, constant_values=np.nan)
+    edges = np.fmax(padded[starts], padded[starts + lengths])
     # A machine comes to rest and leaves it gently, and rests in the same place more than once.
     stuck = [
         run
         for run in long
-        if np.sum(runs.values[long] == runs.values[run]) == 1
-        and _is_abrupt(steps, runs.starts[run], runs.lengths[run], least)
-        and _meanwhile(others, runs.starts[run], runs.lengths[run])
+        if np.sum(values[long] == values[run]) == 1
+        and edges[run] > least
+        and _rest_of_record(others, starts[run], lengths[run])
     ]
     if not stuck:
-        return []
-    samples = int(runs.lengths[stuck].sum())
-    first = stuck[0]
-    meanwhile = _meanwhile(others, runs.starts[first], runs.lengths[first])
-    return [
-        Finding(
-            "stuck_sensor",
-            f"{signal.name}: stays at exactly {signal.says(runs.values[first])} for "
-            f"{runs.lengths[first]} samples from {signal.time[runs.starts[first]]:.4g} s on while "
-            f"the rest of the record {meanwhile} ({samples} samples in {len(stuck)} place(s), "
-            f"{_share(samples, signal.present)}); leave that stretch out and check the sensor, "
-            f"its cable and the logger.",
-            (signal.name,),
-        )
-    ]
+        return
+    samples, first = int(lengths[stuck].sum()), stuck[0]
+    yield signal.finding(
+        "stuck_sensor",
+        f"stays at exactly {signal.with_unit(values[first])} for {lengths[first]} samples from "
+        f"{signal.time[starts[first]]:.4g} s on while the rest of the record "
+        f"{_rest_of_record(others, starts[first], lengths[first])} ({samples} samples in "
+        f"{len(stuck)} place(s), {_share(samples, signal.sample_count)}). Leave that stretch out "
+        f"and check the sensor, its cable and the logger.",
+    )
 
 
-def _is_abrupt(steps: np.ndarray, start: int, length: int, least: float) -> bool:
-    """Whether the run begins or ends with a step of at least this size."""
-    edges = [steps[k] for k in (start - 1, start + length - 1) if 0 <= k < steps.size]
-    return bool(np.nanmax([0.0, *edges]) > least)
-
-
-def _meanwhile(others: list[_Signal], start: int, length: int) -> str:
-    """What the other sensors do meanwhile, if that speaks against a signal that does not move.
+def _rest_of_record(others: list[_Signal], start: int, length: int) -> str:
+    """What the other sensors do during a run, if it suggests a fault; else empty.
 
     Either one of them changes from sample to sample, or every one shows one value to the last
-    digit, as when a logger writes one row again and again. Empty where they are just quiet.
+    digit, as when a logger writes one row again and again. Quiet sensors suggest no fault.
     """
     sensors = [s for s in others if s.levels.size > FEW_LEVELS]
     still = []
@@ -358,17 +332,17 @@ def _meanwhile(others: list[_Signal], start: int, length: int) -> str:
     return "stands as still" if still and all(still) else ""
 
 
-def _outliers(signal: _Signal) -> list[Finding]:
+def _outliers(signal: _Signal) -> Iterator[Finding]:
     """One or two samples that leave their surroundings further than any other sample does."""
     values = signal.values
     if signal.levels.size <= FEW_LEVELS:
-        return []
+        return
     windows = np.lib.stride_tricks.sliding_window_view(values, 5)
     off = np.full(values.size, np.nan)
     off[2:-2] = np.abs(values[2:-2] - np.median(windows, axis=1))
     known = off[~np.isnan(off)]
     if not known.size:
-        return []
+        return
     # Past the steps of its converter, past what is usual, and past the widest gap in between.
     least = max(
         OUTLIER_SCALES * 1.4826 * float(np.median(known)),
@@ -379,25 +353,20 @@ def _outliers(signal: _Signal) -> list[Finding]:
     ranked = np.sort(known)[::-1][: int(MOST_OUTLIERS * known.size) + 2]
     gap = (ranked[:-1] > least) & (ranked[:-1] > OUTLIER_GAP * ranked[1:])
     if not gap.any():
-        return []
+        return
     limit = ranked[np.flatnonzero(gap)[-1]]
     far = np.flatnonzero(off >= limit)
     groups = np.split(far, np.flatnonzero(np.diff(far) > 1) + 1)
-    spikes = [group for group in groups if _is_isolated(values, off, group)]
-    if len(spikes) < len(groups):
-        return []
-    height = float(np.max(off[far]))
-    return [
-        Finding(
-            "outliers",
-            f"{signal.name}: {far.size} sample(s) stand out from their neighbours by up to "
-            f"{signal.says(height)}, where no other sample does by more than "
-            f"{signal.says(float(np.max(known[known < limit])))}, first at "
-            f"{signal.time[far[0]]:.4g} s; unless they really acted, mark them as missing (NaN), "
-            f"since least squares follow them.",
-            (signal.name,),
-        )
-    ]
+    if not all(_is_isolated(values, off, group) for group in groups):
+        return
+    yield signal.finding(
+        "outliers",
+        f"{far.size} sample(s) stand out from their neighbours by up to "
+        f"{signal.with_unit(float(np.max(off[far])))}, where no other sample does by more than "
+        f"{signal.with_unit(float(np.max(known[known < limit])))}, first at "
+        f"{signal.time[far[0]]:.4g} s. Unless they really acted, mark them as missing (NaN): least "
+        f"squares follow them.",
+    )
 
 
 def _is_isolated(values: np.ndarray, off: np.ndarray, group: np.ndarray) -> bool:
@@ -408,26 +377,23 @@ def _is_isolated(values: np.ndarray, off: np.ndarray, group: np.ndarray) -> bool
     return bool(np.min(off[group]) > OUTLIER_LOCAL * np.ptp(near[~np.isnan(near)]))
 
 
-def _quantised(signal: _Signal) -> list[Finding]:
-    present = signal.values[~np.isnan(signal.values)]
-    rms = float(np.std(present))
+def _quantised(signal: _Signal) -> Iterator[Finding]:
+    """A resolution that is coarse against the signal's rms."""
+    rms = float(np.nanstd(signal.values))
     steps = np.abs(np.diff(signal.values))
     steps = steps[~np.isnan(steps)]
     # Few levels that are held for long are a command's.
     held = signal.levels.size <= FEW_LEVELS and np.mean(steps == 0) > 0.95
     if signal.levels.size < 5 or held or signal.resolution <= COARSE * rms:
-        return []
+        return
     change = float(np.sqrt(np.mean(steps**2))) / signal.resolution
-    return [
-        Finding(
-            "quantised",
-            f"{signal.name}: its resolution of {signal.says(signal.resolution)} is "
-            f"{_share(signal.resolution, rms)} of its rms, and it changes by {change:.2g} such "
-            f"steps from sample to sample (rms); do not differentiate it without a low-pass, and "
-            f"prefer longer windows or a finer range.",
-            (signal.name,),
-        )
-    ]
+    yield signal.finding(
+        "quantised",
+        f"its resolution of {signal.with_unit(signal.resolution)} is "
+        f"{_share(signal.resolution, rms)} of its rms, and it changes by {change:.2g} such steps "
+        f"from sample to sample (rms). Do not differentiate it without a low-pass, and prefer "
+        f"longer windows or a finer range.",
+    )
 
 
 def _share(part: float, whole: float) -> str:

@@ -205,28 +205,23 @@ class Record(eqx.Module):
         missing: Mapping[str, Array] | None = None,
     ) -> "Record":
         """A record with these signals added or replaced, `missing` where they have no sample."""
-        kept = {name: mask for name, mask in self.missing.items() if name not in signals}
-        return Record(
+        others = {name: mask for name, mask in self.missing.items() if name not in signals}
+        return self._on_this_clock(
             {**self.arrays, **signals},
-            self.time_step,
-            self.start_time,
             {**dict(self.units), **(units or {})},
-            {**kept, **(missing or {})},
-            self.stamps,
-            self.skipped,
+            {**others, **(missing or {})},
         )
 
     def select(self, *names: str) -> "Record":
         """A record of only these signals, in this order."""
-        return Record(
-            {name: self[name] for name in names},
-            self.time_step,
-            self.start_time,
-            self.units,
-            self.missing,
-            self.stamps,
-            self.skipped,
-        )
+        arrays = {name: self[name] for name in names}
+        return self._on_this_clock(arrays, dict(self.units), self.missing)
+
+    def _on_this_clock(
+        self, arrays: Mapping[str, Array], units: Mapping[str, str], missing: Mapping[str, Array]
+    ) -> "Record":
+        step, start = self.time_step, self.start_time
+        return Record(arrays, step, start, units, missing, self.stamps, self.skipped)
 
     def part(self, start: int, stop: int) -> "Record":
         """The samples from `start` up to, not including, `stop`."""
@@ -374,6 +369,14 @@ def _require_equal_lengths(arrays: Mapping[str, np.ndarray]) -> None:
     if len({values.size for values in arrays.values()}) > 1:
         listed = ", ".join(f"{name} {values.size}" for name, values in arrays.items())
         raise DataError(f"all signals and the time must have the same length; got {listed}.")
+
+
+def samples_with_nan(record: Record, name: str) -> np.ndarray:
+    """A signal's samples, shape `(n,)`, NaN where they are missing."""
+    values = np.array(record[name], float)
+    if name in record.missing:
+        values[np.asarray(record.missing[name])] = np.nan
+    return values
 
 
 def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

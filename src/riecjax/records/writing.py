@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.record import Record
+from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import STEP_TOLERANCE
 
 Columns = Mapping[str, np.ndarray]
@@ -69,9 +69,7 @@ def write_whole(file: Path, write: Callable[[Path], None]) -> None:
 
 def _columns(record: Record) -> dict[str, np.ndarray]:
     """Time and signals, NaN where a sample is missing, without the samples that pauses take."""
-    values = {name: np.array(array, dtype=float) for name, array in record.arrays.items()}
-    for name, mask in record.missing.items():
-        values[name][np.asarray(mask)] = np.nan
+    values = {name: samples_with_nan(record, name) for name in record.arrays}
     time = np.asarray(record.time, dtype=float)
     if record.stamps is not None:
         kept = ~_pauses(time, values, float(record.time_step))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError
-from riecjax.records.record import Record, gaps, hold
+from riecjax.records.record import Record, gaps, hold, samples_with_nan
 
 FILTER_ORDER = 4
 FILTER_PADDING = 16
@@ -102,7 +102,7 @@ def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -
     time = np.asarray(record.time)
     columns = {}
     for name in signals:
-        values = on_stretches(record, name, np.copy)
+        values = samples_with_nan(record, name)
         there = ~np.isnan(values)
         # Fitted in scaled time, lest seconds since 1970 spoil the fit.
         trend = np.polynomial.Polynomial.fit(
