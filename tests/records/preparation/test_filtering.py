@@ -149,10 +149,11 @@ def test_low_pass_never_feels_another_stretch(gaps, cutoff):
         assert longest <= 2 * 2 * 5 * RATE / cutoff
         return
     cut = (4000 - filtered.sample_count) // 2
-    there = np.asarray(filtered.present(["q"])) if filtered.missing else slice(None)
+    # In NumPy, since JAX compiles an indexing anew for every length.
+    there = ~np.asarray(filtered.missing.get("q", np.zeros(filtered.sample_count, bool)))
     expected = (values + 1e3 * number)[cut:-cut]
     # Gain at 3 Hz of a low-pass at 20 Hz: 1 / (1 + 0.15^8).
-    np.testing.assert_allclose(filtered["q"][there], expected[there], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(np.asarray(filtered["q"])[there], expected[there], rtol=0, atol=1e-3)
 
 
 def test_offset_is_the_mean_of_what_is_there():

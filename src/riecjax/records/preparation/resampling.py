@@ -279,7 +279,7 @@ def _runs(record: Record) -> list[slice]:
 
 def _piece(record: Record, run: slice, step: float, spacing: float) -> _Piece | None:
     """One run on its new grid, less the rows at its ends where nothing could be computed."""
-    old_time = np.asarray(record.time[run])
+    old_time = np.asarray(record.time)[run]
     # Stamps may be rounded; together they tell the run's start more precisely than its first.
     start = float(np.mean(old_time - float(record.time_step) * np.arange(old_time.size)))
     positions = spacing * np.arange(int((old_time.size - 1) / spacing + SAME_TIME) + 1)

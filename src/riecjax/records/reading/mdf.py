@@ -1,7 +1,7 @@
 """Reading measurement files in ASAM MDF (.mf4, .mdf), with the extra `mdf`.
 
 On some damaged files the library ends the whole process instead of raising an error. So it runs in
-a process of its own, which is this module as a program: `python -m <this> FILE OUT.npz`.
+a separate process, which is this module as a program: `python -m <this> FILE OUT.npz`.
 """
 
 import contextlib
@@ -25,8 +25,10 @@ from riecjax.records.reading.channels import (
     foreign_reader,
 )
 
+IDENTIFICATIONS = (b"MDF ", b"UnFinMF ")
+"""What an MDF file begins with, finished or not."""
 PATIENCE = 60.0
-"""Seconds that reading may take, beside the time that its size explains."""
+"""Seconds that reading may take, besides those that the file's size explains."""
 SLOWEST_READING = 5e6
 """Bytes a second."""
 MEMORY = 4 * LARGEST_FILE
@@ -47,12 +49,15 @@ def read_mdf(file: Path) -> Channels:
         raise DataError(
             "to read MDF files, install the package's extra: pip install 'riecjax[mdf]'."
         )
+    with file.open("rb") as stream:
+        if not stream.read(8).startswith(IDENTIFICATIONS):
+            raise DataError("not a readable MDF file: it has no header of an MDF file.")
     limit = PATIENCE + file.stat().st_size / SLOWEST_READING
     # What the library leaves behind when it crashes goes with this folder.
     with tempfile.TemporaryDirectory(prefix="riecjax-", ignore_cleanup_errors=True) as folder:
         out = Path(folder) / "channels.npz"
         try:
-            status = _read_apart(file, out, limit)
+            status = _run_reader(file, out, limit)
         except subprocess.TimeoutExpired:
             raise DataError(
                 f"not a readable MDF file: reading it took longer than {limit:.0f} s."
@@ -66,8 +71,8 @@ def read_mdf(file: Path) -> Channels:
         return _unpacked(out)
 
 
-def _read_apart(file: Path, out: Path, limit: float) -> int:
-    """Exit status of the reading process."""
+def _run_reader(file: Path, out: Path, limit: float) -> int:
+    """Run the reading process for `limit` seconds at most, and return its exit status."""
     paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
     places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(out.parent))
     return subprocess.run(
@@ -84,11 +89,11 @@ def _read_apart(file: Path, out: Path, limit: float) -> int:
 
 def _unpacked(out: Path) -> Channels:
     with np.load(out) as archive:
-        said = json.loads(archive["said"].tobytes())
-        if "error" in said:
-            raise DataError(said["error"])
-        names = said.pop("names")
-        return Channels({name: archive[str(i)] for i, name in enumerate(names)}, **said)
+        described = json.loads(archive["described"].tobytes())
+        if "error" in described:
+            raise DataError(described["error"])
+        names = described.pop("columns")
+        return Channels({name: archive[str(i)] for i, name in enumerate(names)}, **described)
 
 
 def _pack(file: Path, out: Path) -> None:
@@ -97,17 +102,11 @@ def _pack(file: Path, out: Path) -> None:
     try:
         found = _read(file)
         columns = found.columns
-        said = {
-            "names": list(columns),
-            "units": found.units,
-            "time_of": found.time_of,
-            "left_out": found.left_out,
-            "notes": found.notes,
-        }
+        described = {**vars(found), "columns": list(columns)}
     except DataError as error:
-        said = {"error": str(error)}
+        described = {"error": str(error)}
     arrays: dict[str, Any] = {str(i): values for i, values in enumerate(columns.values())}
-    np.savez(out, said=np.frombuffer(json.dumps(said).encode(), np.uint8), **arrays)
+    np.savez(out, described=np.frombuffer(json.dumps(described).encode(), np.uint8), **arrays)
 
 
 def _read(file: Path) -> Channels:
@@ -164,7 +163,7 @@ def _masked(signal: Any, samples: np.ndarray) -> np.ndarray:
 
 
 def _limit_resources() -> None:
-    """Damaged sizes must not take the machine's memory, nor crashes its disk."""
+    """Keep damaged sizes from the machine's memory, and crashes from its disk."""
     with contextlib.suppress(ImportError, ValueError, OSError):
         import resource
 
