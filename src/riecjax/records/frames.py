@@ -1,4 +1,4 @@
-"""Records from data frames of pandas and data sets of xarray, neither of which is imported."""
+"""Records from pandas data frames and xarray data sets, without importing either library."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,7 +24,7 @@ def from_dataframe(
     time_step: float | None = None,
     resample: float | None = None,
 ) -> Record:
-    """Make a record of a data frame of pandas: a signal for each column of numbers.
+    """Make a record from a pandas data frame: one signal for each column of numbers.
 
     Time is the column `time`, or an index of date-times, durations or floats (seconds), or a
     column called `t` or `time`. Date-times count in seconds from the first. Columns without
@@ -50,7 +50,7 @@ def from_dataframe(
     elif "t" not in renamed and time_step is None and _is_time(frame.index):
         index = _numbers(frame.index)
         if index is not None and frame.index.name not in columns:
-            # Of all names of time, `t` is the first to be looked for.
+            # `t` is looked for before any other name of time.
             columns = {"t": index} | {k: v for k, v in columns.items() if k != "t"}
     stated = {name: unit for name in columns if (unit := split_unit(name)[1])}
     selection = Selection(renamed, scale or {}, units or {}, derive or {}, time_step, resample)
@@ -68,7 +68,7 @@ def from_dataset(
     time_step: float | None = None,
     resample: float | None = None,
 ) -> Record:
-    """Make a record of a data set of xarray: a signal for each variable over time.
+    """Make a record from an xarray data set: one signal for each variable over time.
 
     Time is the coordinate `time`, or the only one that may be time by its name or its type.
     A variable of two dimensions becomes `name[0]`, `name[1]`, ... Units are the variables'
@@ -102,7 +102,7 @@ def from_dataset(
         name = str(axis)
         values = _numbers(dataset[axis])
         if values is None:
-            raise DataError(f"the coordinate '{name}' is no time.")
+            raise DataError(f"the coordinate '{name}' holds no times.")
         arrays[name] = values
         if dataset[axis].attrs.get("units") and dataset[axis].dtype.kind in "fiu":
             stated[name] = stated["t"] = str(dataset[axis].attrs["units"])
@@ -124,21 +124,21 @@ def _time_coordinate(dataset: Any, time: str | None) -> Any:
     found = named[:1] or typed
     if len(found) != 1:
         raise DataError(
-            "which coordinate is time is not clear; give time=. There are:"
+            "time= must name the coordinate that is time; there are:"
             f" {', '.join(map(str, along)) or 'none'}."
         )
     return found[0]
 
 
 def _is_time(index: Any) -> bool:
-    """Whether an index of pandas can be time: date-times, durations, or floats; no counts."""
+    """Whether a pandas index can be time: date-times, durations or floats, but not counts."""
     return getattr(index.dtype, "kind", "O") in "mMf"
 
 
 def _numbers(series: Any) -> np.ndarray | None:
     """Numbers as floats, date-times and durations in seconds; `None` for anything else.
 
-    NaN where a value is missing, whichever of its signs pandas uses.
+    NaN where a value is missing, however pandas marks it.
     """
     kind = getattr(series.dtype, "kind", "O")
     if kind in "mM":
@@ -161,7 +161,7 @@ def _seconds(stamps: np.ndarray) -> np.ndarray:
         unit, ticks = "us", 1
     missing = np.isnat(stamps)
     counts = stamps.astype("int64")
-    # Counted from the first before they become floats, which hold 16 digits only.
+    # Counted from the first before they become floats, which hold only 16 digits.
     first = counts[~missing][0] if stamps.dtype.kind == "M" and not missing.all() else 0
     since = (counts - first) * float(ticks) / per_second[unit]
     return np.where(missing, np.nan, since)

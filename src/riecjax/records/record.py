@@ -125,7 +125,7 @@ class Record(eqx.Module):
 
         - `signals`: name to samples, each of shape `(n,)`; NaN where a sample is missing.
         - `time`: time of each sample in seconds, shape `(n,)`; or give `time_step` in seconds.
-          Pauses between evenly sampled stretches are kept as such.
+          Between evenly sampled stretches there may be pauses.
         - `units`: name to unit, for those that are known.
 
         **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample,
@@ -303,8 +303,8 @@ def _checked_step(time_step: Any, axes: int) -> Any:
     """
     if np.ndim(time_step) > axes:
         raise DataError(
-            "the time step must be one number of seconds; got an array. Of the time of each sample "
-            'write rx.Record.from_samples({"x": x}, time=t).'
+            "the time step must be one number of seconds; got an array. For the time of each "
+            'sample write rx.Record.from_samples({"x": x}, time=t).'
         )
     if is_concrete(time_step):
         try:

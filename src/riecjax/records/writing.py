@@ -68,17 +68,17 @@ def write_whole(file: Path, write: Callable[[Path], None]) -> None:
 
 
 def _columns(record: Record) -> dict[str, np.ndarray]:
-    """Time and signals, NaN where a sample is missing, without the samples that pauses take."""
+    """Time and signals, NaN where a sample is missing, without the samples that mark pauses."""
     values = {name: samples_with_nan(record, name) for name in record.arrays}
     time = np.asarray(record.time, dtype=float)
     if record.stamps is not None:
-        kept = ~_pauses(time, values, float(record.time_step))
-        time, values = time[kept], {name: array[kept] for name, array in values.items()}
+        valid = ~_pauses(time, values, float(record.time_step))
+        time, values = time[valid], {name: array[valid] for name, array in values.items()}
     return {"t": time} | values
 
 
 def _pauses(time: np.ndarray, values: Columns, step: float) -> np.ndarray:
-    """Samples that stand for a pause: nothing is there, and they are off the even grid."""
+    """Samples that mark a pause: no signal has a value there, and they are off the even grid."""
     empty = np.all([np.isnan(array) for array in values.values()], axis=0)
     off = np.abs(np.diff(time) - step) > STEP_TOLERANCE * step
     # An empty sample beside a pause is a real one, and the pause's lies midway; at an end of a

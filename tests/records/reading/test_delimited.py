@@ -242,8 +242,8 @@ ERRORS = {
     "null byte": (b"t,x\n0,\x00\n1,2\n", "not a text file"),
     "control characters": (b"\x89\x01\x02\xff,\n" * 9, "not a text file"),
     "comma twice": ("t,x\n0,0,1,5\n0,5,2,5\n", "2 column names but 4 columns"),
-    "long line": (b"t,x\n" + b"1" * (LONGEST_LINE + 9), "no row of numbers"),
-    "million columns": ("a," * 10**6 + "b\n" + "1," * 10**6 + "1\n", "more than 10000"),
+    "long line": (b"t,x\n" + b"1" * (LONGEST_LINE + 9), "no table of numbers"),
+    "million columns": ("a," * 10**6 + "b\n" + "1," * 10**6 + "1\n", "at most 10000 are read"),
 }
 
 

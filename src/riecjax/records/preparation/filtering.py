@@ -74,7 +74,7 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
 
 
 def remove_offset(record: Record, *signals: str) -> Record:
-    """Subtract from each of these signals its mean over the samples that are there.
+    """Subtract from each of these signals its mean over the samples that are not missing.
 
     Instruments add offsets, which an equation with a stiffness reads as a force.
 
@@ -104,7 +104,7 @@ def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -
     for name in signals:
         values = samples_with_nan(record, name)
         there = ~np.isnan(values)
-        # Fitted in scaled time, lest seconds since 1970 spoil the fit.
+        # `fit` maps time to [-1, 1], so that seconds since 1970 lose no digits.
         trend = np.polynomial.Polynomial.fit(
             time[there], values[there], min(degree, there.sum() - 1)
         )

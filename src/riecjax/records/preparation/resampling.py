@@ -218,7 +218,7 @@ def _thinned(
     if np.max(np.abs(off)) > EVEN * even_step:
         if time.size < FEWEST_KNOTS:
             return np.full(grid.size, np.nan)
-        # Twice as dense, lest the coarser spots of uneven times lose what the fine ones hold.
+        # Twice as dense, so that the denser parts of uneven times lose nothing.
         even = np.arange(0, time[-1] - time[0], step / 2)
         values = scipy.interpolate.CubicSpline(time - time[0], values)(even)
         even_step = step / 2

@@ -164,8 +164,8 @@ def _derivative(name: str, of: str) -> Step:
 def split(record: Record, share: float) -> tuple[Record, Record]:
     """Hold out the last `share` of a record's samples, 0 < share < 1.
 
-    The end, and not samples drawn here and there: neighbours of a sample in the estimation part
-    tell it almost exactly, so that validating on it would prove nothing.
+    The end, and not samples drawn at random: a drawn sample follows from its neighbours in the
+    estimation part almost exactly, so that validating on it would prove nothing.
 
     **Returns:** the part to estimate from, and the part to validate on.
 
@@ -178,7 +178,7 @@ def split(record: Record, share: float) -> tuple[Record, Record]:
 
 
 def split_at(record: Record, seconds: float) -> tuple[Record, Record]:
-    """Split a record before the first sample at or after this time, on the record's own clock.
+    """Split a record before the first sample at or after this time, on the record's clock (`time`).
 
     **Returns:** the part to estimate from, and the part to validate on.
 

@@ -29,7 +29,7 @@ def check_unpacked(size: int, packed: int | None = None) -> None:
     **Raises:** `DataError` past `LARGEST_FILE`, or past what any packing could give.
     """
     if size > LARGEST_FILE:
-        raise DataError(f"unpacks to {size} bytes, more than is read.")
+        raise DataError(f"unpacks to {size} bytes; at most {LARGEST_FILE} are read.")
     if packed is not None and size > HIGHEST_PACKING * (packed + 2**16):
         raise DataError(f"declares {size} bytes in a file of {packed} bytes; it is damaged.")
 
@@ -37,15 +37,15 @@ def check_unpacked(size: int, packed: int | None = None) -> None:
 def check_column_count(count: int) -> None:
     """Refuse a file with more than `MOST_COLUMNS` columns with a `DataError`."""
     if count > MOST_COLUMNS:
-        raise DataError(f"has {count} columns, more than {MOST_COLUMNS} are not read.")
+        raise DataError(f"has {count} columns; at most {MOST_COLUMNS} are read.")
 
 
 @contextlib.contextmanager
 def foreign_reader(kind: str) -> Iterator[None]:
-    """Run a library on a file that may be damaged: its errors become one `DataError`.
+    """Run a library on a file that may be damaged: any error becomes one `DataError`.
 
-    Libraries let out whatever a damaged file provokes in them. Running out of memory is no
-    fault of the file.
+    Libraries raise whatever a damaged file leads them to. `MemoryError` passes: it need not be the
+    file's fault.
     """
     try:
         with warnings.catch_warnings():
@@ -65,7 +65,7 @@ def first_sentence(error: BaseException) -> str:
 TIME_COLUMNS = ("t", "time", "Time", "T", "time_s", "t_s", "TIME", "timestamp", "Timestamp")
 """Column names taken as time, in this order of preference; `--map t=COLUMN` names another."""
 WIDEST_MATRIX = 1000
-"""Columns of a matrix past which it is no set of channels, but a picture."""
+"""Columns of a matrix past which it is a picture and not a set of channels."""
 MOST_LISTED = 30
 """Names in a message past which the rest is counted."""
 
@@ -132,18 +132,18 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
         else:
             left_out[name] = f"its shape {array.shape} is not that of channels over time"
         if len(columns) > MOST_COLUMNS:
-            raise DataError(f"has more than {MOST_COLUMNS} columns.")
+            raise DataError(f"has more than {MOST_COLUMNS} columns; no more are read.")
     return Channels(columns, left_out=left_out)
 
 
 def with_structure_times(channels: Channels) -> Channels:
-    """Tell each column `a.b.values` its time: `a.b.time`, or else `a.time`, of the same length."""
+    """Assign to each column `a.b.values` its time, `a.b.time` or else `a.time`, of equal length."""
     time_of = {}
     for name, values in channels.columns.items():
         parts = name.split(".")
         for depth in range(len(parts) - 1, 0, -1):
-            own = [".".join([*parts[:depth], time]) for time in TIME_COLUMNS]
-            found = next((c for c in own if c in channels.columns), None)
+            times = [".".join([*parts[:depth], time]) for time in TIME_COLUMNS]
+            found = next((c for c in times if c in channels.columns), None)
             if found and channels.columns[found].size == values.size:
                 time_of[name] = found
                 break
@@ -169,7 +169,7 @@ def read_npz(file: Path) -> Channels:
 
 
 def read_array(stream: IO[bytes], size: int) -> np.ndarray:
-    """One array, once its declared shape is known to fit into the bytes that are there.
+    """One array of the NPY format, once its declared shape is known to fit into its bytes.
 
     **Raises:** `ValueError` if it does not, or for Python objects, which are never made.
     """

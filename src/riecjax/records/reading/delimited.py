@@ -99,7 +99,7 @@ def _first_lines(content: bytes) -> list[str]:
     longest = max(map(len, lines))
     if longest > LONGEST_LINE:
         raise DataError(
-            f"a line of more than {LONGEST_LINE} characters is no row of numbers in columns."
+            f"a line has more than {LONGEST_LINE} characters; the file is no table of numbers."
         )
     return (lines if whole else lines[:-1])[:MOST_LINES]
 
@@ -210,7 +210,7 @@ def _refuse_nameless(parsed: Any, names: list[str]) -> None:
 
 
 def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
-    """Refuse commas that may set thousands apart as well as decimals, throughout the file."""
+    """Refuse a file whose commas may all separate thousands as well as decimals."""
     pc = compute()
 
     doubtful = None
@@ -225,13 +225,13 @@ def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
     if doubtful:
         row, text = doubtful
         raise DataError(
-            f"line {table.line_of(row)}: {text[row].as_py()!r} may have a decimal comma or"
-            " thousands set apart; pass decimal=',' or decimal='.'."
+            f"line {table.line_of(row)}: {text[row].as_py()!r} has a decimal comma or"
+            " commas between thousands; pass decimal=',' or decimal='.'."
         )
 
 
 def _without_blank_end(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Without the rows at the end in which nothing stands, as spreadsheets leave them."""
+    """Without the empty rows at the end that spreadsheets leave."""
     if not columns:
         return columns
     filled = np.flatnonzero(np.any([~np.isnan(values) for values in columns.values()], axis=0))

@@ -209,10 +209,10 @@ def _commented_header(
 
 
 def _without_empty_end(fields: list[str]) -> list[str]:
-    kept = len(fields)
-    while kept and not fields[kept - 1]:
-        kept -= 1
-    return fields[:kept]
+    width = len(fields)
+    while width and not fields[width - 1]:
+        width -= 1
+    return fields[:width]
 
 
 def _trimmed(names: list[str], pattern: str, dialect: Dialect) -> list[str]:
@@ -220,7 +220,7 @@ def _trimmed(names: list[str], pattern: str, dialect: Dialect) -> list[str]:
     names = _without_empty_end(names)
     width = len(pattern)
     if dialect.delimiter == " " and len(names) > width:
-        # A unit in brackets stands apart from its name by a blank, which delimits nothing.
+        # The blank between a name and its unit in brackets delimits no columns.
         joined = re.sub(r"\s+(?=[\[(])", "\0", " ".join(names))
         names = [name.replace("\0", " ") for name in joined.split(" ")]
     if names and len(names) < width and set(pattern[len(names) :]) == {"M"}:
@@ -233,4 +233,4 @@ def _refuse_too_wide(lines: list[str]) -> None:
         if len(line) > MOST_COLUMNS:
             widest = max(len(line.split()), *(line.count(sign) + 1 for sign in DELIMITERS[:-1]))
             if widest > MOST_COLUMNS:
-                raise DataError(f"has {widest} columns; more than {MOST_COLUMNS} are not read.")
+                raise DataError(f"has {widest} columns; at most {MOST_COLUMNS} are read.")

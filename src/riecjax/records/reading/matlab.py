@@ -130,7 +130,7 @@ def _elements_v5(
             raise ValueError("an element is cut off.")
         kind, size = struct.unpack_from(order + "II", content, place)
         start, following = place + 8, place + 8 + size
-        if kind >> 16:  # a small element: its size stands beside its type, its bytes in the tag
+        if kind >> 16:  # a small element: its size is beside its type, its bytes in the tag
             kind, size, start, following = kind & 0xFFFF, kind >> 16, place + 4, place + 8
             if size > 4:
                 raise ValueError("a small element is too large.")

@@ -66,7 +66,7 @@ def read_mdf(file: Path) -> Channels:
             raise MemoryError
         if status != 0 or not out.is_file():
             raise DataError(
-                "not a readable MDF file: its reader broke off, as it does on damaged files."
+                "not a readable MDF file: its reader crashed, as it does on damaged files."
             )
         return _unpacked(out)
 

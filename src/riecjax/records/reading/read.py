@@ -47,8 +47,7 @@ def read_record(
     Time is a column in seconds, called `t` or `time` or renamed to `t`; where the file states
     another unit of time (`time [ms]`) it is converted. Other units are noted but not converted.
     Without `rename` every column as long as the time is a signal. How names are made in files that
-    hold more than columns is told by the formats' own readers, and by what
-    [`read_channels`][] returns.
+    hold more than columns is documented by their readers; [`read_channels`][] lists them.
 
     **Arguments:**
 
@@ -61,8 +60,8 @@ def read_record(
       [`derived`][]. Formulas are computed in their order, last of all.
     - `time_step`: seconds between samples, for files without time.
     - `resample`: rate in Hz of the even grid to which all signals are brought: for uneven
-      samples, and for files in which signals have times of their own.
-    - `delimiter`, `decimal`: of a text file, where they are not to be found out.
+      samples, and for files in which signals have different times.
+    - `delimiter`, `decimal`: of a text file, where they cannot be recognised.
 
     **Raises:** `DataError` if the file cannot be read, a named column is missing, or the samples
     do not make a record (see [`Record.from_samples`][]); `ModelError` for a formula that is not

@@ -13,7 +13,7 @@ from riecjax.records.record import Record
 
 
 class Selection(NamedTuple):
-    """What a user asks of a file's channels.
+    """Which of a file's channels a user wants as signals, and how they are converted.
 
     **Fields:** `rename`, signal to column; `scale`, column or signal to factor; `units`, signal to
     unit; `derive`, signal to formula; `time_step` in s; `resample` in Hz.
@@ -52,7 +52,7 @@ def record_from_channels(channels: Channels, selection: Selection) -> Record:
         signals = _with_times(signals, times, rename)
         if not signals.values:
             raise DataError(
-                f"a record needs at least one signal beside its time{_first_reason(channels)}."
+                f"a record needs at least one signal besides its time{_first_reason(channels)}."
             )
     if selection.resample is not None:
         return _resampled(signals, times, selection)
@@ -84,9 +84,9 @@ def column_named(channels: Channels, name: str) -> str:
 
 
 def _first_reason(channels: Channels) -> str:
-    """Why a column that was left out is none, for a message: the one named as time first."""
+    """Why a column was left out, for a message; a column named as time comes first."""
     named = sorted(channels.left_out, key=lambda name: split_unit(name)[0] not in TIME_COLUMNS)
-    return f"; column '{named[0]}' is none: {channels.left_out[named[0]]}" if named else ""
+    return f"; column '{named[0]}' was left out: {channels.left_out[named[0]]}" if named else ""
 
 
 def _renamed(channels: Channels, rename: Mapping[str, str]) -> _Signals:
@@ -196,13 +196,13 @@ def _evenly_timed(signals: _Signals, rename: Mapping[str, str]) -> _Signals:
     wanted = [name for name in signals.values if name in rename] or list(signals.values)
     lengths = [signals.values[name].size for name in wanted]
     usual = max(set(lengths), key=lambda length: (lengths.count(length), length))
-    kept = {name: array for name, array in signals.values.items() if array.size == usual}
+    alike = {name: array for name, array in signals.values.items() if array.size == usual}
     for name in rename:
-        if name not in kept:
+        if name not in alike:
             raise DataError(
                 f"column '{rename[name]}' has another length than the others, {usual} samples."
             )
-    return signals._replace(values=kept)
+    return signals._replace(values=alike)
 
 
 def _with_times(
@@ -222,7 +222,7 @@ def _with_times(
 def _on_one_axis(
     values: dict[str, np.ndarray], times: dict[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """Signals and their one time, less the rows in which nothing stands."""
+    """Signals and their one time, without the rows that are empty in all of them."""
     if not times:
         return values, None
     first = next(iter(times))

@@ -1,4 +1,4 @@
-"""Units as they stand in column names and unit rows: `Accel [m/s2]`, `force (N)`."""
+"""Units as written in column names and unit rows: `Accel [m/s2]`, `force (N)`."""
 
 import re
 
