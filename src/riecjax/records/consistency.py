@@ -1,4 +1,4 @@
-"""Whether a recorded derivative belongs to its signal: units, signs and channels mixed up."""
+"""Whether a recorded derivative fits its signal: wrong units, signs and channels show here."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -13,9 +13,9 @@ SHORTEST, LONGEST_SHARE = 4, 8
 FEWEST_LAGS = 50
 """Pairs of samples below which nothing is said."""
 EXTREME = 0.99
-"""Share of the increments past which they are cut off, so that single spikes do not decide."""
+"""Quantile past which increments are cut off, so that single spikes do not decide."""
 ALIKE = 0.95
-"""Correlation of increments, of either sign, past which they are those of one motion."""
+"""Correlation of increments, of either sign, past which they belong to one motion."""
 UNRELATED = 0.5
 """Correlation below which two signals do not belong to each other."""
 GAIN = 0.1
@@ -55,7 +55,7 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
         found.append(
             Finding(
                 "not_its_derivative",
-                f"{derivative}, which is read as the derivative of {signal}, {what}; check which "
+                f"{derivative}, which is read as the derivative of {signal}, {what}. Check which "
                 f"columns they are, their units and signs, and that time is in seconds (on the "
                 f"command line: --map and --scale).",
                 (signal, derivative),
@@ -64,44 +64,54 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
     return found
 
 
-class _Lag(NamedTuple):
+class _Regression(NamedTuple):
+    """Of a signal's increments on the integrals of its derivative, at one lag."""
+
     correlation: float
     gain: float
-    """Size of the signal's increments against that of the integrals, with their common sign."""
+    """Standard deviation of the increments over that of the integrals, with their common sign."""
 
     @property
     def is_off(self) -> bool:
         """Whether no share of noise in either signal explains a gain that is not 1.
 
-        The regressions of one on the other, and the other way round, enclose the true gain.
+        Noise in the integrals lowers the slope of increments on integrals, cov / var(integrals) =
+        gain x correlation, below the true gain; noise in the increments raises the inverse of the
+        other regression's slope, var(increments) / cov = gain / correlation, above it. So the two
+        enclose the true gain whatever the shares.
         """
         if self.gain < 0:
             return True
         return self.gain * self.correlation > 1 + GAIN or self.gain / self.correlation < 1 - GAIN
 
 
-def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Lag | None:
+def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Regression | None:
+    """The regression at the lag with the highest correlation; `None` if there are too few pairs.
+
+    Increments at all lags are differences of the same two columns, the values and the running
+    integral of the rates, so that each lag costs one pass.
+    """
     unknown = np.isnan(values) | np.isnan(rates)
-    gone = np.concatenate([[0], np.cumsum(unknown)])
+    unknown_before = np.concatenate([[0], np.cumsum(unknown)])
     rates = np.where(unknown, 0.0, rates)
     area = np.concatenate([[0.0], np.cumsum(0.5 * step * (rates[1:] + rates[:-1]))])
-    lags = []
+    found = []
     lag = SHORTEST
     while lag <= values.size // LONGEST_SHARE:
-        whole = gone[lag + 1 :] == gone[: values.size - lag]
+        whole = unknown_before[lag + 1 :] == unknown_before[: values.size - lag]
         if whole.sum() >= FEWEST_LAGS:
-            change = _cut_off((values[lag:] - values[:-lag])[whole])
-            integral = _cut_off((area[lag:] - area[:-lag])[whole])
-            size, other = np.std(change), np.std(integral)
+            increments = _winsorised((values[lag:] - values[:-lag])[whole])
+            integrals = _winsorised((area[lag:] - area[:-lag])[whole])
+            size, other = np.std(increments), np.std(integrals)
             if size > 0 and other > 0 and np.isfinite(size) and np.isfinite(other):
-                correlation = float(np.mean(change / size * integral / other))
-                lags.append(_Lag(correlation, float(np.sign(correlation) * size / other)))
+                correlation = float(np.mean(increments / size * integrals / other))
+                found.append(_Regression(correlation, float(np.sign(correlation) * size / other)))
         lag *= 4
-    return max(lags, key=lambda each: abs(each.correlation), default=None)
+    return max(found, key=lambda each: abs(each.correlation), default=None)
 
 
-def _cut_off(increments: np.ndarray) -> np.ndarray:
-    """Increments about their mean, none larger than all but the most extreme."""
+def _winsorised(increments: np.ndarray) -> np.ndarray:
+    """Increments about their mean, those past the quantile `EXTREME` of their size cut to it."""
     centred = increments - np.median(increments)
     limit = np.quantile(np.abs(centred), EXTREME)
     cut = np.clip(centred, -limit, limit)

@@ -53,6 +53,8 @@ def time_base(stamps: np.ndarray) -> TimeBase:
             f"{stamps[first - 1]:.15g} to {stamps[first]:.15g} s. Sort the record or remove "
             f"repeated rows."
         )
+    # The median alone would be the rounded step of rounded stamps (0.01 or 0.02 for 0.0167); the
+    # mean of all steps that are no pauses telescopes, and so has the rounding of two stamps only.
     usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))
     rounding = _resolution(stamps, usual)
     # A step of an even grid comes out longer by the rounding at most.

@@ -1,8 +1,16 @@
-"""Interpolation of evenly spaced samples by a windowed sinc: what lies between band-limited ones.
+"""Interpolation of evenly spaced samples by a windowed sinc.
 
-Sampling a signal at any times, faster or slower, is one sum over its samples, weighted by the
-low-pass that both rates allow. The weights are a sinc under a Kaiser window; its length follows
-from the attenuation and the width of the transition (SciPy's `kaiserord`).
+A signal that is band-limited to half its rate is x(t) = sum_n x[n] sinc(t - n), with t in samples.
+Evaluating it at a slower rate needs a low-pass first, so that nothing folds; filtering and
+evaluating are one sum,
+
+    x(t) = sum_n h(t - n) x[n] / sum_n h(t - n),   h(u) = sinc(c u) w(u / L).
+
+c is the cut-off as a share of half the samples' rate, and the window w cuts the sum off at L
+samples to each side: Kaiser's, whose shape and length follow from the attenuation and the width of
+the transition (SciPy's `kaiserord`). Dividing by the sum of the weights makes a constant pass
+exactly. The cost is 2 L for each value, and weights are computed once for each distinct phase
+t - floor(t).
 """
 
 import math
