@@ -13,14 +13,20 @@ from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_means
 from riecjax.paper.claims.section_6 import variation_claims
-from riecjax.paper.claims.sections_2_and_4 import (
+from riecjax.paper.claims.sections_2_to_5 import (
     bounded_impulse,
     drop_outs,
     window_errors,
     window_lengths,
 )
-from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis
-from riecjax.paper.reproduction import PARAMETERS, identification_record, road_keys
+from riecjax.paper.reproduction import (
+    LENGTHS,
+    PARAMETERS,
+    LengthMap,
+    estimates_over_lengths,
+    identification_record,
+    road_keys,
+)
 from riecjax.paper.section_2 import (
     RATE,
     SECOND_MASS,
@@ -28,8 +34,7 @@ from riecjax.paper.section_2 import (
     WindowErrorMoments,
     demonstrate,
 )
-from riecjax.paper.variations import Variations, Varied, VariedStudy
-from riecjax.paper.window_lengths import LENGTHS, LengthMap, estimates_over_lengths
+from riecjax.paper.variations import BANDWIDTHS, Hysteresis, Variations, Varied, VariedStudy
 from riecjax.records.record import Record
 from riecjax.simulation.simulate import simulate
 

@@ -3,9 +3,8 @@
 import numpy as np
 
 from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_means
-from riecjax.paper.hysteresis import BANDWIDTHS, STIFFER, Hysteresis
 from riecjax.paper.reproduction import PARAMETERS
-from riecjax.paper.variations import Varied, VariedStudy
+from riecjax.paper.variations import BANDWIDTHS, STIFFER, Hysteresis, Varied, VariedStudy
 
 SHOWN = ("M_us", "M_s", "K_s")
 """What Fig. 11 shows."""

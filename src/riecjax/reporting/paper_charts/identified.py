@@ -1,13 +1,12 @@
-"""What is identified: the tables at a glance, and damper maps of all variants (7)."""
+"""What is identified: the tables at a glance, damper maps (Fig. 7) and validations (9, 10)."""
 
 import numpy as np
 
 from riecjax.models.quarter_car.identification import BREAK_POINTS
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import CRITERIA, VARIANTS
-from riecjax.paper.reproduction import VALIDATED_STATES, RoadResult
+from riecjax.paper.reproduction import VALIDATED_STATES, RoadResult, Trajectories
 from riecjax.paper.tables import table_3, table_4, table_5
-from riecjax.paper.trajectories import Trajectories
 from riecjax.reporting.charts.chart import (
     BLUE,
     DASHES,
@@ -17,14 +16,49 @@ from riecjax.reporting.charts.chart import (
     SERIES,
     Axis,
     Chart,
+    Dashes,
     Dots,
     Level,
     Line,
     Panel,
     single,
 )
-from riecjax.reporting.paper_charts.bands import BAND, METHOD_STYLE, banded
 from riecjax.reporting.paper_charts.models import sampled
+
+METHOD_STYLE: dict[str, tuple[str, Dashes]] = {"RIEC": (BLUE, "solid"), "DOLS": (RUST, "dashed")}
+BAND = "Lines are medians over the roads, bands hold 95 % of them."
+
+
+def banded(
+    x: object,
+    over_roads: object,
+    label: str,
+    style: tuple[str, Dashes],
+    *,
+    shown: float = np.inf,
+) -> Line:
+    """Median over the first axis, with the band from its 2.5 to its 97.5 % quantile.
+
+    **Arguments:** `shown`, the largest value that is drawn; larger ones leave a gap.
+    """
+    values = np.asarray(over_roads)
+    with np.errstate(invalid="ignore"):
+        low, middle, high = (_quantile(values, q) for q in (0.025, 0.5, 0.975))
+    drawn = np.abs(middle) <= shown
+    return Line(
+        x,  # pyright: ignore[reportArgumentType]
+        np.where(drawn, middle, np.nan),
+        label,
+        style[0],
+        style[1],
+        low=np.where(drawn, low, np.nan),
+        high=np.where(drawn & np.isfinite(high), np.minimum(high, 1e9), np.nan),
+    )
+
+
+def _quantile(values: np.ndarray, share: float) -> np.ndarray:
+    # Of an order that is there: between a number and infinity lies nothing.
+    return np.quantile(values, share, axis=0, method="nearest")
 
 
 def tables_at_a_glance(roads: RoadResult) -> Chart:

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.criteria.test_functions import Boxcar, expected_gain
-from riecjax.equations.bases import RoofFunctions
+from riecjax import Boxcar
+from riecjax.criteria import expected_gain
+from riecjax.equations import RoofFunctions
 from riecjax.models.quarter_car.identification import BREAK_POINTS
 from riecjax.models.quarter_car.reconstruction import Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource
-from riecjax.paper.claims.sections_2_and_4 import BETWEEN, FIXED, TWO
+from riecjax.paper.claims.sections_2_to_5 import BETWEEN, FIXED, TWO
 from riecjax.paper.reproduction import RoadResult
 from riecjax.paper.section_2 import DURATION, RATE, Demonstration
 from riecjax.reporting.charts.chart import (
@@ -30,7 +31,7 @@ from riecjax.reporting.charts.chart import (
     Panel,
     single,
 )
-from riecjax.simulation.inputs import pothole
+from riecjax.simulation import pothole
 
 EXCERPT = 1.0
 """Seconds of the signals themselves that are drawn."""

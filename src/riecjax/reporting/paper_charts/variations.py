@@ -6,11 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.models.quarter_car.identification import BREAK_POINTS
-from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis
 from riecjax.paper.published import CRITERIA, TABLE_2
-from riecjax.paper.reproduction import PARAMETERS
-from riecjax.paper.variations import Varied, VariedStudy
-from riecjax.paper.window_lengths import LENGTHS, LengthMap
+from riecjax.paper.reproduction import LENGTHS, PARAMETERS, LengthMap
+from riecjax.paper.variations import BANDWIDTHS, Hysteresis, Varied, VariedStudy
 from riecjax.reporting.charts.chart import (
     DASHES,
     GREY,
@@ -23,7 +21,7 @@ from riecjax.reporting.charts.chart import (
     Line,
     Panel,
 )
-from riecjax.reporting.paper_charts.bands import BAND, METHOD_STYLE, banded
+from riecjax.reporting.paper_charts.identified import BAND, METHOD_STYLE, banded
 
 BANDWIDTH = Axis("input bandwidth / Hz", low=0, high=30.5)
 CASES = {
