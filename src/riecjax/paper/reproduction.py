@@ -1,4 +1,4 @@
-"""Sections 4 and 5 of the paper on simulated roads: Tables 3 to 5, Figs 9 and 10, window lengths."""
+"""Sections 4 and 5 of the paper on simulated roads: Tables 3 to 5, Figs 9 and 10, alpha, beta."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
