@@ -15,7 +15,7 @@ from riecjax.models.oscillators import TwoMass, two_mass_equation
 from riecjax.records.record import Record, stack_records
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
-from riecjax.validation.errors import equation_error, errors_over_records, joined
+from riecjax.validation.equation_errors import equation_error, errors_over_records, joined
 
 STEP, W = 0.01, 2 * np.pi * 3
 TIME = STEP * np.arange(400)

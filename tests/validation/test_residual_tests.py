@@ -20,15 +20,15 @@ from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
-from riecjax.validation.error_correlation import (
+from riecjax.validation.equation_errors import EquationError
+from riecjax.validation.residuals import residual_tests
+from riecjax.validation.time_series import (
     autocorrelation,
     bartlett_variance,
     cross_correlation,
+    error_spectrum,
     moving_average,
 )
-from riecjax.validation.error_spectrum import error_spectrum
-from riecjax.validation.errors import EquationError
-from riecjax.validation.residuals import residual_tests
 from riecjax.validation.window_errors import window_errors
 
 CRITERION = RIEC(AllWindows(0.05, 0.5))

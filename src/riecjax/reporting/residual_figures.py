@@ -19,10 +19,9 @@ from riecjax.reporting.charts.chart import (
     labelled,
 )
 from riecjax.studies.choice import EquationWindows, WindowChoice
-from riecjax.validation.error_correlation import CrossCorrelation
-from riecjax.validation.error_spectrum import ErrorSpectrum, unbroken
-from riecjax.validation.errors import EquationError
+from riecjax.validation.equation_errors import EquationError
 from riecjax.validation.residuals import EquationResidual, ResidualTests
+from riecjax.validation.time_series import CrossCorrelation, ErrorSpectrum, unbroken
 
 EXCERPT = 400
 """Values of an error that are drawn one by one."""

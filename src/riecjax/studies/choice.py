@@ -20,8 +20,8 @@ from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Record, as_records
-from riecjax.validation.error_spectrum import ErrorSpectrum, error_spectrum
-from riecjax.validation.errors import EquationError, errors_over_records, joined
+from riecjax.validation.equation_errors import EquationError, errors_over_records, joined
+from riecjax.validation.time_series import ErrorSpectrum, error_spectrum
 
 PARTS = 8
 """Part of the records that a segment of the spectra is one of: long, for the sake of long windows.

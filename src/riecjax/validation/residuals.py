@@ -19,15 +19,17 @@ from riecjax.equations.procedure import HasProcedure, Procedure, told_apart
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, as_records
-from riecjax.validation.error_correlation import (
+from riecjax.validation.equation_errors import EquationError, errors_over_records, joined, with_pads
+from riecjax.validation.time_series import (
     Autocorrelation,
     CrossCorrelation,
+    ErrorSpectrum,
+    Peak,
     autocorrelation,
     cross_correlation,
+    error_spectrum,
     moving_average,
 )
-from riecjax.validation.error_spectrum import ErrorSpectrum, Peak, error_spectrum
-from riecjax.validation.errors import EquationError, errors_over_records, joined, with_pads
 from riecjax.validation.window_errors import WindowErrors, window_errors
 
 LAGS = 50

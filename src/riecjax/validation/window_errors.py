@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
-from riecjax.validation.error_spectrum import unbroken
-from riecjax.validation.errors import EquationError, joined
+from riecjax.validation.equation_errors import EquationError, joined
+from riecjax.validation.time_series import unbroken
 
 LENGTHS = 4
 """Window lengths from alpha to beta at which errors are looked at, each at every start."""
