@@ -258,8 +258,6 @@ def _keep(table: pa.Table, file: Path) -> None:
         temporary.replace(file)
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 class Varied(NamedTuple):

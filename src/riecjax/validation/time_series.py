@@ -17,9 +17,24 @@ from riecjax.validation.equation_errors import EquationError
 LEVEL = 0.05
 """Probability that chance alone passes a bound."""
 
+# Bounds of correlations. Of two independent series of n values, with autocovariances R_1 and R_2,
+# the sum c = sum_t x_t y_(t+k) has mean zero and the variance
+#
+#     E c^2 = sum_(t,s) E(x_t x_s) E(y_(t+k) y_(s+k)) = sum_j (n - |j|) R_1(j) R_2(j),
+#
+# and the correlation c / (n s_1 s_2) therefore (1/n) sum_j r_1(j) r_2(j), to first order in 1/n:
+# Bartlett's formula. For white noise it is 1/n. Two signals that oscillate at one frequency pass
+# 1.96 / sqrt(n) all the time; n times the variance is how many samples tell as much as one
+# independent sample, and correlations at lags closer than that are one test, not several.
+#
+# What the integrated autocorrelation says. A sum over m = lags + 1 successive values has the
+# variance s^2 (m + 2 sum_(k < m) (m - k) r(k)): in units of m s^2, that of white noise, it is
+# 1 + 2 sum (1 - k/m) r(k). It goes to zero where eq. (8) bounds the impulse of the error, since
+# the variance then stays while m grows.
+
 
 class Autocorrelation(NamedTuple):
-    """How alike an error is to itself some time later.
+    """Autocorrelation of an error.
 
     **Fields:**
 
@@ -28,8 +43,7 @@ class Autocorrelation(NamedTuple):
     - `correlation_time`: sum of the squared values over lags of both signs, in seconds: how long
       an error stays like itself, with either sign. One time step for white noise.
     - `integrated`: sum of the values themselves over lags of both signs, tapered to the longest,
-      in seconds. One time step for white noise; near zero where the error swings back, as eq. (8)
-      says of an error that only modes make: its impulse stays bounded.
+      in seconds. One time step for white noise; near zero where only modes make the error.
     """
 
     lag: Float[np.ndarray, " lags"]
@@ -40,13 +54,13 @@ class Autocorrelation(NamedTuple):
 
 
 class CrossCorrelation(NamedTuple):
-    """How an error follows one signal.
+    """Correlation of an error with one signal.
 
     **Fields:**
 
     - `signal`: its name.
     - `lag` in seconds and `values`, shape `(2 lags + 1,)`; at a positive lag the error comes later.
-    - `bound`: what two independent series with these autocorrelations stay below at every lag of
+    - `bound`: two independent series with these autocorrelations stay below it at every lag of
       every signal of the equation, with 95 % probability.
     """
 
@@ -69,7 +83,7 @@ class CrossCorrelation(NamedTuple):
 def autocorrelation(
     values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"], lags: int, time_step: float
 ) -> Autocorrelation:
-    """Autocorrelation over lags from zero, about the mean; zeros of a silent series."""
+    """Autocorrelation about the mean at lags from zero; zeros of a series that does not vary."""
     centred = _centred(values, present)
     forward = np.arange(lags + 1)
     found = _correlation(centred, centred, present, present, forward)
@@ -93,26 +107,24 @@ def cross_correlation(
     name: str = "",
     signals: int = 1,
 ) -> CrossCorrelation:
-    """Correlation of an error with a signal, over lags of both signs, about their means.
+    """Correlation of an error with a signal about their means, at lags of both signs.
 
-    The bound takes Bartlett's variance of the correlation of two independent series, the sum over
-    all lags of the product of their autocorrelations over the number of values, and Bonferroni's
-    correction for as many lags as are independent, of this and of all `signals`.
+    The bound takes Bartlett's variance, and Bonferroni's correction for as many lags as are
+    independent, of this and of all `signals`.
     """
     one, other = _centred(error, present), _centred(signal, present)
     both = np.arange(-lags, lags + 1)
     values = _correlation(one, other, present, present, both)
     variance = bartlett_variance(one, other)
-    # Correlations at lags closer than the series' own memory, n times the variance, are one test.
     apart = max(both.size / max(variance * present.sum(), 1.0), 1.0)
     quantile = tails.normal(LEVEL / (2 * apart * signals))
     return CrossCorrelation(name, both * time_step, values, float(quantile * np.sqrt(variance)))
 
 
 def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> float:
-    """Variance of the correlation of two independent series, zero where a sample lacks.
+    """Variance of the correlation of two independent series: sum_k r_1(k) r_2(k) / n (Bartlett).
 
-    Bartlett: sum_k r_1(k) r_2(k) / n; at least that of no values at all, 0.
+    Of series about their means, zero where a sample is missing; 0 of a silent one.
     """
     size = scipy.fft.next_fast_len(2 * one.size, real=True)
     power = [np.abs(np.fft.rfft(series, size)) ** 2 for series in (one, other)]
@@ -125,7 +137,7 @@ def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n
 def moving_average(
     values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"], count: int
 ) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
-    """Means of `count` successive values, and where all of them are present."""
+    """Means of `count` successive values, and a mask of those that are whole."""
     running = np.concatenate([[0.0], np.cumsum(np.where(present, values, 0.0))])
     absent = np.concatenate([[0], np.cumsum(~present)])
     whole = absent[count:] == absent[:-count]
@@ -140,14 +152,14 @@ def _centred(values: np.ndarray, present: np.ndarray) -> np.ndarray:
 def _correlation(
     one: np.ndarray,
     other: np.ndarray,
-    one_there: np.ndarray,
-    other_there: np.ndarray,
+    one_valid: np.ndarray,
+    other_valid: np.ndarray,
     lags: Int[np.ndarray, " lags"],
 ) -> Float[np.ndarray, " lags"]:
-    """Mean product at each lag, of as many pairs as there are, over the root mean squares."""
-    pairs = np.round(_products(one_there.astype(float), other_there.astype(float), lags))
-    squares = np.sum(one**2) / max(one_there.sum(), 1) * np.sum(other**2)
-    scale = np.sqrt(squares / max(other_there.sum(), 1))
+    """Mean product of the pairs that are valid at each lag, over the root mean squares."""
+    pairs = np.round(_products(one_valid.astype(float), other_valid.astype(float), lags))
+    squares = np.sum(one**2) / max(one_valid.sum(), 1) * np.sum(other**2)
+    scale = np.sqrt(squares / max(other_valid.sum(), 1))
     if not scale > 0:
         return np.where(lags == 0, 1.0 if one is other else 0.0, 0.0)
     return np.where(pairs > 0, _products(one, other, lags) / np.maximum(pairs, 1) / scale, 0.0)
@@ -160,8 +172,19 @@ def _products(one: np.ndarray, other: np.ndarray, lags: np.ndarray) -> np.ndarra
     return np.fft.irfft(spectrum, size)[lags % size]
 
 
+# When a peak is no chance. One periodogram scatters by its own size. The mean over K segments under
+# Hann windows that overlap by half scatters by sqrt((1 + 2 c^2) / K), where neighbouring segments
+# correlate by c = 1/6, so c^2 = 1/36 between their powers. The three-point smoothing
+# (1, 2, 1) / 4 leaves 0.78 of that, since Hann's neighbouring frequencies correlate by 4/9. So
+# the 8 segments that are asked for scatter by 0.28, and a factor of 4, log 4 = 1.4, is five
+# standard deviations.
+#
+# How wide a mode is. Under white excitation the power of a lightly damped mode is
+# 1 / (1 + ((f - f_0) / h)^2) with h = zeta f_0. It is half at f_0 - h and f_0 + h, a width of
+# 2 zeta f_0, and half of it lies between: (2 / pi) arctan(1).
+
 SEGMENTS = 32
-"""Parts of the record that a segment of the spectrum is one of, halves of segments overlapping."""
+"""A segment of the spectrum is this part of the record; segments overlap by half."""
 FEWEST_SEGMENTS = 8
 """Segments below which a spectrum is too rough to look for a peak."""
 SHORTEST_SEGMENT = 64
@@ -171,10 +194,10 @@ BAND_SHARE = 0.99
 PROMINENCE = 4.0
 """How many times the spectrum of its surroundings, on either side, a peak is: 6 dB."""
 PEAK_BAND = 0.9
-"""Part of the model's band in which a peak is one of its own, and not the excitation's end."""
+"""Part of the model's band in which a peak is a mode's, and not the end of the excitation."""
 PEAK_SHARE = 0.3
-"""Share of the error's power in the model's band that a peak holds between its half-power points;
-a resonance alone holds about a half there."""
+"""Share of the error's power in the model's band that a peak holds between its half-power points.
+"""
 
 
 class Peak(NamedTuple):
@@ -182,7 +205,7 @@ class Peak(NamedTuple):
 
     **Fields:** `frequency`, half-power points `low` and `high` in hertz; `share` of the error's
     power in the model's band that lies between them; `size`, root mean square of that part
-    of the error against the target's.
+    of the error relative to the target's.
     """
 
     frequency: float
@@ -232,33 +255,34 @@ class ErrorSpectrum(NamedTuple):
     def peak(self) -> Peak | None:
         """The peak of the error that holds most power, if there is a genuine one.
 
-        It stands out fourfold from both sides, is no wider than its frequency (a mode of half the
-        critical damping), lies with its half-power points below nine tenths of the model's band,
-        and holds 30 % of the error's power there. A rise towards half the sampling rate, as of
-        differentiated noise, is none, nor one that only ends where the excitation does.
+        It stands out fourfold on both sides, is no wider than its frequency (a mode of half the
+        critical damping), has both half-power points below nine tenths of the model's band, and
+        holds 30 % of the error's power there. A rise towards half the sampling rate, as of
+        differentiated noise, is no peak, nor one that only ends where the excitation does.
         """
         if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
             return None
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
         level = np.log(np.maximum(smooth, np.finfo(float).tiny))
         tops, _ = scipy.signal.find_peaks(level, prominence=np.log(PROMINENCE))
-        peaks = [self._at(int(top), smooth) for top in tops]
-        held = [
+        peaks = (self._peak_at(int(top), smooth) for top in tops)
+        genuine = [
             p
             for p in peaks
             if p.bandwidth <= p.frequency
             and p.high < PEAK_BAND * self.band
             and p.share >= PEAK_SHARE
         ]
-        return max(held, key=lambda p: p.share, default=None)
+        return max(genuine, key=lambda p: p.share, default=None)
 
-    def _at(self, top: int, smooth: Float[np.ndarray, " frequencies"]) -> Peak:
-        edges = scipy.signal.peak_widths(smooth, [top], prominence_data=_from_zero(smooth, top))
+    def _peak_at(self, top: int, smooth: Float[np.ndarray, " frequencies"]) -> Peak:
+        # As prominence the whole height, so that half the prominence is half the power.
+        height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
+        edges = scipy.signal.peak_widths(smooth, [top], prominence_data=height)
         low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
         inside = (self.frequency >= low) & (self.frequency <= high)
-        # The mean is no oscillation: it is not part of the power that a share is taken of.
-        swinging = (self.frequency > 0) & (self.frequency <= self.band)
-        total = np.sum(self.error, where=swinging)
+        # The mean is no oscillation, so it does not count.
+        total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
         power = np.sum(self.error, where=inside)
         whole = np.sum(self.target)
         return Peak(
@@ -281,55 +305,45 @@ def error_spectrum(
     where unbroken stretches are. `detrend`: take each segment's mean off.
     """
     runs = unbroken(np.asarray(error.present))
-    series = {
-        "error": np.asarray(error.error),
-        "explained": np.asarray(error.explained),
-        "target": np.asarray(error.target),
-    }
     length = segment_length([run.stop - run.start for run in runs], parts)
-    sums = {name: np.zeros(length // 2 + 1) for name in (*series, "common")}
-    taken_off = "constant" if detrend else False
+    left, explained, target = map(np.asarray, (error.error, error.explained, error.target))
+    pairs = {
+        "error": (left, left),
+        "explained": (explained, explained),
+        "target": (target, target),
+        "common": (target, explained),
+    }
+    sums = {name: np.zeros(length // 2 + 1) for name in pairs}
     count = 0
     for run in runs:
-        segments = (run.stop - run.start - length) // (length - length // 2) + 1
-        if segments < 1:
-            continue
-        pairs = {**{name: (name, name) for name in series}, "common": ("target", "explained")}
-        for name, (one, other) in pairs.items():
+        # A longer run of segments counts for more, as in one mean over all of them.
+        segments = max((run.stop - run.start - length) // (length - length // 2) + 1, 0)
+        count += segments
+        for name, (one, other) in pairs.items() if segments else ():
             _, density = scipy.signal.csd(
-                series[one][run],
-                series[other][run],
+                one[run],
+                other[run],
                 fs=1 / float(error.time_step),
                 nperseg=length,
-                detrend=taken_off,  # pyright: ignore[reportArgumentType]
+                detrend="constant" if detrend else False,  # pyright: ignore[reportArgumentType]
             )
             sums[name] += segments * np.real(density)
-        count += segments
     frequency = np.fft.rfftfreq(length, float(error.time_step))
-    return ErrorSpectrum(
-        frequency, **{k: v / max(count, 1) for k, v in sums.items()}, segments=count
-    )
+    means = {name: total / max(count, 1) for name, total in sums.items()}
+    return ErrorSpectrum(frequency, **means, segments=count)
 
 
 def unbroken(present: Bool[np.ndarray, " n"]) -> list[slice]:
-    """Stretches in which everything is present."""
+    """Stretches without a missing value."""
     edges = np.flatnonzero(np.diff(np.pad(present.astype(np.int8), 1)))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
 
 
 def segment_length(stretches: list[int], parts: int) -> int:
-    """Samples to a segment: as wanted, but half of all samples lie in stretches as long."""
+    """Samples in a segment: as wanted, unless half of all samples lie in shorter stretches."""
     if not stretches:
         return SHORTEST_SEGMENT
     longest_first = np.sort(stretches)[::-1]
     running = np.cumsum(longest_first)
     typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
     return max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
-
-
-def _from_zero(
-    smooth: Float[np.ndarray, " frequencies"], top: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `peak_widths` takes as a peak's prominence: its whole height, so that half is half."""
-    last = smooth.size - 1
-    return np.array([smooth[top]]), np.array([0]), np.array([last])
