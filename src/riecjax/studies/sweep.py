@@ -1,7 +1,7 @@
-"""Estimates against window length: the standard test of whether a model is exact enough.
+"""Estimates at several window lengths: the standard test of whether a model is exact enough.
 
-With an exact model every window length finds the same parameters, up to scatter. Where a model
-leaves something out, that weighs differently at different lengths, and the estimates drift.
+With an exact model every window length finds the same parameters, up to scatter. What a model
+leaves out weighs differently at different lengths, and the estimates drift.
 """
 
 import itertools
@@ -32,14 +32,24 @@ from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import task
 from riecjax.uncertainty.scores import block_influence
 
+# How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
+# time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
+# matrix, e_b the block's residuals), and independent blocks give it the variance
+# n / (n - 1) sum_b d_b^2: the scores of n blocks sum to zero at the solution, which takes one
+# degree of freedom. Two estimates from the same record are far from independent, since they share
+# its noise and its motion. But the difference of the two has the influence d_b1 - d_b2, block by
+# block, and the variance n / (n - 1) sum_b (d_b1 - d_b2)^2: a paired test, in which whatever both
+# share cancels. So a drift is seen that is much smaller than either standard error. Of all pairs of
+# lengths the most significant is tested, at the level over the number of pairs (Bonferroni).
+
 FEWEST_SAMPLES = 4
 """Samples that the shortest window of a sweep spans at least."""
 FEWEST_STRETCHES = 10
 """Longest windows that the records hold at least, end to end."""
 SMALLEST_DRIFT = 0.005
-"""Share of a parameter below which a drift is nobody's concern."""
+"""Share of a parameter below which a drift does not matter."""
 SHARE_OF_BLOCKS = 0.5
-"""Share of the blocks of time with windows at some length below which another has no estimate."""
+"""A length with windows in less than this share of the blocks that another has gets no estimate."""
 LEVEL = 0.05
 
 
@@ -76,7 +86,6 @@ class WindowSweep(eqx.Module):
 
     @property
     def _factor(self) -> Array:
-        # The scores of n blocks sum to zero at the solution.
         xp = namespace(self.block_count)
         return xp.divide(self.block_count, xp.maximum(self.block_count - 1, 1))
 
@@ -127,6 +136,7 @@ class WindowSweep(eqx.Module):
                         f"{self._band(high)}, a drift of up to {abs(difference) / error:.0f} "
                         f"standard errors: the model leaves something out, or short windows show "
                         f"the sensors' noise.",
+                        parameters=(name,),
                     )
                 )
         return found

@@ -38,25 +38,24 @@ MOST_LAGS = 400
 LARGEST_LAG_SHARE = 10
 """The longest lag is at most this part of the records."""
 NOTABLE_SIZE = 0.02
-"""Share of the target below which an error is nobody's concern."""
+"""Share of the target below which an error does not matter."""
 NOTABLE_CORRELATION = 0.3
 """Correlation below which less than a tenth of the error's power follows a signal."""
 NOTABLE_RATIO = 10.0
 """Mean square errors of the loudest and the quietest stretch that are uneven: 3.2 in rms."""
 RARE = 0.01
-"""Probability of stretches so uneven by chance, below which they are called so."""
+"""Probability by chance below which stretches are called uneven."""
 NOTABLE_SHARED = 0.1
-"""Epsilon that is no longer much smaller than one; chance makes T / t_max, and seldom ten times
-that."""
+"""Epsilon that is no longer much smaller than one; chance seldom makes ten times T / t_max."""
 
 
 class EquationResidual(NamedTuple):
-    """What one equation leaves.
+    """What one equation leaves unexplained.
 
     **Fields:**
 
-    - `name` and `unit` of the equation; `relative_rms`: its error, sample by sample, against its
-      target.
+    - `name` and `unit` of the equation; `relative_rms`: its error, sample by sample, relative to
+      its target.
     - `error`: over all records, see `joined`.
     - `autocorrelation` of the error.
     - `follows`: correlation with each signal that all records hold, strongest first. Error and
@@ -64,7 +63,7 @@ class EquationResidual(NamedTuple):
       the shortest window if that is longer, so that differentiated sensor noise does not hide what
       is left of the motion.
     - `averaged`: seconds of that average.
-    - `averaged_size`: root mean square of the averaged error against the averaged target.
+    - `averaged_size`: root mean square of the averaged error relative to the averaged target.
     - `spectrum`, and its `peak` if there is a genuine one.
     - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
       short for four of the longest.
@@ -117,6 +116,7 @@ class EquationResidual(NamedTuple):
                 f"{self.name}: what the model leaves follows {first.signal}"
                 f"{_later(first.largest_lag)} (correlation {first.largest:.2f}), by "
                 f"{100 * size * self.averaged_size:.3g} % of the target: {cause}",
+                (first.signal,),
             )
 
     def _uneven(self) -> Iterator[Finding]:
@@ -129,8 +129,8 @@ class EquationResidual(NamedTuple):
                 "uneven_errors",
                 f"{self.name}: errors of windows are {np.sqrt(errors.ratio):.2g} times as large "
                 f"from {errors.start[loud]:.4g} to {errors.stop[loud]:.4g} s as in the quietest "
-                f"stretch (the signal {_times(errors)}), so the estimate hangs on that stretch. "
-                f"See what differs there; leave it out, or identify the stretches one by one.",
+                f"stretch (the signal {_times(errors)}), so the estimate depends on it. See "
+                f"what differs there; leave it out, or identify the stretches one by one.",
             )
         if errors.correlation > max(NOTABLE_SHARED, 10 * errors.window_share):
             yield Finding(
@@ -173,7 +173,7 @@ class EquationResidual(NamedTuple):
 
 
 class ResidualTests(eqx.Module):
-    """What every equation of a model leaves; see [`residual_tests`][].
+    """What every equation of a model leaves unexplained; see [`residual_tests`][].
 
     **Fields:** `equations`, in the order of the procedure's stages.
     """
