@@ -1,15 +1,15 @@
 """The multisine that makes one parameter's interval tightest, within the travel that a rig allows.
 
-The cost is the logarithm of one diagonal entry of the inverse information, v = [I^-1]_jj, so that a
-step is worth the same whatever the units. With x = I^-1 e_j its slope is d log v = -x' dI x / v: what
-counts is information along x, the direction in which the data tell least about the parameter.
-Sensitivities go forward through the simulation, since parameters are few, and the slope by the input
-in reverse, since the amplitudes and phases of a multisine are many.
+The cost is the logarithm of one diagonal entry of the inverse information, v = [I^-1]_jj, so that
+a step is worth the same whatever the units. With x = I^-1 e_j its slope is d log v = -x' dI x / v:
+what counts is information along x, the direction in which the data tell least about the parameter.
+Sensitivities go forward through the simulation, since parameters are few, and the slope by the
+input in reverse, since the amplitudes and phases of a multisine are many.
 
-For a linear model at rest between its periods, I = sum_i a_i^2 M(f_i): phases do not matter, powers
-add up, and p (p + 1) / 2 frequencies suffice, as many as I has entries. Phases decide about travel,
-which is the peak of a state, and about non-linear models. There are many local optima, hence several
-starts.
+For a linear model in steady state over whole periods, I = sum_i a_i^2 M(f_i): phases do not
+matter, powers add up, and p (p + 1) / 2 frequencies suffice, as many as I has entries. Phases
+decide about travel, which is the peak of a state, and about non-linear models. There are many
+local optima, hence several starts.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,9 +1,9 @@
 """The law of window lengths that makes identified models predict best on other recordings.
 
 The criterion cannot choose its windows by itself, since its residual means something else under
-another law. The error of prediction does not. With G(w) theta = g(w) the normal equations under the
-weights w of the law, both linear in w, and E(theta) the error of the identified model on another
-recording, its slope is
+another law. The error of prediction does not. With G(w) theta = g(w) the normal equations under
+the weights w of the law, both linear in w, and E(theta) the error of the identified model on
+another recording, its slope is
 
     dE/dw_i = dE/dtheta G^-1 (dg/dw_i - dG/dw_i theta),
 

@@ -7,9 +7,9 @@ dh/du, both in units of sigma, and the covariance of that slope is the informati
 
     I = E J'r r'J = J'J.
 
-No unbiased estimate has a covariance below I^-1 (Cramer and Rao); output error attains it on all but
-short records. With all of u unknown the parameters' part of I^-1 is
-(I_pp - I_ps I_ss^-1 I_sp)^-1: what could as well be another initial state tells nothing.
+No unbiased estimate has a covariance below I^-1 (Cramer and Rao); output error attains it on all
+but short records. With all of u unknown the parameters' part of I^-1 is (I_pp - I_ps I_ss^-1
+I_sp)^-1: what could as well be another initial state tells nothing.
 
 Everything is in units of the values: with u_i = v_i theta_i the information on v is theta_i I_ij
 theta_j, and [I_v^-1]_jj is the square of a relative standard error, whatever the units.
