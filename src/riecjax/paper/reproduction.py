@@ -72,11 +72,7 @@ def road_keys(key: Key[Array, ""]) -> RoadKeys:
 def training_noise(key: Key[Array, ""]) -> Float[Array, " n"]:
     """Road velocity of Table 2 in m/s."""
     return band_limited_noise(
-        key,
-        TABLE_2.sample_count,
-        1 / TABLE_2.rate,
-        bandwidth=TABLE_2.bandwidth,
-        rms=TABLE_2.rms,
+        key, TABLE_2.sample_count, 1 / TABLE_2.rate, bandwidth=TABLE_2.bandwidth, rms=TABLE_2.rms
     )
 
 
@@ -100,10 +96,7 @@ def pothole_velocity(hole: Pothole) -> Float[Array, " n"]:
 
 
 def identification_record(
-    source: QuarterCarSource,
-    key: Key[Array, ""],
-    *,
-    method: FixedStep | None = None,
+    source: QuarterCarSource, key: Key[Array, ""], *, method: FixedStep | None = None
 ) -> Simulation:
     """The source model on the white-noise road of Table 2."""
     return simulate(source, Record({"v_r": training_noise(key)}, 1 / TABLE_2.rate), method=method)

@@ -1,9 +1,9 @@
 """Fisher information of a recording on a model's parameters, before it is made.
 
 With white Gaussian noise of standard deviation sigma_c on each channel, y_c(k) = h_c(k; u) + noise
-for unknown parameters and initial state u, and the logarithm of the likelihood is, up to a constant,
--1/2 sum ((y_c - h_c) / sigma_c)^2. Its slope by u is J'r, with r the residuals and J the sensitivities
-dh/du, both in units of sigma, and the covariance of that slope is the information
+for unknown parameters and initial state u, and the log-likelihood is, up to a constant,
+-1/2 sum ((y_c - h_c) / sigma_c)^2. Its slope by u is J'r, with r the residuals and J the
+sensitivities dh/du, both in units of sigma, and the covariance of that slope is the information
 
     I = E J'r r'J = J'J.
 

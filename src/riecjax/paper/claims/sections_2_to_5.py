@@ -337,8 +337,7 @@ def _wheel_velocity(roads: RoadResult, ramps: Array | np.ndarray | None) -> Clai
             f"p_3 over the largest of the others, {where}",
             margin,
             np.mean(
-                [np.asarray(roads.errors[where][c][v]) for c in CRITERIA for v in VARIANTS],
-                axis=0,
+                [np.asarray(roads.errors[where][c][v]) for c in CRITERIA for v in VARIANTS], axis=0
             ),
             at_least=1.0,
         )

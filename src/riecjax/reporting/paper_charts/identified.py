@@ -30,12 +30,7 @@ BAND = "Lines are medians over the roads, bands hold 95 % of them."
 
 
 def banded(
-    x: object,
-    over_roads: object,
-    label: str,
-    style: tuple[str, Dashes],
-    *,
-    shown: float = np.inf,
+    x: object, over_roads: object, label: str, style: tuple[str, Dashes], *, shown: float = np.inf
 ) -> Line:
     """Median over the first axis, with the band from its 2.5 to its 97.5 % quantile.
 
@@ -104,13 +99,7 @@ def tables_at_a_glance(roads: RoadResult) -> Chart:
 def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
     """Identified damper maps, four variants by each method, over the source's curve."""
     velocity = np.linspace(-1.1, 1.1, 221)
-    curve = Line(
-        velocity,
-        sampled(source.damper, velocity) / 1e3,
-        "source",
-        GREY,
-        width=4.0,
-    )
+    curve = Line(velocity, sampled(source.damper, velocity) / 1e3, "source", GREY, width=4.0)
     row = []
     for criterion in CRITERIA:
         marks = [curve]
@@ -161,9 +150,7 @@ QUANTITIES = {
 def figure_9(trajectories: dict[str, Trajectories]) -> Chart:
     """On a Robson road."""
     return _figure(
-        trajectories["road"],
-        SHOWN["road"],
-        "Figure 9. Validation of B_id models on a Robson road.",
+        trajectories["road"], SHOWN["road"], "Figure 9. Validation of B_id models on a Robson road."
     )
 
 

@@ -137,13 +137,7 @@ def figure_5(source: QuarterCarSource) -> Chart:
     """Damper, spring with bump stops, and engine mount."""
     curves = (
         ("damper", source.damper, np.linspace(-1.5, 1.5, 301), 1.0, "velocity / (m/s)"),
-        (
-            "bump-stop spring",
-            source.spring,
-            np.linspace(-0.1, 0.1, 301),
-            1e3,
-            "deflection / mm",
-        ),
+        ("bump-stop spring", source.spring, np.linspace(-0.1, 0.1, 301), 1e3, "deflection / mm"),
         ("engine mount", source.mount, np.linspace(-8e-3, 8e-3, 301), 1e3, "deflection / mm"),
     )
     return Chart(

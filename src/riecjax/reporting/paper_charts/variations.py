@@ -51,10 +51,7 @@ def _methods(study: VariedStudy, case: str) -> list[tuple[str, Varied]]:
 
 
 def _by_both(
-    study: VariedStudy,
-    case: str,
-    values: Callable[[Varied], np.ndarray],
-    shown: float = np.inf,
+    study: VariedStudy, case: str, values: Callable[[Varied], np.ndarray], shown: float = np.inf
 ) -> list[Line]:
     """A line over bandwidth for each method; values per draw of windows, whose mean is drawn."""
     return [
