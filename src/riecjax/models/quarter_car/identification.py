@@ -105,9 +105,7 @@ class QuarterCar(AbstractSystem):
         named = {name: jnp.asarray(parameters[name]) for name in ("K_t", "M_us", "M_s", "K_s")}
         return cls(**named, F=forces, roof=RoofFunctions(BREAK_POINTS))
 
-    def derivative(
-        self, state: Float[Array, " 4"], inputs: Float[Array, " 1"]
-    ) -> Float[Array, " 4"]:
+    def derivative(self, state: Array, inputs: Array) -> Array:
         """Eq. (21)."""
         x1, x2, x3, x4 = (state[i] for i in range(4))
         suspension = self.K_s * x2 + self.roof.interpolate(self.F, x3 - x4)
@@ -120,7 +118,7 @@ class QuarterCar(AbstractSystem):
             ]
         )
 
-    def output(self, state: Float[Array, " 4"], inputs: Float[Array, " 1"]) -> Mapping[str, Array]:
+    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
         """Tyre force F_t in N."""
         return {"F_t": self.K_t * state[0]}
 

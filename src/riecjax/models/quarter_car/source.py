@@ -78,9 +78,7 @@ class QuarterCarSource(AbstractSystem):
         """F_t of eq. (20) in N."""
         return jnp.minimum(self.tyre_stiffness * extension, self.lift_off_force)
 
-    def derivative(
-        self, state: Float[Array, " 7"], inputs: Float[Array, " 1"]
-    ) -> Float[Array, " 7"]:
+    def derivative(self, state: Array, inputs: Array) -> Array:
         """Eq. (19)."""
         x1, x2, x3, x4, x5, x6, x7 = (state[i] for i in range(7))
         suspension = self.spring(x2) + self.damper(x7)
@@ -98,7 +96,7 @@ class QuarterCarSource(AbstractSystem):
             ]
         )
 
-    def output(self, state: Float[Array, " 7"], inputs: Float[Array, " 1"]) -> Mapping[str, Array]:
+    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
         """Tyre force F_t in N."""
         return {"F_t": self.tyre_force(state[0])}
 
