@@ -46,6 +46,7 @@ def series(error, explained=None, present=None, step=STEP) -> EquationError:
         span=1,
         name="force",
         unit="N",
+        times=(jnp.arange(error.size) + 0.5) * step,
     )
 
 

@@ -61,7 +61,7 @@ def _excerpt(error: EquationError, unit: str, title: str) -> Panel:
     runs = unbroken(np.asarray(error.present)) or [slice(0, 1)]
     run = max(runs, key=lambda each: each.stop - each.start)
     shown = slice(run.start, min(run.start + EXCERPT, run.stop))
-    time = np.asarray(error.middle)[shown]
+    time = np.asarray(error.times)[shown]
     return Panel(
         [
             Line(time, np.asarray(error.target)[shown], "target", GREY, width=1.6),
@@ -76,7 +76,7 @@ def _excerpt(error: EquationError, unit: str, title: str) -> Panel:
 def _impulse(error: EquationError, unit: str) -> Panel:
     impulse = np.where(np.asarray(error.present), np.asarray(error.impulse), np.nan)
     return Panel(
-        [Level(0), Line(np.asarray(error.middle), impulse, color=RUST, width=0.8)],
+        [Level(0), Line(np.asarray(error.times), impulse, color=RUST, width=0.8)],
         Axis("time / s"),
         Axis(labelled("impulse of the error", f"{unit} s" if unit else "")),
     )

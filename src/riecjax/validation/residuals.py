@@ -216,7 +216,8 @@ def residual_tests(
     """
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
-    windows = windows_of(estimate) if windows is None else windows
+    if windows is None and isinstance(estimate, Estimate):
+        windows = estimate.criterion.in_windows
     if errors is None:
         errors = errors_over_records(model, recordings, values)
     if lags is None:
@@ -230,11 +231,6 @@ def residual_tests(
             for name, of_equation in zip(told_apart([e[0].name for e in errors]), errors)
         )
     )
-
-
-def windows_of(estimate: Estimate | Mapping[str, float | Array]) -> AbstractWindows | None:
-    """The windows of an estimate's criterion, if it has some."""
-    return estimate.criterion.in_windows if isinstance(estimate, Estimate) else None
 
 
 def _residual(

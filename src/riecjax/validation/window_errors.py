@@ -119,7 +119,7 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     shared = sum(
         blocks.start.size * blocks.error.mean() ** 2 for blocks in records if len(blocks.start)
     )
-    middle, half = np.asarray(joined(errors, 0).middle), 0.5 * errors[0].span * step
+    middle, half = np.asarray(joined(errors, 0).times), 0.5 * errors[0].span * step
     return WindowErrors(
         relative_rms=float(np.sqrt(_share(error, target))),
         start=np.array([middle[part.start[0]] for part in stretches]) - half,
