@@ -1,5 +1,7 @@
 """What is identified: the tables at a glance, damper maps (Fig. 7) and validations (9, 10)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from riecjax.models.quarter_car.identification import BREAK_POINTS
@@ -96,38 +98,32 @@ def tables_at_a_glance(roads: RoadResult) -> Chart:
     )
 
 
+def damper_map(
+    forces: Sequence[object], label: str, style: tuple[str, Dashes], width: float = 1.3
+) -> Line:
+    """Means of F_1 to F_4 over the roads at their velocities, with bars that hold 95 % of them."""
+    values = np.stack([np.asarray(force) for force in forces], axis=-1) / 1e3
+    bars = 1.96 * values.std(axis=0)
+    mean = values.mean(axis=0)
+    return Line(BREAK_POINTS, mean, label, *style, width=width, markers=True, error=bars)
+
+
 def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
     """Identified damper maps, four variants by each method, over the source's curve."""
     velocity = np.linspace(-1.1, 1.1, 221)
     curve = Line(velocity, sampled(source.damper, velocity) / 1e3, "source", GREY, width=4.0)
     row = []
     for criterion in CRITERIA:
-        marks = [curve]
-        for variant, dashes, color in zip(VARIANTS, DASHES, SERIES):
-            forces = np.stack(
-                [np.asarray(roads.parameters[criterion][variant][f"F_{i}"]) for i in range(1, 5)],
-                axis=-1,
+        maps = [
+            damper_map(
+                [roads.parameters[criterion][variant][f"F_{i}"] for i in range(1, 5)],
+                variant,
+                (color, dashes),
             )
-            reach = 1.96 * forces.std(axis=0) / 1e3
-            marks.append(
-                Line(
-                    BREAK_POINTS,
-                    forces.mean(axis=0) / 1e3,
-                    variant,
-                    color,
-                    dashes,
-                    markers=True,
-                    error=reach,
-                )
-            )
-        row.append(
-            Panel(
-                marks,
-                Axis("suspension velocity / (m/s)"),
-                Axis("damper force / kN"),
-                title=criterion,
-            )
-        )
+            for variant, dashes, color in zip(VARIANTS, DASHES, SERIES)
+        ]
+        velocity_axis = Axis("suspension velocity / (m/s)")
+        row.append(Panel([curve, *maps], velocity_axis, Axis("damper force / kN"), title=criterion))
     return Chart(
         [row],
         "Figure 7. Identified damper maps, means over the roads with bars that hold 95 % of them. "
