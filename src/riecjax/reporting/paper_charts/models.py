@@ -72,13 +72,7 @@ def figure_2(demonstrations: Demonstration) -> Chart:
                 Panel(
                     [
                         Line(time[thin], zero, label, GREY, width=1.0, **ends),
-                        Line(
-                            time[thin],
-                            integrals[name][0][thin],
-                            "one realisation",
-                            color,
-                            width=0.9,
-                        ),
+                        Line(time[thin], one, "one realisation", color, width=0.9),
                     ],
                     Axis("time / s"),
                     Axis("integral / (r.m.s. s)", low=-largest, high=largest),
