@@ -65,7 +65,7 @@ def emps_equation() -> Equation:
 
 
 def emps_asymmetric_equation() -> Equation:
-    """M q'' + friction = force, viscous and Coulomb friction of their own in each direction."""
+    """M q'' + friction = force, with different viscous and Coulomb friction in each direction."""
     return Equation(
         _inertia(),
         Term("Fv_pos", _forward_speed, unit="N s/m"),
@@ -271,7 +271,7 @@ def simulate_sampled_control(
 
     **Returns:** `q`, `dq`, `ddq` and `force`, each from the sample on, and `qg`.
 
-    **Raises:** `DataError` if the record lacks `qg`; `ModelError` for an unknown state or delay.
+    **Raises:** `DataError` if the record has no `qg`; `ModelError` for an unknown state or delay.
     """
     start = dict(initial_state or {})
     system.require_states(start)

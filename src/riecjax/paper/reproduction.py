@@ -161,12 +161,12 @@ def run_road(
     errors, successful = {}, training.successful
     for name, velocity in validation_inputs(keys.validation, shapes).items():
         truth = simulate(source, Record({"v_r": velocity}, 1 / TABLE_2.rate), method=method)
-        table, kept = validation_errors(models, truth.record, method)
+        table, finite = validation_errors(models, truth.record, method)
         errors[name] = {
             criterion: {variant: table[i, j] for j, variant in enumerate(VARIANTS)}
             for i, criterion in enumerate(CRITERIA)
         }
-        successful = successful & truth.successful & kept
+        successful = successful & truth.successful & finite
     contact = contact_share(training.record["x1"], source)
     return RoadResult(parameters, errors, contact, successful)
 

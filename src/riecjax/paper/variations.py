@@ -92,15 +92,15 @@ def vary_road(
 
     parameters, trained = jax.vmap(identified)(driven)
     models = {name: parameters[..., i] for i, name in enumerate(PARAMETERS)}
-    errors, kept = [], trained[:, None]
+    errors, successful = [], trained[:, None]
     for velocity in validation_inputs(keys.validation, shapes).values():
         truth = simulate(source, Record({"v_r": velocity}, step), method=method)
         found, predicted = jax.vmap(
             jax.vmap(lambda model, t=truth: prediction_errors(model, t.record, method))
         )(models)
         errors.append(found)
-        kept = kept & truth.successful & predicted
-    return RoadVariations(parameters, jnp.stack(errors, axis=2), kept)
+        successful = successful & truth.successful & predicted
+    return RoadVariations(parameters, jnp.stack(errors, axis=2), successful)
 
 
 def identify_by_body(
@@ -132,7 +132,7 @@ class Part(NamedTuple):
 
     @property
     def file(self) -> str:
-        """Name of the file it is kept in."""
+        """Name of its file."""
         return f"{self.case}-{self.first:05d}.parquet"
 
 
@@ -215,9 +215,9 @@ def _table(plan: Variations, part: Part, found: RoadVariations, settings: bytes)
     )
     road, band, model = (axis.ravel() for axis in grid)
     parameters = np.asarray(found.parameters).reshape(-1, len(PARAMETERS))
-    kept = np.asarray(found.successful).reshape(-1)
+    simulated = np.asarray(found.successful).reshape(-1)
     errors = np.asarray(found.errors).reshape(-1, len(ERRORS))
-    errors = np.where(kept[:, None] & np.isfinite(errors), errors, np.inf)
+    errors = np.where(simulated[:, None] & np.isfinite(errors), errors, np.inf)
     columns: dict[str, object] = {
         "case": pa.array([part.case] * road.size),
         "road": road.astype(np.int32),
@@ -226,7 +226,7 @@ def _table(plan: Variations, part: Part, found: RoadVariations, settings: bytes)
         "draw": np.array([models[m][1] for m in model], np.int32),
         **{f"{name} [{UNITS[name]}]": parameters[:, i] for i, name in enumerate(PARAMETERS)},
         **{name: errors[:, i] for i, name in enumerate(ERRORS)},
-        "simulated": kept,
+        "simulated": simulated,
     }
     return pa.table(columns).replace_schema_metadata({SETTINGS: settings})
 

@@ -130,7 +130,7 @@ def learn_law(
 
     There are many local optima, each part by itself among them. The first start lets each part
     tell about as much, the others are drawn around it. What is gained on the recordings given may
-    be theirs alone: judge the law on others, by [`validation_errors`][].
+    be theirs alone: test the law on others, by [`validation_errors`][].
 
     **Arguments:**
 

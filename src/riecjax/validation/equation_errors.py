@@ -112,7 +112,7 @@ def errors_over_records(
 ) -> list[list[EquationError]]:
     """For each equation, its error on each of several records (not under jit).
 
-    A parameter with a value of its own in each record, such as `offset[2]`, takes that.
+    A parameter that is estimated per record, such as `offset[2]`, takes that record's value.
 
     **Raises:** as [`equation_error`][], and `DataError` for records of unequal time steps.
     """

@@ -112,9 +112,9 @@ def present_in_both(one: Record, other: Record, signal: str) -> Bool[Array, " n"
 
 
 def validate(predicted: Record, measured: Record, signals: Sequence[str]) -> Validation:
-    """p_i of every signal of a simulated record against the measured one.
+    """p_i of every signal of a simulated record, compared with the measured one.
 
-    Samples that either record lacks are left out.
+    Samples that are missing in either record are left out.
 
     **Raises:** `DataError` if a signal is missing in either record.
     """

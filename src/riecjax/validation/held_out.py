@@ -27,8 +27,7 @@ from riecjax.validation.goodness_of_fit import (
 )
 
 SHORTEST_STRETCH = 20
-"""Samples of an unbroken stretch below which it is skipped: too short to tell a prediction from
-its own start."""
+"""Samples of an unbroken stretch below which it is skipped: it would be all transient."""
 FREE_POINTS = 16
 """Measured points at which a state is tested for having no influence on the motion."""
 
@@ -111,8 +110,8 @@ def validate_held_out(
 ) -> HeldOut:
     """Simulate along the measured inputs from the measured state, and compare.
 
-    Every stretch in which no input lacks a sample is simulated on its own, from the state measured
-    at its start; stretches under 20 samples are skipped. A state that is not recorded starts from
+    Every stretch in which all inputs have their samples is simulated from the state measured at its
+    start; stretches under 20 samples are skipped. A state that is not recorded starts from
     one-sided differences if it is the velocity of a recorded state, otherwise from zero, and the
     verdict says so. Not under jit.
 
@@ -124,8 +123,8 @@ def validate_held_out(
     - `initial_state`: state name to value at the start; at later stretches only of those states
       that are not recorded.
 
-    **Raises:** `DataError` if the record lacks an input or one of `signals`, holds nothing to
-    compare, or has no stretch of 20 samples; `ModelError` for an unknown state.
+    **Raises:** `DataError` if an input or one of `signals` is not in the record, if nothing can be
+    compared, or if no stretch has 20 samples; `ModelError` for an unknown state.
     """
     given = dict(initial_state or {})
     system.require_states(given)
@@ -198,7 +197,7 @@ def _stretches(
     known = np.ones(measured.sample_count, bool) if present is None else np.asarray(present)
     if "differences" in sources.values():
         known = known & np.roll(known, -1) & np.roll(known, -2)
-    # Without inputs a pause still breaks the motion: every recorded signal lacks its sample there.
+    # Without inputs a pause still breaks the motion: every recorded signal misses its sample there.
     names = system.input_names or tuple(recorded) or tuple(measured.arrays)
     found = []
     for part in measured.segments(names):
@@ -272,7 +271,7 @@ def _simulate(
     first: Mapping[str, Array],
 ) -> Simulation:
     count = stop - start
-    # A length of its own for every stretch would compile for every stretch; powers of two do not.
+    # Each length compiles; with powers of two there are few.
     length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
     levels = {
         name: jnp.concatenate([x[start:stop], jnp.full(length - count, x[stop - 1])])

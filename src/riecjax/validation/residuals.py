@@ -184,7 +184,7 @@ class ResidualTests(eqx.Module):
         return {equation.name: equation for equation in self.equations}[name]
 
     def findings(self) -> list[Finding]:
-        """What the errors say against the model."""
+        """Findings of all equations."""
         return [finding for equation in self.equations for finding in equation.findings()]
 
     def describe(self) -> dict[str, Any]:
@@ -279,9 +279,9 @@ def _follows(
     ]
     found = []
     for name in common:
-        signal, there = _signal(errors, records, name, lags)
-        signal, there = moving_average(signal, there, count)
-        both = present & there
+        signal, valid = _signal(errors, records, name, lags)
+        signal, valid = moving_average(signal, valid, count)
+        both = present & valid
         if both.any() and np.ptp(signal[both]) > 0:
             step = float(errors[0].time_step)
             found.append(
@@ -293,14 +293,14 @@ def _follows(
 def _signal(
     errors: list[EquationError], records: list[Record], name: str, pad: int
 ) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """A signal at the values of the joined errors, and where it is present."""
-    values, there = [], []
+    """A signal at the times of the joined errors, and a mask of its samples that are present."""
+    values, valid = [], []
     for error, record in zip(errors, records):
         missing = record.missing.get(name)
         values.append(np.asarray(error.centred(record[name])))
         gone = np.zeros(values[-1].size) if missing is None else error.centred(missing * 1.0)
-        there.append(np.asarray(gone) == 0)
-    return with_pads(values, pad), with_pads(there, pad)
+        valid.append(np.asarray(gone) == 0)
+    return with_pads(values, pad), with_pads(valid, pad)
 
 
 def _later(lag: float) -> str:

@@ -38,7 +38,7 @@ LENGTHS = 4
 BLOCK_LENGTH = 2
 """Longest windows to a block of time; no window reaches over its end, so blocks share no data."""
 BLOCKS_TO_STRETCH = 5
-"""Blocks to a stretch at least, whose scatter tells chance from change."""
+"""Blocks to a stretch at least, whose scatter separates chance from change."""
 MOST_STRETCHES = 8
 FEWEST_STRETCHES = 3
 SILENT = 1e-6

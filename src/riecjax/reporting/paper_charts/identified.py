@@ -59,7 +59,7 @@ def _quantile(values: np.ndarray, share: float) -> np.ndarray:
 
 
 def tables_at_a_glance(roads: RoadResult) -> Chart:
-    """Every number of Tables 3 to 5 against its published value."""
+    """Every number of Tables 3 to 5 relative to its published value."""
     tables = (("", table_3(roads)), ("K_s ", table_4(roads)), ("p ", table_5(roads)))
     cells = {
         f"{prefix}{row}, {criterion}": cell
@@ -161,16 +161,16 @@ def figure_10(trajectories: dict[str, Trajectories]) -> Chart:
 
 def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> Chart:
     time = np.asarray(found.time)
-    kept = (time >= between[0]) & (time <= between[1])
+    drawn = (time >= between[0]) & (time <= between[1])
     rows = []
     for i, state in enumerate(VALIDATED_STATES):
         what, unit, factor = QUANTITIES[state]
-        source = factor * np.asarray(found.source)[kept, i]
+        source = factor * np.asarray(found.source)[drawn, i]
         # Behind the predictions, and wide: where they agree with it they would hide a thin line.
-        marks = [Line(time[kept], source, "source", PALE, width=4.0)]
+        marks = [Line(time[drawn], source, "source", PALE, width=4.0)]
         for method in ("DOLS", "RIEC"):
-            predicted = factor * np.asarray(found.predicted[method])[:, kept, i]
-            marks.append(banded(time[kept], predicted, method, METHOD_STYLE[method]))
+            predicted = factor * np.asarray(found.predicted[method])[:, drawn, i]
+            marks.append(banded(time[drawn], predicted, method, METHOD_STYLE[method]))
         rows.append(
             [
                 Panel(
