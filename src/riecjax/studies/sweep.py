@@ -6,7 +6,6 @@ leaves out weighs differently at different lengths, and the estimates drift.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -125,8 +124,7 @@ class WindowSweep(eqx.Module):
             _, _, difference, error = self.drift(name)
             if abs(difference) > limit * error and error > 0:
                 theta = np.asarray(self.theta[:, j])
-                low, high = int(np.nanargmin(theta)), int(np.nanargmax(theta))
-                low, high = sorted((low, high))
+                low, high = sorted((int(np.nanargmin(theta)), int(np.nanargmax(theta))))
                 unit = f" {units[name]}" if units.get(name) else ""
                 found.append(
                     Finding(
@@ -205,7 +203,7 @@ def sweep_edges(
 
     **Raises:** `DataError` if the records are too short for any sweep.
     """
-    lengths = [_Recorded(float(r.time_step), r.sample_count) for r in records]
+    lengths = [(float(r.time_step), r.sample_count) for r in records]
     low, high = _reach(lengths, criterion, shortest, longest)
     windows = criterion.in_windows
     assert windows is not None
@@ -219,30 +217,19 @@ def sweep_edges(
     return np.unique(np.concatenate(parts))
 
 
-class _Recorded(NamedTuple):
-    """Seconds to a sample of a recording, and samples."""
-
-    step: float
-    samples: int
-
-    @property
-    def duration(self) -> float:
-        return self.step * (self.samples - 1)
-
-
 def _reach(
-    records: list[_Recorded],
+    records: list[tuple[float, int]],
     criterion: AbstractCriterion,
     shortest: float | None,
     longest: float | None,
 ) -> tuple[float, float]:
+    """Ends of a sweep in seconds, for records of a time step in seconds and a number of samples."""
     windows = criterion.in_windows
     assert windows is not None
-    coarsest = max(record.step for record in records)
+    coarsest = max(step for step, _ in records)
+    durations = [step * (samples - 1) for step, samples in records]
     low = max(float(windows.alpha) / 10, criterion.smoothness * FEWEST_SAMPLES * coarsest)
-    recorded = sum(record.duration for record in records) / FEWEST_STRETCHES
-    each = min(record.duration for record in records) / 2
-    high = min(2 * float(windows.beta), recorded, each)
+    high = min(2 * float(windows.beta), sum(durations) / FEWEST_STRETCHES, min(durations) / 2)
     low = low if shortest is None else shortest
     high = high if longest is None else longest
     if not 0 < low < high / 2:
@@ -263,7 +250,7 @@ def _bands(
             "this Summary keeps the sums of all window lengths together: make it with bins, "
             "rx.summarise(..., bins=12)."
         )
-    lengths = [_Recorded(float(r.time_step), int(r.samples)) for r in summary.recordings]
+    lengths = [(float(r.time_step), int(r.samples)) for r in summary.recordings]
     law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
     low, high = _reach(lengths, law, shortest, longest)
     inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))

@@ -357,6 +357,6 @@ def _wheel_velocity(roads: RoadResult, ramps: Array | np.ndarray | None) -> Clai
         "The wheel velocity's error p_3 predominates in the validations.",
         tuple(evidence),
         "Means over both methods and the four variants of Table 5. On the pot-hole it depends on "
-        "the shape, which is lost: on steeper ramps p_3 is the largest, on the reconstructed one the "
-        "tyre lifts off and p_1 is about as large.",
+        "the shape, which is lost: on steeper ramps p_3 is the largest, on the reconstructed one "
+        "the tyre lifts off and p_1 is about as large.",
     )
