@@ -338,6 +338,7 @@ def test_a_force_left_out_shows_as_the_signal_that_it_follows():
     tests = residual_tests(spring, record, fit(spring, record, CRITERION))
     (finding,) = tests.findings()
     assert finding.code == "residual_follows_signal"
+    assert finding.signals == ("w",)
     assert finding.message.startswith(
         "spring: what the model leaves follows w, 0.015 s later (correlation 1.00), by 35"
     )
