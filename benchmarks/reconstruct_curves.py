@@ -26,12 +26,12 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Key
 
-from riecjax.models.quarter_car.curves import DAMPER_KNOTS, DigressiveDamper, SplineDamper
 from riecjax.models.quarter_car.reconstruction import (
     Pothole,
     Reconstruction,
     quarter_car_source,
 )
+from riecjax.models.quarter_car.source import DAMPER_KNOTS, DigressiveDamper, SplineDamper
 from riecjax.paper.published import CONTACT_SHARE, CRITERIA, TABLE_3, TABLE_4, TABLE_5, VARIANTS
 from riecjax.paper.reproduction import RoadResult, run_road
 from riecjax.paper.tables import contact, table_3, table_4, table_5

@@ -39,7 +39,8 @@ from jaxtyping import Array, Bool, Float, Key
 from benchmarks.writing import write_json
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
-from riecjax.models.quarter_car.break_points import (
+from riecjax.models.quarter_car.identification import (
+    BREAK_POINTS,
     FORCES,
     INNER,
     VELOCITIES,
@@ -48,7 +49,6 @@ from riecjax.models.quarter_car.break_points import (
     quarter_car_of_break_points,
     wheel_balance,
 )
-from riecjax.models.quarter_car.identification import BREAK_POINTS
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import TABLE_2, TABLE_6, VARIANTS

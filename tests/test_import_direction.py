@@ -1,4 +1,4 @@
-"""Data flows one way through the stages, and so do imports."""
+"""Data flows one way through the stages, and so do imports; the paper's study uses public names."""
 
 import ast
 from collections.abc import Iterator
@@ -28,12 +28,37 @@ OUTSIDE = ("models", "paper", "reporting", "cli")
 """What the engine never imports."""
 SHARED = ("errors", "findings", "leaves", "linear_algebra", "runtime", "tails")
 """Modules beside the stages that all may import, and that import nothing of the package."""
+STUDY = ("paper", "models/quarter_car", "reporting/paper_charts")
+"""A user's own study could stand in the place of these: they import what is public, as public."""
 ROOT = Path(riecjax.__file__).parent
 MODULES = sorted(path.relative_to(ROOT) for path in ROOT.glob("*/**/*.py"))
 
 
-def imported_stages(tree: ast.AST, package: tuple[str, ...]) -> Iterator[str]:
-    """The part after `riecjax.` of everything imported; `riecjax` itself where nothing follows."""
+def exported(stub: Path) -> dict[str, str]:
+    """Public names of a package, and the module that each comes from."""
+    package = ".".join(("riecjax", *stub.parent.relative_to(ROOT).parts))
+    found = {}
+    for node in ast.parse(stub.read_text()).body:
+        assert isinstance(node, ast.ImportFrom)
+        assert node.level == 1
+        source = ".".join(filter(None, [package, node.module]))
+        found |= {f"{package}.{alias.name}": f"{source}.{alias.name}" for alias in node.names}
+    return found
+
+
+PUBLIC = {
+    name: source
+    for stub in sorted(ROOT.glob("**/__init__.pyi"))
+    for name, source in exported(stub).items()
+}
+
+
+def belongs_to_the_study(module: Path) -> bool:
+    return module.as_posix().startswith(tuple(f"{folder}/" for folder in STUDY))
+
+
+def imported_names(tree: ast.AST, package: tuple[str, ...]) -> Iterator[str]:
+    """Full names of everything that is imported from this package."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -43,17 +68,28 @@ def imported_stages(tree: ast.AST, package: tuple[str, ...]) -> Iterator[str]:
             names = [f"{module}.{alias.name}" for alias in node.names]
         else:
             continue
-        for name in names:
-            parts = name.split(".")
-            if parts[0] == "riecjax":
-                yield parts[1] if len(parts) > 1 else "riecjax"
+        yield from (name for name in names if name.split(".")[0] == "riecjax")
 
 
 def violations(source: str, module: Path) -> list[str]:
     stage = module.parts[0]
     allowed = {*STAGES[: STAGES.index(stage) + 1], *SHARED}
-    package = ("riecjax", *module.parent.parts)
-    return [name for name in imported_stages(ast.parse(source), package) if name not in allowed]
+    wrong = []
+    for name in imported_names(ast.parse(source), ("riecjax", *module.parent.parts)):
+        # The study imports a public name from where users do; it counts as where it is defined.
+        defined = PUBLIC.get(name, name) if belongs_to_the_study(module) else name
+        if not {*defined.split(".")[1:2]} & allowed:
+            wrong.append(name)
+    return wrong
+
+
+def private_imports(source: str, module: Path) -> list[str]:
+    """What a module of the study takes from the engine that is not public."""
+    own = tuple(f"riecjax.{folder.replace('/', '.')}." for folder in (*STUDY, module.parts[0]))
+    if module.parts[0] == "models":
+        own = ("riecjax.models.quarter_car.",)
+    names = imported_names(ast.parse(source), ("riecjax", *module.parent.parts))
+    return [name for name in names if name not in PUBLIC and not name.startswith(own)]
 
 
 def test_every_folder_is_a_stage():
@@ -69,7 +105,7 @@ def test_modules_beside_the_stages_are_shared_and_import_nothing_of_the_package(
     assert {path.stem for path in ROOT.glob("*.py")} - {"__init__", "__main__"} == set(SHARED)
     for name in SHARED:
         source = (ROOT / f"{name}.py").read_text()
-        assert list(imported_stages(ast.parse(source), ("riecjax",))) == []
+        assert list(imported_names(ast.parse(source), ("riecjax",))) == []
 
 
 def test_what_lies_outside_comes_after_the_whole_engine():
@@ -98,3 +134,31 @@ def test_a_later_import_is_noticed_in_every_form(source):
 )
 def test_an_earlier_import_is_not(source):
     assert not violations(source, Path("criteria/windows.py"))
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if belongs_to_the_study(m)], ids=str)
+def test_the_papers_study_needs_nothing_private(module):
+    assert private_imports((ROOT / module).read_text(), module) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from riecjax.criteria.criterion import RIEC",
+        "from riecjax.estimation.stages import solve_stages",
+        "from riecjax.estimation import solve_stages",
+        "from riecjax.models.oscillators import TwoMass",
+        "from ..estimation.stages import solve_stages",
+        "import riecjax.leaves",
+        "def f():\n    from riecjax.records.writing import write_whole",
+    ],
+)
+def test_a_private_import_of_the_study_is_noticed(source):
+    assert private_imports(source, Path("paper/study.py"))
+
+
+def test_public_names_count_as_where_they_are_defined():
+    public = "from riecjax import RIEC, Model\nfrom riecjax.studies import over_keys"
+    assert not private_imports(public, Path("paper/study.py"))
+    assert not violations(public, Path("paper/study.py"))
+    assert violations("from riecjax import RIEC", Path("studies/sweep.py")) == ["riecjax.RIEC"]

@@ -9,8 +9,12 @@ import scipy.integrate
 from jaxtyping import Float
 
 from benchmarks.baselines.sampled_input import first_order_hold
-from riecjax.models.quarter_car.curves import BumpStopSpring, DigressiveDamper, HardeningMount
-from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.models.quarter_car.source import (
+    BumpStopSpring,
+    DigressiveDamper,
+    HardeningMount,
+    QuarterCarSource,
+)
 
 
 class Car(NamedTuple):

@@ -7,8 +7,17 @@ import pytest
 import scipy.integrate
 
 from riecjax.models.catalogue import built_in_model
-from riecjax.models.quarter_car import curves
-from riecjax.models.quarter_car.source import GRAVITY, QuarterCarSource, contact_share
+from riecjax.models.quarter_car.source import (
+    DAMPER_KNOTS,
+    GRAVITY,
+    BumpStopSpring,
+    DigressiveDamper,
+    HardeningMount,
+    LinearDamper,
+    QuarterCarSource,
+    SplineDamper,
+    contact_share,
+)
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep
@@ -23,24 +32,22 @@ def built_in(**settings: float) -> QuarterCarSource:
     return source
 
 
-def spline_damper() -> curves.SplineDamper:
-    return curves.SplineDamper(
+def spline_damper() -> SplineDamper:
+    return SplineDamper(
         jnp.asarray(5000.0),
         jnp.array([4000.0, 2000.0, 1000.0, 800.0]),
         jnp.array([3500.0, 1500.0, 900.0, 400.0]),
     )
 
 
-def digressive_damper() -> curves.DigressiveDamper:
-    return curves.DigressiveDamper(
-        jnp.asarray(4000.0), jnp.array([900.0, 600.0]), jnp.array([0.1, 0.2])
-    )
+def digressive_damper() -> DigressiveDamper:
+    return DigressiveDamper(jnp.asarray(4000.0), jnp.array([900.0, 600.0]), jnp.array([0.1, 0.2]))
 
 
 DAMPERS = {
     "spline": spline_damper,
     "digressive": digressive_damper,
-    "linear": lambda: curves.LinearDamper(jnp.asarray(1500.0)),
+    "linear": lambda: LinearDamper(jnp.asarray(1500.0)),
     "built in": lambda: built_in().damper,
 }
 SPEEDS = [1e-9, 1e-4, 0.02, 0.05, 0.1, 0.15, 0.3, 0.4, 0.7, 1.0, 2.5]
@@ -48,10 +55,10 @@ VELOCITIES = [*(-v for v in reversed(SPEEDS)), 0.0, *SPEEDS]
 
 CURVES = {
     **DAMPERS,
-    "spring": lambda: curves.BumpStopSpring(
+    "spring": lambda: BumpStopSpring(
         jnp.asarray(20e3), jnp.array([0.02, 0.05]), jnp.array([3e3, 7e3])
     ),
-    "mount": lambda: curves.HardeningMount(jnp.asarray(4e5), jnp.asarray(1e9)),
+    "mount": lambda: HardeningMount(jnp.asarray(4e5), jnp.asarray(1e9)),
     "built-in spring": lambda: built_in().spring,
     "built-in mount": lambda: built_in().mount,
 }
@@ -100,7 +107,7 @@ def test_spline_slope_is_linear_between_its_knots_in_each_direction():
     damper = spline_damper()
     speed = np.linspace(0, 2, 401)
     for sign, slopes in ((1, damper.rebound), (-1, damper.compression)):
-        expected = np.interp(speed, curves.DAMPER_KNOTS, [5000.0, *np.asarray(slopes)])
+        expected = np.interp(speed, DAMPER_KNOTS, [5000.0, *np.asarray(slopes)])
         found = damper.slope(jnp.asarray(sign * speed[1:]))
         np.testing.assert_allclose(found, expected[1:], rtol=1e-12)
 
@@ -137,9 +144,9 @@ def test_symmetric_settings_make_damper_and_spring_odd():
     same = jnp.array([2000.0, 1500.0, 900.0, 800.0])
     x = jnp.asarray(SPEEDS)
     for curve in (
-        curves.SplineDamper(jnp.asarray(5000.0), same, same),
-        curves.DigressiveDamper(jnp.asarray(4000.0), jnp.full(2, 700.0), jnp.full(2, 0.1)),
-        curves.BumpStopSpring(jnp.asarray(2e4), jnp.full(2, 0.03), jnp.full(2, 5e3)),
+        SplineDamper(jnp.asarray(5000.0), same, same),
+        DigressiveDamper(jnp.asarray(4000.0), jnp.full(2, 700.0), jnp.full(2, 0.1)),
+        BumpStopSpring(jnp.asarray(2e4), jnp.full(2, 0.03), jnp.full(2, 5e3)),
     ):
         np.testing.assert_allclose(curve(-x), -curve(x), rtol=1e-14)
 

@@ -13,14 +13,20 @@ from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_means
 from riecjax.paper.claims.section_6 import variation_claims
-from riecjax.paper.claims.sections_2_and_4 import (
+from riecjax.paper.claims.sections_2_to_5 import (
     bounded_impulse,
     drop_outs,
     window_errors,
     window_lengths,
 )
-from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis
-from riecjax.paper.reproduction import PARAMETERS, identification_record, road_keys
+from riecjax.paper.reproduction import (
+    LENGTHS,
+    PARAMETERS,
+    LengthMap,
+    estimates_over_lengths,
+    identification_record,
+    road_keys,
+)
 from riecjax.paper.section_2 import (
     RATE,
     SECOND_MASS,
@@ -28,10 +34,10 @@ from riecjax.paper.section_2 import (
     WindowErrorMoments,
     demonstrate,
 )
-from riecjax.paper.variations import Variations, Varied, VariedStudy
-from riecjax.paper.window_lengths import LENGTHS, LengthMap, estimates_over_lengths
+from riecjax.paper.variations import BANDWIDTHS, Hysteresis, Variations, Varied, VariedStudy
 from riecjax.records.record import Record
 from riecjax.simulation.simulate import simulate
+from riecjax.uncertainty.intervals import Naive
 
 ROADS = 12
 BANDS = np.array([0.5, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0])
@@ -145,8 +151,8 @@ def test_estimates_over_lengths_are_those_of_identify():
     found = estimates_over_lengths(key, source, alpha, beta)
     record = identification_record(source, road_keys(key).training).record
     for i in range(2):
-        windows = AllWindows(float(alpha[i]), float(beta[i]))
-        expected = identify(quarter_car_by_body(), record, RIEC(windows))
+        windows = AllWindows(float(alpha[i]), float(beta[i]), longest_samples=101)
+        expected = identify(quarter_car_by_body(), record, RIEC(windows), intervals=Naive())
         np.testing.assert_allclose(found[i], [expected[n] for n in PARAMETERS], rtol=1e-7)
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis, hysteresis
 from riecjax.paper.published import TABLE_2, TABLE_6
 from riecjax.paper.reproduction import (
     INPUTS,
@@ -18,7 +17,7 @@ from riecjax.paper.reproduction import (
     run_road,
     training_noise,
 )
-from riecjax.paper.variations import RoadVariations, vary_road
+from riecjax.paper.variations import BANDWIDTHS, Hysteresis, RoadVariations, hysteresis, vary_road
 from riecjax.simulation.inputs import low_passed
 from riecjax.simulation.method import FixedStep
 

@@ -8,7 +8,7 @@ import pytest
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.models.catalogue import built_in_model
-from riecjax.models.quarter_car.break_points import (
+from riecjax.models.quarter_car.identification import (
     FORCES,
     INNER,
     body_balance,

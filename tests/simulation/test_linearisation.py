@@ -6,8 +6,12 @@ import pytest
 
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.oscillators import DragOscillator, TwoMass
-from riecjax.models.quarter_car.curves import BumpStopSpring, HardeningMount, LinearDamper
-from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.models.quarter_car.source import (
+    BumpStopSpring,
+    HardeningMount,
+    LinearDamper,
+    QuarterCarSource,
+)
 from riecjax.simulation.linearisation import linearise, modes
 
 

@@ -11,6 +11,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.studies.monte_carlo import seed_scatter
+from riecjax.uncertainty.intervals import Naive
 
 FIRST = Equation(Term("m", "v", derivative=1, measured=("a",)), -Term(1.0, "f"), name="first")
 SECOND = Equation(
@@ -32,7 +33,7 @@ def test_each_seed_is_the_fit_with_that_key():
     scatter = seed_scatter(MODEL, record_of(), criterion, key=key, seeds=5)
     assert scatter.parameters == ("m", "k")
     for one, theta in zip(jax.random.split(key, 5), scatter.theta):
-        alone = identify(MODEL, record_of(), criterion, key=one)
+        alone = identify(MODEL, record_of(), criterion, key=one, intervals=Naive())
         np.testing.assert_allclose(theta, alone.theta, rtol=1e-9)
     np.testing.assert_allclose(scatter.spread, np.std(np.asarray(scatter.theta), axis=0, ddof=1))
 

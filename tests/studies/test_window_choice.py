@@ -18,6 +18,7 @@ from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.studies.choice import window_choice
+from riecjax.uncertainty.intervals import Naive
 
 
 @pytest.fixture(scope="module")
@@ -39,18 +40,20 @@ def law(alpha: float, beta: float) -> AllWindows:
 def test_the_predicted_share_of_error_is_that_of_fits_at_other_lengths(
     quarter_car, model, test_function
 ):
-    estimate = identify(model, quarter_car, RIEC(law(0.05, 0.5), test_function))
+    estimate = identify(model, quarter_car, RIEC(law(0.05, 0.5), test_function), intervals=Naive())
     choice = window_choice(model, quarter_car, estimate)
     for equation, stage in zip(choice.equations, estimate.stages):
         assert equation.current_share == pytest.approx(float(stage.relative_rms), rel=0.1)
     for alpha, beta in [(0.2, 0.205), (0.4, 0.405), (0.8, 0.805)]:
-        fit = identify(model, quarter_car, RIEC(law(alpha, beta), test_function))
+        fit = identify(model, quarter_car, RIEC(law(alpha, beta), test_function), intervals=Naive())
         at = [np.interp(alpha, choice.length, each.error_share) for each in choice.equations]
         np.testing.assert_allclose(at, [float(s.relative_rms) for s in fit.stages], rtol=0.12)
 
 
 def test_the_quarter_car_wants_windows_longer_than_its_engine_swings(quarter_car):
-    estimate = identify(quarter_car_by_body(), quarter_car, RIEC(law(0.05, 0.5), Boxcar(8)))
+    estimate = identify(
+        quarter_car_by_body(), quarter_car, RIEC(law(0.05, 0.5), Boxcar(8)), intervals=Naive()
+    )
     choice = window_choice(quarter_car_by_body(), quarter_car, estimate)
     low, high = choice.recommended
     assert 1 / 13.3 < low < 0.25

@@ -61,7 +61,7 @@ def test_noise_alone_seldom_makes_an_exact_model_window_sensitive():
 def test_a_term_left_out_shows():
     sweep = window_sweep(linear_oscillator(), oscillator(), CRITERION, key=KEY)
     (finding, *_) = [f for f in sweep.findings() if f.message.startswith("m goes from")]
-    assert finding.code == "window_sensitive"
+    assert (finding.code, finding.parameters) == ("window_sensitive", ("m",))
     first, last, difference, error = sweep.drift("m")
     assert abs(difference) > 3 * error
     assert first < last

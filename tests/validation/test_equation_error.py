@@ -15,7 +15,7 @@ from riecjax.models.oscillators import TwoMass, two_mass_equation
 from riecjax.records.record import Record, stack_records
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
-from riecjax.validation.errors import equation_error, errors_over_records, joined
+from riecjax.validation.equation_errors import equation_error, errors_over_records, joined
 
 STEP, W = 0.01, 2 * np.pi * 3
 TIME = STEP * np.arange(400)
@@ -203,6 +203,6 @@ def test_times_count_from_the_recording_s_first_sample():
     stamped = Record(whole.arrays, STEP, 1.7e9).part(150, 300)
     (left,) = equation_error(position_equation(), stamped, {"m": 2.0, "k": 1.0})
     # Windows of two samples: the first has its middle at sample 151.
-    np.testing.assert_allclose(left.middle, 1.51 + STEP * np.arange(148), rtol=1e-12)
+    np.testing.assert_allclose(left.times, 1.51 + STEP * np.arange(148), rtol=1e-12)
     both = joined([left, left], pad=3)
-    np.testing.assert_allclose(both.middle, 1.51 + STEP * np.arange(2 * 148 + 3), rtol=1e-12)
+    np.testing.assert_allclose(both.times, 1.51 + STEP * np.arange(2 * 148 + 3), rtol=1e-12)

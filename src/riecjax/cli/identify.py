@@ -267,7 +267,7 @@ def _what_is_left(
 ) -> tuple["ResidualTests | None", "WindowChoice | None", list[Finding]]:
     """Tests of the residual and the choice of windows it suggests, or why there are none."""
     from riecjax.studies.choice import window_choice
-    from riecjax.validation.errors import errors_over_records
+    from riecjax.validation.equation_errors import errors_over_records
     from riecjax.validation.residuals import residual_tests
 
     windowed = estimate.criterion.in_windows is not None

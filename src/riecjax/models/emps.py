@@ -65,7 +65,7 @@ def emps_equation() -> Equation:
 
 
 def emps_asymmetric_equation() -> Equation:
-    """M q'' + friction = force, viscous and Coulomb friction of their own in each direction."""
+    """M q'' + friction = force, with different viscous and Coulomb friction in each direction."""
     return Equation(
         _inertia(),
         Term("Fv_pos", _forward_speed, unit="N s/m"),
@@ -114,9 +114,7 @@ class Axis(AbstractSystem):
         """In m/s^2, at a velocity in m/s under a force in N."""
         return (force - self.offset - self.friction(velocity, smoothing)) / self.M
 
-    def derivative(
-        self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]
-    ) -> Float[Array, " 2"]:
+    def derivative(self, state: Array, inputs: Array) -> Array:
         """Velocity and acceleration."""
         return jnp.stack([state[1], self.acceleration(state[1], inputs[0])])
 
@@ -238,16 +236,14 @@ class ControlledAxis(AbstractSystem):
         speed_error = jnp.asarray(self.kp) * (reference - position) - velocity
         return jnp.asarray(self.gtau) * jnp.asarray(self.kv) * speed_error
 
-    def derivative(
-        self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]
-    ) -> Float[Array, " 2"]:
+    def derivative(self, state: Array, inputs: Array) -> Array:
         """Velocity and acceleration."""
         force = self.force(inputs[0], state[0], state[1])
         return jnp.stack(
             [state[1], self.axis.acceleration(state[1], force, jnp.asarray(self.smoothing))]
         )
 
-    def output(self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]) -> Mapping[str, Array]:
+    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
         """The force in N."""
         return {"force": self.force(inputs[0], state[0], state[1])}
 
@@ -275,7 +271,7 @@ def simulate_sampled_control(
 
     **Returns:** `q`, `dq`, `ddq` and `force`, each from the sample on, and `qg`.
 
-    **Raises:** `DataError` if the record lacks `qg`; `ModelError` for an unknown state or delay.
+    **Raises:** `DataError` if the record has no `qg`; `ModelError` for an unknown state or delay.
     """
     start = dict(initial_state or {})
     system.require_states(start)

@@ -21,7 +21,7 @@ def stribeck_rise(velocity: Array, excess: Array, width: Array) -> Array:
 
 
 class StribeckBalance(AbstractBalance):
-    """M q'' + friction(q') = force, with friction of its own in each direction.
+    """M q'' + friction(q') = force, with different friction in each direction.
 
     friction = Fv q' + Fc (1 + excess e^-(q'/vs)^2) tanh(q'/width), where the width over which it
     changes its sign is a parameter too: what the velocity's noise and the drive's play make of it.
@@ -105,8 +105,8 @@ class StribeckAxis(Axis):
 
 def stribeck_axis(parameters: Mapping[str, Array]) -> StribeckAxis:
     """The axis with a balance's parameters, but for the width, which exact sticking needs not."""
-    kept = {name: value for name, value in parameters.items() if name != "width"}
-    return StribeckAxis(**kept, offset=jnp.zeros(()))
+    fields = {name: value for name, value in parameters.items() if name != "width"}
+    return StribeckAxis(**fields, offset=jnp.zeros(()))
 
 
 def stribeck_balance(start: Mapping[str, Array | float]) -> StribeckBalance:

@@ -78,9 +78,7 @@ class Duffing(AbstractSystem):
     states: ClassVar[Quantities] = (("y", "m"), ("dy", "m/s"))
     inputs: ClassVar[Quantities] = (("u", "N"),)
 
-    def derivative(
-        self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]
-    ) -> Float[Array, " 2"]:
+    def derivative(self, state: Array, inputs: Array) -> Array:
         """Velocity and acceleration."""
         y, dy = state[0], state[1]
         spring = y * (self.k1 + y * (self.k2 + y * self.k3))
@@ -98,9 +96,7 @@ class DragOscillator(AbstractSystem):
     states: ClassVar[Quantities] = (("x", "m"), ("dx", "m/s"))
     inputs: ClassVar[Quantities] = (("u", "N"),)
 
-    def derivative(
-        self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]
-    ) -> Float[Array, " 2"]:
+    def derivative(self, state: Array, inputs: Array) -> Array:
         """Velocity and acceleration."""
         x, dx = state[0], state[1]
         force = inputs[0] - (self.r + self.r2 * jnp.abs(dx)) * dx - self.k * x
@@ -119,9 +115,7 @@ class Pendulum(AbstractSystem):
     states: ClassVar[Quantities] = (("theta", "rad"), ("dtheta", "rad/s"))
     inputs: ClassVar[Quantities] = (("torque", "1/s^2"),)
 
-    def derivative(
-        self, state: Float[Array, " 2"], inputs: Float[Array, " 1"]
-    ) -> Float[Array, " 2"]:
+    def derivative(self, state: Array, inputs: Array) -> Array:
         """Angular velocity and acceleration."""
         theta, dtheta = state[0], state[1]
         return jnp.stack([dtheta, self.p1 * jnp.sin(theta) - self.p2 * dtheta + inputs[0]])
@@ -171,9 +165,7 @@ class TwoMass(AbstractSystem):
     inputs: ClassVar[Quantities] = (("F", "N"),)
     outputs: ClassVar[Quantities] = (("error", "N"),)
 
-    def derivative(
-        self, state: Float[Array, " 4"], inputs: Float[Array, " 1"]
-    ) -> Float[Array, " 4"]:
+    def derivative(self, state: Array, inputs: Array) -> Array:
         """Velocities and accelerations."""
         _, dz, d, dd = (state[i] for i in range(4))
         reduced = self.m1 * self.m2 / (self.m1 + self.m2)
@@ -181,7 +173,7 @@ class TwoMass(AbstractSystem):
         first = (inputs[0] + coupling) / self.m1
         return jnp.stack([dz, first, dd, -coupling / self.m2 - first])
 
-    def output(self, state: Float[Array, " 4"], inputs: Float[Array, " 1"]) -> Mapping[str, Array]:
+    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
         """The equation error of the one-mass model with M = m1 + m2, eq. (6), in N.
 
         M z'' = F + error, so error = -m2 d'' with d measured from m1; eq. (6) counts it the

@@ -1,33 +1,31 @@
-"""Sections 4 and 5 of the paper on simulated roads: Tables 3, 4 and 5."""
+"""Sections 4 and 5 of the paper on simulated roads: Tables 3 to 5, Figs 9 and 10, alpha, beta."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
-from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
-from riecjax.criteria.windows import RandomWindows
-from riecjax.equations.procedure import Procedure
-from riecjax.estimation.stages import found_values, solve_stages
+from riecjax import DOLS, RIEC, AllWindows, FixedStep, RandomWindows, Record, simulate, staged
+from riecjax.estimation import solve
 from riecjax.models.quarter_car.identification import (
     QuarterCar,
     body_equation,
     mass_equation,
+    quarter_car_by_body,
     tyre_equation,
     wheel_equation,
 )
 from riecjax.models.quarter_car.reconstruction import Pothole, Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource, contact_share
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
-from riecjax.records.record import Record
-from riecjax.simulation.inputs import band_limited_noise, pothole, robson_road
-from riecjax.simulation.method import FixedStep
-from riecjax.simulation.simulate import Simulation, simulate
-from riecjax.summaries.stage_sums import stage_normal_equations
-from riecjax.validation.goodness_of_fit import percentage_error
+from riecjax.simulation import Simulation, band_limited_noise, pothole, robson_road
+from riecjax.studies import over_keys
+from riecjax.summaries import NormalEquations, stage_normal_equations
+from riecjax.validation import percentage_error
 
 TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 VALIDATED_STATES = ("x1", "x2", "x3", "x4")
@@ -74,11 +72,7 @@ def road_keys(key: Key[Array, ""]) -> RoadKeys:
 def training_noise(key: Key[Array, ""]) -> Float[Array, " n"]:
     """Road velocity of Table 2 in m/s."""
     return band_limited_noise(
-        key,
-        TABLE_2.sample_count,
-        1 / TABLE_2.rate,
-        bandwidth=TABLE_2.bandwidth,
-        rms=TABLE_2.rms,
+        key, TABLE_2.sample_count, 1 / TABLE_2.rate, bandwidth=TABLE_2.bandwidth, rms=TABLE_2.rms
     )
 
 
@@ -102,37 +96,51 @@ def pothole_velocity(hole: Pothole) -> Float[Array, " n"]:
 
 
 def identification_record(
-    source: QuarterCarSource,
-    key: Key[Array, ""],
-    *,
-    method: FixedStep | None = None,
+    source: QuarterCarSource, key: Key[Array, ""], *, method: FixedStep | None = None
 ) -> Simulation:
     """The source model on the white-noise road of Table 2."""
     return simulate(source, Record({"v_r": training_noise(key)}, 1 / TABLE_2.rate), method=method)
 
 
-def paper_criteria() -> dict[str, AbstractCriterion]:
+def paper_criteria() -> dict[str, RIEC | DOLS]:
     """RIEC with the windows of Table 2, and DOLS."""
     windows = RandomWindows(TABLE_2.alpha, TABLE_2.beta, TABLE_2.windows, between_samples=True)
     return {"RIEC": RIEC(windows), "DOLS": DOLS()}
 
 
 def identify_variants(
-    record: Record, criterion: AbstractCriterion, key: Key[Array, ""]
+    record: Record, criterion: RIEC | DOLS, key: Key[Array, ""]
 ) -> dict[str, Parameters]:
     """All four variants from one set of normal equations: only what is known differs."""
-    equations = (tyre_equation(), mass_equation(), wheel_equation(), body_equation())
-    tyre, masses, wheel, body = stage_normal_equations(
-        Procedure(tuple((equation,) for equation in equations)), record, criterion, key
-    )
+    procedure = staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
+    tyre, masses, wheel, body = stage_normal_equations(procedure, record, criterion, key)
     variants = {}
     for variant in VARIANTS:
         known = TRUE_MASSES if variant.endswith("true") else {}
         known = {name: jnp.asarray(value) for name, value in known.items()}
         last = wheel if variant.startswith("W") else body
-        values = found_values(solve_stages([tyre, masses, last], known), known)
+        values = _solved_in_turn([tyre, masses, last], known)
         variants[variant] = {name: values[name] for name in PARAMETERS}
     return variants
+
+
+def by_body(
+    record: Record, criterion: RIEC | DOLS, key: Key[Array, ""] | None = None
+) -> Float[Array, " parameters"]:
+    """The variant B_id by one criterion, in the order of `PARAMETERS`."""
+    stages = stage_normal_equations(quarter_car_by_body(), record, criterion, key)
+    values = _solved_in_turn(stages, {})
+    return jnp.stack([values[name] for name in PARAMETERS])
+
+
+def _solved_in_turn(stages: Sequence[NormalEquations], known: Mapping[str, Array]) -> Parameters:
+    """The paper's procedure: each stage takes as known what those before it found."""
+    values = dict(known)
+    for stage in stages:
+        equations = stage.total().fix(values)
+        if equations.parameters:
+            values |= dict(zip(equations.parameters, solve(equations).theta))
+    return values
 
 
 def run_road(
@@ -153,12 +161,12 @@ def run_road(
     errors, successful = {}, training.successful
     for name, velocity in validation_inputs(keys.validation, shapes).items():
         truth = simulate(source, Record({"v_r": velocity}, 1 / TABLE_2.rate), method=method)
-        table, kept = validation_errors(models, truth.record, method)
+        table, finite = validation_errors(models, truth.record, method)
         errors[name] = {
             criterion: {variant: table[i, j] for j, variant in enumerate(VARIANTS)}
             for i, criterion in enumerate(CRITERIA)
         }
-        successful = successful & truth.successful & kept
+        successful = successful & truth.successful & finite
     contact = contact_share(training.record["x1"], source)
     return RoadResult(parameters, errors, contact, successful)
 
@@ -193,3 +201,111 @@ def prediction_errors(
     run = simulate(QuarterCar.from_parameters(model), truth.select("v_r"), method=method)
     errors = [percentage_error(run.record[s], truth[s]) for s in VALIDATED_STATES]
     return jnp.stack(errors), run.successful
+
+
+class Trajectories(eqx.Module):
+    """Motion on one input, and what models identified on many roads predict of it.
+
+    Figures 9 and 10 show one model each; many on one motion show how far they scatter.
+
+    **Fields:** `time` in s; `source`, x1 to x4; `predicted` by criterion.
+    """
+
+    time: Float[Array, " n"]
+    source: Float[Array, "n 4"]
+    predicted: dict[str, Float[Array, "roads n 4"]]
+
+
+def validation_trajectories(
+    roads: RoadResult, key: Key[Array, ""], source: QuarterCarSource, shapes: Reconstruction
+) -> dict[str, Trajectories]:
+    """Of the variant B_id on the `road` that belongs to `key`, and on the `pothole`."""
+    inputs = validation_inputs(road_keys(key).validation, shapes)
+    models = stack_models(roads.parameters, CRITERIA, ("B_id",))
+    return {name: _trajectories(models, source, v) for name, v in inputs.items()}
+
+
+@eqx.filter_jit
+def _trajectories(models: Parameters, source: QuarterCarSource, velocity: Array) -> Trajectories:
+    inputs = Record({"v_r": velocity}, 1 / TABLE_2.rate)
+
+    def predict(parameters: Parameters) -> Array:
+        return _states(simulate(QuarterCar.from_parameters(parameters), inputs).record)
+
+    # Roads, criteria, and the one variant.
+    predicted = jax.vmap(jax.vmap(jax.vmap(predict)))(models)[:, :, 0]
+    return Trajectories(
+        inputs.time,
+        _states(simulate(source, inputs).record),
+        {name: predicted[:, i] for i, name in enumerate(CRITERIA)},
+    )
+
+
+def _states(record: Record) -> Float[Array, "n 4"]:
+    return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
+
+
+RAMPS = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8)
+"""Metres over which the road falls into the hole; the reconstruction's is 1.29 m."""
+
+
+@eqx.filter_jit
+def errors_over_ramps(
+    roads: RoadResult, source: QuarterCarSource, shapes: Reconstruction
+) -> Float[Array, "ramps roads criteria variants 4"]:
+    """p_i of x1 to x4 in percent, on pot-holes of the same depth and length with these ramps."""
+    models = stack_models(roads.parameters, CRITERIA, VARIANTS)
+
+    def on(ramp: Array) -> Array:
+        hole = Pothole(shapes.pothole.depth, shapes.pothole.length, ramp)
+        inputs = Record({"v_r": pothole_velocity(hole)}, 1 / TABLE_2.rate)
+        truth = simulate(source, inputs).record
+        return jax.vmap(lambda each: validation_errors(each, truth)[0])(models)
+
+    return jax.lax.map(on, jnp.array(RAMPS))
+
+
+LENGTHS = (0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
+"""Of windows in seconds, for alpha and for beta; in whole samples of 5 ms."""
+
+
+class LengthMap(eqx.Module):
+    """Parameters over pairs of window lengths in seconds, on several roads (Section 4).
+
+    All windows of each pair at once, so that no sampling noise blurs the map.
+    """
+
+    alpha: Float[Array, " pairs"]
+    beta: Float[Array, " pairs"]
+    theta: Float[Array, "roads pairs parameters"]
+
+    @property
+    def of_table_2(self) -> int:
+        """Place of the pair that Table 2 has."""
+        alpha, beta = np.asarray(self.alpha), np.asarray(self.beta)
+        return int(np.argmin(np.abs(alpha - TABLE_2.alpha) + np.abs(beta - TABLE_2.beta)))
+
+
+def length_map(key: Key[Array, ""], source: QuarterCarSource, roads: int) -> LengthMap:
+    """All pairs of `LENGTHS`, and each length almost alone: with one a sample longer."""
+    step = 1 / TABLE_2.rate
+    pairs = [(a, b) for a in LENGTHS for b in LENGTHS if a < b] + [(a, a + step) for a in LENGTHS]
+    alpha, beta = (jnp.array(side) for side in zip(*pairs))
+    theta = over_keys(estimates_over_lengths, key, roads, source, alpha, beta)
+    return LengthMap(alpha, beta, theta)
+
+
+def estimates_over_lengths(
+    key: Key[Array, ""],
+    source: QuarterCarSource,
+    alpha: Float[Array, " pairs"],
+    beta: Float[Array, " pairs"],
+) -> Float[Array, "pairs parameters"]:
+    """Parameters in the order of `PARAMETERS` on one random road; vmap over keys for many."""
+    record = identification_record(source, road_keys(key).training).record
+    longest = round(max(LENGTHS) * TABLE_2.rate) + 1
+
+    def estimate(pair: tuple[Array, Array]) -> Float[Array, " parameters"]:
+        return by_body(record, RIEC(AllWindows(*pair, longest_samples=longest)))
+
+    return jax.lax.map(estimate, (alpha, beta))

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from riecjax.models.oscillators import TwoMass
+from riecjax import FixedStep, Record, find_model, simulate
 from riecjax.models.quarter_car.identification import body_equation
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.reproduction import (
@@ -15,15 +15,10 @@ from riecjax.paper.reproduction import (
     paper_criteria,
     road_keys,
 )
-from riecjax.records.record import Record
-from riecjax.simulation.method import FixedStep
-from riecjax.simulation.simulate import simulate
-from riecjax.studies.monte_carlo import keys_of
 
-FIRST_MASS, SECOND_MASS = 10.0, 1.0
-"""kg, published."""
-NATURAL_FREQUENCY, DAMPING_RATIO = 100.0, 0.5
-"""rad/s and 1, published."""
+SECOND_MASS = 1.0
+TWO_MASS = {"m1": 10.0, "m2": SECOND_MASS, "omega_n": 100.0, "zeta": 0.5}
+"""Published, in kg, rad/s and 1."""
 DURATION, RATE = 20.0, 1000.0
 """s and Hz; the text gives neither. The rate is 60 times the natural frequency."""
 
@@ -46,12 +41,7 @@ def demonstrate(key: Key[Array, ""]) -> Demonstration:
     """Drive the two masses by a white Gaussian force, and integrate; vmap over keys for many."""
     force_key, noise_key = jax.random.split(key)
     count = round(DURATION * RATE)
-    masses = TwoMass(
-        *(
-            jnp.asarray(value)
-            for value in (FIRST_MASS, SECOND_MASS, NATURAL_FREQUENCY, DAMPING_RATIO)
-        )
-    )
+    masses = find_model("two-mass").build_system(TWO_MASS)
     force = jax.random.normal(force_key, (count,))
     run = simulate(masses, Record({"F": force}, 1 / RATE), method=FixedStep(1)).record
     error = run["error"]
@@ -91,9 +81,10 @@ def window_error_moments(
 
     **Arguments:** `roads`, as many as wanted, of a study that was made with `key`.
     """
-    count = roads.contact.shape[0]
-    found = roads.parameters["RIEC"]["B_id"]
-    return _over_roads(keys_of(key, count), found, source)
+    # The keys of [`over_keys`][], of which these roads were made.
+    number = jnp.arange(roads.contact.shape[0], dtype=jnp.uint32)
+    keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(number)
+    return _over_roads(keys, roads.parameters["RIEC"]["B_id"], source)
 
 
 @eqx.filter_jit

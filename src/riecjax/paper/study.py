@@ -4,25 +4,47 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
+import numpy as np
 import pyarrow as pa
 from jaxtyping import Array, Float, Key
 
-from riecjax.leaves import on_host
 from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_car_source
-from riecjax.paper.hysteresis import Hysteresis, hysteresis
+from riecjax.paper.claims.claim import Claim
+from riecjax.paper.claims.section_6 import variation_claims
+from riecjax.paper.claims.sections_2_to_5 import (
+    bounded_impulse,
+    drop_outs,
+    table_claims,
+    window_errors,
+    window_lengths,
+)
 from riecjax.paper.published import TABLE_6
-from riecjax.paper.reproduction import RoadResult, run_road
+from riecjax.paper.reproduction import (
+    LengthMap,
+    RoadResult,
+    Trajectories,
+    errors_over_ramps,
+    length_map,
+    run_road,
+    validation_trajectories,
+)
 from riecjax.paper.section_2 import (
     Demonstration,
     WindowErrorMoments,
     demonstrate,
     window_error_moments,
 )
-from riecjax.paper.trajectories import Trajectories, errors_over_ramps, validation_trajectories
-from riecjax.paper.variations import Variations, VariedStudy, run_variations, varied_study
-from riecjax.paper.window_lengths import LengthMap, length_map
-from riecjax.studies.monte_carlo import over_keys
+from riecjax.paper.variations import (
+    Hysteresis,
+    Variations,
+    VariedStudy,
+    hysteresis,
+    run_variations,
+    varied_study,
+)
+from riecjax.studies import over_keys
 
 
 class Scale(NamedTuple):
@@ -124,17 +146,30 @@ def run_study(
     report("window lengths", 0, 1)
     lengths = length_map(key, source, scale.studied)
     report("trajectories", 0, 1)
-    return on_host(
-        PaperStudy(
-            scale,
-            roads,
-            demonstrations,
-            errors,
-            lengths,
-            validation_trajectories(few, key, source, shapes),
-            varied_study(plan, table),
-            table,
-            damper,
-            errors_over_ramps(few, source, shapes),
-        )
+    study = PaperStudy(
+        scale,
+        roads,
+        demonstrations,
+        errors,
+        lengths,
+        validation_trajectories(few, key, source, shapes),
+        varied_study(plan, table),
+        table,
+        damper,
+        errors_over_ramps(few, source, shapes),
     )
+    # NumPy's arrays: JAX would compile a slice for each number that a figure reads.
+    return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, study)
+
+
+def evaluate_claims(study: PaperStudy) -> list[Claim]:
+    """All 17 statements of the paper, in the order of their numbers."""
+    claims = [
+        *table_claims(study.roads, study.ramps),
+        bounded_impulse(study.demonstrations),
+        drop_outs(),
+        window_errors(study.window_errors),
+        window_lengths(study.lengths),
+        *variation_claims(study.variations, study.damper),
+    ]
+    return sorted(claims, key=lambda claim: claim.id)

@@ -5,14 +5,18 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from riecjax.models.quarter_car.curves import BumpStopSpring, HardeningMount, LinearDamper
 from riecjax.models.quarter_car.reconstruction import (
     MOUNT_DAMPING,
     MOUNT_RATE,
     SPRING_RATE,
     source_with_curves,
 )
-from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.models.quarter_car.source import (
+    BumpStopSpring,
+    HardeningMount,
+    LinearDamper,
+    QuarterCarSource,
+)
 from riecjax.paper.published import (
     CONTACT_SHARE,
     CRITERIA,
@@ -25,7 +29,7 @@ from riecjax.paper.published import (
     PublishedMode,
 )
 from riecjax.paper.reproduction import RoadResult
-from riecjax.simulation.linearisation import Mode, linearise, modes
+from riecjax.simulation import Mode, linearise, modes
 
 
 class Cell(NamedTuple):

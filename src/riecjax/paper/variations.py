@@ -8,6 +8,7 @@ of windows. All of these models are validated on the two inputs of Section 5.
 import json
 import shutil
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,29 +20,23 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Array, Bool, Float, Key
 
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.errors import DataError
-from riecjax.estimation.stages import found_values, solve_stages
-from riecjax.models.quarter_car.identification import quarter_car_by_body
+from riecjax import DOLS, DataError, FixedStep, Record, simulate
 from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_car_source
+from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import TABLE_2, TABLE_6, MountVariant
 from riecjax.paper.reproduction import (
     INPUTS,
     PARAMETERS,
     VALIDATED_STATES,
+    by_body,
     paper_criteria,
     prediction_errors,
     road_keys,
     training_noise,
     validation_inputs,
 )
-from riecjax.records.record import Record
-from riecjax.records.writing import write_whole
-from riecjax.simulation.inputs import low_passed
-from riecjax.simulation.method import FixedStep
-from riecjax.simulation.simulate import simulate
-from riecjax.studies.monte_carlo import over_keys
-from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.simulation import low_passed
+from riecjax.studies import over_keys
 
 
 class Variations(NamedTuple):
@@ -97,15 +92,15 @@ def vary_road(
 
     parameters, trained = jax.vmap(identified)(driven)
     models = {name: parameters[..., i] for i, name in enumerate(PARAMETERS)}
-    errors, kept = [], trained[:, None]
+    errors, successful = [], trained[:, None]
     for velocity in validation_inputs(keys.validation, shapes).values():
         truth = simulate(source, Record({"v_r": velocity}, step), method=method)
         found, predicted = jax.vmap(
             jax.vmap(lambda model, t=truth: prediction_errors(model, t.record, method))
         )(models)
         errors.append(found)
-        kept = kept & truth.successful & predicted
-    return RoadVariations(parameters, jnp.stack(errors, axis=2), kept)
+        successful = successful & truth.successful & predicted
+    return RoadVariations(parameters, jnp.stack(errors, axis=2), successful)
 
 
 def identify_by_body(
@@ -117,15 +112,6 @@ def identify_by_body(
     drawn = jnp.stack([key, *(rest[i] for i in range(draws - 1))])
     by_riec = jax.vmap(lambda each: by_body(record, criteria["RIEC"], each))(drawn)
     return jnp.concatenate([by_body(record, criteria["DOLS"])[None], by_riec])
-
-
-def by_body(
-    record: Record, criterion: AbstractCriterion, key: Key[Array, ""] | None = None
-) -> Float[Array, " parameters"]:
-    """The variant B_id by one criterion, in the order of `PARAMETERS`."""
-    stages = stage_normal_equations(quarter_car_by_body(), record, criterion, key)
-    values = found_values(solve_stages(stages, {}), {})
-    return jnp.stack([values[name] for name in PARAMETERS])
 
 
 ROADS_TO_A_PART = 4
@@ -146,7 +132,7 @@ class Part(NamedTuple):
 
     @property
     def file(self) -> str:
-        """Name of the file it is kept in."""
+        """Name of its file."""
         return f"{self.case}-{self.first:05d}.parquet"
 
 
@@ -229,9 +215,9 @@ def _table(plan: Variations, part: Part, found: RoadVariations, settings: bytes)
     )
     road, band, model = (axis.ravel() for axis in grid)
     parameters = np.asarray(found.parameters).reshape(-1, len(PARAMETERS))
-    kept = np.asarray(found.successful).reshape(-1)
+    simulated = np.asarray(found.successful).reshape(-1)
     errors = np.asarray(found.errors).reshape(-1, len(ERRORS))
-    errors = np.where(kept[:, None] & np.isfinite(errors), errors, np.inf)
+    errors = np.where(simulated[:, None] & np.isfinite(errors), errors, np.inf)
     columns: dict[str, object] = {
         "case": pa.array([part.case] * road.size),
         "road": road.astype(np.int32),
@@ -240,15 +226,13 @@ def _table(plan: Variations, part: Part, found: RoadVariations, settings: bytes)
         "draw": np.array([models[m][1] for m in model], np.int32),
         **{f"{name} [{UNITS[name]}]": parameters[:, i] for i, name in enumerate(PARAMETERS)},
         **{name: errors[:, i] for i, name in enumerate(ERRORS)},
-        "simulated": kept,
+        "simulated": simulated,
     }
     return pa.table(columns).replace_schema_metadata({SETTINGS: settings})
 
 
 def _settings(plan: Variations, key: Key[Array, ""]) -> bytes:
     """What a part's numbers depend on."""
-    from importlib.metadata import version
-
     versions = {name: version(name) for name in ("riecjax", "jax", "jaxlib")}
     precision = str(jnp.zeros(()).dtype)
     data = np.asarray(jax.random.key_data(key)).tolist()
@@ -266,11 +250,14 @@ def _kept(file: Path, settings: bytes) -> pa.Table | None:
 
 
 def _keep(table: pa.Table, file: Path) -> None:
+    # Renamed when it is whole: an interruption leaves no broken file behind.
+    temporary = file.with_suffix(".tmp")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(table, temporary)
+        temporary.replace(file)
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
-    write_whole(file, lambda temporary: pq.write_table(table, temporary))
 
 
 class Varied(NamedTuple):
@@ -323,3 +310,49 @@ def varied_study(plan: Variations, table: pa.Table) -> VariedStudy:
                 each,
             )
     return VariedStudy(plan, found)
+
+
+BANDWIDTHS = (6.0, 15.0, 30.0)
+"""Hz of Fig. 13: low, from where DOLS drifts, and high."""
+STIFFER = 4.0
+"""Factor on K_c that makes the damper follow the suspension more closely."""
+METHOD = FixedStep(12)
+"""A stiffer damper needs shorter steps: K_c over its least slope is 3500 per second."""
+
+
+class Hysteresis(eqx.Module):
+    """One road at each of `BANDWIDTHS`, with the source's own compliance and a stiffer one.
+
+    **Fields:** `velocity` of the suspension in m/s and `force` of the damper in N, of the source's
+    own compliance; `width`, r.m.s. of the force's distance from the damper's curve at this
+    velocity, over its r.m.s.; `by_dols`, what DOLS identifies (variant B_id).
+    """
+
+    velocity: Float[Array, "bandwidths n"]
+    force: Float[Array, "bandwidths n"]
+    width: Float[Array, "compliances bandwidths"]
+    by_dols: Float[Array, "compliances bandwidths parameters"]
+
+
+def hysteresis(key: Key[Array, ""], source: QuarterCarSource) -> Hysteresis:
+    """What the damper's compliance does to its force, and to identified damper maps (Fig. 13).
+
+    On one random road; vmap over keys for many.
+    """
+    keys, step = road_keys(key), 1 / TABLE_2.rate
+    noise = training_noise(keys.training)
+
+    def at(compliance: Array, bandwidth: Array) -> Hysteresis:
+        model = eqx.tree_at(lambda s: s.damper_compliance, source, compliance)
+        driven = Record({"v_r": low_passed(noise, step, bandwidth)}, step)
+        record = simulate(model, driven, method=METHOD).record
+        relative = record["x3"] - record["x4"]
+        force = source.damper(record["x7"])
+        off = force - source.damper(relative)
+        width = jnp.sqrt(jnp.mean(off**2) / jnp.mean(force**2))
+        return Hysteresis(relative, force, width, by_body(record, DOLS()))
+
+    compliances = jnp.asarray(source.damper_compliance) * jnp.array([1.0, STIFFER])
+    over_bandwidths = jax.vmap(at, in_axes=(None, 0))
+    found = jax.vmap(over_bandwidths, in_axes=(0, None))(compliances, jnp.array(BANDWIDTHS))
+    return Hysteresis(found.velocity[0], found.force[0], found.width, found.by_dols)

@@ -1,5 +1,6 @@
 from .balance import AbstractBalance as AbstractBalance
 from .optimum import RefinementStatus as RefinementStatus
+from .parametric import ByFunction as ByFunction
 from .shots import RandomShots as RandomShots
 from .shots import Tiles as Tiles
 from .shots import WholeRecord as WholeRecord

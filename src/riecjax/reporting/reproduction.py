@@ -1,6 +1,6 @@
 """Results of the reproduction: the JSON document, and tables on a terminal."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from rich.console import Console
@@ -205,25 +205,30 @@ def _mode_table(rows: list[Document]) -> RichTable:
     for heading in ("", "eigenvalue", "Hz", "zeta", "wheel", "body", "engine-body", "agrees"):
         table.add_column(heading, justify="left" if heading == "" else "right", no_wrap=True)
     for row in rows:
-        for label in ("published", "reproduced"):
-            mode = row[label]
-            digits = 0 if mode["eigenvalue"][1] == 0 else 2
-            table.add_row(
-                "paper" if label == "published" else "here",
-                pair_in_words(mode["eigenvalue"], digits),
-                "-" if mode["frequency"] is None else f"{mode['frequency']:.2f}",
-                "-" if mode["damping_ratio"] is None else f"{mode['damping_ratio']:.2f}",
-                *(pair_in_words(mode[part], 2) for part in ("wheel", "body", "engine_minus_body")),
-                "" if label == "published" else ("yes" if row["agrees"] else "NO"),
-            )
+        table.add_row("paper", *mode_in_words(row["published"], "-"), "")
+        agrees = "yes" if row["agrees"] else "NO"
+        table.add_row("here", *mode_in_words(row["reproduced"], "-"), agrees)
     return table
+
+
+def mode_in_words(mode: Document, missing: str = "") -> list[str]:
+    """Eigenvalue, frequency, damping ratio, and the parts of the shape, as the paper prints them.
+
+    **Arguments:** `missing`, what stands for the frequency and damping ratio of a real eigenvalue.
+    """
+    ratios = (mode["frequency"], mode["damping_ratio"])
+    return [
+        _pair_in_words(mode["eigenvalue"], 0 if mode["eigenvalue"][1] == 0 else 2),
+        *(missing if ratio is None else f"{ratio:.2f}" for ratio in ratios),
+        *(_pair_in_words(mode[part], 2) for part in ("wheel", "body", "engine_minus_body")),
+    ]
 
 
 def _plain_table() -> RichTable:
     return RichTable(caption_justify="left", box=None, padding=(0, 1, 0, 0))
 
 
-def pair_in_words(parts: list[float], digits: int) -> str:
+def _pair_in_words(parts: list[float], digits: int) -> str:
     """A complex number as the paper prints one of a pair."""
     real, imaginary = parts
     if imaginary == 0:
@@ -232,26 +237,36 @@ def pair_in_words(parts: list[float], digits: int) -> str:
     return f"{real:.{digits}f}{sign}{abs(imaginary):.{digits}f}i"
 
 
-def _number_table(number: str, scales: dict[str, float], rows: Document) -> RichTable:
+def _number_table(name: str, scales: dict[str, float], rows: Document) -> RichTable:
     table = _plain_table()
     table.add_column("", no_wrap=True)
     for criterion in CRITERIA:
         for column in (criterion, "here", "95 % of roads"):
             table.add_column(column, justify="right", no_wrap=True)
-    digits = 1 if number == "5" else 2
-    for name, row in rows.items():
-        scale = scales.get(name, 1.0)
-        cells: list[str] = []
-        for criterion in CRITERIA:
-            cell = row[criterion]
-            low, high = (value / scale for value in cell["interval95"])
-            cells += [
-                f"{cell['published'] / scale:.1f}",
-                f"{cell['reproduced'] / scale:.{digits}f}",
-                f"{low:.{digits}f}..{high:.{digits}f}{' ' if cell['inside'] else '*'}",
-            ]
-        table.add_row(name, *cells)
-    outside = any(not cell["inside"] for row in rows.values() for cell in row.values())
-    if outside:
+    for row, cells in rows.items():
+        table.add_row(row, *numbers_in_words(name, cells, scales.get(row, 1.0), "..", (" ", "*")))
+    if any_outside(rows):
         table.caption = "* the published number, as rounded in print, lies outside"
     return table
+
+
+def numbers_in_words(
+    table: str, cells: Document, scale: float, between: str, marks: tuple[str, str]
+) -> Iterator[str]:
+    """Published number, mean and range of each criterion in one row of a table.
+
+    **Arguments:** `between` the ends of a range; `marks` after it, where the published number lies
+    inside and where it does not.
+    """
+    digits = 1 if table == "5" else 2
+    for criterion in CRITERIA:
+        cell = cells[criterion]
+        low, high = (value / scale for value in cell["interval95"])
+        yield f"{cell['published'] / scale:.1f}"
+        yield f"{cell['reproduced'] / scale:.{digits}f}"
+        yield f"{low:.{digits}f}{between}{high:.{digits}f}{marks[not cell['inside']]}"
+
+
+def any_outside(rows: Document) -> bool:
+    """Whether a published number lies outside the range over the roads."""
+    return any(not cell["inside"] for row in rows.values() for cell in row.values())

@@ -5,9 +5,14 @@ from collections.abc import Iterator
 from riecjax.paper.published import CRITERIA
 from riecjax.reporting.output import Document, number
 from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.reproduction import SHOWN, limits_in_words, pair_in_words
+from riecjax.reporting.reproduction import (
+    SHOWN,
+    any_outside,
+    limits_in_words,
+    mode_in_words,
+    numbers_in_words,
+)
 
-MODE_PARTS = ("wheel", "body", "engine_minus_body")
 CLAIMS_OF = {
     "Section 2: equation errors and windows": (1, 2, 3),
     "Section 3: the models": (4,),
@@ -128,20 +133,11 @@ def _range(ends: list[float | None]) -> str:
 
 
 def _mode_table(modes: list[Document]) -> Table:
-    rows = []
-    for row in modes:
-        for label, name in (("published", "paper"), ("reproduced", "here")):
-            mode = row[label]
-            digits = 0 if mode["eigenvalue"][1] == 0 else 2
-            rows.append(
-                (
-                    name,
-                    pair_in_words(mode["eigenvalue"], digits),
-                    "" if mode["frequency"] is None else f"{mode['frequency']:.2f}",
-                    "" if mode["damping_ratio"] is None else f"{mode['damping_ratio']:.2f}",
-                    *(pair_in_words(mode[part], 2) for part in MODE_PARTS),
-                )
-            )
+    rows = [
+        (name, *mode_in_words(row[label]))
+        for row in modes
+        for label, name in (("published", "paper"), ("reproduced", "here"))
+    ]
     return Table(
         ("", "eigenvalue / (1/s)", "Hz", "zeta", "wheel", "body", "engine minus body"),
         rows,
@@ -151,28 +147,16 @@ def _mode_table(modes: list[Document]) -> Table:
 
 def _number_table(document: Document, name: str) -> Table:
     heading, scales = SHOWN[name]
-    digits = 1 if name == "5" else 2
-    rows = []
-    for row, cells in document["tables"][name].items():
-        scale = scales.get(row, 1.0)
-        line = [row]
-        for criterion in CRITERIA:
-            cell = cells[criterion]
-            low, high = (end / scale for end in cell["interval95"])
-            line += [
-                f"{cell['published'] / scale:.1f}",
-                f"{cell['reproduced'] / scale:.{digits}f}",
-                f"{low:.{digits}f} to {high:.{digits}f}{'' if cell['inside'] else ' *'}",
-            ]
-        rows.append(line)
+    rows = document["tables"][name]
+    lines = [
+        [row, *numbers_in_words(name, cells, scales.get(row, 1.0), " to ", ("", " *"))]
+        for row, cells in rows.items()
+    ]
     header = [""]
     for criterion in CRITERIA:
         header += [f"{criterion}, paper", f"{criterion}, here", "95 % of roads"]
-    outside = any(
-        not cell["inside"] for cells in document["tables"][name].values() for cell in cells.values()
-    )
-    star = "* The published number, as rounded in print, lies outside." if outside else ""
-    return Table(header, rows, f"Table {name}. {heading}.", star)
+    star = "* The published number, as rounded in print, lies outside." if any_outside(rows) else ""
+    return Table(header, lines, f"Table {name}. {heading}.", star)
 
 
 def _reconstruction(document: Document) -> str:

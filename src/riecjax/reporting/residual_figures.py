@@ -19,10 +19,9 @@ from riecjax.reporting.charts.chart import (
     labelled,
 )
 from riecjax.studies.choice import EquationWindows, WindowChoice
-from riecjax.validation.error_correlation import CrossCorrelation
-from riecjax.validation.error_spectrum import ErrorSpectrum, unbroken
-from riecjax.validation.errors import EquationError
+from riecjax.validation.equation_errors import EquationError
 from riecjax.validation.residuals import EquationResidual, ResidualTests
+from riecjax.validation.time_series import CrossCorrelation, ErrorSpectrum, unbroken
 
 EXCERPT = 400
 """Values of an error that are drawn one by one."""
@@ -62,7 +61,7 @@ def _excerpt(error: EquationError, unit: str, title: str) -> Panel:
     runs = unbroken(np.asarray(error.present)) or [slice(0, 1)]
     run = max(runs, key=lambda each: each.stop - each.start)
     shown = slice(run.start, min(run.start + EXCERPT, run.stop))
-    time = np.asarray(error.middle)[shown]
+    time = np.asarray(error.times)[shown]
     return Panel(
         [
             Line(time, np.asarray(error.target)[shown], "target", GREY, width=1.6),
@@ -77,7 +76,7 @@ def _excerpt(error: EquationError, unit: str, title: str) -> Panel:
 def _impulse(error: EquationError, unit: str) -> Panel:
     impulse = np.where(np.asarray(error.present), np.asarray(error.impulse), np.nan)
     return Panel(
-        [Level(0), Line(np.asarray(error.middle), impulse, color=RUST, width=0.8)],
+        [Level(0), Line(np.asarray(error.times), impulse, color=RUST, width=0.8)],
         Axis("time / s"),
         Axis(labelled("impulse of the error", f"{unit} s" if unit else "")),
     )

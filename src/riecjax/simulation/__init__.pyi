@@ -1,9 +1,11 @@
 from .equation_system import EquationSystem as EquationSystem
 from .inputs import band_limited_noise as band_limited_noise
 from .inputs import harmonics as harmonics
+from .inputs import low_passed as low_passed
 from .inputs import multisine as multisine
 from .inputs import pothole as pothole
 from .inputs import robson_road as robson_road
+from .linearisation import Mode as Mode
 from .linearisation import linearise as linearise
 from .linearisation import modes as modes
 from .method import SimulationStatus as SimulationStatus

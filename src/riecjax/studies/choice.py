@@ -1,9 +1,15 @@
-"""Which window lengths suit a model: where its error is small against what it explains.
+"""Which window lengths suit a model: where its error is small relative to what it explains.
 
-A window's error is the equation error through the gain of eq. (13), its signal the target through
-the same gain. Their spectra therefore tell the share of error at every window length before
-anything is fitted there. Short windows see what differs fast, such as modes that the model
-lacks; long ones see offsets and drift, over which the motion has long returned.
+A window's error is the equation error through the gain |H| of eq. (13), its signal the target
+through the same gain. Over all starts their mean squares are, by Parseval,
+
+    E e_T^2 = integral |H_T(f)|^2 S_error(f) df,    E y_T^2 = integral |H_T(f)|^2 S_target(f) df,
+
+so that two spectra tell the share of error sqrt(E e_T^2 / E y_T^2) at every window length, before
+anything is fitted there. For short windows |H| = T at all frequencies and the share is that of the
+samples: modes that the model lacks count in full. For long ones |H|^2 = (sin(w T / 2) / (w / 2))^2
+falls with the square of frequency, so these modes average out. An offset, at frequency zero, has
+|H|^2 = T^2 throughout and grows beside a motion that has long returned: the share rises with T.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,19 +26,18 @@ from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Record, as_records
-from riecjax.validation.error_spectrum import ErrorSpectrum, error_spectrum
-from riecjax.validation.errors import EquationError, errors_over_records, joined
+from riecjax.validation.equation_errors import EquationError, errors_over_records, joined
+from riecjax.validation.time_series import ErrorSpectrum, error_spectrum
 
 PARTS = 8
-"""Part of the records that a segment of the spectra is one of: long, for the sake of long windows.
-"""
+"""A segment of the spectra is this part of the records: long, for the sake of long windows."""
 LENGTHS = 80
 FEWEST_SAMPLES = 4
-"""Samples of the shortest window that is looked at."""
+"""Samples of the shortest window."""
 WITHIN = 1.5
 """Factor above its least to which the error's share may rise in the recommended range."""
 NEGLIGIBLE = 0.01
-"""Share of error that is as good as none, so that it does not decide."""
+"""Share of error that is as good as none."""
 LEAST_SPREAD = 2.0
 """Longest over shortest window at least: windows of one length are blind at multiples of 1 / T."""
 
@@ -43,8 +48,8 @@ class EquationWindows(eqx.Module):
     **Fields:**
 
     - `name`, `unit` of the equation; `spectrum` of its error and of what it explains.
-    - `error_share`: root mean square error against the target in windows of each length, as the
-      spectra predict it for these parameters, shape `(lengths,)`.
+    - `error_share`: root mean square error relative to the target's in windows of each length,
+      predicted for these parameters, shape `(lengths,)`.
     - `current_share`: the same for the current law of windows.
     - `mean_gain`, `mean_square_gain`: expected |H| and |H|^2 of the current law at the spectrum's
       frequencies, shape `(frequencies,)`.
@@ -165,25 +170,26 @@ def _of_equation(
     frequency = spectrum.frequency
     squares = weight.gain(frequency, length) ** 2
     mean_square = weight.mean_gain(frequency, *law, power=2)
+
+    def share(gain: np.ndarray) -> np.ndarray:
+        part, whole = spectrum.error @ gain, spectrum.target @ gain
+        return np.sqrt(np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), 0.0))
+
     return EquationWindows(
         error.name,
         error.unit,
         spectrum,
-        _root_ratio(spectrum.error @ squares, spectrum.target @ squares),
-        float(_root_ratio(spectrum.error @ mean_square, spectrum.target @ mean_square)),
+        share(squares),
+        float(share(mean_square)),
         weight.mean_gain(frequency, *law),
         mean_square,
     )
 
 
-def _root_ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), 0.0))
-
-
 def _recommend(
     equations: Sequence[EquationWindows], length: Float[np.ndarray, " lengths"]
 ) -> tuple[tuple[float, float], str]:
-    """The range around the best length in which no equation is far above its least."""
+    """The range around the best length in which no equation is far above its least, and why."""
     shares = np.stack([np.maximum(each.error_share, NEGLIGIBLE) for each in equations])
     above = shares / np.min(shares, axis=1, keepdims=True)
     worst = np.max(above, axis=0)
@@ -195,16 +201,16 @@ def _recommend(
     if high < LEAST_SPREAD * low:
         middle = np.sqrt(low * high * LEAST_SPREAD)
         low, high = float(middle / LEAST_SPREAD), float(middle)
-    limits = []
-    if first > 0:
-        limits.append(
-            f"shorter ones are ruled out by {_limit(equations, above, length, first - 1, 0)}"
-        )
-    if last < length.size - 1:
-        limits.append(
-            f"longer ones are ruled out by {_limit(equations, above, length, last + 1, -1)}"
-        )
-    return (low, high), _reason((low, high), limits)
+    limits = [
+        f"{which} ones are ruled out by {_limit(equations, above, length, edge, end)}"
+        for which, edge, end in (("shorter", first - 1, 0), ("longer", last + 1, -1))
+        if 0 <= edge < length.size
+    ]
+    ruled = f"; {' and '.join(limits)}" if limits else ", nor at any other length"
+    return (low, high), (
+        f"In windows of {low:.2g} to {high:.2g} s the error of no equation is far above its least "
+        f"share of the signal{ruled}."
+    )
 
 
 def _limit(
@@ -220,13 +226,4 @@ def _limit(
     return (
         f"{limiting.name} ({share[end]:.3g} % at {length[end]:.2g} s, {np.min(share):.2g} % at its "
         f"least)"
-    )
-
-
-def _reason(recommended: tuple[float, float], limits: list[str]) -> str:
-    low, high = recommended
-    ruled = f"; {' and '.join(limits)}" if limits else ", nor at any other length"
-    return (
-        f"In windows of {low:.2g} to {high:.2g} s the error of no equation is far above its least "
-        f"share of the signal{ruled}."
     )

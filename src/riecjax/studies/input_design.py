@@ -1,8 +1,15 @@
-"""The multisine that tells most of one parameter, within the travel that a rig allows.
+"""The multisine that makes one parameter's interval tightest, within the travel that a rig allows.
 
-Fisher information through the simulation, differentiated by the input: sensitivities of the
-measured channels forward, since parameters are few, and the gradient of the variance that follows
-from them in reverse, since the amplitudes and phases of a multisine are many.
+The cost is the logarithm of one diagonal entry of the inverse information, v = [I^-1]_jj, so that
+a step is worth the same whatever the units. With x = I^-1 e_j its slope is d log v = -x' dI x / v:
+what counts is information along x, the direction in which the data tell least about the parameter.
+Sensitivities go forward through the simulation, since parameters are few, and the slope by the
+input in reverse, since the amplitudes and phases of a multisine are many.
+
+For a linear model in steady state over whole periods, I = sum_i a_i^2 M(f_i): phases do not
+matter, powers add up, and p (p + 1) / 2 frequencies suffice, as many as I has entries. Phases
+decide about travel, which is the peak of a state, and about non-linear models. There are many
+local optima, hence several starts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +34,7 @@ PENALTIES = (1.0, 1e2, 1e4)
 """Weights of the excess of travel, in turn. With the last one, a single sample that is 1 % beyond
 costs as much as a variance that is e times as large."""
 MARGIN = 0.005
-"""Share of a limit at which its penalty begins: what is left over stays within the limit."""
+"""A penalty begins this share of a limit below it, so that what is left stays within the limit."""
 TOLERANCE = 1e-3
 """Change of a coefficient, the largest being about one, that is not worth another step."""
 
@@ -81,10 +88,10 @@ class Design(eqx.Module):
 
 
 class _Task(eqx.Module):
-    """What is searched for, of coefficients c: cosine and sine part of each harmonic.
+    """The cost of an input in terms of the cosine and sine part of each harmonic.
 
-    Unlike amplitudes and phases these have no point at which one hangs on nothing. Their common
-    factor is free, for the input is brought to its r.m.s.
+    Unlike a phase, which means nothing at zero amplitude, these have no singular point. Their
+    common factor is free, since the input is scaled to its r.m.s.
     """
 
     experiment: Experiment
@@ -107,17 +114,11 @@ class _Task(eqx.Module):
         return (raw * (self.rms / _rms(raw)))[:, None]
 
     def _raw(self, coefficients: Array) -> Float[Array, " n"]:
-        cosine, sine = jnp.split(coefficients, 2)
+        cosine = jnp.zeros_like(self.frequencies)
+        phases = jnp.concatenate([cosine, cosine - jnp.pi / 2])
         both = jnp.concatenate([self.frequencies, self.frequencies])
-        quarter = jnp.zeros_like(cosine)
-        phases = jnp.concatenate([quarter, quarter - jnp.pi / 2])
-        return multisine(
-            jnp.concatenate([cosine, sine]),
-            phases,
-            both,
-            self.sample_count,
-            self.experiment.time_step,
-        )
+        step = self.experiment.time_step
+        return multisine(coefficients, phases, both, self.sample_count, step)
 
     def peaks(self, states: Float[Array, "n states"]) -> Float[Array, " limited"]:
         """Largest size of each limited state."""
@@ -156,7 +157,7 @@ def design_input(
 ) -> Design:
     """The multisine that makes one parameter's interval tightest, all others being unknown too.
 
-    The input has exactly this r.m.s. What it is best for hangs on `values`, which are not known
+    The input has exactly this r.m.s. The best input depends on `values`, which are not known
     before the recording: design with an estimate, and again when there is a better one.
 
     **Arguments:**
@@ -250,7 +251,7 @@ def _search(
         solution = optx.minimise(
             lambda c, args: args[0].cost(c, args[1]),
             optx.BFGS(TOLERANCE, TOLERANCE),
-            # One size for all: the cost does not hang on it, but the steps do.
+            # One size for all starts: the cost does not depend on it, but the steps do.
             coefficients / _rms(coefficients),
             args=(task, penalty),
             max_steps=max_steps,
@@ -271,18 +272,18 @@ def _best(
 ) -> Design:
     """The best of those that keep the travel; if none does, the one that comes nearest."""
 
-    def judged(coefficients: Array) -> tuple[Array, ...]:
+    def outcome(coefficients: Array) -> tuple[Array, ...]:
         levels = task.levels(coefficients)
         information, states = task.experiment.information(levels)
         errors = task.experiment.standard_errors(information)
         return levels, errors, task.peaks(states), task.excess(states)
 
-    levels, errors, peaks, excess = jax.vmap(judged)(found)
+    levels, errors, peaks, excess = jax.vmap(outcome)(found)
     finite = jnp.isfinite(errors[:, task.place])
-    kept = jnp.all(peaks <= task.limits[None, :], axis=1) & finite
-    promised = jnp.where(kept, errors[:, task.place], jnp.inf)
+    within = jnp.all(peaks <= task.limits[None, :], axis=1) & finite
+    promised = jnp.where(within, errors[:, task.place], jnp.inf)
     nearest = jnp.argmin(jnp.where(finite, excess, jnp.inf))
-    best = jnp.where(jnp.any(kept), jnp.argmin(promised), nearest)
+    best = jnp.where(jnp.any(within), jnp.argmin(promised), nearest)
     amplitudes, phases = task.polar(found[best])
     wave = levels[best, :, 0]
     experiment = task.experiment
@@ -297,12 +298,12 @@ def _best(
         rms=_rms(wave),
         peaks={states[i]: peak for i, peak in zip(task.limited, peaks[best])},
         starts=promised,
-        status=_status(settled[best], jnp.any(kept), jnp.any(finite)),
+        status=_status(settled[best], jnp.any(within), jnp.any(finite)),
         parameter=parameter,
     )
 
 
-def _status(settled: Array, kept: Array, finite: Array) -> DesignStatus:
+def _status(settled: Array, within: Array, finite: Array) -> DesignStatus:
     status = DesignStatus.where(settled, DesignStatus.converged, DesignStatus.out_of_steps)
-    status = DesignStatus.where(kept, status, DesignStatus.travel_exceeded)
+    status = DesignStatus.where(within, status, DesignStatus.travel_exceeded)
     return DesignStatus.where(finite, status, DesignStatus.not_finite)

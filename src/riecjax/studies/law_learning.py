@@ -1,9 +1,14 @@
 """The law of window lengths that makes identified models predict best on other recordings.
 
-Which windows to look through is a choice that the criterion cannot make for itself: it has no
-error that means the same at two laws. The error of prediction does. It is differentiated by the
-law's weights, through the simulation of the identified model, the solution of the stages and the
-sums over all windows.
+The criterion cannot choose its windows by itself, since its residual means something else under
+another law. The error of prediction does not. With G(w) theta = g(w) the normal equations under
+the weights w of the law, both linear in w, and E(theta) the error of the identified model on
+another recording, its slope is
+
+    dE/dw_i = dE/dtheta G^-1 (dg/dw_i - dG/dw_i theta),
+
+through the simulation, the solution of each stage and the sums over all windows of one part of the
+band. A part that is in the sums with next to no weight has next to no slope.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,8 +37,8 @@ from riecjax.validation.goodness_of_fit import percentage_error
 TOLERANCE = 1e-4
 """Change of a weight's logarithm, and share of the error, that are not worth another step."""
 SIZE_POWER = 3
-"""A part's share of the moments grows with this power of its length: with the number of lengths in
-it, and with the square of a window's integral."""
+"""Power of a part's length that its share of the moments grows with: once with the number of
+lengths in it, twice with the square of a window's integral."""
 
 
 class LearnedLaw(eqx.Module):
@@ -76,7 +81,7 @@ class Prediction(eqx.Module):
     signals: tuple[str, ...] = eqx.field(static=True)
 
     def values(self, training: Record, windows: AllWindows) -> dict[str, Array]:
-        """What is identified."""
+        """Parameters identified on the training record, by name."""
         stages = stage_normal_equations(self.procedure, training, RIEC(windows), None)
         known = dict(self.known)
         return found_values(solve_stages(stages, known), known)
@@ -125,7 +130,7 @@ def learn_law(
 
     There are many local optima, each part by itself among them. The first start lets each part
     tell about as much, the others are drawn around it. What is gained on the recordings given may
-    be theirs alone: judge the law on others, by [`validation_errors`][].
+    be theirs alone: test the law on others, by [`validation_errors`][].
 
     **Arguments:**
 
@@ -186,7 +191,7 @@ def _errors(
 def _starts(
     key: Key[Array, ""], alpha: float, beta: float, parts: int, count: int
 ) -> Float[Array, "starts parts"]:
-    """Log-weights. Equal ones would leave short windows without a say, and without a slope."""
+    """Log-weights. Equal ones would leave short windows without influence, and without a slope."""
     told_alike = -SIZE_POWER * jnp.log(beta / alpha) * jnp.arange(parts) / parts
     draws = jax.random.normal(key, (count, parts)).at[0].set(0.0)
     return told_alike[None, :] + draws

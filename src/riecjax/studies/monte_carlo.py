@@ -1,7 +1,7 @@
-"""One experiment repeated over many random keys, vmapped in chunks, on all devices that there are.
+"""One experiment repeated over many random keys, vmapped in chunks, on all devices.
 
-XLA keeps small batched operations on one core of a CPU; told that the CPU is several devices (see
-`riecjax.start_jax`), a chunk is shared out among them.
+XLA keeps small batched operations on one core of a CPU. With the CPU as several devices (see
+`riecjax.start_jax`) each takes its part of a chunk.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,12 +18,11 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import ModelError, require
-from riecjax.estimation.least_squares import solve
 from riecjax.estimation.question import question
 from riecjax.estimation.sharing import Sharing, all_normal_equations
+from riecjax.estimation.stages import solve_stages
 from riecjax.records.record import Record, as_records
 from riecjax.summaries.task import record_keys, require_key
-from riecjax.uncertainty.scores import in_order, staged_values, unknowns
 
 
 def over_keys(
@@ -35,10 +34,11 @@ def over_keys(
     chunk: int = 8,
     progress: Callable[[int], None] | None = None,
 ) -> Any:
-    """`experiment(key_i, *args)` for `count` keys split from `key`, stacked along a leading axis.
+    """`experiment(key_i, *args)` for `count` keys made of `key`, stacked along a leading axis.
 
     Chunks of one size compile once and bound the memory; the surplus of the last is cut off.
-    The i-th key does not depend on `count` or `chunk`, so more repetitions extend a study.
+    The i-th key, `jax.random.fold_in(key, i)`, does not depend on `count` or `chunk`, so more
+    repetitions extend a study.
 
     **Arguments:**
 
@@ -48,7 +48,8 @@ def over_keys(
     - `progress`: called with the number of finished repetitions after each chunk.
     """
     chunk = min(chunk, count)
-    keys = keys_of(key, -(-count // chunk) * chunk, first)
+    numbers = first + jnp.arange(-(-count // chunk) * chunk, dtype=jnp.uint32)
+    keys = jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
     parts = []
     for start in range(0, count, chunk):
         part = _batch(experiment, keys[start : start + chunk], args)
@@ -56,12 +57,6 @@ def over_keys(
         if progress is not None:
             progress(min(start + chunk, count))
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
-
-
-def keys_of(key: Key[Array, ""], count: int, first: int = 0) -> Key[Array, " count"]:
-    """The keys of repetitions number `first` (from 0) and following."""
-    numbers = first + jnp.arange(count, dtype=jnp.uint32)
-    return jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
 
 
 @eqx.filter_jit
@@ -146,10 +141,8 @@ def _estimates(
     def with_key(key: Key[Array, ""]) -> Float[Array, " p"]:
         own_keys = record_keys(key, len(records))
         stages = all_normal_equations(procedure, sharing, records, criterion, own_keys)
-        flat = [stage.flattened() for stage in stages]
-        totals = [stage.total() for stage in flat]
-        plan = unknowns(flat, known)
-        return in_order(plan, staged_values(totals, plan, known, lambda e: solve(e).theta))
+        solutions = solve_stages([stage.flattened() for stage in stages], known)
+        return jnp.concatenate([stage.solution.theta for stage in solutions])
 
     # Some at a time: rows of all draws at once would need their memory many times over.
     return jax.lax.map(with_key, keys, batch_size=4)

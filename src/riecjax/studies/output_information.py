@@ -1,9 +1,18 @@
-"""What a recording under a given input can tell of a model's parameters, before it is made.
+"""Fisher information of a recording on a model's parameters, before it is made.
 
-The sensors' noise being white and Gaussian, the information of simulated channels on parameters
-and initial state is the Gram matrix of their sensitivities in units of the noise, and the inverse
-of it bounds the covariance of every unbiased estimate (Cramer and Rao). Output error attains that
-bound on all but short records.
+With white Gaussian noise of standard deviation sigma_c on each channel, y_c(k) = h_c(k; u) + noise
+for unknown parameters and initial state u, and the log-likelihood is, up to a constant,
+-1/2 sum ((y_c - h_c) / sigma_c)^2. Its slope by u is J'r, with r the residuals and J the
+sensitivities dh/du, both in units of sigma, and the covariance of that slope is the information
+
+    I = E J'r r'J = J'J.
+
+No unbiased estimate has a covariance below I^-1 (Cramer and Rao); output error attains it on all
+but short records. With all of u unknown the parameters' part of I^-1 is (I_pp - I_ps I_ss^-1
+I_sp)^-1: what could as well be another initial state tells nothing.
+
+Everything is in units of the values: with u_i = v_i theta_i the information on v is theta_i I_ij
+theta_j, and [I_v^-1]_jj is the square of a relative standard error, whatever the units.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +40,7 @@ class Experiment(eqx.Module):
     **Fields:**
 
     - `system` for every value of its parameters; `values` of the `parameters` that will be
-      estimated, at which it is looked at; `known`, values held.
+      estimated; `known`, values held.
     - `initial_state`, which will be estimated too.
     - `sigma`: standard deviation of the white noise on each of `channels`.
     - `time_step` in seconds; `method` of simulation.
@@ -90,7 +99,7 @@ class Experiment(eqx.Module):
 
 
 def inverse(information: Float[Array, "k k"]) -> Float[Array, "k k"]:
-    """Inverse of an information matrix; huge, not infinite, where nothing is told."""
+    """Inverse of an information matrix; huge, not infinite, where there is no information."""
     k = information.shape[0]
     rounding = 8 * k * float(jnp.finfo(information.dtype).eps)
     return solve_scaled(information, jnp.eye(k, dtype=information.dtype), ridge=rounding)
@@ -164,7 +173,7 @@ def predicted_standard_errors(
     **Arguments:**
 
     - `model`: something to simulate, as for [`refine`][] by output error.
-    - `values`: of the parameters that will be estimated; what is told of them hangs on these.
+    - `values`: of the parameters that will be estimated; the information depends on them.
     - `record`: holds the inputs.
     - `channels`: signals that will be measured: states, their derivatives, outputs.
     - `sigma`: standard deviation of the white noise on each, in its unit.

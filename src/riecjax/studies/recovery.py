@@ -1,4 +1,4 @@
-"""From how far away a refinement finds its optimum: a map over random starts."""
+"""The basin of attraction of a refinement's optimum, mapped by random starts."""
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence

@@ -1,12 +1,11 @@
-"""Estimates against window length: the standard test of whether a model is exact enough.
+"""Estimates at several window lengths: the standard test of whether a model is exact enough.
 
-With an exact model every window length finds the same parameters, up to scatter. Where a model
-leaves something out, that weighs differently at different lengths, and the estimates drift.
+With an exact model every window length finds the same parameters, up to scatter. What a model
+leaves out weighs differently at different lengths, and the estimates drift.
 """
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,14 +31,24 @@ from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import task
 from riecjax.uncertainty.scores import block_influence
 
+# How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
+# time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
+# matrix, e_b the block's residuals), and independent blocks give it the variance
+# n / (n - 1) sum_b d_b^2: the scores of n blocks sum to zero at the solution, which takes one
+# degree of freedom. Two estimates from the same record are far from independent, since they share
+# its noise and its motion. But the difference of the two has the influence d_b1 - d_b2, block by
+# block, and the variance n / (n - 1) sum_b (d_b1 - d_b2)^2: a paired test, in which whatever both
+# share cancels. So a drift is seen that is much smaller than either standard error. Of all pairs of
+# lengths the most significant is tested, at the level over the number of pairs (Bonferroni).
+
 FEWEST_SAMPLES = 4
 """Samples that the shortest window of a sweep spans at least."""
 FEWEST_STRETCHES = 10
 """Longest windows that the records hold at least, end to end."""
 SMALLEST_DRIFT = 0.005
-"""Share of a parameter below which a drift is nobody's concern."""
+"""Share of a parameter below which a drift does not matter."""
 SHARE_OF_BLOCKS = 0.5
-"""Share of the blocks of time with windows at some length below which another has no estimate."""
+"""A length with windows in less than this share of the blocks that another has gets no estimate."""
 LEVEL = 0.05
 
 
@@ -76,7 +85,6 @@ class WindowSweep(eqx.Module):
 
     @property
     def _factor(self) -> Array:
-        # The scores of n blocks sum to zero at the solution.
         xp = namespace(self.block_count)
         return xp.divide(self.block_count, xp.maximum(self.block_count - 1, 1))
 
@@ -116,8 +124,7 @@ class WindowSweep(eqx.Module):
             _, _, difference, error = self.drift(name)
             if abs(difference) > limit * error and error > 0:
                 theta = np.asarray(self.theta[:, j])
-                low, high = int(np.nanargmin(theta)), int(np.nanargmax(theta))
-                low, high = sorted((low, high))
+                low, high = sorted((int(np.nanargmin(theta)), int(np.nanargmax(theta))))
                 unit = f" {units[name]}" if units.get(name) else ""
                 found.append(
                     Finding(
@@ -127,6 +134,7 @@ class WindowSweep(eqx.Module):
                         f"{self._band(high)}, a drift of up to {abs(difference) / error:.0f} "
                         f"standard errors: the model leaves something out, or short windows show "
                         f"the sensors' noise.",
+                        parameters=(name,),
                     )
                 )
         return found
@@ -195,7 +203,7 @@ def sweep_edges(
 
     **Raises:** `DataError` if the records are too short for any sweep.
     """
-    lengths = [_Recorded(float(r.time_step), r.sample_count) for r in records]
+    lengths = [(float(r.time_step), r.sample_count) for r in records]
     low, high = _reach(lengths, criterion, shortest, longest)
     windows = criterion.in_windows
     assert windows is not None
@@ -209,30 +217,19 @@ def sweep_edges(
     return np.unique(np.concatenate(parts))
 
 
-class _Recorded(NamedTuple):
-    """Seconds to a sample of a recording, and samples."""
-
-    step: float
-    samples: int
-
-    @property
-    def duration(self) -> float:
-        return self.step * (self.samples - 1)
-
-
 def _reach(
-    records: list[_Recorded],
+    records: list[tuple[float, int]],
     criterion: AbstractCriterion,
     shortest: float | None,
     longest: float | None,
 ) -> tuple[float, float]:
+    """Ends of a sweep in seconds, for records of a time step in seconds and a number of samples."""
     windows = criterion.in_windows
     assert windows is not None
-    coarsest = max(record.step for record in records)
+    coarsest = max(step for step, _ in records)
+    durations = [step * (samples - 1) for step, samples in records]
     low = max(float(windows.alpha) / 10, criterion.smoothness * FEWEST_SAMPLES * coarsest)
-    recorded = sum(record.duration for record in records) / FEWEST_STRETCHES
-    each = min(record.duration for record in records) / 2
-    high = min(2 * float(windows.beta), recorded, each)
+    high = min(2 * float(windows.beta), sum(durations) / FEWEST_STRETCHES, min(durations) / 2)
     low = low if shortest is None else shortest
     high = high if longest is None else longest
     if not 0 < low < high / 2:
@@ -253,7 +250,7 @@ def _bands(
             "this Summary keeps the sums of all window lengths together: make it with bins, "
             "rx.summarise(..., bins=12)."
         )
-    lengths = [_Recorded(float(r.time_step), int(r.samples)) for r in summary.recordings]
+    lengths = [(float(r.time_step), int(r.samples)) for r in summary.recordings]
     law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
     low, high = _reach(lengths, law, shortest, longest)
     inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))

@@ -1,5 +1,5 @@
-from .errors import EquationError as EquationError
-from .errors import equation_error as equation_error
+from .equation_errors import EquationError as EquationError
+from .equation_errors import equation_error as equation_error
 from .goodness_of_fit import Validation as Validation
 from .goodness_of_fit import nrmse_fit as nrmse_fit
 from .goodness_of_fit import percentage_error as percentage_error

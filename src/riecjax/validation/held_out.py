@@ -2,8 +2,7 @@
 
 A simulation that runs to its end has shown nothing yet. The verdict is about the signals: a fit
 (`nrmse_fit`) of 80 % and more is predicted well, of 50 to 80 % roughly, less is not predicted, and
-below 0 % the measured mean would have been the better prediction. A fit of 50 % leaves an error of
-half the signal's standard deviation, 80 % of a fifth.
+below 0 % the measured mean would have been the better prediction.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,48 +12,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from riecjax.errors import DataError, SimulationError
 from riecjax.records.record import Record
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
 from riecjax.simulation.system import AbstractSystem, Quantities, state_sources
-from riecjax.validation.goodness_of_fit import nrmse_fit, percentage_error, variance_accounted_for
+from riecjax.validation.goodness_of_fit import (
+    PREDICTS_ROUGHLY,
+    PREDICTS_WELL,
+    SignalFit,
+    signal_fit,
+)
 
-PREDICTS_WELL = 80.0
-"""Fit in percent from which a signal is predicted well."""
-PREDICTS_ROUGHLY = 50.0
-"""Fit in percent from which a signal is predicted at all."""
 SHORTEST_STRETCH = 20
-"""Samples of an unbroken stretch below which it is skipped: too short to tell a prediction from
-its own start."""
+"""Samples of an unbroken stretch below which it is skipped: it would be all transient."""
 FREE_POINTS = 16
 """Measured points at which a state is tested for having no influence on the motion."""
-
-
-class SignalFit(NamedTuple):
-    """How well one signal is predicted, in percent, over `samples` samples."""
-
-    p: Float[Array, ""]
-    """Error of eq. (28); 0 is perfect."""
-    fit: Float[Array, ""]
-    """`nrmse_fit`; 100 is perfect, 0 the measured mean."""
-    vaf: Float[Array, ""]
-    """Variance accounted for; 100 is perfect but for a constant."""
-    samples: int
-
-    @property
-    def grade(self) -> str:
-        """well, roughly, not, worse than its mean; or unknown, of a signal that does not vary."""
-        fit = float(self.fit)
-        if np.isnan(fit):
-            return "unknown"
-        if fit >= PREDICTS_WELL:
-            return "well"
-        if fit >= PREDICTS_ROUGHLY:
-            return "roughly"
-        return "not" if fit >= 0 else "worse than its mean"
 
 
 class HeldOut(eqx.Module):
@@ -116,7 +91,9 @@ class HeldOut(eqx.Module):
         }
 
 
-class _Stretch(NamedTuple):
+class _Run(NamedTuple):
+    """A simulated stretch, `start` to before `stop`, of which `reached` samples are finite."""
+
     start: int
     stop: int
     simulation: Simulation
@@ -133,8 +110,8 @@ def validate_held_out(
 ) -> HeldOut:
     """Simulate along the measured inputs from the measured state, and compare.
 
-    Every stretch in which no input lacks a sample is simulated on its own, from the state measured
-    at its start; stretches under 20 samples are skipped. A state that is not recorded starts from
+    Every stretch in which all inputs have their samples is simulated from the state measured at its
+    start; stretches under 20 samples are skipped. A state that is not recorded starts from
     one-sided differences if it is the velocity of a recorded state, otherwise from zero, and the
     verdict says so. Not under jit.
 
@@ -146,28 +123,30 @@ def validate_held_out(
     - `initial_state`: state name to value at the start; at later stretches only of those states
       that are not recorded.
 
-    **Raises:** `DataError` if the record lacks an input or one of `signals`, holds nothing to
-    compare, or has no stretch of 20 samples; `ModelError` for an unknown state.
+    **Raises:** `DataError` if an input or one of `signals` is not in the record, if nothing can be
+    compared, or if no stretch has 20 samples; `ModelError` for an unknown state.
     """
     given = dict(initial_state or {})
     system.require_states(given)
     recorded = [name for name in system.state_names if name in measured.arrays]
     compared = _compared(system, measured, signals)
-    sources = {
-        name: "given" if name in given else source
-        for name, source in state_sources(system, measured).items()
-    }
+    sources = state_sources(system, measured) | dict.fromkeys(given, "given")
     driven, inputs = _driven(system, measured)
-    runs: list[_Stretch] = []
+    runs: list[_Run] = []
     for start, stop in _stretches(system, measured, recorded, sources):
         # What the caller gives holds at the start; further on the record knows better.
         held = {n: v for n, v in given.items() if not runs or n not in recorded}
-        first = _start(system, measured, start, sources, held)
-        simulation = _run(driven, inputs, start, stop, method, first)
-        reached = min(int(simulation.samples_reached), stop - start)
-        runs.append(_Stretch(start, stop, simulation, reached))
+        first = _initial_state(system, measured, start, sources, held)
+        simulation = _simulate(driven, inputs, start, stop, method, first)
+        runs.append(
+            _Run(start, stop, simulation, min(int(simulation.samples_reached), stop - start))
+        )
     record, simulated = _joined(driven, measured, runs)
-    fits = {name: _fit(record[name], measured, name, simulated) for name in compared}
+    fits = {}
+    for name in compared:
+        present = measured.present((name,))
+        both = jnp.asarray(simulated) if present is None else present & jnp.asarray(simulated)
+        fits[name] = signal_fit(record[name], measured[name], both)
     reason = _reason(runs)
     judged = tuple(signals or [name for name in compared if name in recorded] or compared)
     drifting = _drifting(system, measured, record, simulated, fits)
@@ -193,33 +172,32 @@ def _compared(
     for name in system.input_names:
         measured.signals[name]
     available = system.simulated_names
-    if signals is not None:
-        for name in signals:
-            if name not in available:
-                raise DataError(
-                    f"the simulation has no signal '{name}' to compare; it has: "
-                    f"{', '.join(available)}."
-                )
-            measured.signals[name]
-        return tuple(signals)
-    compared = tuple(name for name in available if name in measured.arrays)
-    if not compared:
-        raise DataError(
-            f"the record holds nothing that is simulated, so there is nothing to compare; needed "
-            f"is one of: {', '.join(available)}."
-        )
-    return compared
+    if signals is None:
+        compared = tuple(name for name in available if name in measured.arrays)
+        if not compared:
+            raise DataError(
+                f"the record holds nothing that is simulated, so there is nothing to compare; "
+                f"needed is one of: {', '.join(available)}."
+            )
+        return compared
+    for name in signals:
+        if name not in available:
+            raise DataError(
+                f"the simulation has no signal '{name}' to compare; it has: {', '.join(available)}."
+            )
+        measured.signals[name]
+    return tuple(signals)
 
 
 def _stretches(
     system: AbstractSystem, measured: Record, recorded: Sequence[str], sources: Mapping[str, str]
 ) -> list[tuple[int, int]]:
     """Unbroken stretches of the inputs, each from where the state is known."""
-    there = measured.present(recorded)
-    known = np.ones(measured.sample_count, bool) if there is None else np.asarray(there)
+    present = measured.present(recorded)
+    known = np.ones(measured.sample_count, bool) if present is None else np.asarray(present)
     if "differences" in sources.values():
         known = known & np.roll(known, -1) & np.roll(known, -2)
-    # Without inputs a pause still breaks the motion: every recorded signal lacks its sample there.
+    # Without inputs a pause still breaks the motion: every recorded signal misses its sample there.
     names = system.input_names or tuple(recorded) or tuple(measured.arrays)
     found = []
     for part in measured.segments(names):
@@ -234,7 +212,7 @@ def _stretches(
     return found
 
 
-def _start(
+def _initial_state(
     system: AbstractSystem,
     measured: Record,
     start: int,
@@ -284,7 +262,7 @@ def _driven(system: AbstractSystem, measured: Record) -> tuple[AbstractSystem, R
     return _Undriven(system), Record({"": jnp.zeros(measured.sample_count)}, measured.time_step)
 
 
-def _run(
+def _simulate(
     system: AbstractSystem,
     inputs: Record,
     start: int,
@@ -293,7 +271,7 @@ def _run(
     first: Mapping[str, Array],
 ) -> Simulation:
     count = stop - start
-    # A length of its own for every stretch would compile for every stretch; powers of two do not.
+    # Each length compiles; with powers of two there are few.
     length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
     levels = {
         name: jnp.concatenate([x[start:stop], jnp.full(length - count, x[stop - 1])])
@@ -304,9 +282,9 @@ def _run(
 
 
 def _joined(
-    system: AbstractSystem, measured: Record, runs: Sequence[_Stretch]
+    system: AbstractSystem, measured: Record, runs: Sequence[_Run]
 ) -> tuple[Record, np.ndarray]:
-    """Everything simulated on the time of the measured record, and where it was simulated."""
+    """All that was simulated on the time of the measured record, and a mask of where it was."""
     made = [n for n in runs[0].simulation.record.arrays if n not in system.input_names]
     simulated = np.zeros(measured.sample_count, bool)
     arrays = {name: np.zeros(measured.sample_count) for name in made}
@@ -325,19 +303,7 @@ def _joined(
     return record.select(*(n for n in system.input_names if n), *made), simulated
 
 
-def _fit(predicted: Array, measured: Record, name: str, simulated: np.ndarray) -> SignalFit:
-    there = measured.present((name,))
-    kept = jnp.asarray(simulated) if there is None else there & jnp.asarray(simulated)
-    samples = measured[name]
-    return SignalFit(
-        percentage_error(predicted, samples, kept),
-        nrmse_fit(predicted, samples, kept),
-        variance_accounted_for(predicted, samples, kept),
-        int(jnp.sum(kept)),
-    )
-
-
-def _reason(runs: Sequence[_Stretch]) -> str:
+def _reason(runs: Sequence[_Run]) -> str:
     for run in runs:
         if run.reached < run.stop - run.start:
             try:
@@ -375,14 +341,6 @@ def _drifting(
     return tuple(q for q in candidates if not bool(jnp.any(influence[:, :, column(q)])))
 
 
-_PHRASES = {
-    "well": "predicted well",
-    "roughly": "predicted roughly",
-    "not": "not predicted",
-    "worse than its mean": "predicted worse than by the measured mean",
-}
-
-
 def _verdict(
     reason: str,
     predicts: bool,
@@ -393,26 +351,30 @@ def _verdict(
 ) -> str:
     if reason:
         return f"It did not run: {reason}"
+    phrases = {
+        "well": "predicted well",
+        "roughly": "predicted roughly",
+        "not": "not predicted",
+        "worse than its mean": "predicted worse than by the measured mean",
+        "unknown": "constant in the record and cannot be judged",
+    }
     parts = []
-    for grade, phrase in _PHRASES.items():
+    for grade, phrase in phrases.items():
         if names := [name for name, one in fits.items() if one.grade == grade]:
             shown = ", ".join(f"{max(float(fits[name].fit), -999.0):.1f}" for name in names)
-            parts.append(f"{_are(names)} {phrase} (fit {shown} %)")
-    if names := [name for name, one in fits.items() if one.grade == "unknown"]:
-        parts.append(f"{_are(names)} constant in the record and cannot be judged")
-    for name in drifting:
-        parts.append(
-            f"{name} drifts since it only adds up {system.velocity_of[name]}, which is predicted, "
-            f"and nothing in the model pulls it back"
-        )
-    if names := [name for name, source in sources.items() if source == "differences"]:
-        parts.append(f"{_are(names)} not recorded and started from differences")
-    if names := [name for name, source in sources.items() if source == "zero"]:
-        parts.append(f"{_are(names)} not recorded and started from zero")
-    head = (
-        "It ran and predicts the record" if predicts else "It ran but does not predict the record"
-    )
-    return f"{head}: {'; '.join(parts)}."
+            parts.append(
+                f"{_are(names)} {phrase}" + ("" if grade == "unknown" else f" (fit {shown} %)")
+            )
+    parts += [
+        f"{name} drifts since it only adds up {system.velocity_of[name]}, which is predicted, and "
+        f"nothing in the model pulls it back"
+        for name in drifting
+    ]
+    for start in ("differences", "zero"):
+        if names := [name for name, source in sources.items() if source == start]:
+            parts.append(f"{_are(names)} not recorded and started from {start}")
+    head = "predicts the record" if predicts else "does not predict the record"
+    return f"It ran {'and' if predicts else 'but'} {head}: {'; '.join(parts)}."
 
 
 def _are(names: Sequence[str]) -> str:

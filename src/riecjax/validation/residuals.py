@@ -19,15 +19,17 @@ from riecjax.equations.procedure import HasProcedure, Procedure, told_apart
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, as_records
-from riecjax.validation.error_correlation import (
+from riecjax.validation.equation_errors import EquationError, errors_over_records, joined, with_pads
+from riecjax.validation.time_series import (
     Autocorrelation,
     CrossCorrelation,
+    ErrorSpectrum,
+    Peak,
     autocorrelation,
     cross_correlation,
+    error_spectrum,
     moving_average,
 )
-from riecjax.validation.error_spectrum import ErrorSpectrum, Peak, error_spectrum
-from riecjax.validation.errors import EquationError, errors_over_records, joined, with_pads
 from riecjax.validation.window_errors import WindowErrors, window_errors
 
 LAGS = 50
@@ -36,25 +38,24 @@ MOST_LAGS = 400
 LARGEST_LAG_SHARE = 10
 """The longest lag is at most this part of the records."""
 NOTABLE_SIZE = 0.02
-"""Share of the target below which an error is nobody's concern."""
+"""Share of the target below which an error does not matter."""
 NOTABLE_CORRELATION = 0.3
 """Correlation below which less than a tenth of the error's power follows a signal."""
 NOTABLE_RATIO = 10.0
 """Mean square errors of the loudest and the quietest stretch that are uneven: 3.2 in rms."""
 RARE = 0.01
-"""Probability of stretches so uneven by chance, below which they are called so."""
+"""Probability by chance below which stretches are called uneven."""
 NOTABLE_SHARED = 0.1
-"""Epsilon that is no longer much smaller than one; chance makes T / t_max, and seldom ten times
-that."""
+"""Epsilon that is no longer much smaller than one; chance seldom makes ten times T / t_max."""
 
 
 class EquationResidual(NamedTuple):
-    """What one equation leaves.
+    """What one equation leaves unexplained.
 
     **Fields:**
 
-    - `name` and `unit` of the equation; `relative_rms`: its error, sample by sample, against its
-      target.
+    - `name` and `unit` of the equation; `relative_rms`: its error, sample by sample, relative to
+      its target.
     - `error`: over all records, see `joined`.
     - `autocorrelation` of the error.
     - `follows`: correlation with each signal that all records hold, strongest first. Error and
@@ -62,7 +63,7 @@ class EquationResidual(NamedTuple):
       the shortest window if that is longer, so that differentiated sensor noise does not hide what
       is left of the motion.
     - `averaged`: seconds of that average.
-    - `averaged_size`: root mean square of the averaged error against the averaged target.
+    - `averaged_size`: root mean square of the averaged error relative to the averaged target.
     - `spectrum`, and its `peak` if there is a genuine one.
     - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
       short for four of the longest.
@@ -115,6 +116,7 @@ class EquationResidual(NamedTuple):
                 f"{self.name}: what the model leaves follows {first.signal}"
                 f"{_later(first.largest_lag)} (correlation {first.largest:.2f}), by "
                 f"{100 * size * self.averaged_size:.3g} % of the target: {cause}",
+                (first.signal,),
             )
 
     def _uneven(self) -> Iterator[Finding]:
@@ -127,8 +129,8 @@ class EquationResidual(NamedTuple):
                 "uneven_errors",
                 f"{self.name}: errors of windows are {np.sqrt(errors.ratio):.2g} times as large "
                 f"from {errors.start[loud]:.4g} to {errors.stop[loud]:.4g} s as in the quietest "
-                f"stretch (the signal {_times(errors)}), so the estimate hangs on that stretch. "
-                f"See what differs there; leave it out, or identify the stretches one by one.",
+                f"stretch (the signal {_times(errors)}), so the estimate depends on it. See "
+                f"what differs there; leave it out, or identify the stretches one by one.",
             )
         if errors.correlation > max(NOTABLE_SHARED, 10 * errors.window_share):
             yield Finding(
@@ -171,7 +173,7 @@ class EquationResidual(NamedTuple):
 
 
 class ResidualTests(eqx.Module):
-    """What every equation of a model leaves; see [`residual_tests`][].
+    """What every equation of a model leaves unexplained; see [`residual_tests`][].
 
     **Fields:** `equations`, in the order of the procedure's stages.
     """
@@ -182,7 +184,7 @@ class ResidualTests(eqx.Module):
         return {equation.name: equation for equation in self.equations}[name]
 
     def findings(self) -> list[Finding]:
-        """What the errors say against the model."""
+        """Findings of all equations."""
         return [finding for equation in self.equations for finding in equation.findings()]
 
     def describe(self) -> dict[str, Any]:
@@ -214,7 +216,8 @@ def residual_tests(
     """
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
-    windows = windows_of(estimate) if windows is None else windows
+    if windows is None and isinstance(estimate, Estimate):
+        windows = estimate.criterion.in_windows
     if errors is None:
         errors = errors_over_records(model, recordings, values)
     if lags is None:
@@ -228,11 +231,6 @@ def residual_tests(
             for name, of_equation in zip(told_apart([e[0].name for e in errors]), errors)
         )
     )
-
-
-def windows_of(estimate: Estimate | Mapping[str, float | Array]) -> AbstractWindows | None:
-    """The windows of an estimate's criterion, if it has some."""
-    return estimate.criterion.in_windows if isinstance(estimate, Estimate) else None
 
 
 def _residual(
@@ -281,9 +279,9 @@ def _follows(
     ]
     found = []
     for name in common:
-        signal, there = _signal(errors, records, name, lags)
-        signal, there = moving_average(signal, there, count)
-        both = present & there
+        signal, valid = _signal(errors, records, name, lags)
+        signal, valid = moving_average(signal, valid, count)
+        both = present & valid
         if both.any() and np.ptp(signal[both]) > 0:
             step = float(errors[0].time_step)
             found.append(
@@ -295,14 +293,14 @@ def _follows(
 def _signal(
     errors: list[EquationError], records: list[Record], name: str, pad: int
 ) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """A signal at the values of the joined errors, and where it is present."""
-    values, there = [], []
+    """A signal at the times of the joined errors, and a mask of its samples that are present."""
+    values, valid = [], []
     for error, record in zip(errors, records):
         missing = record.missing.get(name)
         values.append(np.asarray(error.centred(record[name])))
         gone = np.zeros(values[-1].size) if missing is None else error.centred(missing * 1.0)
-        there.append(np.asarray(gone) == 0)
-    return with_pads(values, pad), with_pads(there, pad)
+        valid.append(np.asarray(gone) == 0)
+    return with_pads(values, pad), with_pads(valid, pad)
 
 
 def _later(lag: float) -> str:

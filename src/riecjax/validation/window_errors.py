@@ -1,14 +1,12 @@
-"""Eq. (18) on recorded data: whether errors of random windows are of one size and unrelated.
+"""Eq. (18) on recorded data: whether errors of random windows have one variance and no correlation.
 
-The paper argues by symmetry. Windows drawn at random have one expected mean square error
-sigma^2, and any two of them one cross-correlation epsilon, small if windows are much shorter than
-the record; ordinary least squares is then the right solve. The symmetry holds before anything
-is known of the record. On a given one the errors of some stretches can outweigh all others, or all
-errors can share a constant part, and neither averages out.
+The paper argues by symmetry. Windows drawn at random have one expected mean square error sigma^2,
+and any two of them one cross-correlation epsilon, small if windows are much shorter than the
+record. The symmetry holds before anything is known of the record. On a given one the errors of
+some stretches can outweigh all others, or all errors can share a constant part.
 """
 
 import itertools
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -16,19 +14,35 @@ from jaxtyping import Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
-from riecjax.validation.error_spectrum import unbroken
-from riecjax.validation.errors import EquationError, joined
+from riecjax.validation.equation_errors import EquationError, joined
+from riecjax.validation.time_series import unbroken
+
+# Why eq. (18) allows ordinary least squares. With n windows the errors' covariance is
+#
+#     S = sigma^2 ((1 - epsilon) I + epsilon 1 1'),
+#     S^-1 = (I - c 1 1') / (sigma^2 (1 - epsilon)),   c = epsilon / (1 - epsilon + n epsilon),
+#
+# so that generalised least squares solves (A'A - c A'1 1'A) theta = A'y - c A'1 1'y. Regressors of
+# zero mean have A'1 = 0, and this is ordinary least squares whatever epsilon is. What a constant
+# part does harm to is the average: the mean of n errors has the variance
+# sigma^2 ((1 - epsilon) / n + epsilon), which does not fall below epsilon sigma^2.
+#
+# How large epsilon is by chance. White noise of density N has E e_1 e_2 = N E(overlap) for two
+# windows and E e^2 = N E(T). A window covers an instant with probability about E(T) / t_max, two
+# windows both with its square, so E(overlap) = E(T)^2 / t_max and epsilon = E(T) / t_max. The mean
+# error being normal, the estimate below is epsilon times chi-square with one degree of freedom,
+# which exceeds 10 with a probability of 0.2 %.
 
 LENGTHS = 4
-"""Window lengths from alpha to beta at which errors are looked at, each at every start."""
+"""Window lengths from alpha to beta, each at every start."""
 BLOCK_LENGTH = 2
 """Longest windows to a block of time; no window reaches over its end, so blocks share no data."""
 BLOCKS_TO_STRETCH = 5
-"""Blocks to a stretch at least, whose scatter tells chance from change."""
+"""Blocks to a stretch at least, whose scatter separates chance from change."""
 MOST_STRETCHES = 8
 FEWEST_STRETCHES = 3
 SILENT = 1e-6
-"""Mean square against the loudest block's below which a block is just silent."""
+"""Mean square relative to the loudest block's below which a block is just silent."""
 
 
 class WindowErrors(NamedTuple):
@@ -36,17 +50,16 @@ class WindowErrors(NamedTuple):
 
     **Fields:**
 
-    - `relative_rms`: root mean square of the windows' errors against the targets'.
+    - `relative_rms`: root mean square of the windows' errors relative to the targets'.
     - `start`, `stop`: first and last time of each stretch in seconds from the first recording's
       first sample, records one after the other; shape `(stretches,)`.
-    - `mean_square`: mean square error of the windows of each stretch against that of all.
+    - `mean_square`: mean square error of the windows of each stretch relative to that of all.
     - `target_mean_square`: the same of the target.
-    - `p_value`: probability that stretches alike differ as much: analysis of variance of the
-      logarithms of the mean squares of blocks of time, which single loud blocks hardly reach; NaN
-      where the record is too short for three stretches.
+    - `p_value`: probability that equal stretches differ as much; NaN where the record is too short
+      for three stretches.
     - `correlation`: epsilon, the mean product of the errors of two windows drawn at random from
       one record, over the mean square.
-    - `window_share`: mean T / t_max; white noise has an epsilon of about this.
+    - `window_share`: mean T / t_max, the epsilon of white noise.
     """
 
     relative_rms: float
@@ -69,114 +82,106 @@ class WindowErrors(NamedTuple):
         return _ratio(self.target_mean_square)
 
 
-class _Block(NamedTuple):
-    """Sums over the windows that lie in one block of time."""
+class _Blocks(NamedTuple):
+    """Means over the windows in each block of time, shape `(blocks,)`; `start` in samples."""
 
-    start: int
-    stop: int
-    windows: int
-    error: float
-    error_square: float
-    target_square: float
+    start: np.ndarray
+    error: np.ndarray
+    error_square: np.ndarray
+    target_square: np.ndarray
 
 
 def window_errors(errors: list[EquationError], windows: AbstractWindows) -> WindowErrors | None:
     """Errors of boxcar windows over the records of one equation (not under jit).
 
-    Windows are the impulse's rise over them, at every start and four lengths. `None` where no
-    record is long enough for two blocks of time of twice the longest window.
+    `None` where no record is long enough for two blocks of time of twice the longest window.
     """
     step = float(errors[0].time_step)
     alpha, beta = float(windows.alpha), float(windows.beta)
     longest = max(round(beta / step), 1)
     lags = np.unique(np.round(np.geomspace(max(alpha / step, 1), longest, LENGTHS)).astype(int))
-    records = [list(_blocks(error, lags, BLOCK_LENGTH * longest)) for error in errors]
-    middle = np.asarray(joined(errors, 0).middle)
-    before = np.cumsum([0, *(error.error.size for error in errors)])
-    blocks = [block for of_record in records for block in of_record]
-    if len(blocks) < 2:
-        return None
-    stretches = [
-        (int(offset), part)
-        for offset, of_record in zip(before, records)
-        for part in _stretches(of_record, len(blocks))
-    ]
-    total = _total(blocks)
-    half = 0.5 * errors[0].span * step
+    length = BLOCK_LENGTH * longest
     sizes = [error.error.size for error in errors]
+    records = [
+        _blocks(error, lags, length, before)
+        for error, before in zip(errors, np.cumsum([0, *sizes[:-1]]))
+    ]
+    count = sum(blocks.start.size for blocks in records)
+    if count < 2:
+        return None
+    size = max(BLOCKS_TO_STRETCH, -(-count // MOST_STRETCHES))
+    stretches = [stretch for blocks in records for stretch in _stretches(blocks, size)]
+    error, target = (
+        np.concatenate([getattr(blocks, field) for blocks in records]).mean()
+        for field in ("error_square", "target_square")
+    )
+    # Every block holds as many windows, so that means of blocks are means of windows.
+    shared = sum(
+        blocks.start.size * blocks.error.mean() ** 2 for blocks in records if len(blocks.start)
+    )
+    middle, half = np.asarray(joined(errors, 0).times), 0.5 * errors[0].span * step
     return WindowErrors(
-        relative_rms=float(np.sqrt(_share(total.error_square, total.target_square))),
-        start=np.array([middle[offset + part[0].start] for offset, part in stretches]) - half,
-        stop=np.array([middle[offset + part[-1].stop - 1] for offset, part in stretches]) + half,
-        mean_square=_against_all([part for _, part in stretches], total, "error_square"),
-        target_mean_square=_against_all([part for _, part in stretches], total, "target_square"),
-        p_value=_p_value([part for _, part in stretches]),
-        correlation=_correlation(records),
+        relative_rms=float(np.sqrt(_share(error, target))),
+        start=np.array([middle[part.start[0]] for part in stretches]) - half,
+        stop=np.array([middle[part.start[-1] + length - 1] for part in stretches]) + half,
+        mean_square=np.array([_share(part.error_square.mean(), error) for part in stretches]),
+        target_mean_square=np.array(
+            [_share(part.target_square.mean(), target) for part in stretches]
+        ),
+        p_value=_p_value([part.error_square for part in stretches]),
+        correlation=_share(shared / count, error),
         window_share=float(np.mean(lags) * len(sizes) / np.sum(sizes)),
     )
 
 
-def _blocks(error: EquationError, lags: np.ndarray, length: int) -> Iterator[_Block]:
-    """Blocks of `length` windows' ends of each unbroken stretch, the rest of it left out."""
-    series = np.asarray(error.error), np.asarray(error.target)
+def _blocks(error: EquationError, lags: np.ndarray, length: int, before: int) -> _Blocks:
+    """Blocks of `length` samples of each unbroken stretch, the rest of it left out.
+
+    **Arguments:** `before`, samples of the records before this one, from which starts count.
+    """
     step = float(error.time_step)
+    found = []
     for run in unbroken(np.asarray(error.present)):
         for start in range(run.start, run.stop - length + 1, length):
-            rises = [_rises(values[start : start + length] * step, lags) for values in series]
-            yield _Block(
-                start,
-                start + length,
-                rises[0].size,
-                float(np.sum(rises[0])),
-                float(np.sum(rises[0] ** 2)),
-                float(np.sum(rises[1] ** 2)),
+            part = slice(start, start + length)
+            rises, targets = (
+                _rises(np.asarray(values)[part] * step, lags)
+                for values in (error.error, error.target)
             )
+            found.append((before + start, np.mean(rises), np.mean(rises**2), np.mean(targets**2)))
+    start, *means = np.array(found).reshape(-1, len(_Blocks._fields)).T
+    return _Blocks(start.astype(int), *means)
 
 
 def _rises(values: np.ndarray, lags: np.ndarray) -> np.ndarray:
-    """Sums over every window of these lengths."""
+    """Sums over every window of these lengths: rises of the running sum."""
     running = np.concatenate([[0.0], np.cumsum(values)])
     return np.concatenate([running[lag:] - running[:-lag] for lag in lags])
 
 
-def _stretches(blocks: list[_Block], of_all: int) -> list[list[_Block]]:
-    """A record's blocks in stretches of at least five, as even as can be."""
-    size = max(BLOCKS_TO_STRETCH, -(-of_all // MOST_STRETCHES))
-    count = len(blocks) // size
-    if not count:
-        return []
-    edges = np.linspace(0, len(blocks), count + 1).astype(int)
-    return [blocks[a:b] for a, b in itertools.pairwise(edges)]
+def _stretches(blocks: _Blocks, size: int) -> list[_Blocks]:
+    """A record's blocks in stretches of at least `size`, as equal as possible."""
+    count = blocks.start.size // size
+    edges = np.linspace(0, blocks.start.size, count + 1).astype(int)
+    return [_Blocks(*(v[a:b] for v in blocks)) for a, b in itertools.pairwise(edges) if count]
 
 
-def _total(blocks: list[_Block]) -> _Block:
-    sums = [sum(getattr(b, name) for b in blocks) for name in _Block._fields[2:]]
-    return _Block(0, 0, *sums)
+def _p_value(stretches: list[np.ndarray]) -> float:
+    """Analysis of variance of the logarithms of the blocks' mean squares.
+
+    A mean square of nu degrees of freedom scatters in proportion to its size, its logarithm by
+    about sqrt(2 / nu) whatever the size, as the analysis presumes; nor does one loud block decide.
+    """
+    if len(stretches) < FEWEST_STRETCHES:
+        return float("nan")
+    largest = max(square.max() for square in stretches)
+    if largest == min(square.min() for square in stretches):
+        return float("nan")
+    return tails.equal_means([np.log(np.maximum(s, SILENT * largest)) for s in stretches])
 
 
 def _share(part: float, whole: float) -> float:
-    return part / whole if whole > 0 else 0.0
-
-
-def _against_all(stretches: list[list[_Block]], total: _Block, field: str) -> np.ndarray:
-    means = [_total(part) for part in stretches]
-    overall = _share(getattr(total, field), total.windows)
-    return np.array([_share(_share(getattr(m, field), m.windows), overall) for m in means])
-
-
-def _p_value(stretches: list[list[_Block]]) -> float:
-    squares = [[_share(b.error_square, b.windows) for b in part] for part in stretches]
-    flat = [value for part in squares for value in part]
-    if len(squares) < FEWEST_STRETCHES or min(flat) == max(flat):
-        return float("nan")
-    floor = SILENT * max(flat)
-    return tails.equal_means([np.log(np.maximum(s, floor)) for s in squares])
-
-
-def _correlation(records: list[list[_Block]]) -> float:
-    totals = [_total(blocks) for blocks in records if blocks]
-    shared = sum(t.windows * (t.error / t.windows) ** 2 for t in totals)
-    return _share(shared, sum(t.error_square for t in totals))
+    return float(part / whole) if whole > 0 else 0.0
 
 
 def _ratio(mean_square: np.ndarray) -> float:

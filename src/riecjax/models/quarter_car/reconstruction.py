@@ -17,9 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.leaves import Leaf
-from riecjax.models.quarter_car.curves import BumpStopSpring, DigressiveDamper, HardeningMount
-from riecjax.models.quarter_car.source import Curve, DamperCurve, QuarterCarSource
+from riecjax.models.quarter_car.source import (
+    BumpStopSpring,
+    Curve,
+    DamperCurve,
+    DigressiveDamper,
+    HardeningMount,
+    QuarterCarSource,
+)
+
+Leaf = Array | np.ndarray
 
 WHEEL_MASS = 30.0
 """M_w in kg, derived."""

@@ -10,7 +10,7 @@ SEED = 1999
 
 
 class Evidence(NamedTuple):
-    """A number that speaks for a statement or against it.
+    """A number that supports a statement or refutes it.
 
     **Fields:** `what` it is; `value`; `interval`, 95 % over resampled roads (`None`: the number is
     not random); `at_least` and `at_most`, between which it must lie.

@@ -1,13 +1,14 @@
-"""What is identified: the tables at a glance, and damper maps of all variants (7)."""
+"""What is identified: the tables at a glance, damper maps (Fig. 7) and validations (9, 10)."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from riecjax.models.quarter_car.identification import BREAK_POINTS
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import CRITERIA, VARIANTS
-from riecjax.paper.reproduction import VALIDATED_STATES, RoadResult
+from riecjax.paper.reproduction import VALIDATED_STATES, RoadResult, Trajectories
 from riecjax.paper.tables import table_3, table_4, table_5
-from riecjax.paper.trajectories import Trajectories
 from riecjax.reporting.charts.chart import (
     BLUE,
     DASHES,
@@ -17,18 +18,48 @@ from riecjax.reporting.charts.chart import (
     SERIES,
     Axis,
     Chart,
+    Dashes,
     Dots,
     Level,
     Line,
     Panel,
     single,
 )
-from riecjax.reporting.paper_charts.bands import BAND, METHOD_STYLE, banded
 from riecjax.reporting.paper_charts.models import sampled
+
+METHOD_STYLE: dict[str, tuple[str, Dashes]] = {"RIEC": (BLUE, "solid"), "DOLS": (RUST, "dashed")}
+BAND = "Lines are medians over the roads, bands hold 95 % of them."
+
+
+def banded(
+    x: object, over_roads: object, label: str, style: tuple[str, Dashes], *, shown: float = np.inf
+) -> Line:
+    """Median over the first axis, with the band from its 2.5 to its 97.5 % quantile.
+
+    **Arguments:** `shown`, the largest value that is drawn; larger ones leave a gap.
+    """
+    values = np.asarray(over_roads)
+    with np.errstate(invalid="ignore"):
+        low, middle, high = (_quantile(values, q) for q in (0.025, 0.5, 0.975))
+    drawn = np.abs(middle) <= shown
+    return Line(
+        x,  # pyright: ignore[reportArgumentType]
+        np.where(drawn, middle, np.nan),
+        label,
+        style[0],
+        style[1],
+        low=np.where(drawn, low, np.nan),
+        high=np.where(drawn & np.isfinite(high), np.minimum(high, 1e9), np.nan),
+    )
+
+
+def _quantile(values: np.ndarray, share: float) -> np.ndarray:
+    # Of an order that is there: between a number and infinity lies nothing.
+    return np.quantile(values, share, axis=0, method="nearest")
 
 
 def tables_at_a_glance(roads: RoadResult) -> Chart:
-    """Every number of Tables 3 to 5 against its published value."""
+    """Every number of Tables 3 to 5 relative to its published value."""
     tables = (("", table_3(roads)), ("K_s ", table_4(roads)), ("p ", table_5(roads)))
     cells = {
         f"{prefix}{row}, {criterion}": cell
@@ -67,44 +98,32 @@ def tables_at_a_glance(roads: RoadResult) -> Chart:
     )
 
 
+def damper_map(
+    forces: Sequence[object], label: str, style: tuple[str, Dashes], width: float = 1.3
+) -> Line:
+    """Means of F_1 to F_4 over the roads at their velocities, with bars that hold 95 % of them."""
+    values = np.stack([np.asarray(force) for force in forces], axis=-1) / 1e3
+    bars = 1.96 * values.std(axis=0)
+    mean = values.mean(axis=0)
+    return Line(BREAK_POINTS, mean, label, *style, width=width, markers=True, error=bars)
+
+
 def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
     """Identified damper maps, four variants by each method, over the source's curve."""
     velocity = np.linspace(-1.1, 1.1, 221)
-    curve = Line(
-        velocity,
-        sampled(source.damper, velocity) / 1e3,
-        "source",
-        GREY,
-        width=4.0,
-    )
+    curve = Line(velocity, sampled(source.damper, velocity) / 1e3, "source", GREY, width=4.0)
     row = []
     for criterion in CRITERIA:
-        marks = [curve]
-        for variant, dashes, color in zip(VARIANTS, DASHES, SERIES):
-            forces = np.stack(
-                [np.asarray(roads.parameters[criterion][variant][f"F_{i}"]) for i in range(1, 5)],
-                axis=-1,
+        maps = [
+            damper_map(
+                [roads.parameters[criterion][variant][f"F_{i}"] for i in range(1, 5)],
+                variant,
+                (color, dashes),
             )
-            reach = 1.96 * forces.std(axis=0) / 1e3
-            marks.append(
-                Line(
-                    BREAK_POINTS,
-                    forces.mean(axis=0) / 1e3,
-                    variant,
-                    color,
-                    dashes,
-                    markers=True,
-                    error=reach,
-                )
-            )
-        row.append(
-            Panel(
-                marks,
-                Axis("suspension velocity / (m/s)"),
-                Axis("damper force / kN"),
-                title=criterion,
-            )
-        )
+            for variant, dashes, color in zip(VARIANTS, DASHES, SERIES)
+        ]
+        velocity_axis = Axis("suspension velocity / (m/s)")
+        row.append(Panel([curve, *maps], velocity_axis, Axis("damper force / kN"), title=criterion))
     return Chart(
         [row],
         "Figure 7. Identified damper maps, means over the roads with bars that hold 95 % of them. "
@@ -127,9 +146,7 @@ QUANTITIES = {
 def figure_9(trajectories: dict[str, Trajectories]) -> Chart:
     """On a Robson road."""
     return _figure(
-        trajectories["road"],
-        SHOWN["road"],
-        "Figure 9. Validation of B_id models on a Robson road.",
+        trajectories["road"], SHOWN["road"], "Figure 9. Validation of B_id models on a Robson road."
     )
 
 
@@ -144,16 +161,16 @@ def figure_10(trajectories: dict[str, Trajectories]) -> Chart:
 
 def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> Chart:
     time = np.asarray(found.time)
-    kept = (time >= between[0]) & (time <= between[1])
+    drawn = (time >= between[0]) & (time <= between[1])
     rows = []
     for i, state in enumerate(VALIDATED_STATES):
         what, unit, factor = QUANTITIES[state]
-        source = factor * np.asarray(found.source)[kept, i]
+        source = factor * np.asarray(found.source)[drawn, i]
         # Behind the predictions, and wide: where they agree with it they would hide a thin line.
-        marks = [Line(time[kept], source, "source", PALE, width=4.0)]
+        marks = [Line(time[drawn], source, "source", PALE, width=4.0)]
         for method in ("DOLS", "RIEC"):
-            predicted = factor * np.asarray(found.predicted[method])[:, kept, i]
-            marks.append(banded(time[kept], predicted, method, METHOD_STYLE[method]))
+            predicted = factor * np.asarray(found.predicted[method])[:, drawn, i]
+            marks.append(banded(time[drawn], predicted, method, METHOD_STYLE[method]))
         rows.append(
             [
                 Panel(

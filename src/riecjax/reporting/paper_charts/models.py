@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.criteria.test_functions import Boxcar, expected_gain
-from riecjax.equations.bases import RoofFunctions
+from riecjax import Boxcar
+from riecjax.criteria import expected_gain
+from riecjax.equations import RoofFunctions
 from riecjax.models.quarter_car.identification import BREAK_POINTS
 from riecjax.models.quarter_car.reconstruction import Reconstruction
 from riecjax.models.quarter_car.source import QuarterCarSource
-from riecjax.paper.claims.sections_2_and_4 import BETWEEN, FIXED, TWO
+from riecjax.paper.claims.sections_2_to_5 import BETWEEN, FIXED, TWO
 from riecjax.paper.reproduction import RoadResult
 from riecjax.paper.section_2 import DURATION, RATE, Demonstration
 from riecjax.reporting.charts.chart import (
@@ -30,7 +31,7 @@ from riecjax.reporting.charts.chart import (
     Panel,
     single,
 )
-from riecjax.simulation.inputs import pothole
+from riecjax.simulation import pothole
 
 EXCERPT = 1.0
 """Seconds of the signals themselves that are drawn."""
@@ -49,51 +50,41 @@ def figure_2(demonstrations: Demonstration) -> Chart:
     }
     few = slice(0, round(EXCERPT * RATE))
     thin = np.linspace(0, time.size - 1, MOST).astype(int)
-    rows, largest = [], 0.0
-    for name, (signal, integral, color) in parts.items():
-        values, running = np.asarray(signal) / size, np.asarray(integral) / size
-        spread = np.sqrt(np.mean(running**2, axis=0))[thin]
-        largest = max(largest, float(2.2 * spread.max()), float(1.1 * np.abs(running[0]).max()))
+    integrals = {name: np.asarray(integral) / size for name, (_, integral, _) in parts.items()}
+    spreads = {n: np.sqrt(np.mean(values**2, axis=0))[thin] for n, values in integrals.items()}
+    largest = max(
+        max(2.2 * float(spreads[name].max()), 1.1 * float(np.abs(values[0]).max()))
+        for name, values in integrals.items()
+    )
+    rows = []
+    for name, (signal, _, color) in parts.items():
+        excerpt, one = (np.asarray(signal) / size)[0][few], integrals[name][0][thin]
+        ends = {"low": -2 * spreads[name], "high": 2 * spreads[name]}
+        zero, label = 0 * time[thin], "± 2 r.m.s. over realisations"
         rows.append(
-            (
+            [
                 Panel(
-                    [Line(time[few], values[0][few], "", color, width=0.6)],
+                    [Line(time[few], excerpt, "", color, width=0.6)],
                     Axis("time / s"),
                     Axis("signal / its r.m.s.", low=-4.5, high=4.5),
                     title=name,
                 ),
-                [
-                    Line(
-                        time[thin],
-                        0 * time[thin],
-                        "± 2 r.m.s. over realisations",
-                        GREY,
-                        width=1.0,
-                        low=-2 * spread,
-                        high=2 * spread,
-                    ),
-                    Line(time[thin], running[0][thin], "one realisation", color, width=0.9),
-                ],
-                name,
-            )
-        )
-    count = size.shape[0]
-    return Chart(
-        [
-            [
-                left,
                 Panel(
-                    marks,
+                    [
+                        Line(time[thin], zero, label, GREY, width=1.0, **ends),
+                        Line(time[thin], one, "one realisation", color, width=0.9),
+                    ],
                     Axis("time / s"),
                     Axis("integral / (r.m.s. s)", low=-largest, high=largest),
                     title=f"integral of the {name}",
                 ),
             ]
-            for left, marks, name in rows
-        ],
+        )
+    return Chart(
+        rows,
         f"Figure 2. White noise and the equation error of a one-mass model, of one r.m.s., and "
         f"their running integrals. White noise wanders off, the mechanical error's impulse stays "
-        f"bounded. Band: twice the r.m.s. over {count} realisations.",
+        f"bounded. Band: twice the r.m.s. over {size.shape[0]} realisations.",
         (8.5, 5.2),
     )
 
@@ -136,13 +127,7 @@ def figure_5(source: QuarterCarSource) -> Chart:
     """Damper, spring with bump stops, and engine mount."""
     curves = (
         ("damper", source.damper, np.linspace(-1.5, 1.5, 301), 1.0, "velocity / (m/s)"),
-        (
-            "bump-stop spring",
-            source.spring,
-            np.linspace(-0.1, 0.1, 301),
-            1e3,
-            "deflection / mm",
-        ),
+        ("bump-stop spring", source.spring, np.linspace(-0.1, 0.1, 301), 1e3, "deflection / mm"),
         ("engine mount", source.mount, np.linspace(-8e-3, 8e-3, 301), 1e3, "deflection / mm"),
     )
     return Chart(

@@ -5,12 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.models.quarter_car.identification import BREAK_POINTS
-from riecjax.paper.hysteresis import BANDWIDTHS, Hysteresis
 from riecjax.paper.published import CRITERIA, TABLE_2
-from riecjax.paper.reproduction import PARAMETERS
-from riecjax.paper.variations import Varied, VariedStudy
-from riecjax.paper.window_lengths import LENGTHS, LengthMap
+from riecjax.paper.reproduction import LENGTHS, PARAMETERS, LengthMap
+from riecjax.paper.variations import BANDWIDTHS, Hysteresis, Varied, VariedStudy
 from riecjax.reporting.charts.chart import (
     DASHES,
     GREY,
@@ -23,7 +20,7 @@ from riecjax.reporting.charts.chart import (
     Line,
     Panel,
 )
-from riecjax.reporting.paper_charts.bands import BAND, METHOD_STYLE, banded
+from riecjax.reporting.paper_charts.identified import BAND, METHOD_STYLE, banded, damper_map
 
 BANDWIDTH = Axis("input bandwidth / Hz", low=0, high=30.5)
 CASES = {
@@ -53,10 +50,7 @@ def _methods(study: VariedStudy, case: str) -> list[tuple[str, Varied]]:
 
 
 def _by_both(
-    study: VariedStudy,
-    case: str,
-    values: Callable[[Varied], np.ndarray],
-    shown: float = np.inf,
+    study: VariedStudy, case: str, values: Callable[[Varied], np.ndarray], shown: float = np.inf
 ) -> list[Line]:
     """A line over bandwidth for each method; values per draw of windows, whose mean is drawn."""
     return [
@@ -199,22 +193,15 @@ def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
             Dots(velocity, force / 1e3, "source, one road", GREY, size=1.5, opacity=0.5)
         ]
         band = int(np.argmin(np.abs(study.bandwidths - BANDWIDTHS[place])))
-        for method in ("DOLS", "RIEC"):
-            forces = [models[method].parameters[f"F_{i}"][:, band, 0] for i in range(1, 5)]
-            found = np.stack(forces, axis=-1) / 1e3
-            color, dashes = METHOD_STYLE[method]
-            marks.append(
-                Line(
-                    BREAK_POINTS,
-                    found.mean(axis=0),
-                    method,
-                    color,
-                    dashes,
-                    width=1.8,
-                    markers=True,
-                    error=1.96 * found.std(axis=0),
-                )
+        marks += [
+            damper_map(
+                [models[method].parameters[f"F_{i}"][:, band, 0] for i in range(1, 5)],
+                method,
+                METHOD_STYLE[method],
+                width=1.8,
             )
+            for method in ("DOLS", "RIEC")
+        ]
         row.append(
             Panel(
                 marks,

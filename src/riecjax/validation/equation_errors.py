@@ -1,8 +1,14 @@
 """The equation error over time: what identified equations leave at each sample.
 
 No signal is differentiated numerically. Each value is the mean error over the shortest window
-there is, one sample long, by which a velocity's difference stands for an acceleration; two
-samples under a triangle where only the position of an acceleration is recorded.
+there is. For M v' = F over one sample interval h,
+
+    (1/h) integral (M v' - F) dt = M (v(t + h) - v(t)) / h - mean F,
+
+in which a velocity's difference is exactly the mean acceleration. Where only the position of an
+acceleration is recorded, the window is a triangle of height 1/h over two intervals, and the
+integral of x'' under it is (x(t + 2h) - 2 x(t + h) + x(t)) / h^2. Errors of longer
+windows are sums of these values times h: the impulse's rise.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +45,7 @@ class EquationError(eqx.Module):
     - `span`: samples in a window: 1, or 2 where a second derivative had to be moved.
     - `name`, `unit`: of the equation.
     - `times`: middle of each window in seconds from the recording's first sample, of the same
-      shape as `error`; where not given, the first window begins at zero.
+      shape as `error`.
     """
 
     error: Float[Leaf, " values"]
@@ -49,14 +55,7 @@ class EquationError(eqx.Module):
     span: int = eqx.field(static=True)
     name: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
-    times: Float[Leaf, " values"] | None = None
-
-    @property
-    def middle(self) -> Float[Leaf, " values"]:
-        """Middle of each window in seconds; see `times`."""
-        if self.times is not None:
-            return self.times
-        return (np.arange(self.error.shape[0]) + 0.5 * self.span) * self.time_step
+    times: Float[Leaf, " values"]
 
     @property
     def target(self) -> Float[Leaf, " values"]:
@@ -74,7 +73,7 @@ class EquationError(eqx.Module):
 
     @property
     def relative_rms(self) -> Float[Array, ""]:
-        """Root mean square of the error against the target's; zero of a silent target."""
+        """Root mean square of the error relative to the target's; zero of a silent target."""
         xp = namespace(self.error, self.explained)
         energy = xp.sum(xp.square(self.target))
         share = xp.sum(xp.square(self.error)) / xp.where(energy > 0, energy, 1.0)
@@ -113,7 +112,7 @@ def errors_over_records(
 ) -> list[list[EquationError]]:
     """For each equation, its error on each of several records (not under jit).
 
-    A parameter with a value of its own in each record, such as `offset[2]`, takes that.
+    A parameter that is estimated per record, such as `offset[2]`, takes that record's value.
 
     **Raises:** as [`equation_error`][], and `DataError` for records of unequal time steps.
     """
@@ -144,13 +143,11 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
         with_pads([np.asarray(getattr(part, field)) for part in errors], pad)
         for field in ("error", "explained", "present")
     )
-    first = errors[0]
-    step = float(first.time_step)
-    times = [np.asarray(part.middle) for part in errors]
-    for i in range(1, len(times)):
-        between = times[i - 1][-1] + step * np.arange(1, pad + 1)
-        follow = times[i] - times[i][0] + (between[-1] if pad else times[i - 1][-1]) + step
-        times[i] = np.concatenate([between, follow])
+    first, step = errors[0], float(errors[0].time_step)
+    times = [np.asarray(first.times)]
+    for part in errors[1:]:
+        last, own = times[-1][-1], np.asarray(part.times)
+        times += [last + step * np.arange(1, pad + 1), own - own[0] + last + step * (pad + 1)]
     return EquationError(
         error,
         explained,
