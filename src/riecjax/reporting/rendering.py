@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.charts.interactive import interactive
 from riecjax.reporting.charts.layout import narrowest
-from riecjax.reporting.output import Document
+from riecjax.reporting.document import Document
 from riecjax.reporting.page import Page, Section, Table
 
 SCREEN_INCH = 100
