@@ -12,7 +12,7 @@ from plotly.offline import get_plotlyjs
 
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.charts.layout import narrowest
+from riecjax.reporting.charts.layout import Spaces
 from riecjax.reporting.document import Document
 from riecjax.reporting.page import Page, Section, Table
 
@@ -78,13 +78,13 @@ def _part(
 
 
 def _figure(name: str, chart: Chart, picture: Path) -> _Figure:
-    drawn = interactive(chart)
+    drawn, narrowest = interactive(chart), round(Spaces.of(chart).width)
     return _Figure(
         name,
         chart.caption or name.replace("_", " "),
         base64.b64encode(picture.read_bytes()).decode(),
-        narrowest(chart),
-        max(round(SCREEN_INCH * chart.size[0]), narrowest(chart)),
+        narrowest,
+        max(round(SCREEN_INCH * chart.size[0]), narrowest),
         drawn["layout"]["height"],
         _for_script(drawn),
     )
