@@ -13,7 +13,7 @@ from rich.console import Console
 from riecjax.errors import DataError
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document
-from riecjax.reporting.page import Page
+from riecjax.reporting.page import Page, render
 
 
 def emit(
@@ -30,7 +30,6 @@ def emit(
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
     if out is not None:
-        require_report_packages()
         write_folder(out, document, charts(), page(document))
     for warning in document.get("warnings", []):
         click.echo(f"warning [{warning['code']}]: {warning['message']}", err=True)
@@ -51,7 +50,6 @@ def write_folder(folder: Path, document: Document, charts: Mapping[str, Chart], 
     """
     require_report_packages()
     from riecjax.reporting.charts.printed import print_chart
-    from riecjax.reporting.rendering import render
 
     made = _folder_beside(folder)
     try:
