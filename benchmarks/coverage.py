@@ -15,7 +15,6 @@ which takes overlapping windows for independent ones.
 """
 
 import argparse
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from benchmarks.writing import write_json
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.estimation.identify import identify
@@ -165,6 +165,7 @@ def study(case: Case, roads: int, seed: int = 0) -> dict[str, Any]:
     result = over_keys(one_road, jax.random.key(seed), roads, case)
     result = jax.tree.map(np.asarray, result, is_leaf=eqx.is_array)
     report: dict[str, Any] = {}
+    truth = case.truth
     for variant, theta in result.theta.items():
         side, masses = variant.split("_")
         target = limit(side, case.known(masses), result.moments[variant])
@@ -174,9 +175,7 @@ def study(case: Case, roads: int, seed: int = 0) -> dict[str, Any]:
         for i, (name, value) in enumerate(target.items()):
             report[variant][name] = {
                 "converges_to": value,
-                "bias_percent": 100 * (value / case.truth[name] - 1)
-                if name in case.truth
-                else None,
+                "bias_percent": 100 * (value / truth[name] - 1) if name in truth else None,
                 **{kind: float(share[i]) for kind, share in shares.items()},
             }
     return report
@@ -217,9 +216,7 @@ def main() -> None:
         reports[name] = study(case, arguments.roads)
         print_case(name, reports[name])
     if arguments.out is not None:
-        arguments.out.write_text(
-            json.dumps({"roads": arguments.roads, "cases": reports}, indent=1) + "\n"
-        )
+        write_json(arguments.out, {"roads": arguments.roads, "cases": reports})
 
 
 if __name__ == "__main__":

@@ -8,16 +8,28 @@ import argparse
 import json
 import resource
 import statistics
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 
+from benchmarks.afresh import last_line
+from benchmarks.suite.all_windows import moments, over_seeds
+from benchmarks.timing import seconds
 from benchmarks.writing import write_json
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.windows import AllWindows, RandomWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.paper.reproduction import identification_record
+from riecjax.records.record import Record
 from riecjax.runtime import start_jax
+from riecjax.summaries.normal_equations import NormalEquations
 
 FOLDER = Path(__file__).parent
 PICTURE = FOLDER.parent / "docs" / "images" / "growth.png"
@@ -33,26 +45,17 @@ POINTS = {
 }
 
 
-def record_of(samples: int, columns: int) -> Any:
-    from riecjax.records.record import Record
-
+def record_of(samples: int, columns: int) -> Record:
     rng = np.random.default_rng(0)
     return Record({f"s{i}": rng.normal(size=samples) for i in range(columns)}, 1e-3)
 
 
-def equation_of(parameters: int) -> Any:
-    from riecjax.equations.equation import Equation
-    from riecjax.equations.term import Term
-
+def equation_of(parameters: int) -> Equation:
     unknown = [Term(f"p{i}", f"s{i}") for i in range(parameters)]
     return Equation(*unknown, -Term(1.0, f"s{parameters}"))
 
 
-def all_windows(record: Any, parameters: int) -> Callable[[], Any]:
-    from benchmarks.suite.all_windows import moments
-    from riecjax.criteria.criterion import RIEC
-    from riecjax.criteria.windows import AllWindows
-
+def all_windows(record: Record, parameters: int) -> Callable[[], Any]:
     criterion = RIEC(AllWindows(0.02, 0.2)).fitted([record])
     equation = equation_of(parameters)
     return lambda: moments(equation, record, criterion)
@@ -70,13 +73,6 @@ def samples(count: int) -> Callable[[], Any]:
 
 
 def windows(count: int) -> Callable[[], Any]:
-    import equinox as eqx
-    import jax
-
-    from riecjax.criteria.criterion import RIEC
-    from riecjax.criteria.windows import RandomWindows
-    from riecjax.summaries.normal_equations import NormalEquations
-
     criterion = RIEC(RandomWindows(0.02, 0.2, count))
     equation, record = equation_of(5), record_of(8000, 6)
     drawn = eqx.filter_jit(
@@ -86,12 +82,6 @@ def windows(count: int) -> Callable[[], Any]:
 
 
 def seeds(count: int) -> Callable[[], Any]:
-    import jax
-
-    from benchmarks.suite.all_windows import over_seeds
-    from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-    from riecjax.paper.reproduction import identification_record
-
     source = quarter_car_source(reconstructed())
     record = identification_record(source, jax.random.key(0)).record.select("x2", "x3", "x4")
     keys = jax.random.split(jax.random.key(1), count)
@@ -99,10 +89,8 @@ def seeds(count: int) -> Callable[[], Any]:
 
 
 def roads(count: int) -> Callable[[], Any]:
-    import jax
-
+    # With numba, an extra: not for the other points.
     from benchmarks.suite.simulation import many_roads, noise
-    from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 
     source = quarter_car_source(reconstructed())
     velocities = jax.vmap(noise)(jax.random.split(jax.random.key(1), count))
@@ -118,8 +106,6 @@ KINDS = {f.__name__: f for f in (samples, windows, seeds, roads, parameters)}
 
 def point(kind: str, count: int) -> dict[str, float]:
     start_jax()
-    from benchmarks.timing import seconds
-
     work = KINDS[kind](count)
     first = seconds(work)
     again = [seconds(work) for _ in range(REPEATS)]
@@ -164,8 +150,7 @@ def main() -> None:
         found[kind] = []
         for count in counts:
             command = [sys.executable, "-m", "benchmarks.growth", "--point", kind, str(count)]
-            run = subprocess.run(command, capture_output=True, text=True, check=True)
-            found[kind].append(json.loads(run.stdout.splitlines()[-1]))
+            found[kind].append(last_line(command))
             print(kind, found[kind][-1], flush=True)
     write_json(FOLDER / "growth.json", found)
     draw(found)

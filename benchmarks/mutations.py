@@ -17,7 +17,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -166,13 +166,24 @@ def _with(columns: Mapping[str, np.ndarray], name: str, values: np.ndarray) -> C
 def _changed(
     columns: Mapping[str, np.ndarray], name: str, where: slice | np.ndarray, values: object
 ) -> Columns:
-    changed = columns[name].copy()
-    changed[where] = values
-    return _with(columns, name, changed)
+    return _with(columns, name, _set(columns[name], where, values))
 
 
 def _rows(columns: Mapping[str, np.ndarray], rows: np.ndarray | slice) -> Columns:
     return [(name, values[rows]) for name, values in columns.items()]
+
+
+def _signals(
+    columns: Mapping[str, np.ndarray], change: Callable[[np.ndarray], np.ndarray]
+) -> Columns:
+    """Every signal changed, time as it was."""
+    return [(n, v if n == "t" else change(v)) for n, v in columns.items()]
+
+
+def _set(values: np.ndarray, where: slice | np.ndarray, to: object) -> np.ndarray:
+    changed = values.copy()
+    changed[where] = to
+    return changed
 
 
 def _texts(values: np.ndarray) -> np.ndarray:
@@ -195,7 +206,7 @@ def shuffled_rows(columns, rng):
 def shuffled_signals(columns, rng):
     """Rows in any order beside a time that was sorted again."""
     order = rng.permutation(COUNT)
-    return [(n, v if n == "t" else v[order]) for n, v in columns.items()]
+    return _signals(columns, lambda values: values[order])
 
 
 def shuffled_column(columns, rng):
@@ -208,7 +219,7 @@ def swapped_blocks(columns, rng):
     a, b = 200 * int(rng.integers(1, 8)), 200 * int(rng.integers(10, 17))
     order = np.arange(COUNT)
     order[a : a + 400], order[b : b + 400] = order[b : b + 400].copy(), order[a : a + 400].copy()
-    return [(n, v if n == "t" else v[order]) for n, v in columns.items()]
+    return _signals(columns, lambda values: values[order])
 
 
 def repeated_rows(columns, rng):
@@ -222,7 +233,7 @@ def repeated_block(columns, rng):
     block = _place(rng, 200)
     order = np.arange(COUNT)
     order[block.stop : block.stop + 200] = order[block]
-    return [(n, v if n == "t" else v[order]) for n, v in columns.items()]
+    return _signals(columns, lambda values: values[order])
 
 
 def late_column(columns, rng):
@@ -337,11 +348,7 @@ def spike_in_all(columns, rng):
     """One row of nonsense in all signals, as a logger writes it when its buffer is torn."""
     at = _place(rng)
     size = 10.0 ** rng.uniform(0, 9)
-    rows = [(n, v.copy()) for n, v in columns.items()]
-    for name, values in rows:
-        if name != "t":
-            values[at] = size * np.std(values) * rng.normal()
-    return rows
+    return _signals(columns, lambda v: _set(v, at, size * np.std(v) * rng.normal()))
 
 
 def frozen(columns, rng):
@@ -353,11 +360,7 @@ def frozen(columns, rng):
 def frozen_all(columns, rng):
     """All signals freeze while time runs on."""
     where = _place(rng, int(rng.integers(100, 600)))
-    rows = [(n, v.copy()) for n, v in columns.items()]
-    for name, values in rows:
-        if name != "t":
-            values[where] = values[where.start]
-    return rows
+    return _signals(columns, lambda v: _set(v, where, v[where.start]))
 
 
 def dropout(columns, rng):
@@ -438,7 +441,7 @@ def reversed_rows(columns, rng):
     backward = _rows(columns, slice(None, None, -1))
     if rng.random() < 0.5:
         return backward
-    return [(n, columns["t"] if n == "t" else v) for n, v in backward]
+    return _signals(columns, lambda v: v[::-1])
 
 
 def cut_out(columns, rng):
@@ -679,28 +682,25 @@ def hdf5_bomb(rng):
 
 LARGE = (million_columns, zip_bomb, parquet_bomb, hdf5_bomb)
 
-NAMES = tuple(
-    mutation.__name__.replace("_", " ")
+BY_NAME: dict[str, Callable[..., Any]] = {
+    mutation.__name__.replace("_", " "): mutation
     for mutation in (*COLUMN_MUTATIONS, *TEXT_MUTATIONS, *BYTE_MUTATIONS, *LARGE)
-)
+}
+NAMES = tuple(BY_NAME)
 
 
 def mutated(name: str, machines: tuple[Rig, Rig], rng: np.random.Generator) -> Case:
     """A file after this mutation, of a rig and in a format drawn by chance."""
-    rig = machines[int(rng.random() < 0.3)]
-    for mutation in COLUMN_MUTATIONS:
-        if mutation.__name__ == name.replace(" ", "_"):
-            rig = machines[0] if mutation in NEED_VELOCITY else rig
-            file = str(rng.choice(list(WRITERS)))
-            return Case(name, file, WRITERS[file](mutation(rig.columns, rng)), rig.options)
-    for mutation in TEXT_MUTATIONS:
-        if mutation.__name__ == name.replace(" ", "_"):
-            content = csv_bytes(list(rig.columns.items()))
-            return Case(name, *mutation("a.csv", content, rng), rig.options)
-    for mutation in BYTE_MUTATIONS:
-        if mutation.__name__ == name.replace(" ", "_"):
-            file = str(rng.choice(list(WRITERS)))
-            content = WRITERS[file](list(rig.columns.items()))
-            return Case(name, *mutation(file, content, rng), rig.options)
-    large = next(m for m in LARGE if m.__name__ == name.replace(" ", "_"))
-    return Case(name, *large(rng), machines[0].options)
+    rig, mutation = machines[int(rng.random() < 0.3)], BY_NAME[name]
+    if mutation in LARGE:
+        file, content = mutation(rng)
+        return Case(name, file, content, machines[0].options)
+    if mutation in TEXT_MUTATIONS:
+        file, content = mutation("a.csv", csv_bytes(list(rig.columns.items())), rng)
+        return Case(name, file, content, rig.options)
+    file = str(rng.choice(list(WRITERS)))
+    if mutation in BYTE_MUTATIONS:
+        file, content = mutation(file, WRITERS[file](list(rig.columns.items())), rng)
+        return Case(name, file, content, rig.options)
+    rig = machines[0] if mutation in NEED_VELOCITY else rig
+    return Case(name, file, WRITERS[file](mutation(rig.columns, rng)), rig.options)

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from benchmarks.coverage import covered
 from benchmarks.writing import write_json
 from riecjax.models.catalogue import built_in_model
 from riecjax.paper.published import TABLE_2
@@ -55,7 +56,6 @@ OFF = (0.5, 1.5)
 COMBINATIONS = 16
 SEARCHES = {4: 1, 7: 4}
 """Searches for each seed of noise, by how many parameters are free."""
-CONFIDENCE = 0.95
 FINE, COARSE = FixedStep(32), FixedStep(8)
 TILED = OutputError(Tiles(samples=25), channels=CHANNELS, starts="measured", method=COARSE)
 WARM_UP = 30
@@ -167,7 +167,7 @@ def with_noise(record: Record, free: tuple[str, ...], starts: str, seeds: int) -
     truth = np.array([TRUTH[name] for name in free])
     errors = np.asarray(found.best.theta) - truth
     report: dict[str, Any] = {"seeds": seeds, "converged": int(converged(found.best).sum())}
-    shares = {kind: inside(each, errors) for kind, each in found.uncertainty.items()}
+    shares = {kind: covered(each, errors) for kind, each in found.uncertainty.items()}
     report["parameters"] = {
         name: {
             "mean_error_percent": float(100 * errors[:, i].mean() / truth[i]),
@@ -178,17 +178,6 @@ def with_noise(record: Record, free: tuple[str, ...], starts: str, seeds: int) -
         for i, name in enumerate(free)
     }
     return report
-
-
-def inside(uncertainty: Uncertainty, errors: np.ndarray) -> np.ndarray:
-    """For each parameter the share of seeds whose 95 % interval holds the truth.
-
-    **Arguments:** `errors`, estimates less truth, shape `(seeds, p)`.
-    """
-    below, above = uncertainty.reach(CONFIDENCE)
-    scale = np.sqrt(np.diagonal(np.asarray(uncertainty.covariance), axis1=1, axis2=2))
-    held = (errors <= np.asarray(below) * scale) & (-errors <= np.asarray(above) * scale)
-    return held.mean(axis=0)
 
 
 def study(seeds: int) -> dict[str, Any]:

@@ -14,18 +14,31 @@ benchmarks/summaries.json.
 
 import argparse
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
-from benchmarks.afresh import environment
+from benchmarks.afresh import environment, last_line
+from benchmarks.timing import seconds
 from benchmarks.writing import write_json
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.windows import AllWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.identify import estimate, identify
+from riecjax.models.quarter_car.identification import quarter_car_by_body
+from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.paper.reproduction import identification_record
+from riecjax.records.record import Record
 from riecjax.runtime import start_jax
+from riecjax.summaries.summarise import summarise
+from riecjax.uncertainty.intervals import BlockBootstrap, Sandwich
 
 FILE = Path(__file__).with_name("summaries.json")
 STEP, REPEATS, BINS = 1e-3, 5, 12
@@ -41,10 +54,8 @@ LENGTHS = {
 """Samples of recordings, and whether one call takes them all."""
 
 
-def made_record(samples: int, seed: int = 0) -> Any:
+def made_record(samples: int, seed: int = 0) -> Record:
     """m dv/dt + c v + k x = u, with noise on u, on a motion of random frequencies."""
-    from riecjax.records.record import Record
-
     rng = np.random.default_rng(seed)
     t = STEP * np.arange(samples)
     x, v, a = np.zeros((3, samples))
@@ -57,44 +68,31 @@ def made_record(samples: int, seed: int = 0) -> Any:
     return Record({"x": x, "v": v, "u": u}, STEP)
 
 
-def equation() -> Any:
-    from riecjax.equations.equation import Equation
-    from riecjax.equations.term import Term
-
+def equation() -> Equation:
     return Equation(
         Term("m", "v", derivative=1), Term("c", "v"), Term("k", "x"), -Term(1.0, "u"), name="mass"
     )
 
 
-def criterion(alpha: float = 0.05, beta: float = 0.5) -> Any:
-    from riecjax.criteria.criterion import RIEC
-    from riecjax.criteria.windows import AllWindows
-
+def criterion(alpha: float = 0.05, beta: float = 0.5) -> RIEC:
     return RIEC(AllWindows(alpha, beta))
 
 
 def medians(works: dict[str, Callable[[], Any]]) -> dict[str, float]:
     """Seconds of each, in turn, after a call of each that is not counted."""
-    from benchmarks.timing import seconds
-
     for work in works.values():
         work()
     times = [{name: seconds(work) for name, work in works.items()} for _ in range(REPEATS)]
     return {name: float(np.median([turn[name] for turn in times])) for name in works}
 
 
-def largest_difference(one: Any, other: Any) -> float:
+def largest_difference(one: Estimate, other: Estimate) -> float:
     """Of two estimates' parameters, relative."""
     return float(np.max(np.abs(np.asarray(one.theta) / np.asarray(other.theta) - 1)))
 
 
 def first_calls(which: str) -> dict[str, float]:
     """Seconds of both calls and functions that each compiled, in this process."""
-    import jax
-
-    from benchmarks.timing import seconds
-    from riecjax.estimation.identify import identify
-
     counts, together = LENGTHS[which]
     records = [made_record(count, seed) for seed, count in enumerate(counts)]
     compiled = []
@@ -125,14 +123,8 @@ def lengths() -> dict[str, dict[str, float]]:
     found = {}
     for which in LENGTHS:
         with tempfile.TemporaryDirectory() as empty:
-            run = subprocess.run(
-                [sys.executable, "-m", "benchmarks.summaries", "--point", which],
-                env=environment(empty),
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-        found[which] = json.loads(run.stdout.splitlines()[-1])
+            command = [sys.executable, "-m", "benchmarks.summaries", "--point", which]
+            found[which] = last_line(command, env=environment(empty))
         show(which, found[which])
     names = list(LENGTHS)
     for other, same in (names[:2], names[2:]):
@@ -144,10 +136,6 @@ def lengths() -> dict[str, dict[str, float]]:
 
 def questions() -> dict[str, dict[str, float]]:
     """Each question to one Summary, against the same to the samples."""
-    from riecjax.estimation.identify import estimate, identify
-    from riecjax.summaries.summarise import summarise
-    from riecjax.uncertainty.intervals import BlockBootstrap, Sandwich
-
     model, record = equation(), made_record(SAMPLES)
     summary = summarise(model, record, criterion(), bins=BINS)
     # Windows of some of its bins exactly, so that both sums are of the same windows.
@@ -186,12 +174,6 @@ def questions() -> dict[str, dict[str, float]]:
 
 def cost() -> dict[str, dict[str, float]]:
     """Summaries of different content, for two records."""
-    import jax
-
-    from riecjax.models.quarter_car.identification import quarter_car_by_body
-    from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-    from riecjax.paper.reproduction import identification_record
-
     source = quarter_car_source(reconstructed())
     paper = identification_record(source, jax.random.key(0)).record
     paper = paper.select("x1", "x2", "x3", "x4", "F_t")
@@ -201,10 +183,7 @@ def cost() -> dict[str, dict[str, float]]:
     }
 
 
-def cost_of(name: str, model: Any, record: Any) -> dict[str, float]:
-    from riecjax.estimation.identify import identify
-    from riecjax.summaries.summarise import summarise
-
+def cost_of(name: str, model: Any, record: Record) -> dict[str, float]:
     def summed(**kept: Any) -> Any:
         return summarise(model, record, criterion(), **kept)
 
@@ -226,9 +205,6 @@ def cost_of(name: str, model: Any, record: Any) -> dict[str, float]:
 
 def merged() -> dict[str, Any]:
     """Four recordings, summed one by one, against one fit of all."""
-    from riecjax.estimation.identify import estimate, identify
-    from riecjax.summaries.summarise import summarise
-
     model = equation()
     records = [made_record(SAMPLES // 4, seed) for seed in range(4)]
     parts = [summarise(model, record, criterion()) for record in records]

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import scipy.integrate
 from jaxtyping import Float
 
 from benchmarks.baselines.numpy_stages import (
@@ -21,7 +20,7 @@ from benchmarks.baselines.numpy_stages import (
     window_table_between_samples,
 )
 from benchmarks.baselines.numpy_windows import BREAK_POINTS, random_windows_between_samples
-from benchmarks.baselines.quarter_car import Car, right_hand_side, scipy_solution
+from benchmarks.baselines.quarter_car import Car, integrated, right_hand_side, scipy_solution
 from benchmarks.baselines.sampled_input import first_order_hold
 
 WINDOWS, SHORTEST, LONGEST = 8000, 0.05, 0.5
@@ -123,18 +122,9 @@ def reduced_solutions(
     rtol: float,
 ) -> Float[np.ndarray, "models n 4"]:
     """States x1 to x4 of all models, together in one run of the solver."""
-    time = np.arange(velocity.size) / rate
-    solution = scipy.integrate.solve_ivp(
-        reduced_right_hand_side(models, velocity, rate),
-        (0.0, time[-1]),
-        np.zeros(4 * len(models)),
-        method="RK45",
-        t_eval=time,
-        rtol=rtol,
-        atol=rtol * 1e-3,
-        max_step=1 / rate,
-    )
-    return solution.y.reshape(4, len(models), -1).transpose(1, 2, 0)
+    derivative = reduced_right_hand_side(models, velocity, rate)
+    states = integrated(derivative, 4 * len(models), velocity.size, rate, rtol)
+    return states.reshape(-1, 4, len(models)).transpose(2, 0, 1)
 
 
 def reduced_right_hand_side(

@@ -1,6 +1,6 @@
 """The body's equation over random windows, in NumPy: M_s x4' = K_s x2 + sum F_i R_i(x3 - x4)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import scipy.integrate
@@ -44,14 +44,11 @@ def random_windows(
     rng: np.random.Generator, samples: int, count: int, shortest: int, longest: int
 ) -> tuple[Int[np.ndarray, " windows"], Int[np.ndarray, " windows"]]:
     """First and last sample of windows, redrawn where they reach beyond the record (eqs 14-15)."""
-    start = rng.integers(0, samples, count)
-    length = rng.integers(shortest, longest + 1, count)
-    outside = np.flatnonzero(start + length >= samples)
-    while outside.size:
-        start[outside] = rng.integers(0, samples, outside.size)
-        length[outside] = rng.integers(shortest, longest + 1, outside.size)
-        outside = outside[start[outside] + length[outside] >= samples]
-    return start, start + length
+    return _redrawn(
+        lambda n: (rng.integers(0, samples, n), rng.integers(shortest, longest + 1, n)),
+        count,
+        samples - 1,
+    )
 
 
 def random_windows_between_samples(
@@ -59,12 +56,20 @@ def random_windows_between_samples(
 ) -> tuple[Float[np.ndarray, " windows"], Float[np.ndarray, " windows"]]:
     """The same from the continuum; start and end are counted in samples, but not whole numbers."""
     last = samples - 1
-    start, length = rng.uniform(0, last, count), rng.uniform(shortest, longest, count)
-    outside = np.flatnonzero(start + length >= last)
+    return _redrawn(
+        lambda n: (rng.uniform(0, last, n), rng.uniform(shortest, longest, n)), count, last
+    )
+
+
+def _redrawn(
+    draw: Callable[[int], tuple[np.ndarray, np.ndarray]], count: int, last: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Start and end of windows, of which those that end after the last sample are drawn again."""
+    start, length = draw(count)
+    outside = np.flatnonzero(start + length > last)
     while outside.size:
-        start[outside] = rng.uniform(0, last, outside.size)
-        length[outside] = rng.uniform(shortest, longest, outside.size)
-        outside = outside[start[outside] + length[outside] >= last]
+        start[outside], length[outside] = draw(outside.size)
+        outside = outside[start[outside] + length[outside] > last]
     return start, start + length
 
 

@@ -118,7 +118,7 @@ def scipy_solution(
     car: Car, velocity: Float[np.ndarray, " n"], rate: float, rtol: float
 ) -> Float[np.ndarray, "n 7"]:
     """States at the samples of a road velocity, from rest."""
-    return _integrated(right_hand_side(car, velocity, rate), velocity.size, rate, rtol)
+    return integrated(right_hand_side(car, velocity, rate), 7, velocity.size, rate, rtol)
 
 
 def numpy_solution(
@@ -151,21 +151,22 @@ def numpy_solution(
             ]
         )
 
-    return _integrated(derivative, velocity.size, rate, rtol)
+    return integrated(derivative, 7, velocity.size, rate, rtol)
 
 
-def _integrated(
+def integrated(
     derivative: Callable[[float, np.ndarray], list[float] | np.ndarray],
+    states: int,
     count: int,
     rate: float,
     rtol: float,
-) -> Float[np.ndarray, "n 7"]:
-    """By RK45, whose steps are no longer than a sample."""
+) -> Float[np.ndarray, "n states"]:
+    """From rest by RK45, whose steps are no longer than a sample."""
     time = np.arange(count) / rate
     run = scipy.integrate.solve_ivp(
         derivative,
         (0.0, time[-1]),
-        np.zeros(7),
+        np.zeros(states),
         method="RK45",
         t_eval=time,
         rtol=rtol,

@@ -23,7 +23,7 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.charts.layout import narrowest
+from riecjax.reporting.charts.layout import Spaces
 
 
 def figure_of(mark: Any, x: Axis | None = None, y: Axis | None = None) -> dict[str, Any]:
@@ -164,7 +164,8 @@ def test_panels_do_not_overlap_and_fill_the_figure():
     assert down[0][1] == pytest.approx(1)
     assert down[0][0] > down[2][1] > down[2][0] > down[4][1]
     assert down[4][0] == pytest.approx(0)
-    assert narrowest(EVERYTHING) > 2 * narrowest(single([Line(X, Y)], Axis(), Axis())) - 20
+    one = Spaces.of(single([Line(X, Y)], Axis(), Axis()))
+    assert Spaces.of(EVERYTHING).width > 2 * one.width - 20
 
 
 def test_a_name_stands_in_a_legend_once_and_in_one_above_all_if_wanted():

@@ -27,13 +27,14 @@ from riecjax.records.record import Record
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
+from riecjax.reporting.document import versions
 from riecjax.reporting.identification import (
     Identification,
     identification_document,
     print_identification,
 )
 from riecjax.reporting.identification_figures import identification_figures
-from riecjax.reporting.output import emit, versions, write_folder
+from riecjax.reporting.output import emit, write_folder
 from riecjax.reporting.page import Page, Section
 from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.summaries.summarise import summarise

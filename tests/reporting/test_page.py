@@ -11,8 +11,7 @@ from reporting_charts import EVERYTHING, X, Y
 
 from riecjax.reporting.charts.chart import Axis, Line, single
 from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.rendering import render
+from riecjax.reporting.page import Page, Section, Table, render
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 DOCUMENT = {

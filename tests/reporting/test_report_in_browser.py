@@ -62,14 +62,14 @@ def reports(tmp_path_factory) -> dict[str, Path]:
     return {"identify": folder / "found", "every mark": folder / "every"}
 
 
-@pytest.fixture(params=WIDTHS)
+@pytest.fixture(scope="module", params=WIDTHS)
 def width(request) -> int:
     return request.param
 
 
-@pytest.fixture(params=["identify", "every mark"])
+@pytest.fixture(scope="module", params=["identify", "every mark"])
 def opened(request, browser, reports, width) -> Iterator[Any]:
-    """A page with its figures drawn, without complaints or requests."""
+    """A page with its figures drawn, without complaints or requests; tests only look at it."""
     with drawn_page(browser, reports[request.param] / "report.html", width) as page:
         yield page
 

@@ -16,7 +16,9 @@ from riecjax.models.model import Model, Quantity
 def command(as_json: bool) -> None:
     """List the built-in models, their parameters with units, and the signals they need."""
     if as_json:
-        click.echo(json.dumps({"schema": 1, "models": models_document()}, indent=2))
+        from riecjax.reporting.document import SCHEMA
+
+        click.echo(json.dumps({"schema": SCHEMA, "models": models_document()}, indent=2))
         return
     console = Console()
     for model in MODELS.values():

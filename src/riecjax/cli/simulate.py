@@ -74,6 +74,7 @@ def command(
     start_jax(keep_compiled=True)
     from riecjax.models.catalogue import find_model
     from riecjax.records.writing import check_writable, write_record
+    from riecjax.reporting.document import SCHEMA
     from riecjax.simulation.simulate import simulate
 
     check_writable(out)
@@ -95,7 +96,7 @@ def command(
         click.echo(
             json.dumps(
                 {
-                    "schema": 1,
+                    "schema": SCHEMA,
                     "model": model.name,
                     "file": str(out),
                     "columns": ["t", *record.arrays],

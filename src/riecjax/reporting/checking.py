@@ -10,7 +10,7 @@ from rich.text import Text
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.check import Check
 from riecjax.records.record import Record
-from riecjax.reporting.output import Document, finite, number, versions
+from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
 
 
 def check_document(
@@ -25,7 +25,7 @@ def check_document(
     """The document that `riecjax check --json` prints, with an `error` if that exits with 1."""
     refusal = checked.refusal
     return {
-        "schema": 1,
+        "schema": SCHEMA,
         **({} if refusal is None else {"error": refusal._asdict()}),
         "model": model,
         "criterion": criterion.describe(),

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import DOLS
-from riecjax.equations.bases import AbstractBasis
+from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import AbstractTerm, Terms, evaluate
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Record
@@ -36,8 +36,8 @@ class IdentifiedCurve(NamedTuple):
     """A curve, its standard error, and the samples that it was drawn through.
 
     **Fields:** `name`, `unit` of its values and `of`, its variable; `x`, `y` and `error` of the
-    curve; `samples`, where the equation can be looked at sample by sample, else `None`: the
-    variable, and what the equation leaves for the curve there.
+    curve; `samples`: the variable, and what the rest of the equation leaves for the curve there,
+    `None` where a derivative is not recorded.
     """
 
     name: str
@@ -79,40 +79,26 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
 
 
 def _over_samples(curve: IdentifiedCurve) -> Panel:
-    marks = []
+    low, high = curve.y - 1.96 * curve.error, curve.y + 1.96 * curve.error
+    marks = [Line(curve.x, curve.y, "identified, 95 %", BLUE, width=1.8, low=low, high=high)]
     if curve.samples is not None:
-        x, y = curve.samples
-        marks.append(Line(x, y, "what the equation leaves for it", GREY, width=0.5))
-    reach = 1.96 * curve.error
-    identified = Line(
-        curve.x,
-        curve.y,
-        "identified, 95 %",
-        BLUE,
-        width=1.8,
-        low=curve.y - reach,
-        high=curve.y + reach,
-    )
-    return Panel([*marks, identified], Axis(curve.of), Axis(labelled(curve.name, curve.unit)))
+        marks.insert(0, Line(*curve.samples, "what the equation leaves for it", GREY, width=0.5))
+    return Panel(marks, Axis(curve.of), Axis(labelled(curve.name, curve.unit)))
 
 
 def _left_of_samples(curve: IdentifiedCurve) -> Panel | None:
     if curve.samples is None:
         return None
     x, y = curve.samples
-    left = y - np.interp(x, curve.x, curve.y)
-    return Panel(
-        [Level(0), Line(x, left, color=RUST, width=0.5)],
-        Axis(curve.of),
-        Axis(labelled("residual", curve.unit)),
-    )
+    left = Line(x, y - np.interp(x, curve.x, curve.y), color=RUST, width=0.5)
+    return Panel([Level(0), left], Axis(curve.of), Axis(labelled("residual", curve.unit)))
 
 
 def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) -> IdentifiedCurve:
     variable, present = evaluate(term.of, record)
     x = np.asarray(variable) if present is None else np.asarray(variable)[np.asarray(present)]
     grid = np.linspace(x.min(), x.max(), GRID)
-    functions = np.asarray(_functions(term.basis, jnp.asarray(grid)))
+    functions = np.asarray(eqx.filter_jit(term.basis)(jnp.asarray(grid)))
     values = np.array([float(estimate[name]) for name in term.parameters])
     label = term.of if isinstance(term.of, str) else getattr(term.of, "__name__", "variable")
     name = label.strip("_").replace("_", " ")
@@ -128,54 +114,32 @@ def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) 
     )
 
 
-@eqx.filter_jit
-def _functions(basis: AbstractBasis, x: Float[Array, " grid"]) -> Float[Array, "functions grid"]:
-    return basis(x)
-
-
 def _error(estimate: Estimate, term: Terms, functions: np.ndarray) -> np.ndarray:
-    covariance = np.zeros((len(term.parameters), len(term.parameters)))
-    place = {name: i for i, name in enumerate(estimate.parameters)}
-    known = [i for i, name in enumerate(term.parameters) if name in place]
-    rows = [place[term.parameters[i]] for i in known]
-    covariance[np.ix_(known, known)] = np.asarray(estimate.covariance)[np.ix_(rows, rows)]
-    return np.sqrt(np.maximum(np.einsum("ig,ij,jg->g", functions, covariance, functions), 0))
+    """sqrt(b(x)^T C b(x)): the covariance of the coefficients, those held at a value left out."""
+    free = [i for i, name in enumerate(term.parameters) if name in estimate.parameters]
+    at = [estimate.parameters.index(term.parameters[i]) for i in free]
+    covariance = np.asarray(estimate.covariance)[np.ix_(at, at)]
+    variance = np.einsum("ig,ij,jg->g", functions[free], covariance, functions[free])
+    return np.sqrt(np.maximum(variance, 0))
 
 
 def _samples(
     estimate: Estimate, equation: Equation, term: Terms, record: Record, variable: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The equation at every sample without this term, which is what the curve should give."""
-    rest = tuple(other for other in equation.terms if other is not term)
-    values = {name: estimate[name] for other in rest for name in other.parameters}
+    """The curve's value by the rest of the equation, at every sample.
+
+    With all other coefficients known, sign sum_i c_i b_i = target is what a pointwise row says.
+    """
+    others = [name for name in equation.parameters if name not in term.parameters]
     try:
-        total, kept = _at_samples(equation, rest, record, values)
+        rows = _rows_left(equation, record, {name: estimate[name] for name in others})
     except DataError:
         return None  # a derivative that is not recorded
-    there = slice(None) if kept is None else np.asarray(kept)
-    sign = float(term.sign)
-    x, y = variable[there], -np.asarray(total)[there] / sign
-    last = min(x.size, MOST_POINTS)
-    return x[:last], y[:last]
+    valid = slice(None) if rows.kept is None else np.asarray(rows.kept)
+    x, y = variable[valid], np.asarray(rows.target)[valid] / float(term.sign)
+    return x[:MOST_POINTS], y[:MOST_POINTS]
 
 
 @eqx.filter_jit
-def _at_samples(
-    equation: Equation,
-    terms: tuple[AbstractTerm, ...],
-    record: Record,
-    values: Mapping[str, Array],
-) -> tuple[Float[Array, " n"], Bool[Array, " n"] | None]:
-    """Sum of some terms at every sample, and where the whole equation is present."""
-    total = sum(
-        (_contribution(values, term, record) for term in terms), jnp.zeros(record.sample_count)
-    )
-    return total, DOLS().rows(equation, record).kept
-
-
-def _contribution(
-    values: Mapping[str, Array], term: AbstractTerm, record: Record
-) -> Float[Array, " n"]:
-    samples = term.samples(record, term.derivative).values
-    factors = jnp.stack([jnp.asarray(values[name]) for name in term.parameters] or [jnp.ones(())])
-    return factors @ samples
+def _rows_left(equation: Equation, record: Record, values: Mapping[str, Array]) -> Rows:
+    return DOLS().rows(equation, record).fix(values)

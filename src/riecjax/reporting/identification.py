@@ -13,8 +13,8 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record
 from riecjax.reporting.checking import excitation_entries, start_times
+from riecjax.reporting.document import Document, finite, number, versions
 from riecjax.reporting.estimate import estimate_entries, parameter_entries, print_estimate
-from riecjax.reporting.output import Document, finite, number, versions
 from riecjax.reporting.refinement import (
     Refinement,
     refinement_entries,

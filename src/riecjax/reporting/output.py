@@ -1,24 +1,19 @@
 """Where results go: the terminal, standard output as JSON, and a folder."""
 
 import json
-import math
 import os
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import click
-import numpy as np
-from numpy.typing import ArrayLike
 from rich.console import Console
 
 from riecjax.errors import DataError
 from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.page import Page
-
-Document = dict[str, Any]
+from riecjax.reporting.document import Document
+from riecjax.reporting.page import Page, render
 
 
 def emit(
@@ -35,7 +30,6 @@ def emit(
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
     if out is not None:
-        require_report_packages()
         write_folder(out, document, charts(), page(document))
     for warning in document.get("warnings", []):
         click.echo(f"warning [{warning['code']}]: {warning['message']}", err=True)
@@ -56,7 +50,6 @@ def write_folder(folder: Path, document: Document, charts: Mapping[str, Chart], 
     """
     require_report_packages()
     from riecjax.reporting.charts.printed import print_chart
-    from riecjax.reporting.rendering import render
 
     made = _folder_beside(folder)
     try:
@@ -94,15 +87,6 @@ def _folder_beside(folder: Path) -> Path:
         raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
 
 
-def versions() -> dict[str, str]:
-    """Versions of everything that a number depends on."""
-    import platform
-    from importlib.metadata import version
-
-    packages = ("riecjax", "jax", "diffrax", "equinox", "optimistix", "numpy", "scipy")
-    return {"python": platform.python_version()} | {name: version(name) for name in packages}
-
-
 def require_report_packages() -> None:
     """Make sure that figures and pages can be made.
 
@@ -117,16 +101,3 @@ def require_report_packages() -> None:
             "figures and reports need matplotlib, plotly and jinja2; install them by "
             "pip install 'riecjax[report]'."
         ) from None
-
-
-def number(value: float | None, digits: int = 6) -> str:
-    """A number for a table; `none` where there is none."""
-    return "none" if value is None else f"{value:.{digits}g}"
-
-
-def finite(value: ArrayLike) -> Any:
-    """The number, or `None` where JSON has no word for it; of an array, nested lists of them."""
-    if np.ndim(value):
-        return [finite(each) for each in np.asarray(value)]
-    number = np.asarray(value).item()
-    return number if math.isfinite(number) else None

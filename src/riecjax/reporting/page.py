@@ -1,7 +1,19 @@
-"""What a report says, in plain data: sections of text, tables and charts."""
+"""A report: what it says, in plain data, and the HTML file that shows it."""
 
-from collections.abc import Sequence
+import base64
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from riecjax.reporting.charts.chart import Chart
+from riecjax.reporting.charts.interactive import interactive
+from riecjax.reporting.charts.layout import Spaces
+from riecjax.reporting.document import Document
+
+SCREEN_INCH = 100
+"""Pixels to an inch of the printed figure, at most, so that a small figure stays small."""
 
 
 @dataclass(frozen=True)
@@ -22,9 +34,8 @@ class Table:
 class Section:
     """A part of a page under a heading.
 
-    **Fields:** `text`, paragraphs; `tables`; `charts`, names of those that stand here. A name
-    without a chart is passed over, such as of curves that a model does not have, and so is a
-    section of which nothing is left.
+    **Fields:** `text`, paragraphs; `tables`; `charts`, names of those shown here. A name without a
+    chart is skipped, such as that of curves which a model does not have; so is an empty section.
     """
 
     heading: str
@@ -35,11 +46,56 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A report; `lead` is what stands under its title. Warnings and provenance come by themselves.
+    """A report; `lead` stands under its title. Warnings and provenance come from the document.
 
-    Texts are plain text: signs that mean something to HTML are shown, not obeyed.
+    Texts are plain: signs that mean something to HTML are escaped.
     """
 
     title: str
     lead: str
     sections: Sequence[Section]
+
+
+def render(
+    page: Page, document: Document, charts: Mapping[str, Chart], pictures: Mapping[str, Path]
+) -> str:
+    """The page as one HTML file that needs nothing else, with the document's warnings.
+
+    **Arguments:** `charts` by name, and under the same names the `pictures` of them, PNG files:
+    shown where scripts don't run, and in print.
+    """
+    import jinja2
+    from markupsafe import Markup
+    from plotly.offline import get_plotlyjs
+
+    def figure(name: str) -> dict[str, Any]:
+        chart = charts[name]
+        drawn, narrowest = interactive(chart), round(Spaces.of(chart).width)
+        # Inside a script element, "<" could end it.
+        data = json.dumps(drawn, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+        return {
+            "name": name,
+            "caption": chart.caption or name.replace("_", " "),
+            "picture": base64.b64encode(pictures[name].read_bytes()).decode(),
+            "narrowest": narrowest,
+            "widest": max(round(SCREEN_INCH * chart.size[0]), narrowest),
+            "height": drawn["layout"]["height"],
+            "data": Markup(data.replace("<", "\\u003c")),
+        }
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("riecjax.reporting"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    parts = [(each, [figure(n) for n in each.charts if n in charts]) for each in page.sections]
+    parts = [(each, figures) for each, figures in parts if each.text or each.tables or figures]
+    return environment.get_template("report.html.j2").render(
+        page=page,
+        parts=parts,
+        warnings=document.get("warnings", []),
+        provenance=json.dumps(document.get("provenance", {}), indent=2, ensure_ascii=False),
+        plotly=Markup(get_plotlyjs()) if any(figures for _, figures in parts) else None,
+    )

@@ -6,7 +6,7 @@ from typing import Any
 
 from riecjax.findings import Finding
 from riecjax.refinement.refined import Refined
-from riecjax.reporting.output import Document, finite, number
+from riecjax.reporting.document import Document, finite, number
 from riecjax.validation.held_out import HeldOut
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from riecjax.paper.published import CRITERIA
-from riecjax.reporting.output import Document, number
+from riecjax.reporting.document import Document, number
 from riecjax.reporting.page import Page, Section, Table
 from riecjax.reporting.reproduction import (
     SHOWN,

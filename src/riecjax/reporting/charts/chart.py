@@ -132,16 +132,8 @@ class HeatMap:
     @property
     def scale(self) -> tuple[float, float]:
         """Ends of the scale: those given, or the values', alike on both sides if diverging."""
-        values = as_array(self.values)
-        found = values[np.isfinite(values)]
-        least, most = (float(found.min()), float(found.max())) if found.size else (0.0, 1.0)
-        if self.diverging:
-            most = max(abs(least), abs(most))
-            least = -most
-        return (
-            least if self.low is None else self.low,
-            most if self.high is None else self.high,
-        )
+        values = np.ravel(self.values)
+        return _ends(np.append(values, -values) if self.diverging else values, self.low, self.high)
 
 
 Mark = Line | Dots | Stems | Span | Level | HeatMap
@@ -161,6 +153,24 @@ class Panel:
     title: str = ""
     legend: bool = True
     columns: int = 1
+
+    @property
+    def labels(self) -> set[str]:
+        """What its legend explains: nothing without one, and a map has a colour bar instead."""
+        if not self.legend:
+            return set()
+        return {mark.label for mark in self.marks if not isinstance(mark, HeatMap)} - {""}
+
+    def reach(self, which: Literal["x", "y", "right"]) -> tuple[float, float]:
+        """Ends of an axis: those given, or the data's."""
+        axis = {"x": self.x, "y": self.y, "right": self.right or Axis()}[which]
+        drawn = [np.array([])]
+        for mark in self.marks:
+            if isinstance(mark, Line | Dots | Stems):
+                right = isinstance(mark, Line) and mark.right
+                if which == "x" or right == (which == "right"):
+                    drawn.append(np.ravel(mark.x if which == "x" else mark.y))
+        return _ends(np.concatenate(drawn), axis.low, axis.high)
 
 
 @dataclass(frozen=True)
@@ -190,9 +200,21 @@ class Chart:
         return max(sum(1 if p is None else p.columns for p in row) for row in self.rows)
 
     @property
+    def places(self) -> list[tuple[int, int, Panel]]:
+        """Each panel, with its row and its first column."""
+        found = []
+        for i, row in enumerate(self.rows):
+            place = 0
+            for panel in row:
+                if panel is not None:
+                    found.append((i, place, panel))
+                place += 1 if panel is None else panel.columns
+        return found
+
+    @property
     def panels(self) -> list[Panel]:
         """All panels, row by row."""
-        return [panel for row in self.rows for panel in row if panel is not None]
+        return [panel for _, _, panel in self.places]
 
 
 def single(marks: Sequence[Mark], x: Axis, y: Axis, caption: str = "", **settings: object) -> Chart:
@@ -205,6 +227,8 @@ def labelled(what: str, unit: str | None) -> str:
     return f"{what} / ({unit})" if unit else what
 
 
-def as_array(values: ArrayLike) -> np.ndarray:
-    """A NumPy array of what a mark holds."""
-    return np.asarray(values)
+def _ends(values: ArrayLike, low: float | None, high: float | None) -> tuple[float, float]:
+    """The ends given, else least and largest value; 0 and 1 where there is none."""
+    finite = np.asarray(values)[np.isfinite(values)]
+    least, most = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    return least if low is None else low, most if high is None else high

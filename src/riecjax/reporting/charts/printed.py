@@ -22,7 +22,6 @@ from riecjax.reporting.charts.chart import (
     Panel,
     Span,
     Stems,
-    as_array,
 )
 
 DOTS_PER_INCH = 150
@@ -67,26 +66,21 @@ def printed(chart: Chart) -> Figure:
         heights = chart.heights or (1.0,) * len(chart.rows)
         grid = figure.add_gridspec(len(chart.rows), chart.columns, height_ratios=heights)
         above: dict[int, Any] = {}
-        for i, row in enumerate(chart.rows):
-            place, left = 0, None
-            for panel in row:
-                if panel is None:
-                    place += 1
-                    continue
-                axes = figure.add_subplot(
-                    grid[i, place : place + panel.columns],
-                    sharex=above.get(place) if chart.share_x else None,
-                    sharey=left if chart.share_y else None,
-                )
-                _draw_panel(axes, panel, chart)
-                above[place], left = axes, axes
-                place += panel.columns
+        left: dict[int, Any] = {}
+        for row, place, panel in chart.places:
+            axes = figure.add_subplot(
+                grid[row, place : place + panel.columns],
+                sharex=above.get(place) if chart.share_x else None,
+                sharey=left.get(row) if chart.share_y else None,
+            )
+            above[place] = left[row] = axes
+            _draw_panel(axes, panel, chart)
     return figure
 
 
 def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:
     right = None if panel.right is None else axes.twinx()
-    _scale(axes, panel)
+    axes.set(xscale=_scale(panel.x), yscale=_scale(panel.y))
     for mark in panel.marks:
         on_right = isinstance(mark, Line) and mark.right
         _draw(right if on_right and right is not None else axes, mark)
@@ -94,8 +88,7 @@ def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:
     _finish(axes.yaxis, panel.y, axes.set_ylim)
     if right is not None and panel.right is not None:
         right.grid(False)
-        if panel.right.log:
-            right.set_yscale("log")
+        right.set_yscale(_scale(panel.right))
         _finish(right.yaxis, panel.right, right.set_ylim)
         right.spines["right"].set_visible(True)
     axes.tick_params(
@@ -105,30 +98,27 @@ def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:
     _titles(axes, right, panel, chart)
 
 
+def _scale(axis: Axis) -> str:
+    return "log" if axis.log else "linear"
+
+
 def _titles(axes: Any, right: Any, panel: Panel, chart: Chart) -> None:
     """Title and legend, above the panel; the legend of the first one perhaps above all."""
-    handles, labels = [], []
-    for each in (axes, right):
-        if each is not None:
-            found = each.get_legend_handles_labels()
-            handles, labels = handles + found[0], labels + found[1]
+    handles, labels = axes.get_legend_handles_labels()
+    if right is not None:
+        more, named = right.get_legend_handles_labels()
+        handles, labels = handles + more, labels + named
     rows = 0
     if chart.legend:
         figure = axes.get_figure()
-        if labels and len(figure.legends) == 0:
+        if labels and not figure.legends:
             columns = _columns(labels, chart.size[0])
             figure.legend(handles, labels, loc="outside upper center", ncols=columns)
     elif panel.legend and labels:
         columns = _columns(labels, chart.size[0] * panel.columns / chart.columns - 0.8)
         rows = -(-len(labels) // columns)
-        axes.legend(
-            handles,
-            labels,
-            loc="lower left",
-            bbox_to_anchor=(0, 1),
-            ncols=columns,
-            handlelength=1.6,
-        )
+        place: Any = {"loc": "lower left", "bbox_to_anchor": (0, 1)}
+        axes.legend(handles, labels, **place, ncols=columns, handlelength=1.6)
     axes.set_title(panel.title, pad=4 + LINE * rows)
 
 
@@ -146,116 +136,56 @@ def _draw(axes: Any, mark: Mark) -> None:
         case Line():
             _draw_line(axes, mark)
         case Dots():
-            axes.plot(
-                as_array(mark.x),
-                as_array(mark.y),
-                "o",
-                color=mark.color,
-                markersize=mark.size,
-                markeredgewidth=0,
-                alpha=mark.opacity,
-                label=mark.label,
-            )
+            look = {"color": mark.color, "alpha": mark.opacity, "label": mark.label}
+            axes.plot(mark.x, mark.y, "o", markersize=mark.size, markeredgewidth=0, **look)
         case Stems():
-            axes.vlines(
-                as_array(mark.x),
-                0,
-                as_array(mark.y),
-                color=mark.color,
-                linewidth=1,
-                label=mark.label,
-            )
+            axes.vlines(mark.x, 0, mark.y, color=mark.color, linewidth=1, label=mark.label)
         case Span():
-            _draw_span(axes, mark)
+            look: dict[str, Any] = {"color": mark.color, "alpha": mark.opacity}
+            if mark.hatched:
+                look = {"facecolor": "none", "edgecolor": "0.4", "hatch": "///"}
+            across = axes.axvspan if mark.axis == "x" else axes.axhspan
+            across(mark.low, mark.high, linewidth=0, zorder=0.5, label=mark.label, **look)
         case Level():
-            _draw_level(axes, mark)
+            look = {"color": mark.color, "linestyle": mark.dashes, "label": mark.label}
+            look |= {"linewidth": 0.9, "zorder": 1.5}
+            if mark.axis == "diagonal":
+                axes.axline((0, 0), slope=1, **look)
+            else:
+                (axes.axvline if mark.axis == "x" else axes.axhline)(mark.value, **look)
         case HeatMap():
             _draw_map(axes, mark)
 
 
 def _draw_line(axes: Any, line: Line) -> None:
-    x = as_array(line.x)
     if line.low is not None and line.high is not None:
-        low, high = as_array(line.low), as_array(line.high)
-        axes.fill_between(x, low, high, color=line.color, alpha=0.18, linewidth=0)
-    style = {
-        "color": line.color,
-        "linestyle": line.dashes,
-        "linewidth": line.width,
-        "marker": "o" if line.markers else None,
-        "markersize": 3,
-        "label": line.label,
-    }
+        axes.fill_between(line.x, line.low, line.high, color=line.color, alpha=0.18, linewidth=0)
+    look = {"color": line.color, "linestyle": line.dashes, "linewidth": line.width}
+    look |= {"marker": "o" if line.markers else None, "markersize": 3, "label": line.label}
     if line.error is None:
-        axes.plot(x, as_array(line.y), **style)
+        axes.plot(line.x, line.y, **look)
     else:
-        axes.errorbar(x, as_array(line.y), as_array(line.error), capsize=2, **style)
-
-
-def _draw_span(axes: Any, span: Span) -> None:
-    across = axes.axvspan if span.axis == "x" else axes.axhspan
-    if span.hatched:
-        look: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.4", "hatch": "///"}
-    else:
-        look = {"color": span.color, "alpha": span.opacity}
-    across(span.low, span.high, linewidth=0, zorder=0.5, label=span.label, **look)
-
-
-def _draw_level(axes: Any, level: Level) -> None:
-    style = {
-        "color": level.color,
-        "linestyle": level.dashes,
-        "linewidth": 0.9,
-        "label": level.label,
-        "zorder": 1.5,
-    }
-    if level.axis == "diagonal":
-        axes.axline((0, 0), slope=1, **style)
-    elif level.axis == "x":
-        axes.axvline(level.value, **style)
-    else:
-        axes.axhline(level.value, **style)
+        axes.errorbar(line.x, line.y, line.error, capsize=2, **look)
 
 
 def _draw_map(axes: Any, heat: HeatMap) -> None:
-    values, x, y = as_array(heat.values), as_array(heat.x), as_array(heat.y)
+    values, x, y = np.asarray(heat.values), np.asarray(heat.x), np.asarray(heat.y)
     low, high = heat.scale
     axes.grid(False)
-    image = axes.pcolormesh(
-        x,
-        y,
-        np.ma.masked_invalid(values),
-        cmap="RdBu_r" if heat.diverging else "viridis",
-        vmin=low,
-        vmax=high,
-        shading="nearest",
-    )
+    look: Any = {"cmap": "RdBu_r" if heat.diverging else "viridis", "shading": "nearest"}
+    image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), vmin=low, vmax=high, **look)
     bar = axes.get_figure().colorbar(image, ax=axes, label=heat.label)
     bar.outline.set_visible(False)
     bar.ax.grid(False)
     if heat.numbers is None:
         return
-    for (row, column), value in np.ndenumerate(values):
-        if not np.isfinite(value):
-            continue
-        red, green, blue, _ = image.cmap(image.norm(value))
-        dark = 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
-        axes.text(
-            x[column],
-            y[row],
-            f"{value:.{heat.numbers}f}",
-            ha="center",
-            va="center",
-            fontsize="x-small",
-            color="white" if dark else "black",
-        )
-
-
-def _scale(axes: Any, panel: Panel) -> None:
-    if panel.x.log:
-        axes.set_xscale("log")
-    if panel.y.log:
-        axes.set_yscale("log")
+    for row, column in np.argwhere(np.isfinite(values)):
+        value = values[row, column]
+        # Luma (ITU-R BT.601, rounded): numbers on dark cells are white.
+        dark = np.dot(image.cmap(image.norm(value))[:3], (0.3, 0.6, 0.1)) < 0.5
+        style = {"fontsize": "x-small", "color": "white" if dark else "black"}
+        text = f"{value:.{heat.numbers}f}"
+        axes.text(x[column], y[row], text, ha="center", va="center", **style)
 
 
 def _finish(axis: Any, wanted: Axis, set_limits: Any) -> None:

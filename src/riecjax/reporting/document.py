@@ -1,0 +1,37 @@
+"""A result as plain data: what `--json` prints, results.json holds, and pages and tables show."""
+
+import math
+import platform
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+Document = dict[str, Any]
+"""Keys and values that JSON can express."""
+
+SCHEMA = 1
+"""Stands under `schema` in every document.
+
+It is raised when the meaning of a key changes or a key is removed; new keys don't raise it.
+"""
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that a number depends on."""
+    packages = ("riecjax", "jax", "diffrax", "equinox", "optimistix", "numpy", "scipy")
+    return {"python": platform.python_version()} | {name: version(name) for name in packages}
+
+
+def number(value: float | None, digits: int = 6) -> str:
+    """A number for a table; `none` where there is none."""
+    return "none" if value is None else f"{value:.{digits}g}"
+
+
+def finite(value: ArrayLike) -> Any:
+    """The number, or `None` where JSON has no word for it; of an array, nested lists of them."""
+    if np.ndim(value):
+        return [finite(each) for each in np.asarray(value)]
+    number = np.asarray(value).item()
+    return number if math.isfinite(number) else None
