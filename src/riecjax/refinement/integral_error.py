@@ -130,8 +130,7 @@ class IntegralMisfit(AbstractMisfit):
 
 def _first_negated(moments: Float[Array, "*n c c"]) -> Float[Array, "*n c c"]:
     """Moments of rows whose first column is negated."""
-    sign = jnp.ones(moments.shape[-1]).at[0].set(-1.0)
-    return moments * (sign[:, None] * sign[None, :])
+    return moments.at[..., 0, 1:].multiply(-1.0).at[..., 1:, 0].multiply(-1.0)
 
 
 class IntegralError(AbstractObjective):

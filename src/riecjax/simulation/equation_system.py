@@ -78,11 +78,14 @@ class EquationSystem(AbstractSystem):
         signals = self._solved(self._known_signals(state, inputs))
         return {name: signals[name][0] for name, _ in self.outputs}
 
-    def linear_in_unknowns(
-        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
-    ) -> tuple[Float[Array, " equations"], Float[Array, "equations unknowns"]]:
-        """The equations' residuals with every unknown zero, and their slopes J by the unknowns."""
-        return self._linear(self._known_signals(state, inputs))
+    @eqx.filter_jit
+    def probed(
+        self, state: Array, inputs: Array, unknowns: Array
+    ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Float[Array, " n"]]:
+        """r0 and J at a point, and the residuals of some values of the unknowns."""
+        signals = self._known_signals(state, inputs)
+        whole = self._with_unknowns(signals, unknowns[:, None])
+        return *self._linear(signals), self._residuals(whole)
 
     # Signals have shape (1,), so that an expression written for the samples of a record needs no
     # second version for a point.
@@ -102,12 +105,12 @@ class EquationSystem(AbstractSystem):
         count = len(self.structure.unknowns)
         zero = jnp.zeros((count, 1), next(iter(signals.values())).dtype)
         residuals, push = jax.linearize(
-            lambda z: self.residuals(self._with_unknowns(signals, z)), zero
+            lambda z: self._residuals(self._with_unknowns(signals, z)), zero
         )
         along = jnp.eye(count, dtype=zero.dtype)
         return residuals, jnp.stack([push(along[i][:, None]) for i in range(count)], axis=-1)
 
-    def residuals(self, signals: dict[str, Array]) -> Float[Array, " equations"]:
+    def _residuals(self, signals: dict[str, Array]) -> Float[Array, " equations"]:
         """What each equation leaves of one sample of all signals and unknowns."""
         zero = jnp.zeros((), next(iter(signals.values())).dtype)
         sums = [
@@ -246,10 +249,12 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
     """
     state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
     level = jnp.asarray(np.linspace(0.3, 0.7, len(system.structure.inputs)))
-    rest, slopes = (np.asarray(part) for part in system.linear_in_unknowns(state, level))
+    unknowns = system.structure.unknowns
+    probe = np.random.default_rng(1).uniform(0.5, 1.5, len(unknowns))
+    probed = system.probed(state, level, jnp.asarray(probe))
+    rest, slopes, found = (np.asarray(part) for part in probed)
     columns = np.max(np.abs(slopes), axis=0, initial=0.0)
     rows = np.max(np.abs(slopes), axis=1, initial=0.0)
-    unknowns = system.structure.unknowns
     if not np.all(np.isfinite(slopes)):
         raise ModelError(f"{label} cannot be simulated: its leading coefficients are not finite.")
     if not columns.all():
@@ -261,11 +266,8 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
             f"{label} cannot be simulated: its equations are not independent in "
             f"{', '.join(unknowns)}."
         )
-    probe = np.random.default_rng(1).uniform(0.5, 1.5, (len(unknowns), 1))
-    signals = system._known_signals(state, level) | dict(zip(unknowns, jnp.asarray(probe)))
-    found = np.asarray(system.residuals(signals))
-    size = np.abs(rest) + np.abs(slopes) @ np.abs(probe[:, 0])
-    if np.any(np.abs(found - rest - slopes @ probe[:, 0]) > 1e-4 * size):
+    size = np.abs(rest) + np.abs(slopes) @ probe
+    if np.any(np.abs(found - rest - slopes @ probe) > 1e-4 * size):
         raise ModelError(
             f"{label} cannot be simulated: {', '.join(unknowns)} must enter its equations linearly."
         )

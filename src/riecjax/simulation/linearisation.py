@@ -65,6 +65,7 @@ def _slopes(system: AbstractSystem, states: Leaf, inputs: Leaf) -> Array:
     return jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
 
 
+@eqx.filter_jit
 def linearise(
     system: AbstractSystem,
     state: Float[Array, " states"] | None = None,
