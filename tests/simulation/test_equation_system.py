@@ -196,7 +196,6 @@ def test_coupled_masses_have_the_modes_of_their_matrices(count):
 def test_gradients_by_values_and_start_equal_finite_differences():
     inputs = drive("u", 100).with_signals({"w": jnp.ones(100)})
 
-    @jax.jit
     def final(m1, k, b0):
         system = equation_system(coupled(), {**VALUES, "m1": m1, "k": k})
         record = simulate(system, inputs, initial_state={"b": b0}).record
