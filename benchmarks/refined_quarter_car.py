@@ -79,10 +79,13 @@ PLACES: dict[str, float] = dict(zip(VELOCITIES, BREAK_POINTS))
 # The reduced model's fastest motion, 14 Hz, is resolved to 1e-5 by 4 steps of 1.25 ms.
 METHOD = FixedStep(4)
 REST: dict[str, float | Array] = dict.fromkeys(VALIDATED_STATES, 0.0)
-WHOLE = OutputError(channels=VALIDATED_STATES, starts=REST, method=METHOD)
-WITH_FORCE = OutputError(channels=(*VALIDATED_STATES, "F_t"), starts=REST, method=METHOD)
+WHOLE = OutputError(channels=VALIDATED_STATES, initial_states=REST, method=METHOD)
+WITH_FORCE = OutputError(channels=(*VALIDATED_STATES, "F_t"), initial_states=REST, method=METHOD)
 TILED = OutputError(
-    Tiles(samples=round(TABLE_2.rate)), channels=VALIDATED_STATES, starts="measured", method=METHOD
+    Tiles(samples=round(TABLE_2.rate)),
+    channels=VALIDATED_STATES,
+    initial_states="measured",
+    method=METHOD,
 )
 INTEGRAL = IntegralError(RIEC(AllWindows(TABLE_2.alpha, TABLE_2.beta, longest_samples=128)))
 # Each sample that crosses a break point is a kink of the sum of squares: its gradient never falls

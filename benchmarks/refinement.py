@@ -100,7 +100,7 @@ def recovery(starts: int) -> dict[str, Any]:
     ways: dict[str, list[AbstractObjective]] = {
         "whole record at once": [whole],
         "windows of 0.2 s, 2 s, then the whole record": [
-            OutputError(Tiles(samples=20), starts="measured", method=METHOD),
+            OutputError(Tiles(samples=20), initial_states="measured", method=METHOD),
             OutputError(Tiles(samples=200), method=METHOD),
             whole,
         ],

@@ -57,7 +57,7 @@ COMBINATIONS = 16
 SEARCHES = {4: 1, 7: 4}
 """Searches for each seed of noise, by how many parameters are free."""
 FINE, COARSE = FixedStep(32), FixedStep(8)
-TILED = OutputError(Tiles(samples=25), channels=CHANNELS, starts="measured", method=COARSE)
+TILED = OutputError(Tiles(samples=25), channels=CHANNELS, initial_states="measured", method=COARSE)
 WARM_UP = 30
 OUT = Path(__file__).parent / "source_fit.json"
 
@@ -96,7 +96,7 @@ def fit(record: Record, start: dict[str, Array], starts: str) -> Fit:
 
 
 def compared(starts: str) -> OutputError:
-    return OutputError(channels=CHANNELS, starts=STARTS[starts], method=COARSE)
+    return OutputError(channels=CHANNELS, initial_states=STARTS[starts], method=COARSE)
 
 
 def _values(found: Refined) -> dict[str, Array]:

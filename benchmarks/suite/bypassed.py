@@ -30,10 +30,15 @@ from benchmarks.timing import Comparison, Size, compare
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.refinement.arrowhead import LevenbergMarquardt, Point
-from riecjax.refinement.coordinates import Laws
-from riecjax.refinement.optimum import Problem, Solver, default_solver, find_optimum
+from riecjax.refinement.coordinates import Constraints
+from riecjax.refinement.optimum import (
+    Problem,
+    Solver,
+    default_solver,
+    find_optimum,
+    residual_variance,
+)
 from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import _setup, _variance
 from riecjax.refinement.shots import Tiles
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import CLASSICAL_RUNGE_KUTTA, AbstractMethod, Adaptive, FixedStep
@@ -162,13 +167,13 @@ def simulations(size: Size) -> Iterator[Comparison]:
 
 def problem_of(objective: OutputError) -> tuple[Problem, Point]:
     """What `refine` searches, and from where."""
-    setup = _setup(objective, oscillator(), [record(1)], START, {}, (), None)
-    misfit = objective.misfit(setup)
-    laws = Laws.of(setup.names, setup.values, {}, {})
-    theta, starts = jnp.array([setup.values[name] for name in setup.names]), misfit.first_starts()
-    variance = _variance(misfit, misfit.energy(theta, starts), theta.shape[0])
-    problem = Problem(misfit, laws.coordinates(jnp.abs(theta)), laws, variance)
-    return problem, problem.point(theta, starts)
+    specified = objective.specify(oscillator(), [record(1)], START, {}, (), None)
+    misfit = objective.misfit(specified)
+    constraints = Constraints.of(specified.names, specified.values, {}, {})
+    theta, initial = specified.theta, misfit.first_initial()
+    variance = residual_variance(misfit, misfit.energy(theta, initial), theta.shape[0])
+    problem = Problem(misfit, constraints.coordinates(jnp.abs(theta)), constraints, variance)
+    return problem, problem.point(theta, initial)
 
 
 @eqx.filter_jit
@@ -179,7 +184,7 @@ def searched(problem: Problem, start: Point, solver: Solver) -> tuple[Array, Arr
 
 
 SEARCHES = {
-    "search-one-window": OutputError(starts={"x": 0.0, "dx": 0.0}, method=FixedStep(1)),
+    "search-one-window": OutputError(initial_states={"x": 0.0, "dx": 0.0}, method=FixedStep(1)),
     "search-one-window-start": OutputError(method=FixedStep(1)),
     "search-many-windows": OutputError(Tiles(seconds=1.0), method=FixedStep(1)),
 }

@@ -180,7 +180,10 @@ COMPARED = {
     "windows' class": ({"shooting": rx.refinement.Tiles}, "the class Tiles, not an object of it"),
     "a method's name": ({"method": "rk4"}, "method=rx.FixedStep(8)"),
     "a method's class": ({"method": rx.FixedStep}, "method=rx.FixedStep(8)"),
-    "starts, a number": ({"starts": 5}, "starts='estimated', 'measured' or values by name"),
+    "initial states, a number": (
+        {"initial_states": 5},
+        "initial_states='estimated', 'measured' or values by name",
+    ),
     "one channel": ({"channels": "x"}, "channels=('x',)"),
 }
 

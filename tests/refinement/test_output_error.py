@@ -74,7 +74,7 @@ def costs_by_scipy(seed, points):
 
 def test_the_optimum_is_scipys(whole):
     """Along each parameter, SciPy's own cost is least where the refinement ended."""
-    p = np.concatenate([whole.theta, whole.starts[0]])
+    p = np.concatenate([whole.theta, whole.initial_states[0]])
     steps = np.diag(np.concatenate([whole.standard_errors, [3e-3, 1e-2]]))
     centre, *around = costs_by_scipy(0, [p, *(p - steps), *(p + steps)])
     assert centre == pytest.approx(float(whole.cost), rel=1e-5)
@@ -109,11 +109,11 @@ def test_it_says_what_it_did(whole):
     ],
     ids=["one step", "half a second", "five seconds", "random"],
 )
-@pytest.mark.parametrize("starts", ["measured", "estimated"])
-def test_every_length_of_window_finds_the_truth_without_noise(shooting, starts):
-    if starts == "estimated" and shooting == Tiles(samples=1):
+@pytest.mark.parametrize("initial", ["measured", "estimated"])
+def test_every_length_of_window_finds_the_truth_without_noise(shooting, initial):
+    if initial == "estimated" and shooting == Tiles(samples=1):
         pytest.skip("two samples do not determine a start and parameters")
-    by = OutputError(shooting, starts=starts)
+    by = OutputError(shooting, initial_states=initial)
     refined = refine(oscillator(), record(), START, by, key=jax.random.key(0))
     assert bool(refined.converged)
     for name, true in TRUTH.items():
@@ -129,7 +129,7 @@ def test_tiles_as_long_as_the_record_are_the_whole_record(noisy, whole):
 
 def test_windows_with_starts_of_their_own_cost_little_precision(noisy, whole):
     tiled = refine(oscillator(), noisy, START, OutputError(Tiles(seconds=5.0)))
-    assert tiled.starts.shape == (4, 2)
+    assert tiled.initial_states.shape == (4, 2)
     ratio = np.asarray(tiled.standard_errors / whole.standard_errors)
     assert np.all((ratio > 0.9) & (ratio < 2))
     moved = np.asarray(tiled.theta - whole.theta) / np.asarray(tiled.standard_errors)
@@ -140,7 +140,7 @@ def test_a_state_that_is_not_recorded_is_estimated():
     held = {name: values for name, values in signals(1).items() if name != "dx"}
     refined = refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
     assert refined.quantities == ("x",)
-    assert refined.start_names == ("x", "dx")
+    assert refined.initial_state_names == ("x", "dx")
     for name, true in TRUTH.items():
         low, high = refined.interval(name, 0.999)
         assert low < true < high
@@ -204,7 +204,7 @@ def test_several_records_with_a_value_of_their_own(two_masses):
         low, high = refined.interval(name, 0.999)
         assert low < true < high
         assert float(refined[name]) == pytest.approx(true, rel=0.05)
-    assert refined.starts.shape == (2, 2)
+    assert refined.initial_states.shape == (2, 2)
 
 
 def test_bounds_of_a_records_own_parameter_hold_in_each_or_in_one(two_masses):
@@ -252,7 +252,7 @@ def test_missing_samples_of_outputs_do_not_count_and_those_of_inputs_cut():
     held["x"][300:500] = np.nan
     held["u"][1000:1003] = np.nan
     refined = refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
-    assert refined.starts.shape == (2, 2)
+    assert refined.initial_states.shape == (2, 2)
     for name, true in TRUTH.items():
         low, high = refined.interval(name, 0.999)
         assert low < true < high
@@ -344,8 +344,8 @@ def test_weights_are_the_users(noisy, whole):
 
 
 def test_starts_that_are_known_are_held(noisy):
-    refined = refine(oscillator(), noisy, START, OutputError(starts={"x": 0.0, "dx": 0.0}))
-    assert refined.starts.shape == (1, 0)
+    refined = refine(oscillator(), noisy, START, OutputError(initial_states={"x": 0.0, "dx": 0.0}))
+    assert refined.initial_states.shape == (1, 0)
     assert float(refined["k"]) == pytest.approx(20.0, rel=0.01)
 
 
@@ -380,7 +380,7 @@ def test_every_second_sample_is_the_record_of_every_second_sample(noisy):
         ({"known": START}, ModelError, "nothing is left to refine"),
         ({"by": OutputError(channels=("z",))}, ModelError, "no signal 'z' to compare"),
         ({"by": OutputError(RandomShots(RandomWindows(0.1, 1.0, 5)))}, ModelError, "need a key"),
-        ({"by": OutputError(starts={"z": 0.0})}, ModelError, "unknown state 'z'"),
+        ({"by": OutputError(initial_states={"z": 0.0})}, ModelError, "unknown state 'z'"),
         ({"records": []}, DataError, "at least one record"),
     ],
 )

@@ -82,7 +82,7 @@ def values(refined) -> dict:
 
 
 def refined_on_a_road(start, known):
-    by = OutputError(channels=VALIDATED_STATES, starts=STATES["four states"], method=METHOD)
+    by = OutputError(channels=VALIDATED_STATES, initial_states=STATES["four states"], method=METHOD)
     record = driven(road(KEYS[1]))
     refined = refine(damper_system(), record, start, by, known=known, solver=SOLVER)
     assert bool(refined.converged)
@@ -159,7 +159,7 @@ def test_the_source_model_is_found_from_sensors_from_a_start_that_is_half_off():
     seen = simulate(model.build_system({}), white_noise(1000), method=FixedStep(24)).checked()
     record = seen.record.select("v_r", *channels)
     start = {name: value * (1.5, 0.5)[i % 2] for i, (name, value) in enumerate(truth.items())}
-    by = OutputError(channels=channels, starts=STATES["seven states"], method=FixedStep(8))
+    by = OutputError(channels=channels, initial_states=STATES["seven states"], method=FixedStep(8))
     refined = refine(model, record, start, by)
     assert bool(refined.converged)
     for name, value in truth.items():

@@ -16,10 +16,11 @@ from riecjax.errors import ModelError
 from riecjax.models.oscillators import Duffing
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit
-from riecjax.refinement.optimum import Halved, RefinementStatus, resolved
+from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import _setup, refine
+from riecjax.refinement.refine import refine
 from riecjax.refinement.shots import Tiles
+from riecjax.refinement.step_halving import StepHalving, with_finer_steps
 from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep
 from riecjax.simulation.system import AbstractSystem
 
@@ -95,7 +96,7 @@ def steps_for(system, records, start, by=None) -> int:
     """How many steps a sample a refinement begins with."""
     by = OutputError() if by is None else by
     records = records if isinstance(records, list) else [records]
-    method = by.misfit(_setup(by, system, records, start, {}, (), None)).method
+    method = by.misfit(by.specify(system, records, start, {}, (), None)).method
     assert isinstance(method, FixedStep)
     return method.steps_per_sample
 
@@ -105,7 +106,7 @@ def test_the_fastest_of_the_motion_counts_however_it_is_cut(hardening, recording
     broken["u"][500:510] = np.nan
     beginning = record_of({n: v[:150] for n, v in hardening.items()}, "u", "y", "dy")
     tiles = OutputError(Tiles(seconds=0.5))
-    known = OutputError(channels=("dy",), starts={"y": 0.0, "dy": 0.0})
+    known = OutputError(channels=("dy",), initial_states={"y": 0.0, "dy": 0.0})
     # The spring at 0.033 m: sqrt((k1 + 3 k3 y^2) / m) is 100 rad/s, 1 rad a sample.
     for records, by in (
         (recording, None),
@@ -179,19 +180,22 @@ class Stepped(AbstractMisfit):
     """A misfit of which nothing matters but its steps."""
 
     names: tuple[str, ...] = ("a", "b")
+    labels: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    longest_window: float = 0.0
     steps: int = 2
 
     @property
-    def room_for_steps(self) -> int:
+    def step_factor_limit(self) -> int:
         return 64 // self.steps
 
     def finer(self, factor: int) -> "Stepped":
-        return Stepped(self.names, self.steps * factor)
+        return Stepped(steps=self.steps * factor)
 
 
-def halved(change, coarse=True) -> Halved:
+def halved(change, coarse=True) -> StepHalving:
     allowed = np.array([0.1, np.inf])
-    return Halved(np.array([change, 1e9]), allowed, np.array([coarse, False]))
+    return StepHalving(np.array([change, 1e9]), allowed, np.array([coarse, False]))
 
 
 @pytest.mark.parametrize(
@@ -209,7 +213,7 @@ def halved(change, coarse=True) -> Halved:
     ],
 )
 def test_steps_are_made_shorter_for_as_long_as_that_helps(steps, now, before, then):
-    finer = resolved(Stepped(steps=steps), now, before)
+    finer = with_finer_steps(Stepped(steps=steps), now, before)
     assert then == (finer.steps if isinstance(finer, Stepped) else None)
 
 

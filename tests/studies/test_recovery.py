@@ -44,7 +44,7 @@ def test_short_windows_first_recover_from_where_the_whole_record_does_not(swing)
     whole = OutputError(method=FixedStep(2))
     optimum = refine(model, swing, {"w": 1.95}, whole)
     assert float(optimum["w"]) == pytest.approx(2.0, rel=1e-3)
-    short = OutputError(Tiles(samples=10), starts="measured", method=FixedStep(2))
+    short = OutputError(Tiles(samples=10), initial_states="measured", method=FixedStep(2))
     key = jax.random.key(1)
     at_once, in_turn = (
         recovery_map(model, swing, optimum, by, key=key, starts=24, farthest=4.0)

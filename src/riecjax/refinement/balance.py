@@ -102,11 +102,7 @@ class ParametricBalance(eqx.Module):
         return self.model.defaults
 
     def expanded(
-        self,
-        record: Record,
-        values: Values,
-        free: Sequence[str],
-        smoothness: int,
+        self, record: Record, values: Values, free: Sequence[str], smoothness: int
     ) -> tuple[Equation, Record]:
         """First-order expansion about `values`, for a criterion that takes derivatives off.
 

@@ -1,4 +1,22 @@
-"""Coordinates without bounds for parameters that have some, and priors."""
+"""Coordinates without bounds for parameters that have some, and priors.
+
+A search that knows no bounds is given coordinates z in which there are none. With scale c,
+
+    free                theta = c z                         d theta / dz = c
+    above l             theta = l + c log(1 + e^z)          c (1 - e^(-(theta - l) / c))
+    below u             theta = u - c log(1 + e^z)          -c (1 - e^(-(u - theta) / c))
+    between l and u     theta = l + (u - l) / (1 + e^-z)    (theta - l) (u - theta) / (u - l)
+
+Towards a bound the slope falls with the distance d from it. A Gauss-Newton step of theta by -x is
+one of z by -x over the slope, the longer the nearer the bound: where data push against a bound, d
+falls by a constant factor or faster at each step, and a few steps reach it. A map with a turning
+point (a sine) has slope zero on the bound itself and turns back beyond it, so that it would be
+reached and left in turn.
+
+No finite z lies on a bound. z = -16 leaves d = c e^-16, 1e-7 of the scale: there the bound counts
+as reached, and the coordinate is held (see `optimum.Problem`). Float32 has no more digits to tell a
+parameter from its bound.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -21,20 +39,14 @@ Bounds = tuple[float | None, float | None]
 
 
 class Prior(NamedTuple):
-    """What is known of a parameter beforehand: a normal law, in the parameter's unit."""
+    """What is known of a parameter beforehand: a normal distribution, in its unit."""
 
     mean: float
     std: float
 
 
 class Coordinates(eqx.Module):
-    """Smooth maps between parameters and coordinates that may take any value.
-
-    A free parameter is its scale times its coordinate z. One that is bounded below is
-    `lower + scale log(1 + e^z)`, above likewise, and between two bounds it is
-    `lower + (upper - lower) / (1 + e^-z)`. Towards a bound the slope falls with the distance, so a
-    Gauss-Newton step only grows in its direction: a bound that the data push against is reached in
-    a few steps, where a map with a turning point (a sine) would have it reached and left in turn.
+    """Smooth maps between parameters and coordinates that may take any value; see the module.
 
     **Fields:** `scale` of each parameter; `lower` and `upper` bounds, infinite where there is none.
     """
@@ -65,7 +77,7 @@ class Coordinates(eqx.Module):
         distance = jnp.where(below, values - low, high - values) / self.scale
         distance = jnp.where(below ^ above, distance, 1.0)
         distance = jnp.maximum(distance, jnp.finfo(share.dtype).tiny)
-        # log(e^d - 1), without overflow.
+        # z = log(e^d - 1) = d + log(1 - e^-d), which neither overflows nor cancels.
         root = distance + jnp.log(-jnp.expm1(-distance))
         bounded = jnp.where(both, jnp.log(share) - jnp.log1p(-share), root)
         free = values / self.scale
@@ -84,7 +96,7 @@ class Coordinates(eqx.Module):
         return (values - self.lower < near) | (self.upper - values < near)
 
 
-class Laws(eqx.Module):
+class Constraints(eqx.Module):
     """Bounds and priors of the free parameters.
 
     **Fields:** `lower` and `upper`, infinite where there is no bound; `prior_mean`, and
@@ -105,7 +117,7 @@ class Laws(eqx.Module):
         start: Mapping[str, Leaf],
         bounds: Mapping[str, Bounds],
         priors: Mapping[str, Prior],
-    ) -> "Laws":
+    ) -> "Constraints":
         """Checked.
 
         **Raises:** `ModelError` for a parameter that is not free, what is no pair of numbers,
@@ -140,12 +152,12 @@ class Laws(eqx.Module):
                 )
         if wrong := [name for name, prior in priors.items() if not prior[1] > 0]:
             raise ModelError(f"the prior of {wrong[0]} needs a positive standard deviation.")
-        laws = [priors.get(name, (0.0, np.inf)) for name in names]
+        normal = [priors.get(name, (0.0, np.inf)) for name in names]
         return cls(
             lower,
             upper,
-            np.array([mean for mean, _ in laws], float),
-            np.array([1 / std for _, std in laws], float),
+            np.array([mean for mean, _ in normal], float),
+            np.array([1 / std for _, std in normal], float),
             bool(priors),
         )
 

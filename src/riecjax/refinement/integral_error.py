@@ -1,4 +1,25 @@
-"""Integral refinement: the criterion of eq. (17) for equations that are not linear in theta."""
+"""Integral refinement: the criterion of eq. (17) for equations that are not linear in theta.
+
+An equation of motion leaves e(theta, t) = sum_k d^k/dt^k q_k(theta, t), k = 0 to 2, and a criterion
+compares its impulse over each window with zero. With a test function phi that vanishes at its ends
+as often as need be, integration by parts leaves no derivative of a signal,
+
+    r(theta) = int phi e dt = sum_k (-1)^k int phi^(k) q_k(theta, t) dt.
+
+About theta each q_k is q_k(theta) + sum_i (dq_k/dtheta_i) delta_i to first order. Put in, r is
+
+    r(theta) + sum_i delta_i sum_k (-1)^k int phi^(k) dq_k/dtheta_i dt,
+
+which is eq. (17) of an ordinary equation with unknowns delta, known term q_k and the derivatives
+for its signals. So any criterion forms its normal equations, all windows in closed form among them,
+at the cost of one linear identification with a column more, and their solution is a Gauss-Newton
+step. Derivatives by theta commute with phi because phi does not depend on theta; windows are drawn
+once and stay. Of an equation linear in theta the second line is exact: the first undamped step is
+[`identify`][] of all equations at once, and ends the search.
+
+A linear equation's `moments` are of [known term moved to the right, columns], so its target is -r:
+hence the change of sign of the first column.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -20,14 +41,17 @@ from riecjax.refinement.objective import (
     AbstractObjective,
     Expansion,
     Parameters,
-    Setup,
+    Specification,
 )
 from riecjax.summaries.blocks import ShortBlocks, short_blocks
 from riecjax.summaries.normal_equations import NormalEquations
 
 
 class IntegralMisfit(AbstractMisfit):
-    """Impulses of the equation error over all windows of all records."""
+    """Impulses of the equation error over all windows of all records.
+
+    `labels` are the equations; `units` theirs, times seconds for each integration.
+    """
 
     balances: tuple[ParametricBalance, ...]
     records: list[Record]
@@ -35,43 +59,25 @@ class IntegralMisfit(AbstractMisfit):
     keys: list[Key[Array, ""] | None]
     known: dict[str, Leaf]
     count: Float[Array, " equations"]
+    longest_window: Float[Array, ""]
     names: tuple[str, ...] = eqx.field(static=True)
     local: tuple[str, ...] = eqx.field(static=True)
     sharing: Sharing = eqx.field(static=True)
-    equation_labels: tuple[tuple[str, str], ...] = eqx.field(static=True)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the equations."""
-        return told_apart([name for name, _ in self.equation_labels])
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of the rows: of the equation, times seconds for each integration."""
-        return tuple(unit for _, unit in self.equation_labels)
-
-    @property
-    def longest_window(self) -> Float[Array, ""]:
-        """beta."""
-        return jnp.asarray(self.criterion.block_length)
+    labels: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
 
     def energy(
-        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
     ) -> Float[Array, " quantities"]:
         """Of each equation."""
         return jnp.stack([jnp.sum(part.energy) for part in self._equations(theta)])
 
-    def expansion(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Expansion:
+    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
         parts = self._equations(theta)
-        # Moments hold minus the residual, as what changes of the parameters are to explain.
-        sign = jnp.ones(1 + theta.shape[0]).at[0].set(-1.0)
         moments = sum(part.moments for part in parts[1:]) + parts[0].moments
-        pieces = moments.reshape(1, -1, *moments.shape[2:])
-        return Expansion(
-            [pieces * (sign[:, None] * sign[None, :])[None, None]],
-            jnp.stack([jnp.sum(part.energy) for part in parts]),
-        )
+        pieces = _first_negated(moments).reshape(1, -1, *moments.shape[2:])
+        return Expansion([pieces], jnp.stack([jnp.sum(part.energy) for part in parts]))
 
     def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
         """Of the impulses of each equation over a window."""
@@ -88,9 +94,7 @@ class IntegralMisfit(AbstractMisfit):
         short = short_blocks(self.records, self.criterion)
         most = expansion.pieces[0].shape[1] // len(self.records)
         (pieces,) = expansion.pieces
-        sign = jnp.ones(pieces.shape[-1]).at[0].set(-1.0)
-        moments = pieces * (sign[:, None] * sign[None, :])[None, None]
-        moments = moments.reshape(len(self.records), most, *pieces.shape[2:])
+        moments = _first_negated(pieces).reshape(len(self.records), most, *pieces.shape[2:])
         share = jnp.sum(self.count) / (len(self.records) * most)
         count = jnp.full(moments.shape[:2], share)
         return NormalEquations(moments, count, self.names), short
@@ -122,6 +126,11 @@ class IntegralMisfit(AbstractMisfit):
         # What is free in some record may be fixed in another: it does not change.
         fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
         return equations.fix(fixed).embed(self.names)
+
+
+def _first_negated(moments: Float[Array, "*n c c"]) -> Float[Array, "*n c c"]:
+    """Moments of rows whose first column is negated."""
+    return moments.at[..., 0, 1:].multiply(-1.0).at[..., 1:, 0].multiply(-1.0)
 
 
 class IntegralError(AbstractObjective):
@@ -163,27 +172,31 @@ class IntegralError(AbstractObjective):
         names = dict.fromkeys(name for balance in parametric for name in balance.parameters)
         return Parameters(tuple(names), defaults, units)
 
-    def misfit(self, setup: Setup) -> IntegralMisfit:
+    def misfit(self, specified: Specification) -> IntegralMisfit:
         """Over all windows of the criterion."""
-        for record in setup.records:
+        for record in specified.records:
             self._criterion.check(record)
-        criterion = self._criterion.fitted(setup.records)
-        labels = tuple(balance.label(setup.values) for balance in setup.model)
-        free = set(setup.sharing.free_somewhere(setup.local, setup.names))
+        criterion = self._criterion.fitted(specified.records)
+        free = set(specified.sharing.free_somewhere(specified.local, specified.names))
         # An equation without free parameters would only add a constant.
-        chosen = [i for i, b in enumerate(setup.model) if set(b.parameters) & free]
-        rows = [[criterion.row_count(record) or 0.0 for record in setup.records] for _ in chosen]
+        chosen = [i for i, b in enumerate(specified.model) if set(b.parameters) & free]
+        labels = [specified.model[i].label(specified.values) for i in chosen]
+        rows = [
+            [criterion.row_count(record) or 0.0 for record in specified.records] for _ in chosen
+        ]
         return IntegralMisfit(
-            balances=tuple(setup.model[i] for i in chosen),
-            records=setup.records,
+            balances=tuple(specified.model[i] for i in chosen),
+            records=specified.records,
             criterion=criterion,
-            keys=setup.keys,
-            known=setup.fixed,
+            keys=specified.keys,
+            known=specified.fixed,
             count=np.array(rows).sum(axis=1),
-            names=setup.names,
-            local=setup.local,
-            sharing=setup.sharing,
-            equation_labels=tuple((labels[i][0], criterion.row_unit(labels[i][1])) for i in chosen),
+            longest_window=jnp.asarray(criterion.block_length),
+            names=specified.names,
+            local=specified.local,
+            sharing=specified.sharing,
+            labels=told_apart([name for name, _ in labels]),
+            units=tuple(criterion.row_unit(unit) for _, unit in labels),
         )
 
     def describe(self) -> dict[str, object]:

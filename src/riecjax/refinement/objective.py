@@ -1,18 +1,31 @@
-"""What a refinement makes small: a sum of squares over windows, its expansion, and its settings."""
+"""What a refinement makes small: a sum of squares over windows, as it was asked for and at a point.
+
+A refinement varies parameters theta and, where a model is simulated, the initial states s of each
+window. Whatever it compares, it is minimised through the same few quantities: the residuals r in
+units of their errors, and their derivatives, as moments [r r_theta r_s]^T [r r_theta r_s] of short
+pieces of time. Summed over a window they give a Gauss-Newton step (see `arrowhead`); summed over
+blocks of time, the scores whose scatter is the uncertainty of theta. They are of the size of the
+unknowns, however long the record.
+"""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
-from riecjax.estimation.sharing import Sharing, Value
-from riecjax.leaves import Leaf
+from riecjax.errors import ModelError
+from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.question import require_numbers
+from riecjax.estimation.sharing import Sharing, Value, local_name
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.refinement.parametric import Values
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.task import record_keys
 
 
 class Expansion(NamedTuple):
@@ -21,7 +34,7 @@ class Expansion(NamedTuple):
     **Fields:**
 
     - `pieces`: for each record the Gram matrices of residual, its derivatives by the parameters
-      and by the window's start, of each window cut into pieces of time; shape
+      and by the window's initial states, of each window cut into pieces of time; shape
       `(windows, pieces, 1 + p + s, 1 + p + s)`.
     - `energy`: sum of squared residuals of each quantity in the misfit's `labels`.
     """
@@ -35,44 +48,35 @@ class Expansion(NamedTuple):
 
 
 class AbstractMisfit(eqx.Module):
-    """A sum of squared residuals of parameters and of starts of windows."""
+    """A sum of squared residuals, of parameters and of the initial states of windows."""
 
     names: eqx.AbstractVar[tuple[str, ...]]
     """Parameters that are free, over all records."""
+    labels: eqx.AbstractVar[tuple[str, ...]]
+    """Quantities whose residuals are told one by one: channels, or equations."""
+    units: eqx.AbstractVar[tuple[str, ...]]
+    """Units of `labels`."""
+    longest_window: eqx.AbstractVar[Float[Array, ""]]
+    """Seconds after which two residuals share no data."""
 
     @property
-    def labels(self) -> tuple[str, ...]:
-        """Quantities whose residuals are told one by one."""
-        raise NotImplementedError
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of `labels`."""
-        raise NotImplementedError
-
-    @property
-    def start_names(self) -> tuple[str, ...]:
-        """Names of the states whose starts are estimated."""
+    def initial_state_names(self) -> tuple[str, ...]:
+        """Names of the states whose initial values are estimated."""
         return ()
 
-    @property
-    def longest_window(self) -> Float[Array, ""]:
-        """Seconds after which two residuals share no data."""
-        raise NotImplementedError
-
-    def first_starts(self) -> Float[Array, "windows s"]:
-        """Initial states to start from, of those components that are estimated."""
+    def first_initial(self) -> Float[Array, "windows s"]:
+        """First guess of the initial states that are estimated."""
         return jnp.zeros((1, 0))
 
-    def start_scale(self) -> Float[Array, " s"]:
-        """Size of these components."""
+    def initial_scale(self) -> Float[Array, " s"]:
+        """Size of these states."""
         return jnp.ones(0)
 
-    def settled_energy(
-        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+    def profiled_energy(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
     ) -> Float[Array, " quantities"]:
-        """`energy` of the starts that leave least with these parameters, searched from others."""
-        return self.energy(theta, starts)
+        """`energy` at the initial states that leave least with these parameters."""
+        return self.energy(theta, initial)
 
     @property
     def steps_label(self) -> str:
@@ -84,17 +88,17 @@ class AbstractMisfit(eqx.Module):
         return None
 
     @property
-    def room_for_steps(self) -> int:
+    def step_factor_limit(self) -> int:
         """How many times as short its steps may be made without being asked; 1 for not at all."""
         return 1
 
     def energy(
-        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
     ) -> Float[Array, " quantities"]:
         """Sum of squared residuals of each of `labels`, without derivatives."""
         raise NotImplementedError
 
-    def expansion(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Expansion:
+    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
         """The residuals at a point, to first order."""
         raise NotImplementedError
 
@@ -109,12 +113,12 @@ class AbstractMisfit(eqx.Module):
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """Normal equations of the changes of the parameters, in short blocks of time.
 
-        Leading axes `(records, short blocks)`; starts of windows are projected out.
+        Leading axes `(records, short blocks)`; initial states are projected out.
         """
         raise NotImplementedError
 
 
-class Setup(NamedTuple):
+class Specification(NamedTuple):
     """A refinement as it was asked for.
 
     **Fields:**
@@ -134,6 +138,13 @@ class Setup(NamedTuple):
     local: tuple[str, ...]
     sharing: Sharing
     units: Mapping[str, str]
+
+    @property
+    def theta(self) -> Float[Array, " p"]:
+        """Values of the free parameters, at which the search begins."""
+        free = [self.values[name] for name in self.names]
+        # In NumPy where nothing is traced: JAX would compile each small step.
+        return jnp.asarray(np.stack(free)) if is_concrete(free) else jnp.stack(free)
 
     @property
     def fixed(self) -> dict[str, Leaf]:
@@ -188,7 +199,7 @@ class AbstractObjective(eqx.Module):
         """What is known of the parameters; no names where any may be given."""
         raise NotImplementedError
 
-    def misfit(self, setup: Setup) -> AbstractMisfit:
+    def misfit(self, specified: Specification) -> AbstractMisfit:
         """The sum of squares itself.
 
         **Raises:** `DataError` for what the records lack; `ModelError` for settings that do not
@@ -199,3 +210,54 @@ class AbstractObjective(eqx.Module):
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
         raise NotImplementedError
+
+    def specify(
+        self,
+        model: Any,
+        records: list[Record],
+        start: AbstractEstimate | Mapping[str, float | Array],
+        known: Mapping[str, float | Array],
+        per_record: tuple[str, ...],
+        key: Key[Array, ""] | None,
+    ) -> Specification:
+        """Every parameter's value, and which are free; see [`refine`][].
+
+        What is known goes before what an estimate carries along, that before the start, and that
+        before the model's own values.
+        """
+        parametric = self.parametric(model, records[0])
+        if self.needs_key and key is None:
+            raise ModelError("random windows need a key: key=jax.random.key(seed).")
+        names, defaults, units = self.parameters(parametric)
+        carried: Mapping[str, float | Array] = {}
+        if isinstance(start, AbstractEstimate):
+            units = {**units, **dict(start.units)} if not names else units
+            carried = start.known
+            start = {name: start.single()[name] for name in start.parameters}
+        given = {**start, **carried, **known}
+        local = names or tuple(dict.fromkeys(local_name(name, per_record) for name in given))
+        sharing = Sharing(local, per_record, len(records))
+        if unknown := [n for n in given if n not in (*local, *sharing.parameters)]:
+            raise ModelError(
+                f"unknown parameter '{unknown[0]}'; the model has: {', '.join(local)}."
+            )
+        require_numbers(known)
+        begun = sharing.values(start)
+        fixed = {**sharing.values(carried), **sharing.values(known)}
+        values = {**sharing.values(defaults), **begun, **fixed}
+        if missing := [name for name in sharing.parameters if name not in values]:
+            raise ModelError(
+                f"no value is given for {', '.join(missing)}. Name it in start (to refine it) or "
+                f"in known (to hold it)."
+            )
+        free = tuple(n for n in sharing.parameters if n in begun and n not in fixed)
+        if not free:
+            raise ModelError("every parameter is known; nothing is left to refine.")
+        dtype = records[0].time_step.dtype
+        numbers = {name: _number(values[name], dtype) for name in sharing.parameters}
+        keys = record_keys(key, len(records))
+        return Specification(parametric, records, keys, numbers, free, local, sharing, units)
+
+
+def _number(value: float | Leaf, dtype: Any) -> Leaf:
+    return np.asarray(value, dtype) if is_concrete(value) else jnp.asarray(value, dtype)

@@ -1,4 +1,25 @@
-"""The point at which a misfit is least, its derivatives, and whether finer steps would move it."""
+"""The optimum of a misfit: how it is found, its derivatives, and how uncertain it is.
+
+**Priors** are residuals. With v the variance of a residual, minus twice the log posterior is
+E / v + ((theta - mean) / std)^2: to E, a prior adds the square of (theta - mean) sqrt(v) / std.
+
+**Derivatives** follow from the implicit function theorem. At the optimum z of data d (records,
+known values, all that the problem is made of) the gradient F(z, d) of E / 2 vanishes, and it stays
+zero where d moves by dd:
+
+    F_z dz + F_d dd = 0,      dz = -H^-1 F_d dd,      H = F_z = J^T J + sum_i r_i d^2 r_i / dz^2.
+
+H is the whole second derivative: Gauss and Newton's J^T J leads to the optimum, but where residuals
+are left it is not how the optimum moves. F is J^T r of forward derivatives; its own forward
+derivatives are exact, one for each unknown. No step of the search is differentiated, and how it
+came there does not matter.
+
+**Uncertainty** is that of least squares linearised at the optimum, in the parameters' units. Normal
+equations by blocks of time carry gradients (scores) g_b, which add up to zero; their scatter makes
+the sandwich H^-1 (sum_b g_b g_b^T) H^-1, and blocks drawn anew make a bootstrap. A prior counts as
+one more observation. Its information v / std^2 is spread over all blocks, so that resampling never
+takes it away, and the variance of its own score, v^2 / std^2, is added between H^-1 and H^-1.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,118 +32,21 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
-from riecjax.linear_algebra import solve_scaled
+from riecjax.estimation.sharing import Sharing
+from riecjax.leaves import held_still
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
 from riecjax.refinement.arrowhead import LevenbergMarquardt, Linearised, Point, Residual
-from riecjax.refinement.coordinates import Coordinates, Laws
+from riecjax.refinement.coordinates import Constraints, Coordinates
 from riecjax.refinement.objective import AbstractMisfit, Expansion
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.uncertainty.intervals import AbstractIntervals, Uncertainty, judge
 
-OF_AN_ERROR = 0.2
-"""Change in standard errors up to which steps do not matter: less adds 2 % to an interval."""
-OF_A_VALUE = 1e-4
-"""Change as a share of the parameter up to which they do not, however small its standard error:
-that of exact data is made of such changes."""
-OF_A_SIMULATION = 1e-5
-"""Likewise, of what moves the simulation by its own size: of a parameter that is zero."""
-ORDER = 4
-"""Of the method whose steps are chosen here."""
-LEAST_FACTOR = 4
-"""By which steps are made shorter: each time, all is compiled anew."""
-MOST_EXCESS = 1e8
-"""Excess of a change beyond which it no longer says how many steps are needed."""
-HELPED = 0.5
-"""Share of a change that may be left after steps were made shorter."""
-
-
-class Halved(NamedTuple):
-    """How parameters change by halving the steps, how much they may, and where they must not.
-
-    **Fields:** `change` of each; what of that is `allowed`; `coarse`, where it is more than that.
-    """
-
-    change: Float[Leaf, " p"]
-    allowed: Float[Leaf, " p"]
-    coarse: Bool[Leaf, " p"]
-
-    def excess(self, change: Float[Leaf, " p"]) -> float:
-        """A change at its worst, in what is allowed here (not under jit)."""
-        share = np.abs(change) / np.asarray(self.allowed)
-        return float(np.max(np.where(np.isfinite(share), share, np.inf)))
-
-
-class Optimum(NamedTuple):
-    """What must be known of an optimum to look at it again.
-
-    **Fields:** `theta` and `starts`; `size` of each parameter; `moment` and `information`, half the
-    slope of the sum of squares, negated, and what is added to its curvature; `errors`, standard
-    errors; `settled`, whether it is an optimum at all.
-    """
-
-    theta: Float[Array, " p"]
-    starts: Float[Array, "windows s"]
-    size: Float[Array, " p"]
-    moment: Float[Array, " p"]
-    information: Float[Array, "p p"]
-    errors: Float[Array, " p"]
-    settled: Bool[Array, ""]
-
-
-def halve_steps(misfit: AbstractMisfit, at: Optimum) -> Halved:
-    """What halving the steps of the simulation does to the optimum; nothing where there are none.
-
-    Parameters that are not determined are passed over.
-    """
-    finer, xp = misfit.finer(2), namespace(at)
-    if finer is None:
-        zero = xp.zeros(at.theta.shape, at.theta.dtype)
-        return Halved(zero, zero, zero > 0)
-    # A check changes no derivative, and need not have one.
-    if xp is jnp:
-        finer, at = held_still((finer, at))
-    again = _normal_equations(finer, at.theta, at.starts)
-    at, (gram, moment, rows) = (at, again) if xp is jnp else on_host((at, again))
-    finfo = np.finfo(at.theta.dtype)
-    curvature = gram + at.information
-    scale = 1 / xp.sqrt(xp.maximum(xp.diagonal(curvature), finfo.tiny))
-    identity = xp.eye(scale.shape[0], dtype=curvature.dtype)
-    scaled = curvature * scale[:, None] * scale[None, :] + finfo.eps * identity
-    finite = xp.all(xp.isfinite(scaled))
-    slope = scale * (moment - at.moment)
-    change = scale * xp.linalg.solve(xp.where(finite, scaled, identity), slope)
-    change = xp.where(finite, change, np.nan)
-    of_value = max(OF_A_VALUE, float(np.sqrt(finfo.eps)))
-    whole = xp.sqrt(rows / xp.maximum(xp.diagonal(gram), finfo.tiny))
-    size = xp.maximum(xp.maximum(xp.abs(at.theta), at.size), OF_A_SIMULATION / OF_A_VALUE * whole)
-    judged = at.settled & xp.isfinite(at.errors)
-    allowed = xp.maximum(of_value * size, xp.where(judged, OF_AN_ERROR * at.errors, np.inf))
-    return Halved(change, allowed, ~(xp.abs(change) <= allowed) & judged)
-
-
-@eqx.filter_jit
-def _normal_equations(
-    misfit: AbstractMisfit, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
-) -> tuple[Float[Array, "p p"], Float[Array, " p"], Float[Array, ""]]:
-    blocks, _ = misfit.blocks(misfit.expansion(theta, starts))
-    total = blocks.flattened().total()
-    return total.gram, total.moment, misfit.independent_rows()
-
-
-def resolved(
-    misfit: AbstractMisfit, halved: Halved, before: Halved | None
-) -> AbstractMisfit | None:
-    """The misfit in steps that are short enough, or None to leave them as they are.
-
-    They are left where they do not matter, where the user chose them, at their limit, and where
-    shortening them after `before` did not help: no step ends at a kink.
-    """
-    if not is_concrete(halved) or misfit.room_for_steps == 1 or not np.any(halved.coarse):
-        return None
-    excess = halved.excess(halved.change)
-    if before is not None and before.excess(halved.change) > HELPED * before.excess(before.change):
-        return None
-    factor = np.ceil(min(excess, MOST_EXCESS) ** (1 / ORDER))
-    return misfit.finer(int(min(max(factor, LEAST_FACTOR), misfit.room_for_steps)))
-
+SILENT = 1e-20
+"""Share of what is left that a parameter must be able to move by its own size to count at all."""
+COLLINEAR = 1e-12
+"""Curvature along a direction, relative to the parameters' own, that is no more than rounding."""
+TAKES_PART = 0.1
+"""Share of such a direction from which a parameter is called undetermined."""
 
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
@@ -147,53 +71,84 @@ class RefinementStatus(eqx.Enumeration):
     )
 
 
+class Reached(NamedTuple):
+    """Where a search ended: parameters, initial states, what these leave, and in how many steps."""
+
+    theta: Float[Array, " p"]
+    initial: Float[Array, "windows s"]
+    energy: Float[Array, " quantities"]
+    status: RefinementStatus
+    steps: Int[Array, ""]
+
+
+class Optimum(NamedTuple):
+    """An optimum and what is said of it.
+
+    **Fields:** where it was `reached`, and whether the search `converged`; uncertainty, inflation,
+    rms, bounds and blocks as of `Refined`; `moment`, half the slope of the misfit, negated;
+    `information`, what priors and parameters that are held add to its curvature.
+    """
+
+    reached: Reached
+    converged: Bool[Array, ""]
+    uncertainty: Uncertainty
+    inflation: Float[Array, " p"]
+    rms: Float[Array, " quantities"]
+    at_bound: Bool[Array, " p"]
+    block_count: Int[Array, ""]
+    block_length: Float[Array, ""]
+    moment: Float[Array, " p"]
+    information: Float[Array, "p p"]
+
+
 class Problem(eqx.Module):
     """A misfit in coordinates without bounds, with priors.
 
-    **Fields:** `misfit`; `coordinates`; `laws`, bounds and priors; `variance` of a residual,
-    against which priors are weighed.
+    **Fields:** `misfit`; `coordinates`; `constraints`; `variance` of a residual.
     """
 
     misfit: AbstractMisfit
     coordinates: Coordinates
-    laws: Laws
+    constraints: Constraints
     variance: Float[Array, ""]
 
     def values(self, point: Point) -> tuple[Float[Array, " p"], Float[Array, "windows s"]]:
-        """Parameters and starts of windows in their units."""
-        starts = point.starts * self.misfit.start_scale()[None, :]
-        return self.coordinates.values(point.parameters), starts
+        """Parameters and initial states in their units."""
+        initial = point.initial * self.misfit.initial_scale()[None, :]
+        return self.coordinates.values(point.parameters), initial
 
-    def point(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Point:
-        """The point of parameters and starts in their units."""
-        return Point(self.coordinates.inverse(theta), starts / self.misfit.start_scale()[None, :])
+    def point(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Point:
+        """The point of parameters and initial states in their units."""
+        return Point(
+            self.coordinates.inverse(theta), initial / self.misfit.initial_scale()[None, :]
+        )
 
     def linearised(self, point: Point) -> Linearised:
         """The residuals in coordinates, to first order."""
-        theta, starts = self.values(point)
+        theta, initial = self.values(point)
         ones = jnp.ones_like(point.parameters)
         _, slope = jax.jvp(self.coordinates.values, (point.parameters,), (ones,))
         scale = jnp.concatenate(
-            [jnp.ones(1, slope.dtype), slope, self.misfit.start_scale().astype(slope.dtype)]
+            [jnp.ones(1, slope.dtype), slope, self.misfit.initial_scale().astype(slope.dtype)]
         )
-        expansion = self.misfit.expansion(theta, starts)
+        expansion = self.misfit.expansion(theta, initial)
         moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
         # A trial point that the model cannot stand is a poor one, and nothing else.
         finite = jnp.all(jnp.isfinite(moments), axis=(1, 2), keepdims=True)
         poor = jnp.zeros(moments.shape[1:], moments.dtype)
         poor = poor.at[0, 0].set(jnp.sqrt(jnp.finfo(moments.dtype).max))
         moments = jnp.where(finite, moments, poor[None])
-        weight = jnp.asarray(self.laws.prior_weight) * jnp.sqrt(self.variance)
-        prior, prior_slope = weight * (theta - self.laws.prior_mean), weight * slope
+        weight = jnp.asarray(self.constraints.prior_weight) * jnp.sqrt(self.variance)
+        prior, prior_slope = weight * (theta - self.constraints.prior_mean), weight * slope
         lowest, highest = self.coordinates.limits()
         # A parameter that is pushed against its bound is held there.
         p = theta.shape[0]
         push = -jnp.sum(moments[:, 1 : 1 + p, 0], axis=0) - prior_slope * prior
         free = ~((point.parameters <= lowest) & (push < 0))
         free = (free & ~((point.parameters >= highest) & (push > 0))).astype(moments.dtype)
-        kept = jnp.concatenate([jnp.ones(1), free, jnp.ones(moments.shape[-1] - 1 - p)])
+        moving = jnp.concatenate([jnp.ones(1), free, jnp.ones(moments.shape[-1] - 1 - p)])
         return Linearised(
-            moments * (kept[:, None] * kept[None, :])[None],
+            moments * (moving[:, None] * moving[None, :])[None],
             prior,
             prior_slope * free,
             lowest,
@@ -203,26 +158,26 @@ class Problem(eqx.Module):
 
 
 @eqx.filter_custom_jvp
-def rotated_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
-    """Residuals of each window, rotated into as many as there are columns; see `arrowhead`.
+def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
+    """Residuals of each window, reduced to as many as there are columns; see `arrowhead`.
 
     **Returns:** these, and the linearised problem that they come from.
     """
     at = problem.linearised(point)
-    return Residual(at.rotated()[:, :, 0], at.prior), at
+    return Residual(at.factors()[:, :, 0], at.prior), at
 
 
-@rotated_residual.def_jvp
-def _rotated_residual_jvp(primals: Any, tangents: Any) -> Any:
+@reduced_residual.def_jvp
+def _reduced_residual_jvp(primals: Any, tangents: Any) -> Any:
     point, problem = primals
     along = tangents[0]
     at = problem.linearised(point)
-    factors = at.rotated()
+    factors = at.factors()
     p = point.parameters.shape[0]
     parameters = jnp.zeros_like(point.parameters) if along.parameters is None else along.parameters
-    starts = jnp.zeros_like(point.starts) if along.starts is None else along.starts
+    initial = jnp.zeros_like(point.initial) if along.initial is None else along.initial
     moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], parameters)
-    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], starts)
+    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], initial)
     residual = Residual(factors[:, :, 0], at.prior)
     # What comes beside the residual is looked at, never differentiated.
     aside = jax.tree.map(jnp.zeros_like, at)
@@ -238,12 +193,11 @@ def find_optimum(
 ) -> tuple[Point, RefinementStatus, Int[Array, ""], Expansion]:
     """The least point from a start, how the search ended, its steps, and the residuals there.
 
-    Derivatives of the point by anything in `problem` follow from the implicit function theorem,
-    forward and reverse, whatever the search did.
+    The point differentiates by anything in `problem`, forward and in reverse.
     """
     still = held_still((problem, start))
     solution = optx.least_squares(
-        rotated_residual,
+        reduced_residual,
         default_solver(start.parameters.dtype, report) if solver is None else solver,
         still[1],
         args=still[0],
@@ -276,8 +230,7 @@ def _implicit(point: Point, problem: Problem) -> Point:
 
 @_implicit.def_jvp
 def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
-    """The gradient stays zero: its slope by the point times the point's change, with the whole
-    second derivative, takes up its slope by the problem times the problem's change."""
+    """dz = -H^-1 F_d dd of the module's head."""
     point, problem = primals
     change = tangents[1]
     moves = jax.tree.map(lambda t: t is not None, change, is_leaf=lambda t: t is None)
@@ -296,3 +249,98 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     identity = jnp.eye(flat.shape[0], dtype=flat.dtype)
     inverse = solve_scaled(hessian + jnp.diag(held.astype(flat.dtype)), identity)
     return point, unravel(-(inverse @ pushed))
+
+
+@eqx.filter_jit
+def search(
+    misfit: AbstractMisfit,
+    constraints: Constraints,
+    start: Float[Array, " p"],
+    begun: Reached,
+    sharing: Sharing,
+    intervals: AbstractIntervals,
+    solver: Solver | None,
+    max_steps: int,
+    progress: Callable[[float], None] | None,
+) -> Optimum:
+    """The optimum, searched from what was reached before; `start` gives the parameters' scale."""
+    scale = jnp.where(start != 0, jnp.abs(start), 1.0)
+    variance = residual_variance(misfit, begun.energy, start.shape[0])
+    problem = Problem(misfit, constraints.coordinates(scale), constraints, variance)
+    first = problem.point(begun.theta, begun.initial)
+    point, status, steps, expansion = find_optimum(problem, first, solver, max_steps, progress)
+    theta, initial = problem.values(point)
+    status = RefinementStatus.where(
+        begun.status == RefinementStatus.not_finite, RefinementStatus.not_finite, status
+    )
+    reached = Reached(theta, initial, expansion.energy, status, begun.steps + steps)
+    at_bound = problem.coordinates.at_bound(theta)
+    return _with_uncertainty(misfit, expansion, reached, at_bound, constraints, sharing, intervals)
+
+
+def residual_variance(
+    misfit: AbstractMisfit, energy: Float[Array, " quantities"], unknown: int
+) -> Float[Array, ""]:
+    """Variance of a residual, of those that may be taken as independent."""
+    return jnp.sum(energy) / jnp.maximum(misfit.independent_rows() - unknown, 1)
+
+
+def _with_uncertainty(
+    misfit: AbstractMisfit,
+    expansion: Expansion,
+    reached: Reached,
+    at_bound: Bool[Array, " p"],
+    constraints: Constraints,
+    sharing: Sharing,
+    intervals: AbstractIntervals,
+) -> Optimum:
+    theta = reached.theta
+    blocks, short = misfit.blocks(expansion)
+    variance = residual_variance(misfit, expansion.energy, at_bound.shape[0])
+    # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
+    # one that nothing depends on must not take the others with it.
+    total = blocks.flattened().total()
+    gram = total.gram
+    curvature = jnp.diagonal(gram)
+    known = variance * jnp.asarray(constraints.prior_weight) ** 2
+    tiny = SILENT * jnp.sum(expansion.energy)
+    silent = (curvature * theta**2 <= tiny) & (theta != 0) | (curvature == 0)
+    held = at_bound | silent & (known == 0)
+    held = held | _undetermined(gram + jnp.diag(known), held)
+    information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
+    share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
+    spread = jnp.diag(jnp.concatenate([jnp.zeros(1), information]))
+    moments = blocks.moments + share[..., None, None] * spread[None, None]
+    blocks = NormalEquations(moments, blocks.count, blocks.parameters)
+    zero = {name: jnp.zeros(()) for name in misfit.names}
+    shared = np.array([name not in sharing.individual for name in misfit.names])
+    judged = judge([blocks], {}, zero, short, misfit.longest_window, shared, intervals)
+    used = jnp.sum(judged.evidence.used)
+    covariance = judged.uncertainty.covariance
+    if constraints.has_priors:
+        informed = gram + jnp.diag(information)
+        moved = solve_scaled(informed, jnp.diag(jnp.sqrt(variance) * constraints.prior_weight))
+        covariance = covariance + variance * (moved @ moved.T)
+    covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, covariance)
+    return Optimum(
+        reached,
+        reached.status == RefinementStatus.converged,
+        eqx.tree_at(lambda u: u.covariance, judged.uncertainty, covariance),
+        judged.inflation,
+        misfit.rms(expansion.energy),
+        at_bound,
+        used,
+        jnp.sum(short.durations) / used,
+        total.moment,
+        jnp.diag(information),
+    )
+
+
+def _undetermined(gram: Float[Array, "p p"], held: Bool[Array, " p"]) -> Bool[Array, " p"]:
+    """Parameters that others can make up for, of those that are not held."""
+    free = jnp.where(held, 0.0, 1.0)
+    scale = unit_scale(jnp.diagonal(gram)) * free
+    scaled = gram * scale[:, None] * scale[None, :] + jnp.diag(1 - free)
+    sizes, directions = symmetric_eigen(jax.lax.stop_gradient(scaled))
+    weak = sizes < COLLINEAR * gram.shape[0]
+    return jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)

@@ -10,20 +10,23 @@ import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
 from jaxtyping import Array, Bool, Float
 
-from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.records.record import Record
-from riecjax.refinement.objective import AbstractObjective, Parameters, Setup
-from riecjax.refinement.output_misfit import OutputMisfit, Recorded
+from riecjax.refinement.objective import AbstractObjective, Parameters, Specification
+from riecjax.refinement.output_misfit import OutputMisfit
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
-from riecjax.refinement.shots import AbstractShooting, Shots, WholeRecord
+from riecjax.refinement.shots import (
+    AbstractShooting,
+    Along,
+    Recorded,
+    Shots,
+    WholeRecord,
+    cut_records,
+)
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
-
-Along = tuple[Leaf, Leaf]
-"""States and inputs at points along a recording."""
 
 
 class OutputError(AbstractObjective):
@@ -40,7 +43,7 @@ class OutputError(AbstractObjective):
       recorded states, or if there are none, every output that the record holds.
     - `sigma`: standard deviation of each channel's error, in its unit, by which it is weighed; by
       default the channel's own standard deviation, so that relative errors count alike.
-    - `starts`: initial state of each window. `"estimated"`, with the recorded one for a first
+    - `initial_states` of each window. `"estimated"`, with the recorded one for a first
       guess; `"measured"`, taken from the record where it holds the state and estimated where not;
       or values by name of those states that are known at the start, the others estimated.
     - `method`: as for [`simulate`][]. By default Runge-Kutta with steps that resolve the model's
@@ -53,7 +56,7 @@ class OutputError(AbstractObjective):
     shooting: AbstractShooting = eqx.field(default_factory=WholeRecord)
     channels: tuple[str, ...] | None = eqx.field(static=True, default=None)
     sigma: Mapping[str, float | Array] | None = None
-    starts: Literal["estimated", "measured"] | Mapping[str, float | Array] = "estimated"
+    initial_states: Literal["estimated", "measured"] | Mapping[str, float | Array] = "estimated"
     method: AbstractMethod | None = None
     every: int = eqx.field(static=True, default=1)
 
@@ -61,14 +64,15 @@ class OutputError(AbstractObjective):
         write = "rx.OutputError(rx.refinement.Tiles(0.5)), or without windows rx.OutputError()"
         require("what OutputError simulates over", self.shooting, AbstractShooting, write)
         require("the method", self.method or FixedStep(), AbstractMethod, "method=rx.FixedStep(8)")
-        write = "starts='estimated', 'measured' or values by name such as {'x': 0.0}"
-        require("starts", self.starts, (str, Mapping), write)
+        write = "initial_states='estimated', 'measured' or values by name such as {'x': 0.0}"
+        require("initial states", self.initial_states, (str, Mapping), write)
         channels = self.channels if self.channels is None else f"('{self.channels}',)"
         write = f"channels={channels}: a tuple of names"
         require("channels", self.channels or (), (tuple, list), write)
-        if isinstance(self.starts, str) and self.starts not in ("estimated", "measured"):
+        words, given = ("estimated", "measured"), self.initial_states
+        if isinstance(given, str) and given not in words:
             raise ModelError(
-                f"starts are 'estimated', 'measured' or values by name; got '{self.starts}'."
+                f"initial_states are 'estimated', 'measured' or values by name; got '{given}'."
             )
         if self.every < 1:
             raise ModelError(f"every must be 1 or more; got {self.every}.")
@@ -93,36 +97,30 @@ class OutputError(AbstractObjective):
         """Of the system."""
         return Parameters(parametric.parameters, parametric.defaults, parametric.units)
 
-    def misfit(self, setup: Setup) -> OutputMisfit:
+    def misfit(self, specified: Specification) -> OutputMisfit:
         """Over the windows of all records."""
-        system: AbstractSystem = setup.model.build(setup.of_record(0))
-        channels = _channels(system, setup.records, self.channels)
-        for record in setup.records:
+        system: AbstractSystem = specified.model.build(specified.of_record(0))
+        channels = _channels(system, specified.records, self.channels)
+        for record in specified.records:
             for name in system.input_names:
                 _ = record.signals[name]
         _require_sigma(self.sigma or {}, channels)
-        given = self.starts if isinstance(self.starts, Mapping) else {}
-        estimated = _estimated(system, setup.records, self.starts)
+        given = self.initial_states if isinstance(self.initial_states, Mapping) else {}
+        estimated = _estimated(system, specified.records, self.initial_states)
         joined = not estimated
+        # A missing sample of an input breaks the motion; of a free motion, one of any signal.
+        inputs = [system.input_names or tuple(record.arrays) for record in specified.records]
         shots = [
-            self.shooting.shots(record, _drivers(system, record), key, joined=joined)
-            for record, key in zip(setup.records, setup.keys)
+            self.shooting.shots(record, unbroken, key, joined=joined)
+            for record, unbroken, key in zip(specified.records, inputs, specified.keys)
         ]
-        recorded, along = _cut(
-            system,
-            setup.records,
-            shots,
-            channels,
-            dict(given),
-            self.every,
-            joined,
-            self.shooting.overlap,
-        )
-        method, simulated = _method(system, setup.records, recorded, along, self.method)
+        cut = (channels, dict(given), self.every, joined, self.shooting.overlap)
+        recorded, along = cut_records(system, specified.records, shots, *cut)
+        method, simulated = _method(system, specified.records, recorded, along, self.method)
         units = dict(system.states) | dict(system.outputs)
         sigma, scale, seconds = _sizes(
             system,
-            setup.records[0],
+            specified.records[0],
             recorded,
             shots,
             dict(self.sigma or {}),
@@ -131,26 +129,27 @@ class OutputError(AbstractObjective):
             simulated,
         )
         return OutputMisfit(
-            system=setup.model,
+            system=specified.model,
             recorded=recorded,
-            known=setup.fixed,
+            known=specified.fixed,
             sigma=sigma,
             scale=scale,
-            window_seconds=seconds if self.shooting.overlap else jnp.zeros_like(seconds),
+            longest_window=seconds if self.shooting.overlap else jnp.zeros_like(seconds),
             method=method,
-            names=setup.names,
-            local=setup.local,
-            channels=tuple((name, units.get(name, "")) for name in channels),
+            names=specified.names,
+            local=specified.local,
+            labels=channels,
+            units=tuple(units.get(name, "") for name in channels),
             estimated=estimated,
             state_names=system.state_names,
-            sharing=setup.sharing,
+            sharing=specified.sharing,
             most_steps=MOST_STEPS if self.method is None else 0,
         )
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
-        starts = self.starts if isinstance(self.starts, str) else "partly known"
-        return {"refine": "output-error", **self.shooting.describe(), "starts": starts}
+        initial = self.initial_states if isinstance(self.initial_states, str) else "partly known"
+        return {"refine": "output-error", **self.shooting.describe(), "starts": initial}
 
 
 def _channels(
@@ -191,100 +190,19 @@ def _require_sigma(sigma: Mapping[str, Any], channels: tuple[str, ...]) -> None:
             )
 
 
-def _drivers(system: AbstractSystem, record: Record) -> tuple[str, ...]:
-    """Signals in which a missing sample breaks the motion: the inputs, or else all."""
-    return system.input_names or tuple(record.arrays)
-
-
 def _estimated(
-    system: AbstractSystem, records: Sequence[Record], starts: str | Mapping[str, Any]
+    system: AbstractSystem, records: Sequence[Record], initial: str | Mapping[str, Any]
 ) -> tuple[int, ...]:
-    """Places of the states whose values at the start of a window are estimated."""
-    if isinstance(starts, Mapping):
-        system.require_states(starts)
-        known = set(starts)
-    elif starts == "measured":
+    """Places of the states whose initial values are estimated."""
+    if isinstance(initial, Mapping):
+        system.require_states(initial)
+        known = set(initial)
+    elif initial == "measured":
         sources = [state_sources(system, record) for record in records]
         known = {n for n in system.state_names if all(s[n] == "measured" for s in sources)}
     else:
         known = set()
     return tuple(i for i, name in enumerate(system.state_names) if name not in known)
-
-
-@eqx.filter_jit
-def _cut(
-    system: AbstractSystem,
-    records: Sequence[Record],
-    shots: Sequence[Shots],
-    channels: tuple[str, ...],
-    given: dict[str, Any],
-    every: int,
-    joined: bool,
-    overlap: bool,
-) -> tuple[list[Recorded], list[Along]]:
-    cuts = list(zip(records, shots))
-    return (
-        [
-            _recorded(system, record, cut, channels, given, every, joined, overlap)
-            for record, cut in cuts
-        ],
-        [_along(system, record, cut) for record, cut in cuts],
-    )
-
-
-def _along(system: AbstractSystem, record: Record, shots: Shots) -> Along:
-    """States as recorded, and inputs, at points that are spread over the windows."""
-    samples = shots.samples.reshape(-1)
-    samples = samples[spread_points(samples.shape[0])]
-    inputs = [record[name][samples] for name in system.input_names]
-    none = jnp.zeros((samples.shape[0], 0), record.time_step.dtype)
-    levels = jnp.stack(inputs, axis=-1) if inputs else none
-    return measured_states(system, record)[samples], levels
-
-
-def _recorded(
-    system: AbstractSystem,
-    record: Record,
-    shots: Shots,
-    channels: tuple[str, ...],
-    given: dict[str, Any],
-    every: int,
-    joined: bool,
-    overlap: bool,
-) -> Recorded:
-    samples = shots.samples
-    compared = samples[:, ::every]
-    inputs = [record[name][samples] for name in system.input_names]
-    dtype = record.time_step.dtype
-    levels = jnp.stack(inputs, axis=-1) if inputs else jnp.zeros((*samples.shape, 0), dtype)
-    present = [
-        jnp.ones(record.sample_count, bool) if there is None else there
-        for there in (record.present((name,)) for name in channels)
-    ]
-    starts = measured_states(system, record)[shots.first]
-    # A window that overlaps others is judged as a whole, by where it begins.
-    count = compared.shape[1]
-    piece = (
-        count
-        if overlap
-        else min(max(-(-record.sample_count // SHORT_BLOCKS_OF_ROWS) // every, 1), count)
-    )
-    for name, value in given.items():
-        starts = starts.at[:, system.state_names.index(name)].set(jnp.asarray(value, dtype))
-    # A start that is taken from the record leaves no error there.
-    counts = shots.inside[:, ::every] & (shots.length > 1)[:, None]
-    counts = counts.at[:, 0].set(counts[:, 0] & (not joined))
-    return Recorded(
-        levels,
-        jnp.stack([record[name][compared] for name in channels], axis=-1),
-        jnp.stack([mask[compared] for mask in present], axis=-1) & counts[:, :, None],
-        starts,
-        compared,
-        record.time_step,
-        record.sample_count,
-        every,
-        piece,
-    )
 
 
 def _method(
@@ -338,7 +256,7 @@ def _trajectories(
 ) -> tuple[list[Float[Array, "windows longest states"]], list[Bool[Array, ""]]]:
     """Of each window of each recording, and whether all kept their solution."""
     along = jax.vmap(method.trajectory, in_axes=(None, 0, None, 0))
-    runs = [along(system, part.levels, part.time_step, part.starts) for part in recorded]
+    runs = [along(system, part.levels, part.time_step, part.initial) for part in recorded]
     kept = [jnp.all(status == SimulationStatus.successful) for _, status, _ in runs]
     return [states for states, _, _ in runs], kept
 

@@ -1,4 +1,22 @@
-"""Output error over windows: the model simulated from a start, compared with what was recorded."""
+"""Output error over windows: the model simulated from initial states, compared with the recording.
+
+The residual of a window is r = (y(theta, s) - measured) / sigma at every compared sample of every
+channel, y simulated from the initial state s. Its derivatives are those of the simulation: along
+each unit vector of (theta, s) the variational equation is stepped with the state, by forward
+differentiation of the very steps. That is the exact derivative of what is computed, takes p + s
+simulations beside the one, and keeps no step in memory for later. Reverse mode would take one pass
+for each residual, of which there are thousands.
+
+**Initial states projected out.** Let J = dr/dtheta, S = dr/ds, C = S^T S and B = J^T S of a window.
+To first order the best initial state follows theta by ds/dtheta = -C^-1 B^T, and the residual does
+
+    (J - S C^-1 B^T) dtheta.
+
+That is a linear map of columns, [r J S] -> [-r, J - S C^-1 B^T], the same in every piece of the
+window. Applied to the moments of pieces it gives scores of theta alone by blocks of time. Their sum
+has the Schur complement A - B C^-1 B^T of `arrowhead` for its Gram matrix: a covariance of theta
+that includes what is not known of initial states.
+"""
 
 import dataclasses
 from collections.abc import Callable
@@ -16,21 +34,22 @@ from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled
 from riecjax.refinement.objective import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
+from riecjax.refinement.shots import Recorded
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
 
 RIDGE = 1e-10
-"""What keeps a start that no residual depends on from being divided by zero; relative."""
-SETTLED = 1e-6
-"""Share of the sum of squares that a better start would still take off, at which it is settled."""
+"""What keeps an initial state that no residual depends on from a division by zero; relative."""
+PROFILED = 1e-6
+"""Share of the sum of squares that better initial states would still take off: as good as none."""
 MOST_TRIALS = 8
-"""Starts that are tried for each window."""
+"""Initial states that are tried for each window."""
 
 
-class _Settling(NamedTuple):
-    """Starts to try, the least energy so far, whether to go on, and how many may be tried."""
+class _Profiling(NamedTuple):
+    """Initial states to try, the least energy so far, whether to go on, and trials left."""
 
     trial: Float[Array, "windows s"]
     energy: Float[Array, " quantities"]
@@ -38,40 +57,11 @@ class _Settling(NamedTuple):
     left: Int[Array, ""]
 
 
-class Recorded(eqx.Module):
-    """What is simulated and compared of one recording.
-
-    **Fields:**
-
-    - `levels`: inputs in each window, shape `(windows, longest, inputs)`.
-    - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
-    - `present`: which of these count.
-    - `starts`: initial state of each window as it was recorded, `(windows, states)`.
-    - `position`: sample at which each compared one stands in the record, `(windows, compared)`.
-    - `time_step` in seconds; `sample_count` of the record; `every`, of how many samples one is
-      compared; `piece`, how many of these make a piece of time.
-    """
-
-    levels: Float[Array, "windows longest inputs"]
-    measured: Float[Array, "windows compared channels"]
-    present: Array
-    starts: Float[Array, "windows states"]
-    position: Int[Array, "windows compared"]
-    time_step: Float[Array, ""]
-    sample_count: int = eqx.field(static=True)
-    every: int = eqx.field(static=True)
-    piece: int = eqx.field(static=True)
-
-    @property
-    def windows(self) -> int:
-        """Number of windows."""
-        return self.starts.shape[0]
-
-
 class OutputMisfit(AbstractMisfit):
     """Simulated minus recorded channels, in units of `sigma`, over all windows of all records.
 
-    `most_steps` between samples may be taken of a method that the user left open, else 0.
+    `labels` are the channels. `longest_window` is 0 unless windows overlap: no residual then counts
+    twice. `most_steps` between samples may be taken of a method that the user left open, else 0.
     """
 
     system: AbstractParametric
@@ -79,69 +69,55 @@ class OutputMisfit(AbstractMisfit):
     known: dict[str, Leaf]
     sigma: Float[Array, " channels"]
     scale: Float[Array, " s"]
-    window_seconds: Float[Array, ""]
+    longest_window: Float[Array, ""]
     method: AbstractMethod
     names: tuple[str, ...] = eqx.field(static=True)
     local: tuple[str, ...] = eqx.field(static=True)
-    channels: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    labels: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
     estimated: tuple[int, ...] = eqx.field(static=True)
     state_names: tuple[str, ...] = eqx.field(static=True)
     sharing: Sharing = eqx.field(static=True)
     most_steps: int = eqx.field(static=True)
 
     @property
-    def start_names(self) -> tuple[str, ...]:
-        """Names of the states whose starts are estimated."""
+    def initial_state_names(self) -> tuple[str, ...]:
+        """Names of the states whose initial values are estimated."""
         return tuple(self.state_names[i] for i in self.estimated)
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the channels."""
-        return tuple(name for name, _ in self.channels)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of the channels."""
-        return tuple(unit for _, unit in self.channels)
-
-    @property
-    def longest_window(self) -> Float[Array, ""]:
-        """Seconds of a window if windows overlap, else 0: no residual then counts twice."""
-        return self.window_seconds
-
-    def first_starts(self) -> Float[Array, "windows s"]:
+    def first_initial(self) -> Float[Array, "windows s"]:
         """As recorded."""
         return jnp.concatenate(
-            [part.starts[:, np.array(self.estimated, int)] for part in self.recorded]
+            [part.initial[:, np.array(self.estimated, int)] for part in self.recorded]
         )
 
-    def start_scale(self) -> Float[Array, " s"]:
+    def initial_scale(self) -> Float[Array, " s"]:
         """Size of each estimated state."""
         return self.scale
 
-    def settled_energy(
-        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+    def profiled_energy(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
     ) -> Float[Array, " quantities"]:
-        """By Gauss and Newton's method, for as long as it makes the sum of squares smaller."""
+        """Profiled over initial states by Gauss and Newton, while that makes the sum smaller."""
         if not self.estimated:
-            return self.energy(theta, starts)
+            return self.energy(theta, initial)
         values = {**self.known, **dict(zip(self.names, theta))}
-        held, starts = held_still((dataclasses.replace(self, known=values, names=()), starts))
-        none = jnp.zeros(0, starts.dtype)
+        held, initial = held_still((dataclasses.replace(self, known=values, names=()), initial))
+        none = jnp.zeros(0, initial.dtype)
 
-        def tried(state: _Settling) -> _Settling:
+        def tried(state: _Profiling) -> _Profiling:
             at = held.expansion(none, state.trial)
             moments = at.moments()
             better = jnp.sum(at.energy) < jnp.sum(state.energy)
             energy = jnp.where(better, at.energy, state.energy)
             gradient = moments[:, 1:, :1]
             step = -jax.vmap(lambda g, r: solve_scaled(g, r, RIDGE))(moments[:, 1:, 1:], gradient)
-            going = better & (-jnp.sum(gradient * step) > SETTLED * jnp.sum(energy))
+            going = better & (-jnp.sum(gradient * step) > PROFILED * jnp.sum(energy))
             trial = state.trial + step[:, :, 0]
-            return _Settling(trial, energy, going & (state.left > 0), state.left - 1)
+            return _Profiling(trial, energy, going & (state.left > 0), state.left - 1)
 
-        infinite = jnp.full(len(self.channels), jnp.inf, starts.dtype)
-        first = _Settling(starts, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS))
+        infinite = jnp.full(len(self.labels), jnp.inf, initial.dtype)
+        first = _Profiling(initial, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS))
         return jax.lax.while_loop(lambda state: state.going, tried, first).energy
 
     @property
@@ -155,31 +131,31 @@ class OutputMisfit(AbstractMisfit):
         return None if method is None else eqx.tree_at(lambda m: m.method, self, method)
 
     @property
-    def room_for_steps(self) -> int:
+    def step_factor_limit(self) -> int:
         """As many as `most_steps` leaves."""
         steps = self.method.steps_per_sample if isinstance(self.method, FixedStep) else 1
         return max(self.most_steps // steps, 1)
 
     def energy(
-        self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
     ) -> Float[Array, " quantities"]:
         """Of each channel, in units of sigma."""
-        found = jnp.zeros(len(self.channels), theta.dtype)
-        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(starts))):
+        found = jnp.zeros(len(self.labels), theta.dtype)
+        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
 
-            def of_window(start: Array, window: Recorded, i: int = i) -> Array:
-                return jnp.sum(self._error(theta, start, window, i) ** 2, axis=0)
+            def of_window(initial: Array, window: Recorded, i: int = i) -> Array:
+                return jnp.sum(self._error(theta, initial, window, i) ** 2, axis=0)
 
             found = found + jnp.sum(_over_windows(of_window, own, part), axis=0)
         return found
 
-    def expansion(self, theta: Float[Array, " p"], starts: Float[Array, "windows s"]) -> Expansion:
+    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
         """Of each window of each record, in pieces of time."""
-        pieces, energy = [], jnp.zeros(len(self.channels), theta.dtype)
-        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(starts))):
+        pieces, energy = [], jnp.zeros(len(self.labels), theta.dtype)
+        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
 
-            def of_window(start: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
-                level, slopes = self._columns(theta, start, window, i)
+            def of_window(initial: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
+                level, slopes = self._columns(theta, initial, window, i)
                 columns = jnp.concatenate([level[:, :, None], slopes], axis=2)
                 cut = _in_pieces(columns, window.piece)
                 return jnp.einsum("prci,prcj->pij", cut, cut), jnp.sum(level**2, axis=0)
@@ -205,7 +181,7 @@ class OutputMisfit(AbstractMisfit):
         for part, pieces in zip(self.recorded, expansion.pieces):
             samples = max(-(-part.sample_count // SHORT_BLOCKS_OF_ROWS), 1)
             number = max(-(-part.sample_count // samples), 2)
-            moments = jax.vmap(lambda m: _without_start(m, p))(pieces)
+            moments = jax.vmap(lambda m: _without_initial(m, p))(pieces)
             position = part.position[:, :: part.piece]
             index = jnp.minimum(position // samples, number - 1).reshape(-1)
             held = jnp.sum(_in_pieces(part.present, part.piece, axis=1), axis=(2, 3))
@@ -220,14 +196,14 @@ class OutputMisfit(AbstractMisfit):
         return stack_normal_equations(parts), ShortBlocks(np.array(numbers), jnp.stack(seconds))
 
     def simulated(
-        self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int
+        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
     ) -> Float[Array, "compared channels"]:
         """The channels at the compared samples of one window of record number `index`."""
         values = {**self.known, **dict(zip(self.names, theta))}
         system = self.system.build(self.sharing.values_of(self.local, values, index))
-        first = window.starts
+        first = window.initial
         if self.estimated:
-            first = first.at[np.array(self.estimated)].set(start)
+            first = first.at[np.array(self.estimated)].set(initial)
         states, status, _ = self.method.trajectory(system, window.levels, window.time_step, first)
         found = observed(
             system, states[:: window.every], window.levels[:: window.every], self.labels
@@ -236,17 +212,17 @@ class OutputMisfit(AbstractMisfit):
         return jnp.where(status == SimulationStatus.successful, found, jnp.inf)
 
     def _error(
-        self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int
+        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
     ) -> Float[Array, "compared channels"]:
-        found = self.simulated(theta, start, window, index)
+        found = self.simulated(theta, initial, window, index)
         return jnp.where(window.present, (found - window.measured) / self.sigma[None, :], 0.0)
 
     def _columns(
-        self, theta: Float[Array, " p"], start: Float[Array, " s"], window: Recorded, index: int
+        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
     ) -> tuple[Float[Array, "compared channels"], Float[Array, "compared channels p+s"]]:
-        """Residuals of one window, and their derivatives by parameters and start."""
+        """Residuals of one window, and their derivatives by parameters and initial states."""
         p = theta.shape[0]
-        unknown = jnp.concatenate([theta, start])
+        unknown = jnp.concatenate([theta, initial])
         return jax.vmap(
             lambda along: jax.jvp(
                 lambda u: self._error(u[:p], u[p:], window, index), (unknown,), (along,)
@@ -254,9 +230,9 @@ class OutputMisfit(AbstractMisfit):
             out_axes=(None, 2),
         )(jnp.eye(unknown.shape[0], dtype=unknown.dtype))
 
-    def _of_records(self, starts: Float[Array, "windows s"]) -> list[Float[Array, "windows s"]]:
+    def _of_records(self, initial: Float[Array, "windows s"]) -> list[Float[Array, "windows s"]]:
         edges = np.cumsum([part.windows for part in self.recorded])[:-1]
-        return jnp.split(starts, edges)
+        return jnp.split(initial, edges)
 
 
 def observed(
@@ -283,15 +259,17 @@ def observed(
     return jnp.stack(columns, axis=-1)
 
 
-def _over_windows(function: Callable[[Array, Recorded], Any], starts: Array, part: Recorded) -> Any:
-    """A function of each window's start and recording."""
+def _over_windows(
+    function: Callable[[Array, Recorded], Any], initial: Array, part: Recorded
+) -> Any:
+    """A function of each window's initial state and recording."""
     batched = eqx.tree_at(
-        lambda r: (r.levels, r.measured, r.present, r.starts, r.position),
+        lambda r: (r.levels, r.measured, r.present, r.initial, r.position),
         jax.tree.map(lambda _: None, part),
         (0, 0, 0, 0, 0),
         is_leaf=lambda leaf: leaf is None,
     )
-    return jax.vmap(function, in_axes=(0, batched))(starts, part)
+    return jax.vmap(function, in_axes=(0, batched))(initial, part)
 
 
 def _in_pieces(values: Array, length: int, axis: int = 0) -> Array:
@@ -304,14 +282,10 @@ def _in_pieces(values: Array, length: int, axis: int = 0) -> Array:
     return jnp.pad(values, pad).reshape(shape)
 
 
-def _without_start(
+def _without_initial(
     pieces: Float[Array, "pieces columns columns"], p: int
 ) -> Float[Array, "pieces 1+p 1+p"]:
-    """Moments of minus the residual and of its derivatives while the window's start follows.
-
-    As the parameters change, the start takes back what it can of what they do: the derivatives are
-    projected off the start's. That is a linear map of the columns, the same in all pieces.
-    """
+    """Moments of minus the residual and of its derivatives while initial states follow."""
     head = jnp.eye(1 + p, dtype=pieces.dtype).at[0, 0].set(-1.0)
     if pieces.shape[-1] == 1 + p:
         return jnp.einsum("ia,pij,jb->pab", head, pieces, head)

@@ -29,7 +29,7 @@ class Refined(AbstractEstimate):
       equations), with the start's parameters and now, in `quantity_units`. Both over the same
       windows, in the same steps, and from initial states that were estimated for each.
     - `cost_before`, `cost`: sums of squared residuals, likewise.
-    - `starts`: estimated initial states, one row for each window, columns `start_names`.
+    - `initial_states` that were estimated, one row for each window, columns `initial_state_names`.
     - `at_bound`: which parameters sit on a bound; nothing is said of their uncertainty.
     - `inflation`: factor on each standard error because recordings disagree.
     - `step_change`: change of `theta`, to first order, if the steps of the simulation are halved;
@@ -47,7 +47,7 @@ class Refined(AbstractEstimate):
     rms: Float[Array, " quantities"]
     cost_before: Float[Array, ""]
     cost: Float[Array, ""]
-    starts: Float[Array, "windows s"]
+    initial_states: Float[Array, "windows s"]
     at_bound: Bool[Array, " p"]
     inflation: Float[Array, " p"]
     step_change: Float[Leaf, " p"]
@@ -59,7 +59,7 @@ class Refined(AbstractEstimate):
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     quantities: tuple[str, ...] = eqx.field(static=True)
     quantity_units: tuple[str, ...] = eqx.field(static=True)
-    start_names: tuple[str, ...] = eqx.field(static=True)
+    initial_state_names: tuple[str, ...] = eqx.field(static=True)
     by: tuple[tuple[str, Any], ...] = eqx.field(static=True)
 
     @property
@@ -108,20 +108,22 @@ class Refined(AbstractEstimate):
             )
 
     def _coarse_steps(self) -> Iterator[Finding]:
-        changes = [
-            f"{name} by {float(change):.3g} ({abs(float(change / error)):.2g} standard errors)"
-            for name, change, coarse, error in zip(
-                self.parameters, self.step_change, self.coarse, self.standard_errors
+        shares = self.step_change / self.standard_errors
+        changes = {
+            name: f"{name} by {float(change):.3g} ({abs(float(share)):.2g} standard errors)"
+            for name, change, share, coarse in zip(
+                self.parameters, self.step_change, shares, self.coarse
             )
             if bool(coarse)
-        ]
+        }
         if changes:
             yield Finding(
                 "coarse_steps",
                 f"the steps of the simulation, {self.steps_label}, are part of the answer: halving "
-                f"them changes {', '.join(changes)}. Take shorter ones "
+                f"them changes {', '.join(changes.values())}. Take shorter ones "
                 f"(OutputError(method=FixedStep(n))) or record faster; a stiff model needs "
                 f"Adaptive with an implicit solver, a force that jumps as sign(v) a width.",
+                parameters=tuple(changes),
             )
 
     def _bounds(self) -> Iterator[Finding]:
@@ -130,6 +132,7 @@ class Refined(AbstractEstimate):
                 "at_bound",
                 f"{', '.join(names)} sit(s) on a bound: the data would go further. The intervals "
                 f"of the others take it for known.",
+                parameters=tuple(names),
             )
 
     def _undetermined(self) -> Iterator[Finding]:
@@ -145,9 +148,11 @@ class Refined(AbstractEstimate):
                     "interval_wider_than_estimate",
                     f"the refined interval of {name} reaches from {low:.4g} to {high:.4g}: these "
                     f"data hardly determine it.",
+                    parameters=(name,),
                 )
         if len(silent) == 1:
-            yield Finding("undetermined", f"these data say nothing about {silent[0]}.")
+            message = f"these data say nothing about {silent[0]}."
+            yield Finding("undetermined", message, parameters=(silent[0],))
         elif silent:
             yield Finding(
                 "undetermined",
@@ -155,6 +160,7 @@ class Refined(AbstractEstimate):
                 f"tells none of them alone, as motion without a force does not tell how heavy a "
                 f"machine is. Hold one at a known value (on the command line: --set "
                 f"{silent[0]}=VALUE), or compare another signal.",
+                parameters=tuple(silent),
             )
 
     def _disagreement(self) -> Iterator[Finding]:
@@ -164,6 +170,7 @@ class Refined(AbstractEstimate):
                     "records_disagree",
                     f"the recordings do not agree on the refined {name}: its interval is "
                     f"{float(factor):.2g} times as wide.",
+                    parameters=(name,),
                 )
 
     def __str__(self) -> str:

@@ -1,16 +1,29 @@
-"""Windows of a recording over which a model is simulated, each from a start of its own."""
+"""Windows of a recording over which a model is simulated, and what was recorded in each.
+
+How long they are decides what is fitted. Of one time step, the state being measured anew at every
+sample, they make a fit of the equation error: nearly linear, and biased where the state is noisy.
+Of the whole record they make single shooting, the output-error fit: efficient where the model is
+right and noise is on the outputs, but what a wrong parameter does to the state adds up along the
+window, exponentially where motion is unstable, and with it the curvature of the sum of squares.
+Windows between the two (multiple shooting) bound that by their length, at the price of initial
+states to estimate.
+"""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
-from riecjax.leaves import is_concrete
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
+from riecjax.simulation.linearisation import spread_points
+from riecjax.simulation.system import AbstractSystem, measured_states
 
 SHORTEST = 2
 """Samples of a window below which it tells nothing."""
@@ -52,12 +65,7 @@ class AbstractShooting(eqx.Module):
         return False
 
     def shots(
-        self,
-        record: Record,
-        inputs: Sequence[str],
-        key: Key[Array, ""] | None,
-        *,
-        joined: bool,
+        self, record: Record, inputs: Sequence[str], key: Key[Array, ""] | None, *, joined: bool
     ) -> Shots:
         """The windows of one recording, unbroken in its inputs.
 
@@ -213,3 +221,107 @@ def _tiles(record: Record, inputs: Sequence[str], longest: int, joined: bool) ->
         )
     starts, lengths = np.array(first, np.int32).T
     return Shots(starts, lengths, int(lengths.max()))
+
+
+class Recorded(eqx.Module):
+    """What is simulated and compared of one recording.
+
+    **Fields:**
+
+    - `levels`: inputs in each window, shape `(windows, longest, inputs)`.
+    - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
+    - `present`: which of these count.
+    - `initial`: initial state of each window as it was recorded, `(windows, states)`.
+    - `position`: sample at which each compared one stands in the record, `(windows, compared)`.
+    - `time_step` in seconds; `sample_count` of the record; `every`, of how many samples one is
+      compared; `piece`, how many of these make a piece of time.
+    """
+
+    levels: Float[Array, "windows longest inputs"]
+    measured: Float[Array, "windows compared channels"]
+    present: Array
+    initial: Float[Array, "windows states"]
+    position: Int[Array, "windows compared"]
+    time_step: Float[Array, ""]
+    sample_count: int = eqx.field(static=True)
+    every: int = eqx.field(static=True)
+    piece: int = eqx.field(static=True)
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return self.initial.shape[0]
+
+
+Along = tuple[Leaf, Leaf]
+"""States and inputs at points along a recording."""
+
+
+@eqx.filter_jit
+def cut_records(
+    system: AbstractSystem,
+    records: Sequence[Record],
+    shots: Sequence[Shots],
+    channels: tuple[str, ...],
+    given: dict[str, Any],
+    every: int,
+    joined: bool,
+    overlap: bool,
+) -> tuple[list[Recorded], list[Along]]:
+    """What each recording holds in its windows, and states and inputs at points spread over them.
+
+    **Arguments:** `given` values of initial states; the others as of [`OutputError`][],
+    `AbstractShooting.shots` and `AbstractShooting.overlap`.
+    """
+    settings = (channels, given, every, joined, overlap)
+    recorded = [_recorded(system, *cut, *settings) for cut in zip(records, shots)]
+    along = []
+    for record, cut in zip(records, shots):
+        samples = cut.samples.reshape(-1)
+        samples = samples[spread_points(samples.shape[0])]
+        states = measured_states(system, record)[samples]
+        along.append((states, _levels(system, record, samples)))
+    return recorded, along
+
+
+def _levels(system: AbstractSystem, record: Record, samples: Array) -> Float[Array, "*n inputs"]:
+    inputs = [record[name][samples] for name in system.input_names]
+    none = jnp.zeros((*samples.shape, 0), record.time_step.dtype)
+    return jnp.stack(inputs, axis=-1) if inputs else none
+
+
+def _recorded(
+    system: AbstractSystem,
+    record: Record,
+    shots: Shots,
+    channels: tuple[str, ...],
+    given: dict[str, Any],
+    every: int,
+    joined: bool,
+    overlap: bool,
+) -> Recorded:
+    compared = shots.samples[:, ::every]
+    initial = measured_states(system, record)[shots.first]
+    for name, value in given.items():
+        place = system.state_names.index(name)
+        initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
+    # An initial state that is taken from the record leaves no error there.
+    counts = shots.inside[:, ::every] & (shots.length > 1)[:, None]
+    counts = counts.at[:, 0].set(counts[:, 0] & (not joined))
+    masks = (record.present((name,)) for name in channels)
+    everywhere = jnp.ones(record.sample_count, bool)
+    present = [(everywhere if mask is None else mask)[compared] for mask in masks]
+    # A window that overlaps others is one piece, by where it begins.
+    count = compared.shape[1]
+    block = -(-record.sample_count // SHORT_BLOCKS_OF_ROWS)
+    return Recorded(
+        _levels(system, record, shots.samples),
+        jnp.stack([record[name][compared] for name in channels], axis=-1),
+        jnp.stack(present, axis=-1) & counts[:, :, None],
+        initial,
+        compared,
+        record.time_step,
+        record.sample_count,
+        every,
+        count if overlap else min(max(block // every, 1), count),
+    )

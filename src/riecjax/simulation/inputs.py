@@ -56,12 +56,7 @@ def _components(
 
 
 def harmonics(
-    sample_count: int,
-    time_step: float,
-    *,
-    lowest: float,
-    highest: float,
-    count: int | None = None,
+    sample_count: int, time_step: float, *, lowest: float, highest: float, count: int | None = None
 ) -> Float[np.ndarray, " k"]:
     """Frequencies in Hz of which a record holds whole periods: multiples of 1 / (n dt).
 
