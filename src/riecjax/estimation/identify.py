@@ -34,7 +34,7 @@ from riecjax.uncertainty.intervals import (
     BlockBootstrap,
     Naive,
     Uncertainty,
-    judge,
+    estimate_uncertainty,
 )
 
 DOUBTFUL = 5.0
@@ -205,15 +205,17 @@ def _solve(
     values = found_values(solutions, known)
     # What belongs to one recording cannot differ between recordings.
     common = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
-    judged = judge(stages, known, values, short, longest_window, common, intervals)
-    block_count = jnp.sum(judged.evidence.used)
+    uncertainty, inflation, statistics = estimate_uncertainty(
+        stages, known, values, short, longest_window, common, intervals
+    )
+    block_count = jnp.sum(statistics.used)
     totals = [stage.flattened().total() for stage in stages]
     return _Solved(
         jnp.concatenate([stage.solution.theta for stage in solutions]),
         solutions,
-        judged.uncertainty,
-        jnp.sqrt(jnp.diagonal(naive_covariance(judged.evidence))),
-        judged.inflation,
+        uncertainty,
+        jnp.sqrt(jnp.diagonal(naive_covariance(statistics))),
+        inflation,
         block_count,
         jnp.sum(short.durations) / block_count,
         [total.count for total in totals],
