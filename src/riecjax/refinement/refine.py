@@ -31,7 +31,12 @@ from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refined import Refined
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.task import record_keys
-from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich, Uncertainty, judge
+from riecjax.uncertainty.intervals import (
+    AbstractIntervals,
+    Sandwich,
+    Uncertainty,
+    estimate_uncertainty,
+)
 
 SILENT = 1e-20
 """Share of what is left that a parameter must be able to move by its own size to count at all."""
@@ -324,17 +329,19 @@ def _judge(
     blocks = NormalEquations(moments, blocks.count, blocks.parameters)
     zero = {name: jnp.zeros(()) for name in misfit.names}
     shared = np.array([name not in sharing.individual for name in misfit.names])
-    judged = judge([blocks], {}, zero, short, misfit.longest_window, shared, intervals)
-    used = jnp.sum(judged.evidence.used)
-    covariance = judged.uncertainty.covariance
+    uncertainty, inflation, statistics = estimate_uncertainty(
+        [blocks], {}, zero, short, misfit.longest_window, shared, intervals
+    )
+    used = jnp.sum(statistics.used)
+    covariance = uncertainty.covariance
     if laws.has_priors:
         informed = gram + jnp.diag(information)
         moved = solve_scaled(informed, jnp.diag(jnp.sqrt(variance) * laws.prior_weight))
         covariance = covariance + variance * (moved @ moved.T)
     covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, covariance)
     return _Judged(
-        eqx.tree_at(lambda u: u.covariance, judged.uncertainty, covariance),
-        judged.inflation,
+        eqx.tree_at(lambda u: u.covariance, uncertainty, covariance),
+        inflation,
         misfit.rms(expansion.energy),
         at_bound,
         used,

@@ -23,7 +23,7 @@ from riecjax.estimation.question import question
 from riecjax.estimation.sharing import Sharing, all_normal_equations
 from riecjax.records.record import Record, as_records
 from riecjax.summaries.task import record_keys, require_key
-from riecjax.uncertainty.scores import in_order, staged_values, unknowns
+from riecjax.uncertainty.block_statistics import as_vector, staged_values, unknowns_of
 
 
 def over_keys(
@@ -148,8 +148,8 @@ def _estimates(
         stages = all_normal_equations(procedure, sharing, records, criterion, own_keys)
         flat = [stage.flattened() for stage in stages]
         totals = [stage.total() for stage in flat]
-        plan = unknowns(flat, known)
-        return in_order(plan, staged_values(totals, plan, known, lambda e: solve(e).theta))
+        unknowns = unknowns_of(flat, known)
+        return as_vector(unknowns, staged_values(totals, unknowns, known, lambda e: solve(e).theta))
 
     # Some at a time: rows of all draws at once would need their memory many times over.
     return jax.lax.map(with_key, keys, batch_size=4)

@@ -30,7 +30,7 @@ from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import task
-from riecjax.uncertainty.scores import block_influence
+from riecjax.uncertainty.block_statistics import block_influence
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window of a sweep spans at least."""
