@@ -55,7 +55,7 @@ class Estimate(AbstractEstimate):
     - `known`: parameters that were not estimated, with their values.
     - `criterion`: what was made small.
     - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
-      length in seconds (rule: `block_length` in `estimation.blocks`).
+      length in seconds (rule: `block_length` in `uncertainty.block_length`).
     - `stage_names`, `equation_names`: of each stage, and of each equation in it.
     - `rows_offered`: for each stage, how many rows there would be without gaps and masks; NaN
       where that is not known.

@@ -21,7 +21,7 @@ from riecjax.estimation.sharing import Sharing, stages_over_records
 from riecjax.estimation.stages import StageSolution, found_values, sizes_in_bursts, solve_stages
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, is_concrete, on_host
-from riecjax.linear_algebra import factor_of, gram_condition_limit
+from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.record import Record
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
@@ -237,7 +237,7 @@ def _rows(
     def of(i: int, j: int) -> list[Rows]:
         names = equations[i][j].parameters
         factors = [
-            factor_of(equations[i][j].moments[k].sum(0)) if e.factor is None else e.factor
+            factor_of_gram(equations[i][j].moments[k].sum(0)) if e.factor is None else e.factor
             for k, e in enumerate(one.stages[i][j] for one in summary.recordings)
         ]
         return [Rows(jnp.asarray(f).T, jnp.arange(len(f)), names) for f in factors]

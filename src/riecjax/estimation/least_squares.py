@@ -7,7 +7,7 @@ import lineax as lx
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.rows import Rows
-from riecjax.linear_algebra import symmetric_eigen, unit_scale
+from riecjax.linear_algebra import symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.summaries.normal_equations import NormalEquations
 
 
@@ -38,8 +38,7 @@ def solve(equations: NormalEquations) -> Solution:
     linear solve rather than lineax's: the latter's derivative raises on numbers that are not
     finite, which optimisers and diverged lanes of a batch may pass through.)
     """
-    scale = unit_scale(jnp.diagonal(equations.gram))
-    gram = equations.gram * scale[:, None] * scale[None, :]
+    gram, scale = unit_diagonal(equations.gram)
     # Rounding of the Gram matrix hides singular values of A below sqrt(eps) of the largest.
     tolerance = float(jnp.finfo(gram.dtype).eps) * gram.shape[0]
     eigenvalues, vectors = symmetric_eigen(jax.lax.stop_gradient(gram))

@@ -1,8 +1,8 @@
 """All that recordings say to a model, kept as sums: what every estimate is made from."""
 
 import dataclasses
+import os
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -16,40 +16,15 @@ from riecjax.equations.procedure import Procedure
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.digest import fingerprint_of
+from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.summary_files import read_parts, write_parts
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 ROOMS = (128, 1024)
 """Blocks of a recording that arrays have room for; there are no more than the last."""
-SCHEMA = 1
-"""Of what a Summary holds; another one is refused."""
 UNKNOWN = "0" * 64
 """Digest of a recording that was summed by jit."""
-
-
-class Outline(eqx.Module):
-    """What was asked of the recordings, as far as sums depend on it.
-
-    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter;
-    `fingerprint` of the equations' terms, empty where their numbers were traced.
-    """
-
-    stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
-    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    fingerprint: str = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, procedure: Procedure) -> "Outline":
-        """Of a procedure."""
-        stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in procedure.stages)
-        fingerprint = fingerprint_of(procedure) if is_concrete(procedure) else ""
-        return cls(stages, tuple(procedure.units.items()), fingerprint)
-
-    def is_of(self, other: "Outline") -> bool:
-        """Whether both are of the same equations, as far as that is known."""
-        known = bool(self.fingerprint and other.fingerprint)
-        return self.stages == other.stages and (not known or self.fingerprint == other.fingerprint)
 
 
 class Summary(eqx.Module):
@@ -150,7 +125,7 @@ class Summary(eqx.Module):
                 f"recording {recording + 1}."
             )
         others = list(self.recordings)
-        others[recording] = of_blocks(one, np.flatnonzero(kept))
+        others[recording] = one.of_blocks(np.flatnonzero(kept))
         return self.of_recordings(others)
 
     def scale(self, factor: float) -> "Summary":
@@ -160,7 +135,7 @@ class Summary(eqx.Module):
         """
         if is_concrete(factor) and not float(factor) >= 0:
             raise ModelError(f"sums are scaled by a factor of zero or more; got {factor}.")
-        return self.of_recordings(_scaled(one, factor) for one in self.recordings)
+        return self.of_recordings(one.scaled(factor) for one in self.recordings)
 
     def between(self, alpha: float, beta: float) -> "Summary":
         """The same for windows of other lengths, from alpha to beta seconds.
@@ -245,11 +220,13 @@ class Summary(eqx.Module):
             for i, stage in enumerate(self.outline.stages)
         ]
 
-    def save(self, path: str | Path) -> None:
-        """Write to an NPZ file with a checksum; see [`load`][]."""
-        from riecjax.summaries.summary_files import save
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an NPZ file of exactly this name, whole or not at all; see [`load`][].
 
-        save(self, path)
+        **Raises:** `DataError` if the file cannot be written; `ModelError` for a criterion with a
+        law that is a function, for sums that are traced or of a batch, or for more than 2 GiB.
+        """
+        write_parts(path, **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
 
     def require_model(self, procedure: Procedure) -> None:
         """Raise `ModelError` unless these are sums of the procedure's equations."""
@@ -272,6 +249,18 @@ class Summary(eqx.Module):
             why = "other bins of window lengths"
         if why is not None:
             raise ModelError(f"summaries cannot be merged that were made for {why}.")
+
+
+def load(path: str | os.PathLike[str]) -> Summary:
+    """Read a Summary that [`Summary.save`][] wrote, equal to the bit.
+
+    A test function, or another part of a criterion, that is not this library's must be defined
+    before: import its module.
+
+    **Raises:** `DataError`, in one line, for a file that is not there, is no Summary, is damaged,
+    was written with another schema, or names a class that is not defined.
+    """
+    return Summary(**read_parts(path))
 
 
 def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
@@ -324,49 +313,6 @@ def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
         return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
 
     return min(one, other, key=rank)
-
-
-def of_blocks(one: RecordingSums, kept: np.ndarray) -> RecordingSums:
-    """The sums of some of a recording's blocks."""
-    if kept.size == int(one.blocks):
-        return one
-
-    def of(equation: EquationSums) -> EquationSums:
-        moments, count = (
-            np.asarray(leaf[:, kept], order="C") for leaf in (equation.moments, equation.count)
-        )
-        # A factor of all rows has no parts.
-        return dataclasses.replace(equation, moments=moments, count=count, factor=None)
-
-    stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
-    # Rows are not spread evenly over blocks, so that it is not known how many were offered.
-    return dataclasses.replace(
-        one, stages=stages, blocks=np.asarray(kept.size), offered=np.asarray(np.nan)
-    )
-
-
-def _scaled(one: RecordingSums, factor: float) -> RecordingSums:
-    """Sums times a factor; triangular factors, whose squares are sums, times its root."""
-
-    def of(equation: EquationSums) -> EquationSums:
-        root = namespace(factor).sqrt(factor)
-        scaled: dict[str, Any] = {
-            "moments": equation.moments * factor,
-            "count": equation.count * factor,
-            "factor": None if equation.factor is None else equation.factor * root,
-        }
-        if equation.averages is not None:
-            scaled["averages"] = dataclasses.replace(
-                equation.averages,
-                rows=equation.averages.rows * root,
-                noise=equation.averages.noise * root,
-            )
-        if equation.activity is not None:
-            scaled["activity"] = jax.tree.map(lambda leaf: leaf * factor, equation.activity)
-        return dataclasses.replace(equation, **scaled)
-
-    stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
-    return dataclasses.replace(one, stages=stages, offered=one.offered * factor)
 
 
 def _sum_of_bins(values: Leaf, first: int, last: int, xp: Any) -> Array:

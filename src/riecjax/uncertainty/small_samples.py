@@ -37,7 +37,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from riecjax.linear_algebra import eliminate, unit_scale
+from riecjax.linear_algebra import eliminate, unit_diagonal
 from riecjax.summaries.blocks import ShortBlocks, merge_blocks
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.block_statistics import Unknowns, scores, slope
@@ -87,9 +87,8 @@ def few_blocks_sandwich(
     halves = jnp.minimum(2 * used, jnp.minimum(short.number, most))
     stages = [merge_blocks(stage, short, halves, most) for stage in short_blocks]
     totals = [stage.total() for stage in stages]
-    whole = slope(totals, unknowns)
-    scale = unit_scale(jnp.diagonal(whole))
-    inverse = eliminate(whole * scale[:, None] * scale[None, :], jnp.eye(scale.shape[0]))
+    whole, scale = unit_diagonal(slope(totals, unknowns))
+    inverse = eliminate(whole, jnp.eye(scale.shape[0]))
     each = jax.vmap(lambda *blocks: slope(list(blocks), unknowns))(*stages)
     each = each * (scale[:, None] * scale[None, :])[None]
     variance = _working_variance(totals, unknowns, values)
