@@ -14,7 +14,7 @@ from riecjax.equations.term import Terms
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.excitation import Excitation, excitations
-from riecjax.estimation.question import question
+from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.quality import check_signals
@@ -91,16 +91,16 @@ def check(
     """
     asked = task(model, records, criterion, key)
     procedure, recordings, criterion, _ = asked
-    unknown = question(procedure, len(recordings), known, per_record)
+    plan = plan_parameters(procedure, len(recordings), known, per_record)
     read = [signals_read(procedure, record, criterion) for record in recordings]
     summary = summed(asked, survey=True) if summary is None else summary
-    excited = excitations(summary, unknown) if excited is None else excited
+    excited = excitations(summary, plan) if excited is None else excited
     findings = [
         *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),
         *_quadrature(summary),
         *_break_points(procedure, summary),
-        *constant_targets(procedure, unknown.sharing, summary.recordings, unknown.given),
+        *constant_targets(procedure, plan.sharing, summary.recordings, plan.given),
         *(finding for stage in excited for finding in stage.findings()),
     ]
     return Check(findings, excited, tuple(dict.fromkeys(n for names in read for n in names)))

@@ -36,7 +36,7 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.parameters import Sharing
 from riecjax.findings import Finding
 from riecjax.summaries.sums import EquationSums, RecordingSums
 

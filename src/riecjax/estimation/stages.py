@@ -1,17 +1,21 @@
-"""Stages solved in turn, each with what earlier ones found, and what is left of every equation."""
+"""Normal equations of stages over records, solved in turn, and what is left of every equation."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
+from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.rows import Rows
+from riecjax.equations.procedure import Procedure
 from riecjax.estimation.least_squares import Solution, solve, solve_rows
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.parameters import Sharing
 from riecjax.linear_algebra import solve_scaled
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.records.record import Record
+from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
+from riecjax.summaries.stage_sums import stage_normal_equations, sum_of_equations
 from riecjax.summaries.sums import RecordingSums
 
 
@@ -157,6 +161,60 @@ def _shrinkage(
         curvature = curvature - pulled[others] @ follow
     both = energy + jnp.maximum(curvature, 0.0)
     return jnp.where(both > 0, energy / jnp.where(both > 0, both, 1.0), 0.0)
+
+
+def all_normal_equations(
+    procedure: Procedure,
+    sharing: Sharing,
+    records: list[Record],
+    criterion: AbstractCriterion,
+    keys: list[Key[Array, ""] | None],
+) -> list[NormalEquations]:
+    """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
+    of_stages = [
+        [
+            _over_records(stage, sharing, i)
+            for stage in stage_normal_equations(procedure, record, criterion, key, blocks=True)
+        ]
+        for i, (record, key) in enumerate(zip(records, keys))
+    ]
+    return [stack_normal_equations(parts) for parts in zip(*of_stages)]
+
+
+def _over_records(equations: NormalEquations, sharing: Sharing, index: int) -> NormalEquations:
+    """Normal equations of one record, from 0, among the parameters of all records."""
+    if not sharing.own:
+        return equations
+    names = equations.parameters
+    return equations.rename(sharing.of_record(names, index)).embed(sharing.everywhere(names))
+
+
+def stages_over_records(
+    equations: list[list[NormalEquations]], sharing: Sharing
+) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
+    """Normal equations of stages, and of each equation, among the parameters of all records.
+
+    **Arguments:** `equations` of each stage, with a leading axis of records.
+    """
+    apart = [[_over_all_records(e, sharing) for e in stage] for stage in equations]
+    names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
+    return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
+
+
+def _over_all_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+    """The same of normal equations with a leading axis of records."""
+    if not sharing.own:
+        return equations
+    every = [
+        NormalEquations(equations.moments[i], equations.count[i], equations.parameters)
+        for i in range(sharing.record_count)
+    ]
+    shared = [_over_records(e, sharing, i) for i, e in enumerate(every)]
+    return NormalEquations(
+        jnp.stack([e.moments for e in shared]),
+        jnp.stack([e.count for e in shared]),
+        shared[0].parameters,
+    )
 
 
 STEADY = 3.0
