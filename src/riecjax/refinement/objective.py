@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from riecjax.estimation.sharing import Sharing, Value
+from riecjax.estimation.parameters import Sharing, Value
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.refinement.parametric import Values

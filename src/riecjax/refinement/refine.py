@@ -11,8 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimated_parameters import AbstractEstimate
-from riecjax.estimation.question import require_numbers, require_settings
-from riecjax.estimation.sharing import Sharing, local_name
+from riecjax.estimation.parameters import Sharing, local_name, require_numbers, require_settings
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
 from riecjax.records.record import Record, as_records
