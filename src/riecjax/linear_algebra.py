@@ -1,15 +1,16 @@
 """Small dense linear algebra: scaling, elimination in bulk, eigenvalues, triangular factors.
 
 Matrices here have as many rows as a model has parameters, and there may be thousands of them.
-
-Rounding. All solves scale a symmetric matrix G to D G D with a diagonal of ones first. It makes
-results independent of units, and among diagonal scalings it comes within a factor of p of the least
-condition number of a p x p matrix (van der Sluis, 1969). With normal equations, G = A^T A: singular
-values s of the scaled rows appear as s^2. G is rounded at eps, so that s below sqrt(eps) cannot be
-told from zero, and theta carries a relative error of about eps cond(A)^2. Rows, or their triangular
-factor R (A = Q R), carry eps cond(A). Normal equations are what adds up over blocks, records and
-machines; so they are used wherever that error is small, and `gram_condition_limit` says where.
 """
+
+# Rounding. All solves scale a symmetric matrix G to D G D with a diagonal of ones first. It makes
+# results independent of units, and among diagonal scalings it comes within a factor of p of the
+# least condition number of a p x p matrix (van der Sluis, 1969). With normal equations, G = A^T A:
+# singular values s of the scaled rows appear as s^2. G is rounded at eps, so that s below sqrt(eps)
+# cannot be told from zero, and theta carries a relative error of about eps cond(A)^2. Rows, or
+# their triangular factor R (A = Q R), carry eps cond(A). Normal equations are what adds up over
+# blocks, records and machines; so they are used wherever that error is small, and
+# `gram_condition_limit` says where.
 
 import jax
 import jax.numpy as jnp

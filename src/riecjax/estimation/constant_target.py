@@ -1,33 +1,33 @@
-"""A target that does not vary: one term reproduces it, and nothing of the machine is known.
+"""A target that does not vary: one term reproduces it, and nothing of the machine is known."""
 
-With a force that never varies, an unknown offset alone explains all of it: the offset takes the
-force's value, every other parameter zero, and the residual vanishes, while the regressors are not
-collinear at all. A position that hardly moves about a large mean does the same: k takes the ratio
-of two constants, wherever its sensor has its zero, and free motion ties all others to k.
-
-Let b be the target, a_j the regressors, and b', a_j' their deviations from the mean (of each record
-where a parameter differs between records). An equation says nothing of its parameters if
-
-1. |b'| is a small share of |b|: the target is constant, and
-2. a' explains little of b': what varies of it is noise or drift, and
-3. one term's columns, or all those that do not move, reproduce b, while other parameters
-   appear in no other equation of the stage.
-
-Where motion explains how a target varies (a step that begins late, a force that varies by 5 %),
-the second fails. The means weigh far more in the fit than that motion, so it is sound only if they
-agree: if least squares on b leave hardly more of b' than least squares on b' alone do.
-
-A target that is zero throughout is fitted by zero for all, unless another equation of the stage has
-a target and shares a parameter with it. What the criterion reads of an equation is averaged by hats
-as long as its windows; for [`DOLS`][] each sample counts.
-
-All of this asks for lengths of the columns b, a_j and angles between them, of which least squares
-are made. Where [1, b, a] = Q R, the columns of R have the same, since Q keeps both. The constant is
-the first column of R, (sqrt(n), 0, ...) of n rows, so that R's first row holds the means times
-sqrt(n), and the rows below it stand for the deviations b', a'. With the factors of several records
-on top of each other, the constant over all of them holds each one's sqrt(n_i); deviations are what
-is left when columns are projected off it, or off each record's part of it where means are its own.
-"""
+# With a force that never varies, an unknown offset alone explains all of it: the offset takes the
+# force's value, every other parameter zero, and the residual vanishes, while the regressors are not
+# collinear at all. A position that hardly moves about a large mean does the same: k takes the ratio
+# of two constants, wherever its sensor has its zero, and free motion ties all others to k.
+#
+# Let b be the target, a_j the regressors, and b', a_j' their deviations from the mean (of each
+# record where a parameter differs between records). An equation says nothing of its parameters if
+#
+# 1. |b'| is a small share of |b|: the target is constant, and
+# 2. a' explains little of b': what varies of it is noise or drift, and
+# 3. one term's columns, or all those that do not move, reproduce b, while other parameters appear
+#    in no other equation of the stage.
+#
+# Where motion explains how a target varies (a step that begins late, a force that varies by 5 %),
+# the second fails. The means weigh far more in the fit than that motion, so it is sound only if
+# they agree: if least squares on b leave hardly more of b' than least squares on b' alone do.
+#
+# A target that is zero throughout is fitted by zero for all, unless another equation of the stage
+# has a target and shares a parameter with it. What the criterion reads of an equation is averaged
+# by hats as long as its windows; for `DOLS` each sample counts.
+#
+# All of this asks for lengths of the columns b, a_j and angles between them, of which least squares
+# are made. Where [1, b, a] = Q R, the columns of R have the same, since Q keeps both. The constant
+# is the first column of R, (sqrt(n), 0, ...) of n rows, so that R's first row holds the means times
+# sqrt(n), and the rows below it stand for the deviations b', a'. With the factors of several
+# records on top of each other, the constant over all of them holds each one's sqrt(n_i); deviations
+# are what is left when columns are projected off it, or off each record's part of it where means
+# are its own.
 
 from collections.abc import Mapping, Sequence
 
@@ -77,7 +77,8 @@ def constant_targets(
             elsewhere = {name for other in others for name in other.names}
             message = _zero(one, others) or _message(one, elsewhere)
             if message:
-                findings.append(Finding("constant_target", f"{one.equation.name}: {message}"))
+                message = f"{one.equation.name}: {message}"
+                findings.append(Finding("constant_target", message, parameters=tuple(one.columns)))
         settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
     return findings
 

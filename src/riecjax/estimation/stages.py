@@ -171,22 +171,11 @@ def all_normal_equations(
     keys: list[Key[Array, ""] | None],
 ) -> list[NormalEquations]:
     """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
-    of_stages = [
-        [
-            _over_records(stage, sharing, i)
-            for stage in stage_normal_equations(procedure, record, criterion, key, blocks=True)
-        ]
-        for i, (record, key) in enumerate(zip(records, keys))
+    every = [
+        stage_normal_equations(procedure, record, criterion, key, blocks=True)
+        for record, key in zip(records, keys)
     ]
-    return [stack_normal_equations(parts) for parts in zip(*of_stages)]
-
-
-def _over_records(equations: NormalEquations, sharing: Sharing, index: int) -> NormalEquations:
-    """Normal equations of one record, from 0, among the parameters of all records."""
-    if not sharing.own:
-        return equations
-    names = equations.parameters
-    return equations.rename(sharing.of_record(names, index)).embed(sharing.everywhere(names))
+    return [_over_records(stack_normal_equations(parts), sharing) for parts in zip(*every)]
 
 
 def stages_over_records(
@@ -196,25 +185,23 @@ def stages_over_records(
 
     **Arguments:** `equations` of each stage, with a leading axis of records.
     """
-    apart = [[_over_all_records(e, sharing) for e in stage] for stage in equations]
+    apart = [[_over_records(e, sharing) for e in stage] for stage in equations]
     names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
     return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
 
 
-def _over_all_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
-    """The same of normal equations with a leading axis of records."""
+def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+    """Normal equations with a leading axis of records, among the parameters of all of them."""
+    names = equations.parameters
     if not sharing.own:
         return equations
     every = [
-        NormalEquations(equations.moments[i], equations.count[i], equations.parameters)
-        for i in range(sharing.record_count)
+        NormalEquations(moments, count, sharing.of_record(names, i)).embed(
+            sharing.everywhere(names)
+        )
+        for i, (moments, count) in enumerate(zip(equations.moments, equations.count))
     ]
-    shared = [_over_records(e, sharing, i) for i, e in enumerate(every)]
-    return NormalEquations(
-        jnp.stack([e.moments for e in shared]),
-        jnp.stack([e.count for e in shared]),
-        shared[0].parameters,
-    )
+    return stack_normal_equations(every)
 
 
 STEADY = 3.0

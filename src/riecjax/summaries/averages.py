@@ -1,9 +1,16 @@
-"""An equation's columns averaged by hats and looked at sample by sample, reduced to sums.
+"""An equation's columns averaged by hats and looked at sample by sample, reduced to sums."""
 
-A hat of h samples to a side takes two derivatives off the motion: the mean of `d^k/dt^k c` under it
-is the second difference over h of c integrated 2 - k times, over h squared. Rows of such means
-become a triangular factor, which has every norm and least-squares solution that the rows have.
-"""
+# A hat of h samples to a side, w(s) = (1 - |s| / h) / h, has the second derivative delta(-h) -
+# 2 delta(0) + delta(h), over h^2. By parts, the mean of f under it is the second difference of f's
+# second integral I over h, (I(t + h) - 2 I(t) + I(t - h)) / h^2; of f = d^k/dt^k c it is that of c
+# integrated 2 - k times. So no derivative is ever taken of a sample, and one running sum serves all
+# hats. What is constant in f adds a parabola to I, whose values grow with the record's square while
+# its second difference does not: in 32-bit it would leave nothing of what varies. So means are
+# removed before integration and put back behind it, and so are constants of integration, which the
+# second difference does not see.
+#
+# Rows of such means become a triangular factor, which has every norm and least-squares solution
+# that the rows have.
 
 import jax
 import jax.numpy as jnp

@@ -1,21 +1,21 @@
-"""One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept.
+"""One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept."""
 
-A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide the
-blocks, and a part holds, beside the samples of its own starts, those that windows from them reach
-(and a margin for quadrature of higher order). So each pair of start and length counts once, in one
-block of one part, however the recording is cut, and the blocks' sums add up to the recording's.
-Running sums start anew in each chunk, so that their rounding does not grow with the recording.
-
-Shapes decide what is compiled. Short recordings are filled up behind their end, to one of two
-lengths; where they end is a traced number. Longer ones are worked through in parts of one shape. So
-recordings of any length are served by the same few compiled functions.
-
-Moments hold the squares of what rows hold: of a singular value s of scaled rows they keep s^2, to
-eps. Directions with s below sqrt(eps) are lost in them, and theta is known to eps / s^2 where rows
-would give it to eps / s. Windows summed in closed form have no rows. Where a criterion has rows
-(drawn windows, samples), and their moments are that nearly collinear, a triangular factor R of the
-rows is kept beside them: R^T R are the moments, and R has the rows' singular values.
-"""
+# A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide
+# the blocks, and a part holds, beside the samples of its own starts, those that windows from them
+# reach (and a margin for quadrature of higher order). So each pair of start and length counts once,
+# in one block of one part, however the recording is cut, and the blocks' sums add up to the
+# recording's. Running sums start anew in each chunk, so that their rounding does not grow with the
+# recording.
+#
+# Shapes decide what is compiled. Short recordings are filled up behind their end, to one of two
+# lengths; where they end is a traced number. Longer ones are worked through in parts of one shape.
+# So recordings of any length are served by the same few compiled functions.
+#
+# Moments hold the squares of what rows hold: of a singular value s of scaled rows they keep s^2, to
+# eps. Directions with s below sqrt(eps) are lost in them, and theta is known to eps / s^2 where
+# rows would give it to eps / s. Windows summed in closed form have no rows. Where a criterion has
+# rows (drawn windows, samples), and their moments are that nearly collinear, a triangular factor R
+# of the rows is kept beside them: R^T R are the moments, and R has the rows' singular values.
 
 import dataclasses
 from collections.abc import Iterator, Sequence

@@ -3,12 +3,12 @@
 Every equation's columns are sampled once, chunk by chunk, and sums over blocks of starts are made
 of them: moments of all windows, rows averaged by hats, activity of terms, and, on request, a survey
 for checks and figures. How a recording is cut into parts is the other half's, `one_pass`.
-
-What the signals' noise adds to a row has no formula, since terms may be any expressions of the
-signals. So it is measured: white noise of each signal's level is added to the samples, and the
-columns without it are subtracted. The difference is exact where terms are linear in the signals,
-and right to first order in the noise where they are not.
 """
+
+# What the signals' noise adds to a row has no formula, since terms may be any expressions of the
+# signals. So it is measured: white noise of each signal's level is added to the samples, and the
+# columns without it are subtracted. The difference is exact where terms are linear in the signals,
+# and right to first order in the noise where they are not.
 
 from collections.abc import Callable, Mapping
 from functools import partial

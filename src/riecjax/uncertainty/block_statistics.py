@@ -1,26 +1,26 @@
-"""Block statistics: scores of blocks of time, the slope of their sum, and each block's influence.
+"""Block statistics: scores of blocks of time, the slope of their sum, each block's influence."""
 
-Stage s has the rows `[y A]` and finds the parameters theta_s, with those of earlier stages held at
-what these found. With A_s the columns of theta_s, block b contributes the score
-
-    psi_bs(theta) = A_bs^T (y_b - A_b theta),
-
-theta all parameters of all stages. The scores of all stages, psi_b = (psi_b1, psi_b2, ...), make
-one system of estimating equations, `sum_b psi_b(theta) = 0`, whose solution is the staged fit: in a
-two-step M-estimator each step's first-order condition is one equation of the stack (Newey and
-McFadden, 1994, section 6). It is linear in theta, so that its slope
-
-    J = -d/dtheta sum_b psi_b,   rows of stage s: A_s^T A,
-
-is exact and constant. J is block triangular: a stage's score depends on what earlier stages found,
-and not the other way round. The blocks below the diagonal carry what is uncertain in the masses
-into the stiffness that is found with them; least squares' covariance of one stage leaves them out.
-
-If block b counts with weight w_b, then `d theta / d w_b = J^-1 psi_b` at w = 1: the block's
-influence u_b. Where blocks are independent, `cov(theta) = J^-1 (sum psi_b psi_b^T) J^-T = sum u_b
-u_b^T`, the sandwich A^-1 B A^-T; all that follows differs in how it estimates the middle. No model
-of the errors enters: they may be autocorrelated within a block and of any size in each.
-"""
+# Stage s has the rows `[y A]` and finds the parameters theta_s, with those of earlier stages held
+# at what these found. With A_s the columns of theta_s, block b contributes the score
+#
+#     psi_bs(theta) = A_bs^T (y_b - A_b theta),
+#
+# theta all parameters of all stages. The scores of all stages, psi_b = (psi_b1, psi_b2, ...), make
+# one system of estimating equations, `sum_b psi_b(theta) = 0`, whose solution is the staged fit: in
+# a two-step M-estimator each step's first-order condition is one equation of the stack (Newey and
+# McFadden, 1994, section 6). It is linear in theta, so that its slope
+#
+#     J = -d/dtheta sum_b psi_b,   rows of stage s: A_s^T A,
+#
+# is exact and constant. J is block triangular: a stage's score depends on what earlier stages
+# found, and not the other way round. The blocks below the diagonal carry what is uncertain in the
+# masses into the stiffness that is found with them; least squares' covariance of one stage leaves
+# them out.
+#
+# If block b counts with weight w_b, then `d theta / d w_b = J^-1 psi_b` at w = 1: the block's
+# influence u_b. Where blocks are independent, `cov(theta) = J^-1 (sum psi_b psi_b^T) J^-T = sum u_b
+# u_b^T`, the sandwich A^-1 B A^-T; all that follows differs in how it estimates the middle. No
+# model of the errors enters: they may be autocorrelated within a block and of any size in each.
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple

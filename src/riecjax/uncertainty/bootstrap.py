@@ -1,14 +1,13 @@
-"""Bootstrap over blocks of time: whole procedures solved again from resampled normal equations.
+"""Bootstrap over blocks of time: whole procedures solved again from resampled normal equations."""
 
-A replicate draws blocks with replacement: block b counts w_b times, and the staged fit is solved
-from `sum w_b M_b`, M_b a block's moments. Its estimate theta* is divided by its own standard error,
-`t* = (theta* - theta) / s*`, and the quantiles of t* make the interval `theta - t*_hi s, theta -
-t*_lo s`. To divide is worth it: t has about the same law whatever the errors' size is (a pivot), so
-that ends are right to O(1/n) of n blocks rather than O(n^-1/2) (Hall, 1988, of one-sided ones),
-and lean where estimates are skewed. Blocks rather than rows are drawn since errors are correlated
-within a block (Kunsch, 1989). A replicate costs a weighted sum of a few dozen small matrices and an
-elimination; no row is seen again.
-"""
+# A replicate draws blocks with replacement: block b counts w_b times, and the staged fit is solved
+# from `sum w_b M_b`, M_b a block's moments. Its estimate theta* is divided by its own standard
+# error, `t* = (theta* - theta) / s*`, and the quantiles of t* make the interval `theta - t*_hi s,
+# theta - t*_lo s`. To divide is worth it: t has about the same law whatever the errors' size is (a
+# pivot), so that ends are right to O(1/n) of n blocks rather than O(n^-1/2) (Hall, 1988, of
+# one-sided ones), and lean where estimates are skewed. Blocks rather than rows are drawn since
+# errors are correlated within a block (Kunsch, 1989). A replicate costs a weighted sum of a few
+# dozen small matrices and an elimination; no row is seen again.
 
 import jax
 import jax.numpy as jnp

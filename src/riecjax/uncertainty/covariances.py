@@ -1,19 +1,18 @@
-"""Covariances of estimates: the jackknife, a HAC sandwich, and least squares' own.
+"""Covariances of estimates: the jackknife, a HAC sandwich, and least squares' own."""
 
-With u_b the influence of block b on the estimates (see `block_statistics`), all estimate the
-variance of `sum_b u_b`.
-
-- The jackknife leaves each block out in turn. To first order theta moves by -u_b; to all orders
-  by `-(J - J_b)^-1 psi_b`, which is larger where b holds much of what tells of a parameter (its
-  leverage J^-1 J_b is not small). So it errs on the wide side where few blocks tell (Efron and
-  Stein, 1981), which the plain sum of u_b u_b^T does not.
-- The HAC sandwich, `J^-1 S J^-T` with `S = sum_k (1 - |k| / L) sum_t psi_t psi_(t+k)^T` over short
-  blocks t (Newey and West, 1987), needs no cut between blocks of L short ones each: it averages
-  over all places of the cut, and is positive semidefinite as such a mean of squares is.
-- Least squares' own, sigma^2 (A^T A)^-1, takes rows for independent. Windows that overlap share
-  their errors, and a record holds about duration / beta independent ones, however many are summed:
-  this is too small by orders of magnitude. Against the others it counts the independent ones.
-"""
+# With u_b the influence of block b on the estimates (see `block_statistics`), all estimate the
+# variance of `sum_b u_b`.
+#
+# - The jackknife leaves each block out in turn. To first order theta moves by -u_b; to all orders
+#   by `-(J - J_b)^-1 psi_b`, which is larger where b holds much of what tells of a parameter (its
+#   leverage J^-1 J_b is not small). So it errs on the wide side where few blocks tell (Efron and
+#   Stein, 1981), which the plain sum of u_b u_b^T does not.
+# - The HAC sandwich, `J^-1 S J^-T` with `S = sum_k (1 - |k| / L) sum_t psi_t psi_(t+k)^T` over
+#   short blocks t (Newey and West, 1987), needs no cut between blocks of L short ones each: it
+#   averages over all places of the cut, and is positive semidefinite as a mean of squares is.
+# - Least squares' own, sigma^2 (A^T A)^-1, takes rows for independent. Windows that overlap share
+#   their errors, and a record holds about duration / beta independent ones, however many are
+#   summed: this is too small by orders of magnitude. Beside the others it counts those.
 
 import jax
 import jax.numpy as jnp

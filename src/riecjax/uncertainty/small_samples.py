@@ -3,31 +3,31 @@
 Residuals are small where few stretches decide an estimate, since it follows their errors: blocks
 then scatter too little, whatever their number. The blocks' Gram matrices tell by how much, and how
 many degrees of freedom are left.
-
-Let s_b be the scores of block b at the truth, G_b its Gram matrix (in the slope's coordinates, see
-`block_statistics`), H = (sum G)^-1, and h^T the row of H that belongs to one parameter. Residuals
-at the estimate, which is H sum_c s_c away from the truth, give the block the influence
-
-    u_b = h^T (s_b - G_b H sum_c s_c).
-
-The variance is estimated by the quadratic form u^T B u, B = 1 on the diagonal and 1/2 between half
-blocks that follow one another: Newey and West's weights for a lag of two. Half blocks are taken
-since one cut between long blocks is as arbitrary as the next; half blocks with weight 1/2 are the
-mean over the two cuts, and tell twice as many differences of so few blocks.
-
-Working model: errors alike all along, so that s_b has the covariance W_bb = sigma^2 G_b, and
-`OVERLAP` / 2 of the sum of both between neighbours. With r_b = W_b h and W_b, W the sums of W_bc
-over c, and over all, the influences then have the covariance
-
-    M_bc = h^T W_bc h - r_b^T q_c - q_b^T r_c + q_b^T W q_c,    q_b = H G_b h.
-
-So the form expects trace(B M), where it should expect h^T W h; the ratio, `seen`, is what it sees
-of the variance and is divided out. Its own variance, for Gaussian scores, is 2 trace(B M B M),
-that of a chi-square with `trace(B M)^2 / trace(B M B M)` degrees of freedom (Satterthwaite); they
-go to Student's t. Both are functions of the design alone. Errors that are not alike change what u
-is, and the form follows them; only the correction rests on the working model (Bell and McCaffrey,
-2002; Imbens and Kolesar, 2016).
 """
+
+# Let s_b be the scores of block b at the truth, G_b its Gram matrix (in the slope's coordinates,
+# see `block_statistics`), H = (sum G)^-1, and h^T the row of H that belongs to one parameter.
+# Residuals at the estimate, which is H sum_c s_c away from the truth, give the block the influence
+#
+#     u_b = h^T (s_b - G_b H sum_c s_c).
+#
+# The variance is estimated by the quadratic form u^T B u, B = 1 on the diagonal and 1/2 between
+# half blocks that follow one another: Newey and West's weights for a lag of two. Half blocks are
+# taken since one cut between long blocks is as arbitrary as the next; half blocks with weight 1/2
+# are the mean over the two cuts, and tell twice as many differences of so few blocks.
+#
+# Working model: errors alike all along, so that s_b has the covariance W_bb = sigma^2 G_b, and
+# `OVERLAP` / 2 of the sum of both between neighbours. With r_b = W_b h and W_b, W the sums of W_bc
+# over c, and over all, the influences then have the covariance
+#
+#     M_bc = h^T W_bc h - r_b^T q_c - q_b^T r_c + q_b^T W q_c,    q_b = H G_b h.
+#
+# So the form expects trace(B M), where it should expect h^T W h; the ratio, `seen`, is what it sees
+# of the variance and is divided out. Its own variance, for Gaussian scores, is 2 trace(B M B M),
+# that of a chi-square with `trace(B M)^2 / trace(B M B M)` degrees of freedom (Satterthwaite); they
+# go to Student's t. Both are functions of the design alone. Errors that are not alike change what u
+# is, and the form follows them; only the correction rests on the working model (Bell and McCaffrey,
+# 2002; Imbens and Kolesar, 2016).
 
 from collections.abc import Mapping
 from typing import NamedTuple
