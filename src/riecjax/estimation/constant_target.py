@@ -75,7 +75,7 @@ def constant_targets(
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
-            message = _zero(one, others) or _message(one, elsewhere)
+            message = _fitted_by_zero(one, others) or _fitted_by_one(one, elsewhere)
             if message:
                 message = f"{one.equation.name}: {message}"
                 findings.append(Finding("constant_target", message, parameters=tuple(one.columns)))
@@ -83,7 +83,7 @@ def constant_targets(
     return findings
 
 
-def _zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
+def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
     """In words, that zero for all fits; empty if it does not."""
     if np.any(seen.target):
         return ""
@@ -104,7 +104,7 @@ def _zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
     )
 
 
-def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
+def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
     """In words, that one term alone explains the target; empty if it does not."""
     target = seen.target
     size = _norm(target)

@@ -128,10 +128,9 @@ class NormalEquations(eqx.Module):
         return jnp.maximum(jnp.einsum("i,...ij,j->...", v, self.moments, v), 0.0)
 
 
-def stack_normal_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
-    """Of one record after another; where one has fewer blocks than another, empty ones follow."""
-    most = max(part.count.shape[0] for part in parts)
-
+def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> NormalEquations:
+    """Of one record after another, with empty blocks behind, up to as many as `room` or another."""
+    most = max(room, *(part.count.shape[0] for part in parts))
     xp = namespace(parts)
 
     def filled_up(blocks: Array) -> Array:

@@ -2,13 +2,12 @@
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.length_bins import LengthBins
@@ -17,7 +16,7 @@ from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
 from riecjax.summaries.summary_files import read_parts, write_parts
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
@@ -88,8 +87,11 @@ class Summary(eqx.Module):
             require("what is merged", one, Summary, "summary.merge(other): one after the other")
             self._require_alike(one)
             for digest, recording in zip(one.digests, one.recordings):
-                if UNKNOWN in (digest, *every):
-                    _require_alone(every)
+                if every and UNKNOWN in (digest, *every):
+                    raise ModelError(
+                        "sums that were made under jax.jit do not tell which recordings they are of, "
+                        "so that they cannot be merged: make them by rx.summarise outside of it."
+                    )
                 every[digest] = _one_of(every.get(digest, recording), recording)
         return self.of_recordings(every[digest] for digest in sorted(every))
 
@@ -202,18 +204,17 @@ class Summary(eqx.Module):
         room = count
         if is_concrete(self.recordings):
             room = min((number for number in ROOMS if number >= count), default=count)
-        xp = namespace(self.recordings)
+
+        def in_band(equation: EquationSums) -> NormalEquations:
+            moments, count = (
+                leaf[first] if last == first + 1 else leaf[first:last].sum(0)
+                for leaf in (equation.moments, equation.count)
+            )
+            return NormalEquations(moments, count, equation.parameters)
 
         def stacked(i: int, j: int) -> NormalEquations:
-            every = [one.stages[i][j] for one in self.recordings]
-
-            def of(leaf: Callable[[EquationSums], Leaf]) -> Array:
-                parts = [_sum_of_bins(leaf(e), first, last, xp) for e in every]
-                return xp.stack([_filled_up(part, room, xp) for part in parts])
-
-            return NormalEquations(
-                of(lambda e: e.moments), of(lambda e: e.count), every[0].parameters
-            )
+            every = [in_band(one.stages[i][j]) for one in self.recordings]
+            return stack_normal_equations(every, room)
 
         return [
             [stacked(i, j) for j, _ in enumerate(stage)]
@@ -283,15 +284,6 @@ def _edges_of(summary: Summary) -> np.ndarray:
     return np.zeros(0) if summary.edges is None else np.asarray(summary.edges)
 
 
-def _require_alone(every: dict[str, RecordingSums]) -> None:
-    """Raise `ModelError` if there are others beside a recording that does not tell which it is."""
-    if every:
-        raise ModelError(
-            "sums that were made under jax.jit do not tell which recordings they are of, so that "
-            "they cannot be merged: make them by rx.summarise outside of it."
-        )
-
-
 def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
     """One of two sums of the same recording: the same one in whatever order they come.
 
@@ -313,11 +305,3 @@ def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
         return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
 
     return min(one, other, key=rank)
-
-
-def _sum_of_bins(values: Leaf, first: int, last: int, xp: Any) -> Array:
-    return values[first] if last == first + 1 else xp.sum(values[first:last], axis=0)
-
-
-def _filled_up(blocks: Array, room: int, xp: Any) -> Array:
-    return xp.pad(blocks, [(0, room - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
