@@ -73,7 +73,7 @@ def averaged_rows(
     n = columns.sample_count
     absent = jnp.pad(jnp.cumsum(~there), (1, 0))
     whole = absent[jnp.clip(last + 1, 0, n)] == absent[jnp.clip(first, 0, n)]
-    kept = (first >= 0) & (last < n) & whole
+    valid = (first >= 0) & (last < n) & whole
 
     count = jnp.maximum(jnp.sum(there), 1)
     mean = jnp.sum(jnp.where(there[None, None, :], columns.values, 0.0), -1, keepdims=True) / count
@@ -95,7 +95,7 @@ def averaged_rows(
     hats = mean[0] + second_difference / (jnp.maximum(half, 1) * columns.time_step) ** 2
     samples = columns.values[0][:, jnp.clip(centres, 0, n - 1)]
     rows = jnp.where(jnp.asarray(half) == 0, samples, hats)
-    return jnp.where(kept[None, :], rows, 0.0).T, kept
+    return jnp.where(valid[None, :], rows, 0.0).T, valid
 
 
 def _there(columns: Columns, held: int | Int[Array, ""]) -> Bool[Array, " n"]:

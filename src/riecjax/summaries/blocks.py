@@ -41,6 +41,8 @@ def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " r
 
     Of a whole number of short blocks each, so that they come out even.
     """
+    # Fewer than two blocks have no scatter. More than `MOST_BLOCKS` would cost memory in every
+    # replicate and give the variance few more degrees of freedom than Student's t can tell apart.
     xp = namespace(length, short)
     each = xp.maximum(xp.round(xp.divide(length, short.seconds)), 1)
     most = xp.minimum(short.number, MOST_BLOCKS)

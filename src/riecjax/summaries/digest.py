@@ -88,8 +88,8 @@ def _written(value: Any) -> object:
     """A term, or a part of it, field by field. What is known of a coefficient moves no sum."""
     if isinstance(value, eqx.Module):
         fields = [field.name for field in dataclasses.fields(value)]
-        kept = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
-        return [type(value).__name__, {name: _written(part) for name, part in kept.items()}]
+        parts = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
+        return [type(value).__name__, {name: _written(part) for name, part in parts.items()}]
     if eqx.is_array(value):
         return np.asarray(value).tolist()
     return _function(value) if callable(value) else value

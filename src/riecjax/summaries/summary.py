@@ -89,8 +89,8 @@ class Summary(eqx.Module):
             for digest, recording in zip(one.digests, one.recordings):
                 if every and UNKNOWN in (digest, *every):
                     raise ModelError(
-                        "sums that were made under jax.jit do not tell which recordings they are of, "
-                        "so that they cannot be merged: make them by rx.summarise outside of it."
+                        "sums that were made under jax.jit do not tell which recordings they are "
+                        "of, so that they cannot be merged: make them by rx.summarise outside it."
                     )
                 every[digest] = _one_of(every.get(digest, recording), recording)
         return self.of_recordings(every[digest] for digest in sorted(every))
@@ -120,14 +120,14 @@ class Summary(eqx.Module):
         """
         (one,) = self.select(recording).recordings
         edges = float(one.block_seconds) * np.arange(int(one.blocks) + 1)
-        kept = (edges[1:] <= start) | (edges[:-1] >= stop)
-        if kept.sum() < 2:
+        outside = (edges[1:] <= start) | (edges[:-1] >= stop)
+        if outside.sum() < 2:
             raise DataError(
                 f"fewer than two blocks of {float(one.block_seconds):.3g} s would remain of "
                 f"recording {recording + 1}."
             )
         others = list(self.recordings)
-        others[recording] = one.of_blocks(np.flatnonzero(kept))
+        others[recording] = one.of_blocks(np.flatnonzero(outside))
         return self.of_recordings(others)
 
     def scale(self, factor: float) -> "Summary":

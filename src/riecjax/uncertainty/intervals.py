@@ -185,6 +185,11 @@ def with_few_blocks(
     more than `FARTHEST` times as far as the sandwich or less than `NEAREST`: then some were divided
     by a standard error of next to nothing, or hardly any moved.
     """
+    # The bootstrap's tails come from t* of n blocks, its standard error among them. Of a dozen
+    # blocks a replicate draws on average eight different ones, and now and then so few that its own
+    # standard error is next to nothing: t* then has tails that no number of replicates mends.
+    # Bell and McCaffrey's variance and degrees of freedom hold for few blocks, under a working
+    # model; so it stands in where blocks are few, and beside it shows where the bootstrap went off.
     small = few_blocks_sandwich(
         statistics.short_blocks,
         statistics.unknowns,
@@ -199,6 +204,7 @@ def with_few_blocks(
         reach = jnp.nanquantile(jnp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
         times = reach * jnp.sqrt(variance / jnp.where(other > 0, other, 1.0))
         few = few | (times > FARTHEST) | (times < NEAREST)
+    # Correlations are taken from one of the two, lest a mixture be no covariance at all.
     error = jnp.sqrt(jnp.where(few, other, variance))
     scale = jnp.where(other > 0, error / jnp.sqrt(jnp.where(other > 0, other, 1.0)), 0.0)
     mixed = small.covariance * scale[:, None] * scale[None, :]
