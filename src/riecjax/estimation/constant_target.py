@@ -128,7 +128,7 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
         return ""
     for names in seen.candidates():
         hidden = [name for name in columns if name not in names and name not in elsewhere]
-        left = _norm(_residual(target, [columns[name] for name in names]))
+        left = _left(target, [columns[name] for name in names])
         if hidden and left <= np.hypot(varying, STILL * size):
             # Others at rest to the last digit are collinear with these, and are named as that.
             if any(_norm(columns[n]) > 0 and seen.share(columns[n]) <= ROUNDING for n in hidden):
@@ -178,15 +178,11 @@ class _Averaged:
         averages = [recording.averages for recording in recordings if recording.averages]
         self.independent = sum(float(one.independent) for one in averages)
         individual = bool(sharing.own.intersection(equation.parameters))
-        bases = [recording.parameters for recording in recordings]
-        names = [sharing.of_record(bare, i) for i, bare in enumerate(bases)]
-
-        def columns(factors: list[np.ndarray]) -> tuple[Rows, dict[str, Rows]]:
-            return _columns(factors, names, self.names, given)
-
+        names = [sharing.of_record(one.parameters, i) for i, one in enumerate(recordings)]
         rows = [np.asarray(one.rows) for one in averages]
-        self.target, self.columns = columns(rows)
-        self.noise = columns([np.asarray(one.noise) for one in averages])
+        noise = [np.asarray(one.noise) for one in averages]
+        self.target, self.columns = _columns(rows, names, self.names, given)
+        self.noise = _columns(noise, names, self.names, given)
         self.constants = _constants(rows, individual)
 
     def moving(self, rows: Rows) -> Rows:
@@ -203,7 +199,7 @@ class _Averaged:
         moving = [(self.moving(column), _norm(column)) for column in self.columns.values()]
         there = [m for m, size in moving if _norm(m) > ROUNDING * size]
         varying = self.moving(self.target)
-        left = _norm(_residual(varying, there)) / _norm(varying)
+        left = _left(varying, there) / _norm(varying)
         free = self.independent - 1
         return left * np.sqrt(free / (free - len(there))) if free > len(there) else 1.0
 
@@ -276,11 +272,11 @@ def _fit(target: Rows, columns: list[Rows]) -> Float[np.ndarray, " columns"]:
     return np.linalg.lstsq(matrix, target, rcond=ROUNDING)[0] / sizes
 
 
-def _residual(target: Rows, columns: list[Rows]) -> Rows:
-    """What least squares leave of a target."""
+def _left(target: Rows, columns: list[Rows]) -> float:
+    """Length of what least squares leave of a target."""
     if not columns:
-        return target
-    return target - np.stack(columns, axis=1) @ _fit(target, columns)
+        return _norm(target)
+    return _norm(target - np.stack(columns, axis=1) @ _fit(target, columns))
 
 
 def _norm(rows: Rows) -> float:

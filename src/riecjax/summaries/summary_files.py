@@ -18,7 +18,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.written import criterion_of, written
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
@@ -56,7 +55,7 @@ def write_parts(path: str | os.PathLike[str], **parts: Any) -> None:
     arrays = {_name(place): np.asarray(leaf) for place, leaf in leaves}
     if parts["edges"] is not None:
         arrays[EDGES] = np.asarray(parts["edges"])
-    document = _document(**parts)
+    document = _document(parts)
     document["checksum"] = _checksum(document, arrays)
     text = json.dumps(document).encode()
     arrays[DOCUMENT] = np.frombuffer(text, np.uint8)
@@ -89,16 +88,10 @@ def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path, simple=True, separator="/")
 
 
-def _document(
-    recordings: tuple[RecordingSums, ...],
-    criterion: AbstractCriterion,
-    outline: Outline,
-    edges: Any,
-    in_law: tuple[int, int],
-    band: tuple[int, int],
-    asked: tuple[float, float] | None,
-) -> Document:
-    """All that is no array, but for the checksum."""
+def _document(parts: Mapping[str, Any]) -> Document:
+    """What of a Summary's fields is no array, but for the checksum."""
+    outline: Outline = parts["outline"]
+    recordings: tuple[RecordingSums, ...] = parts["recordings"]
     return {
         "format": FORMAT,
         "schema": SCHEMA,
@@ -107,11 +100,9 @@ def _document(
         "stages": outline.stages,
         "units": outline.units,
         "fingerprint": outline.fingerprint,
-        "bins": edges is not None,
-        "in_law": in_law,
-        "band": band,
-        "asked": asked,
-        "criterion": written(criterion),
+        "bins": parts["edges"] is not None,
+        **{name: parts[name] for name in ("in_law", "band", "asked")},
+        "criterion": written(parts["criterion"]),
         "recordings": [
             [[_structure(equation) for equation in stage] for stage in one.stages]
             for one in recordings
@@ -183,18 +174,15 @@ def _parts(document: Document, arrays: Arrays) -> dict[str, Any]:
     names = [_name(path) for path, _ in paths]
     if set(names) != set(arrays):
         raise DataError("its arrays are not those that it lists.")
-    outline = Outline(
-        tuple(
-            tuple((name, tuple(parameters)) for name, parameters in stage)
-            for stage in document["stages"]
-        ),
-        tuple((name, unit) for name, unit in document["units"]),
-        str(document["fingerprint"]),
+    stages = (
+        tuple((name, tuple(parameters)) for name, parameters in stage)
+        for stage in document["stages"]
     )
+    units = tuple((name, unit) for name, unit in document["units"])
     return {
         "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
         "criterion": criterion_of(document["criterion"]),
-        "outline": outline,
+        "outline": Outline(tuple(stages), units, str(document["fingerprint"])),
         "edges": edges,
         "in_law": _pair(document["in_law"]),
         "band": _pair(document["band"]),
