@@ -190,6 +190,10 @@ def gapped(missing: slice, damped: float = 1.0) -> Record:
     return Record.from_samples(held, time_step=0.01)
 
 
+def messages(found) -> dict[str, str]:
+    return {finding.code: finding.message for finding in found.findings()}
+
+
 def test_members_without_an_answer_say_so_and_are_left_out_of_the_table():
     records = [gapped(slice(200, 220)), gapped(slice(3, 497)), gapped(slice(200, 220), 0.0)]
 
@@ -199,10 +203,9 @@ def test_members_without_an_answer_say_so_and_are_left_out_of_the_table():
     found = jax.jit(jax.vmap(fit))(stack_records(records))
     np.testing.assert_array_equal(found.determined, [True, False, False])
     for place, words in ((1, "no rows"), (2, "cannot tell these apart: ")):
-        codes = dict(found.member(place).findings())
-        assert words in codes["unidentifiable"]
-    assert "unidentifiable" not in dict(found.member(0).findings())
-    assert dict(found.findings())["unidentifiable"].startswith("in 2 of 3 members, first in me")
+        assert words in messages(found.member(place))["unidentifiable"]
+    assert "unidentifiable" not in messages(found.member(0))
+    assert messages(found)["unidentifiable"].startswith("in 2 of 3 members, first in member 1")
     heading, _, line, *_ = str(found).splitlines()
     assert heading.endswith("2 of them undetermined and left out of this table")
     assert float(line.split()[1]) == pytest.approx(float(found.member(0)["m"]), rel=1e-5)
