@@ -32,7 +32,7 @@ from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.studies.monte_carlo import over_keys
-from riecjax.uncertainty.block_statistics import Evidence
+from riecjax.uncertainty.block_statistics import BlockStatistics
 from riecjax.uncertainty.covariances import (
     effective_freedom,
     jackknife_covariance,
@@ -147,17 +147,17 @@ def record_of(key: Key[Array, ""], kind: str, blocks: int, uneven: bool) -> Reco
 
 
 class Plain(AbstractIntervals):
-    """A way to judge uncertainty whatever the number of blocks: bootstrap, or HAC sandwich."""
+    """Uncertainty whatever the number of blocks: bootstrap, or HAC sandwich."""
 
     bootstrap: bool = eqx.field(static=True)
 
-    def uncertainty(self, evidence: Evidence) -> Uncertainty:
+    def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
         """With `few_blocks` nowhere."""
-        covariance, replicates = sandwich_covariance(evidence), None
+        covariance, replicates = sandwich_covariance(statistics), None
         if self.bootstrap:
-            covariance = jackknife_covariance(evidence)
-            replicates = BlockBootstrap().studentized(evidence)
-        freedom = effective_freedom(evidence)
+            covariance = jackknife_covariance(statistics)
+            replicates = BlockBootstrap().studentized(statistics)
+        freedom = effective_freedom(statistics)
         nowhere, once = jnp.zeros(freedom.shape, bool), jnp.ones(freedom.shape)
         return Uncertainty(covariance, replicates, freedom, nowhere, once, "plain")
 

@@ -60,7 +60,7 @@ from .simulation.method import FixedStep as FixedStep
 from .simulation.simulate import simulate as simulate
 from .summaries.summarise import summarise as summarise
 from .summaries.summary import Summary as Summary
-from .summaries.summary_files import load as load
+from .summaries.summary import load as load
 from .uncertainty.intervals import BlockBootstrap as BlockBootstrap
 from .uncertainty.intervals import Naive as Naive
 from .uncertainty.intervals import Sandwich as Sandwich

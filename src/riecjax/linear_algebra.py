@@ -1,9 +1,36 @@
-"""Small dense linear algebra: elimination in bulk, eigenvalues, triangular factors."""
+"""Small dense linear algebra: scaling, elimination in bulk, eigenvalues, triangular factors.
+
+Matrices here have as many rows as a model has parameters, and there may be thousands of them.
+"""
+
+# Rounding. All solves scale a symmetric matrix G to D G D with a diagonal of ones first. It makes
+# results independent of units, and among diagonal scalings it comes within a factor of p of the
+# least condition number of a p x p matrix (van der Sluis, 1969). With normal equations, G = A^T A:
+# singular values s of the scaled rows appear as s^2. G is rounded at eps, so that s below sqrt(eps)
+# cannot be told from zero, and theta carries a relative error of about eps cond(A)^2. Rows, or
+# their triangular factor R (A = Q R), carry eps cond(A). Normal equations are what adds up over
+# blocks, records and machines; so they are used wherever that error is small, and
+# `gram_condition_limit` says where.
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+
+
+def unit_scale(diagonal: Float[Array, " p"]) -> Float[Array, " p"]:
+    """Factors that bring a matrix with this diagonal to a diagonal of ones, on either side.
+
+    Parameters may differ by ten powers of ten. 1 where the diagonal is zero.
+    """
+    size = jnp.abs(diagonal)
+    return jnp.where(size > 0, 1 / jnp.sqrt(jnp.where(size > 0, size, 1.0)), 1.0)
+
+
+def unit_diagonal(matrix: Float[Array, "p p"]) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
+    """The matrix scaled to a diagonal of ones, and the factors, see [`unit_scale`][]."""
+    scale = unit_scale(jnp.diagonal(matrix))
+    return matrix * scale[:, None] * scale[None, :], scale
 
 
 def solve_scaled(
@@ -14,8 +41,7 @@ def solve_scaled(
     Rows and columns of a Gram matrix have the units of its parameters, whose sizes would else
     decide what is rounded away. A ridge keeps one that nothing depends on from a division by zero.
     """
-    scale = unit_scale(jnp.diagonal(matrix))
-    scaled = matrix * scale[:, None] * scale[None, :]
+    scaled, scale = unit_diagonal(matrix)
     if ridge:
         scaled = scaled + ridge * jnp.eye(scaled.shape[0], dtype=scaled.dtype)
     return scale[:, None] * eliminate(scaled, scale[:, None] * right)
@@ -32,8 +58,9 @@ def eliminate_with_pivots(
     """matrix^-1 right by Gauss and Jordan's elimination, and its pivots, which are not exchanged.
 
     For matrices whose leading blocks are positive definite, which need no exchange; scale them to a
-    diagonal of ones first (see [`solve_scaled`][]). A compiler turns it into vector instructions
-    over thousands of small matrices, where LAPACK is called once for each.
+    diagonal of ones first (see [`solve_scaled`][]). The pivots are then the shares of each column's
+    square that those before it do not explain. A compiler turns it into vector instructions over
+    thousands of small matrices, where LAPACK is called once for each.
     """
     size = matrix.shape[0]
 
@@ -51,8 +78,8 @@ def solve_few(matrix: Float[Array, "p p"], right: Float[Array, " p"]) -> Float[A
     """matrix^-1 right of any small matrix: up to 3 x 3 by Cramer's rule.
 
     A library call in every stage of every step of a simulation made the quarter car's three
-    equations eight times slower. Cramer's rule is not backward stable, which costs digits only where
-    the matrix is ill-conditioned; the coupling of a few masses is not.
+    equations eight times slower. Cramer's rule is not backward stable, which costs digits only
+    where the matrix is ill-conditioned; the coupling of a few masses is not.
     """
     count = right.shape[0]
     if count == 1:
@@ -78,15 +105,6 @@ def _determinant(a: list[Array], b: list[Array], c: list[Array]) -> Array:
     )
 
 
-def unit_scale(diagonal: Float[Array, " p"]) -> Float[Array, " p"]:
-    """Factors that bring a matrix with this diagonal to a diagonal of ones, on either side.
-
-    Parameters may differ by ten powers of ten. 1 where the diagonal is zero.
-    """
-    size = jnp.abs(diagonal)
-    return jnp.where(size > 0, 1 / jnp.sqrt(jnp.where(size > 0, size, 1.0)), 1.0)
-
-
 def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
     """Eigenvalues of a symmetric matrix, least first, and eigenvectors in columns.
 
@@ -107,19 +125,24 @@ _one_by_one = jax.custom_batching.sequential_vmap(_eigen)
 Factor = Float[np.ndarray, "columns columns"]
 
 
-def compressed(rows: Float[np.ndarray, "rows columns"], kept: Bool[np.ndarray, " rows"]) -> Factor:
-    """The triangular factor of `[1, rows]` for those that are kept (not under jit).
+def factor_of_rows(
+    rows: Float[np.ndarray, "rows columns"], valid: Bool[np.ndarray, " rows"]
+) -> Factor:
+    """The triangular factor of `[1, rows]` for those that are valid (not under jit).
 
-    Its first row holds the columns' means times the root of the rows' number.
+    Its first row holds the columns' means times the root of the rows' number: the first column of
+    Q is the unit vector along the constant, and R = Q^T [1, rows].
     """
-    there = np.asarray(rows, float)[np.asarray(kept)]
+    there = rows[valid].astype(float)
     return _factor(np.concatenate([np.ones((len(there), 1)), there], axis=1))
 
 
-def factor_of(gram: Float[Array | np.ndarray, "columns columns"]) -> Factor:
+def factor_of_gram(gram: Float[Array | np.ndarray, "columns columns"]) -> Factor:
     """A triangular factor of which this is the square, to half of its digits (not under jit).
 
-    NaN throughout where the square is not finite.
+    By eigenvalues: gram = V diag(s^2) V^T is the square of diag(s) V^T, whose QR is triangular.
+    Cholesky's factor would fail where rounding has left an eigenvalue below zero. NaN throughout
+    where the square is not finite.
     """
     if not np.isfinite(gram).all():
         return np.full(np.shape(gram), np.nan)
@@ -151,10 +174,18 @@ def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*bat
 
 
 def gram_condition_limit(dtype: jnp.dtype) -> float:
-    """Condition number past which the Gram matrix no longer serves and rows must be solved.
+    """Condition number of rows past which their Gram matrix no longer serves.
 
-    Normal equations square the condition number: a relative error of about eps cond^2 in theta.
-    The limit keeps that below 1e-5 in 64-bit (cond 2e5) and below 1e-2 in 32-bit (cond 290).
+    It keeps the error of eps cond^2 in theta below 1e-5 in 64-bit (cond 2e5) and below 1e-2 in
+    32-bit (cond 290).
     """
     eps = float(jnp.finfo(dtype).eps)
     return float((1e-5 / eps) ** 0.5) if eps < 1e-10 else float((1e-2 / eps) ** 0.5)
+
+
+def gram_suffices(gram: Float[np.ndarray, "p p"]) -> bool:
+    """Whether a Gram matrix is conditioned well enough to be solved (not under jit)."""
+    size = np.diagonal(gram)
+    scale = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
+    squares = np.linalg.eigvalsh(gram * np.outer(scale, scale))
+    return bool(squares[0] * gram_condition_limit(gram.dtype) ** 2 > squares[-1])

@@ -16,7 +16,7 @@ from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
-from riecjax.summaries import reduction as reading
+from riecjax.summaries import one_pass
 from riecjax.summaries.stage_sums import stage_normal_equations
 
 EQUATION = Equation(Term("m", "v", derivative=1), Term("k", lambda s: s["x"]), -Term(1.0, "u"))
@@ -98,6 +98,6 @@ def test_an_expression_that_mixes_samples_is_refused_where_it_would_see_only_a_c
     record = Record(arrays_of(5000), STEP)
     criterion = RIEC(AllWindows(0.1, 0.9))
     assert np.isfinite(identify(mixing, record, criterion)["k"])
-    monkeypatch.setattr(reading, "PART", 700)
+    monkeypatch.setattr(one_pass, "PART", 700)
     with pytest.raises(ModelError, match="mixes samples"):
         identify(mixing, record, criterion)

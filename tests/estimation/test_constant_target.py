@@ -15,7 +15,7 @@ from riecjax.equations.term import Term, Terms
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.identify import identify
-from riecjax.estimation.question import question
+from riecjax.estimation.parameters import plan_parameters
 from riecjax.records.record import Record
 from riecjax.summaries.summarise import summarise
 
@@ -70,7 +70,7 @@ def findings(model, records, criterion=HATS, **settings):
     procedure = as_procedure(model)
     sums = summarise(model, records, criterion).recordings
     given = {"known": None, "per_record": (), **settings}
-    asked = question(procedure, len(records), given["known"], given["per_record"])
+    asked = plan_parameters(procedure, len(records), given["known"], given["per_record"])
     return constant_targets(procedure, asked.sharing, sums, asked.given)
 
 

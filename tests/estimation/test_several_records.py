@@ -10,7 +10,7 @@ from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.identify import identify
-from riecjax.estimation.sharing import Sharing, values_of_record
+from riecjax.estimation.parameters import Sharing, values_of_record
 from riecjax.records.record import Record
 
 EQUATION = Equation(

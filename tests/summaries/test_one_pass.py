@@ -76,7 +76,7 @@ def test_nor_does_it_where_samples_are_missing(name):
 
 @pytest.mark.parametrize("quadrature", [2, 6])
 def test_parts_of_a_long_recording_count_each_window_once(quadrature, monkeypatch):
-    monkeypatch.setattr("riecjax.summaries.reduction.PART", 2**13)
+    monkeypatch.setattr("riecjax.summaries.one_pass.PART", 2**13)
     agree(record_of(20_001), RIEC(AllWindows(0.05, 0.5), Boxcar(quadrature)), rtol=1e-11)
 
 

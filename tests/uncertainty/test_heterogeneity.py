@@ -8,7 +8,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
-from riecjax.uncertainty.block_statistics import record_inflation
+from riecjax.uncertainty.covariances import record_inflation
 from riecjax.uncertainty.intervals import Sandwich
 
 EQUATION = Equation(Term("k", "x"), -Term(1.0, "f"))

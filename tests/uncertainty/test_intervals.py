@@ -13,7 +13,12 @@ from riecjax.linear_algebra import eliminate
 from riecjax.summaries.blocks import MOST_BLOCKS, ShortBlocks, blocks_in_use, merge_blocks
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.block_length import block_length, politis_white
-from riecjax.uncertainty.block_statistics import Evidence
+from riecjax.uncertainty.block_statistics import (
+    BlockStatistics,
+    block_influence,
+    staged_values,
+    unknowns_of,
+)
 from riecjax.uncertainty.bootstrap import drawn_counts, studentized_replicates, uniform_draws
 from riecjax.uncertainty.covariances import (
     effective_freedom,
@@ -22,7 +27,6 @@ from riecjax.uncertainty.covariances import (
     sandwich_covariance,
 )
 from riecjax.uncertainty.intervals import BlockBootstrap
-from riecjax.uncertainty.scores import block_influence, in_order, staged_values, unknowns
 
 # Regressors and errors are first-order autoregressions, as overlapping windows make them: least
 # squares' own standard errors are far too small for such data.
@@ -51,24 +55,24 @@ def short_blocks(columns, names) -> NormalEquations:
     return NormalEquations(made.moments[None], made.count[None], names)
 
 
-def evidence_of(fine, blocks=BLOCKS, short=SETTING) -> Evidence:
+def statistics_of(fine, blocks=BLOCKS, short=SETTING) -> BlockStatistics:
     flat = [stage.flattened() for stage in fine]
-    plan = unknowns(flat, {})
+    unknowns = unknowns_of(flat, {})
     totals = [stage.total() for stage in flat]
-    values = staged_values(totals, plan, {}, lambda e: solve(e).theta)
+    values = staged_values(totals, unknowns, {}, lambda e: solve(e).theta)
     used = jnp.array([blocks])
     merged = [merge_blocks(stage, short, used) for stage in fine]
-    return Evidence(
-        merged,
-        plan,
+    return BlockStatistics(
+        unknowns,
         {},
         values,
-        used,
-        block_influence(merged, {}, values),
-        block_influence(flat, {}, values)[None],
-        short,
         jnp.asarray(SECONDS * SHORT / blocks),
+        used,
+        merged,
+        block_influence(merged, {}, values),
+        short,
         fine,
+        block_influence(flat, {}, values)[None],
     )
 
 
@@ -102,12 +106,12 @@ COVARIANCES = {"jackknife": jackknife_covariance, "sandwich": sandwich_covarianc
 
 @pytest.mark.parametrize("experiment", [one_stage, two_stages])
 def test_covariances_agree_with_monte_carlo_and_the_naive_one_does_not(experiment):
-    def judged(key):
-        evidence = evidence_of(experiment(key))
-        found = {name: covariance(evidence) for name, covariance in COVARIANCES.items()}
-        return in_order(evidence.plan, evidence.values), found, naive_covariance(evidence)
+    def intervals_of(key):
+        statistics = statistics_of(experiment(key))
+        found = {name: covariance(statistics) for name, covariance in COVARIANCES.items()}
+        return statistics.estimate, found, naive_covariance(statistics)
 
-    theta, found, naive = jax.jit(jax.vmap(judged))(jax.random.split(jax.random.key(0), 1000))
+    theta, found, naive = jax.jit(jax.vmap(intervals_of))(jax.random.split(jax.random.key(0), 1000))
     actual = np.cov(np.asarray(theta).T)
     for covariance in found.values():
         predicted = np.asarray(covariance).mean(0)
@@ -133,12 +137,12 @@ def test_bootstrap_intervals_cover_and_lean_to_the_side_of_a_skewed_estimate():
         rare = jnp.maximum(autoregression(keys[1], 0.5) - 2.0, 0.0)
         return [short_blocks(jnp.stack([x * (3.0 + 10 * rare), x]), ("k",))]
 
-    def judged(key):
-        evidence = evidence_of(experiment(key), blocks=20)
-        uncertainty = BlockBootstrap(replicates=400).uncertainty(evidence)
-        return evidence.values["k"], uncertainty
+    def intervals_of(key):
+        statistics = statistics_of(experiment(key), blocks=20)
+        uncertainty = BlockBootstrap(replicates=400).uncertainty(statistics)
+        return statistics.values["k"], uncertainty
 
-    k, uncertainty = jax.jit(jax.vmap(judged))(jax.random.split(jax.random.key(1), 300))
+    k, uncertainty = jax.jit(jax.vmap(intervals_of))(jax.random.split(jax.random.key(1), 300))
     error = np.sqrt(uncertainty.covariance[:, 0, 0])
     off = np.asarray(k) - float(jnp.mean(k))
     below, above = (side[:, 0] for side in uncertainty.reach(0.95))
@@ -156,15 +160,15 @@ def test_the_jackknife_is_the_refit_without_each_block():
     rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
     made = NormalEquations.of_rows(rows, block_of_row=jnp.arange(60) // 6, block_count=10)
     fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
-    evidence = evidence_of(fine, 10, ShortBlocks(np.array([10]), jnp.array([1.0])))
+    statistics = statistics_of(fine, 10, ShortBlocks(np.array([10]), jnp.array([1.0])))
     theta = np.linalg.lstsq(a, y)[0]
     block = np.arange(60) // 6
     left = np.stack([np.linalg.lstsq(a[block != i], y[block != i])[0] for i in range(10)])
     expected = 0.9 * (left - theta).T @ (left - theta)
-    np.testing.assert_allclose(jackknife_covariance(evidence), expected, rtol=1e-9)
+    np.testing.assert_allclose(jackknife_covariance(statistics), expected, rtol=1e-9)
     residual = y - a @ theta
     naive = residual @ residual / 58 * np.linalg.inv(a.T @ a)
-    np.testing.assert_allclose(naive_covariance(evidence), naive, rtol=1e-9)
+    np.testing.assert_allclose(naive_covariance(statistics), naive, rtol=1e-9)
 
 
 def test_the_sandwich_weighs_lags_as_newey_and_west_do():
@@ -173,7 +177,9 @@ def test_the_sandwich_weighs_lags_as_newey_and_west_do():
     rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
     made = NormalEquations.of_rows(rows, block_of_row=jnp.arange(60), block_count=60)
     fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
-    evidence = evidence_of(fine, 12, ShortBlocks(np.array([60]), jnp.array([SECONDS * SHORT / 60])))
+    statistics = statistics_of(
+        fine, 12, ShortBlocks(np.array([60]), jnp.array([SECONDS * SHORT / 60]))
+    )
     scores = a * (y - a @ np.linalg.lstsq(a, y)[0])[:, None]
     meat = scores.T @ scores
     for k in range(1, 5):
@@ -181,22 +187,20 @@ def test_the_sandwich_weighs_lags_as_newey_and_west_do():
         meat += (1 - k / 5) * (product + product.T)
     bread = np.linalg.inv(a.T @ a)
     expected = 12 / 11 * bread @ meat @ bread
-    np.testing.assert_allclose(sandwich_covariance(evidence), expected, rtol=1e-9)
+    np.testing.assert_allclose(sandwich_covariance(statistics), expected, rtol=1e-9)
 
 
 def test_replicates_are_refits_of_drawn_blocks_divided_by_their_sandwich():
     fine = two_stages(jax.random.key(5))
-    evidence = evidence_of(fine, 20)
+    statistics = statistics_of(fine, 20)
     draws = jnp.asarray(uniform_draws(7, 3, 1))
-    found = studentized_replicates(
-        evidence.stages, evidence.plan, {}, evidence.values, evidence.used, draws=draws
-    )
-    middle = np.asarray(in_order(evidence.plan, evidence.values))
+    found = studentized_replicates(statistics, draws)
+    middle = np.asarray(statistics.estimate)
     for one, t in zip(draws, found):
-        drawn = np.asarray(drawn_counts(one, evidence.used)).astype(float)[0]
+        drawn = np.asarray(drawn_counts(one, statistics.used)).astype(float)[0]
         assert drawn.sum() == 20
         assert not drawn[20:].any()
-        first, second = (np.asarray(stage.moments) for stage in evidence.stages)
+        first, second = (np.asarray(stage.moments) for stage in statistics.blocks)
         totals = [np.einsum("b,bij->ij", drawn, m) for m in (first, second)]
         a = totals[0][1, 0] / totals[0][1, 1]
         b = (totals[1][2, 0] - totals[1][2, 1] * a) / totals[1][2, 2]
@@ -285,12 +289,12 @@ def test_too_few_replicates_are_refused():
 
 def test_a_variance_that_hangs_on_few_blocks_has_few_degrees_of_freedom():
     fine = one_stage(jax.random.key(2))
-    evidence = evidence_of(fine, 20)
+    statistics = statistics_of(fine, 20)
 
     def freedom(influence):
         padded = np.zeros((MOST_BLOCKS, influence.shape[1]))
         padded[:20] = influence
-        return effective_freedom(evidence._replace(influence=jnp.array(padded)))
+        return effective_freedom(statistics._replace(influence=jnp.array(padded)))
 
     rng = np.random.default_rng(0)
     many = np.mean([freedom(rng.normal(size=(20, 2))) for _ in range(200)])

@@ -134,7 +134,7 @@ def command(
     from riecjax.estimation.check import check, raise_if_refused
     from riecjax.estimation.excitation import excitations
     from riecjax.estimation.identify import estimate as estimated
-    from riecjax.estimation.question import question
+    from riecjax.estimation.parameters import plan_parameters
     from riecjax.leaves import on_host
     from riecjax.models.catalogue import find_model
     from riecjax.reporting.estimate import estimate_entries, print_estimate
@@ -154,7 +154,7 @@ def command(
     key = jax.random.key(seed)
     settings = {"known": known, "per_record": own}
     # What is refused without arithmetic is refused before a sample is read.
-    unknown = question(procedure, len(records), **settings)
+    unknown = plan_parameters(procedure, len(records), **settings)
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
     judge = kinds[intervals]
     # Read once: all that follows is made from these sums.
@@ -335,7 +335,7 @@ def validation_runs(
 
     **Returns:** those that could be made, and why the others could not.
     """
-    from riecjax.estimation.sharing import values_of_record
+    from riecjax.estimation.parameters import values_of_record
     from riecjax.reporting.identification import ValidationRun
     from riecjax.validation.held_out import validate_held_out
 

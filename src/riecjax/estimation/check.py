@@ -14,7 +14,7 @@ from riecjax.equations.term import Terms
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.excitation import Excitation, excitations
-from riecjax.estimation.question import question
+from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.quality import check_signals
@@ -30,6 +30,8 @@ FEWEST_STRETCHES = 10
 """Stretches of twice the longest window that the records should hold."""
 QUADRATURE_ERROR = 0.01
 """Share of a regressor that the integrals' error may reach."""
+KNOWN_TERMS = "the known terms"
+"""What stands for them beside the names of parameters."""
 FATAL = ("constant_target", "not_excited", "unidentifiable")
 """Codes of findings that leave no answer, rather than a doubtful one."""
 
@@ -91,16 +93,16 @@ def check(
     """
     asked = task(model, records, criterion, key)
     procedure, recordings, criterion, _ = asked
-    unknown = question(procedure, len(recordings), known, per_record)
+    plan = plan_parameters(procedure, len(recordings), known, per_record)
     read = [signals_read(procedure, record, criterion) for record in recordings]
     summary = summed(asked, survey=True) if summary is None else summary
-    excited = excitations(summary, unknown) if excited is None else excited
+    excited = excitations(summary, plan) if excited is None else excited
     findings = [
         *_sensors(procedure, recordings, read),
         *_windows(recordings, criterion),
         *_quadrature(summary),
         *_break_points(procedure, summary),
-        *constant_targets(procedure, unknown.sharing, summary.recordings, unknown.given),
+        *constant_targets(procedure, plan.sharing, summary.recordings, plan.given),
         *(finding for stage in excited for finding in stage.findings()),
     ]
     return Check(findings, excited, tuple(dict.fromkeys(n for names in read for n in names)))
@@ -129,7 +131,7 @@ def _sensors(
 def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
     """Roof functions past the reach of the data, whose values would be extrapolated."""
     reach: dict[str, list[Float[np.ndarray, "2"]]] = {}
-    for survey in _surveys(summary):
+    for survey, _ in _surveys(summary):
         for prefix, ends in survey.reach.items():
             reach.setdefault(prefix, []).append(np.asarray(ends))
     equations = [equation for stage in procedure.stages for equation in stage]
@@ -153,6 +155,7 @@ def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
                 f"{term.prefix}: the data reach from {least:.3g} to {most:.3g}, "
                 f"far from the break point at {listed}, whose value is extrapolated. Move it into "
                 f"the reach of the data.",
+                parameters=tuple(term.parameters),
             )
 
 
@@ -189,8 +192,8 @@ def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Findin
 def _quadrature(summary: Summary) -> list[Finding]:
     """Compare the integrals with those of the highest order: how far the sampling carries."""
     sums: dict[str, Float[np.ndarray, "2"]] = {}
-    for survey, names in zip(_surveys(summary), _names(summary)):
-        for name, both in zip(("the known terms", *names), survey.quadrature.T):
+    for survey, names in _surveys(summary):
+        for name, both in zip((KNOWN_TERMS, *names), survey.quadrature.T):
             sums[name] = sums.get(name, 0.0) + np.asarray(both)
     # Terms that are not finite are for the fit to refuse.
     shares = {
@@ -207,21 +210,14 @@ def _quadrature(summary: Summary) -> list[Finding]:
             f"{100 * shares[worst]:.2g} % off (at {worst}). Use quadrature of higher order (on the "
             f"command line: --quadrature 6), up-sample the record (--upsample 8), or sample "
             f"faster.",
+            parameters=() if worst == KNOWN_TERMS else (worst,),
         )
     ]
 
 
-def _surveys(summary: Summary) -> Iterator[Survey]:
-    """Of each equation on each recording."""
+def _surveys(summary: Summary) -> Iterator[tuple[Survey, tuple[str, ...]]]:
+    """Of each equation on each recording, with its parameters."""
     for one in summary.recordings:
-        for stage in one.stages:
-            for equation in stage:
-                assert equation.survey is not None
-                yield equation.survey
-
-
-def _names(summary: Summary) -> Iterator[tuple[str, ...]]:
-    for one in summary.recordings:
-        for stage in one.stages:
-            for equation in stage:
-                yield equation.parameters
+        for equation in (e for stage in one.stages for e in stage):
+            assert equation.survey is not None
+            yield equation.survey, equation.parameters

@@ -1,33 +1,33 @@
-"""A target that does not vary: one term reproduces it, and nothing of the machine is known.
+"""A target that does not vary: one term reproduces it, and nothing of the machine is known."""
 
-With a force that never varies, an unknown offset alone explains all of it: the offset takes the
-force's value, every other parameter zero, and the residual vanishes, while the regressors are not
-collinear at all. A position that hardly moves about a large mean does the same: k takes the ratio
-of two constants, wherever its sensor has its zero, and free motion ties all others to k.
-
-Let b be the target, a_j the regressors, and b', a_j' their deviations from the mean (of each record
-where a parameter differs between records). An equation says nothing of its parameters if
-
-1. |b'| is a small share of |b|: the target is constant, and
-2. a' explains little of b': what varies of it is noise or drift, and
-3. one term's columns, or all those that do not move, reproduce b, while other parameters
-   appear in no other equation of the stage.
-
-Where motion explains how a target varies (a step that begins late, a force that varies by 5 %),
-the second fails. The means weigh far more in the fit than that motion, so it is sound only if they
-agree: if least squares on b leave hardly more of b' than least squares on b' alone do.
-
-A target that is zero throughout is fitted by zero for all, unless another equation of the stage has
-a target and shares a parameter with it. What the criterion reads of an equation is averaged by hats
-as long as its windows; for [`DOLS`][] each sample counts.
-
-All of this asks for lengths of the columns b, a_j and angles between them, of which least squares
-are made. Where [1, b, a] = Q R, the columns of R have the same, since Q keeps both. The constant is
-the first column of R, (sqrt(n), 0, ...) of n rows, so that R's first row holds the means times
-sqrt(n), and the rows below it stand for the deviations b', a'. With the factors of several records
-on top of each other, the constant over all of them holds each one's sqrt(n_i); deviations are what
-is left when columns are projected off it, or off each record's part of it where means are its own.
-"""
+# With a force that never varies, an unknown offset alone explains all of it: the offset takes the
+# force's value, every other parameter zero, and the residual vanishes, while the regressors are not
+# collinear at all. A position that hardly moves about a large mean does the same: k takes the ratio
+# of two constants, wherever its sensor has its zero, and free motion ties all others to k.
+#
+# Let b be the target, a_j the regressors, and b', a_j' their deviations from the mean (of each
+# record where a parameter differs between records). An equation says nothing of its parameters if
+#
+# 1. |b'| is a small share of |b|: the target is constant, and
+# 2. a' explains little of b': what varies of it is noise or drift, and
+# 3. one term's columns, or all those that do not move, reproduce b, while other parameters appear
+#    in no other equation of the stage.
+#
+# Where motion explains how a target varies (a step that begins late, a force that varies by 5 %),
+# the second fails. The means weigh far more in the fit than that motion, so it is sound only if
+# they agree: if least squares on b leave hardly more of b' than least squares on b' alone do.
+#
+# A target that is zero throughout is fitted by zero for all, unless another equation of the stage
+# has a target and shares a parameter with it. What the criterion reads of an equation is averaged
+# by hats as long as its windows; for `DOLS` each sample counts.
+#
+# All of this asks for lengths of the columns b, a_j and angles between them, of which least squares
+# are made. Where [1, b, a] = Q R, the columns of R have the same, since Q keeps both. The constant
+# is the first column of R, (sqrt(n), 0, ...) of n rows, so that R's first row holds the means times
+# sqrt(n), and the rows below it stand for the deviations b', a'. With the factors of several
+# records on top of each other, the constant over all of them holds each one's sqrt(n_i); deviations
+# are what is left when columns are projected off it, or off each record's part of it where means
+# are its own.
 
 from collections.abc import Mapping, Sequence
 
@@ -36,7 +36,7 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.parameters import Sharing
 from riecjax.findings import Finding
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
@@ -75,14 +75,15 @@ def constant_targets(
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
-            message = _zero(one, others) or _message(one, elsewhere)
+            message = _fitted_by_zero(one, others) or _fitted_by_one(one, elsewhere)
             if message:
-                findings.append(Finding("constant_target", f"{one.equation.name}: {message}"))
+                message = f"{one.equation.name}: {message}"
+                findings.append(Finding("constant_target", message, parameters=tuple(one.columns)))
         settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
     return findings
 
 
-def _zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
+def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
     """In words, that zero for all fits; empty if it does not."""
     if np.any(seen.target):
         return ""
@@ -103,7 +104,7 @@ def _zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
     )
 
 
-def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
+def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
     """In words, that one term alone explains the target; empty if it does not."""
     target = seen.target
     size = _norm(target)
@@ -127,7 +128,7 @@ def _message(seen: "_Averaged", elsewhere: set[str]) -> str:
         return ""
     for names in seen.candidates():
         hidden = [name for name in columns if name not in names and name not in elsewhere]
-        left = _norm(_residual(target, [columns[name] for name in names]))
+        left = _left(target, [columns[name] for name in names])
         if hidden and left <= np.hypot(varying, STILL * size):
             # Others at rest to the last digit are collinear with these, and are named as that.
             if any(_norm(columns[n]) > 0 and seen.share(columns[n]) <= ROUNDING for n in hidden):
@@ -177,15 +178,11 @@ class _Averaged:
         averages = [recording.averages for recording in recordings if recording.averages]
         self.independent = sum(float(one.independent) for one in averages)
         individual = bool(sharing.own.intersection(equation.parameters))
-        bases = [recording.parameters for recording in recordings]
-        names = [sharing.of_record(bare, i) for i, bare in enumerate(bases)]
-
-        def columns(factors: list[np.ndarray]) -> tuple[Rows, dict[str, Rows]]:
-            return _columns(factors, names, self.names, given)
-
+        names = [sharing.of_record(one.parameters, i) for i, one in enumerate(recordings)]
         rows = [np.asarray(one.rows) for one in averages]
-        self.target, self.columns = columns(rows)
-        self.noise = columns([np.asarray(one.noise) for one in averages])
+        noise = [np.asarray(one.noise) for one in averages]
+        self.target, self.columns = _columns(rows, names, self.names, given)
+        self.noise = _columns(noise, names, self.names, given)
         self.constants = _constants(rows, individual)
 
     def moving(self, rows: Rows) -> Rows:
@@ -202,7 +199,7 @@ class _Averaged:
         moving = [(self.moving(column), _norm(column)) for column in self.columns.values()]
         there = [m for m, size in moving if _norm(m) > ROUNDING * size]
         varying = self.moving(self.target)
-        left = _norm(_residual(varying, there)) / _norm(varying)
+        left = _left(varying, there) / _norm(varying)
         free = self.independent - 1
         return left * np.sqrt(free / (free - len(there))) if free > len(there) else 1.0
 
@@ -275,11 +272,11 @@ def _fit(target: Rows, columns: list[Rows]) -> Float[np.ndarray, " columns"]:
     return np.linalg.lstsq(matrix, target, rcond=ROUNDING)[0] / sizes
 
 
-def _residual(target: Rows, columns: list[Rows]) -> Rows:
-    """What least squares leave of a target."""
+def _left(target: Rows, columns: list[Rows]) -> float:
+    """Length of what least squares leave of a target."""
     if not columns:
-        return target
-    return target - np.stack(columns, axis=1) @ _fit(target, columns)
+        return _norm(target)
+    return _norm(target - np.stack(columns, axis=1) @ _fit(target, columns))
 
 
 def _norm(rows: Rows) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
+from riecjax.estimation.estimated_parameters import AbstractEstimate, span
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
@@ -55,7 +55,7 @@ class Estimate(AbstractEstimate):
     - `known`: parameters that were not estimated, with their values.
     - `criterion`: what was made small.
     - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
-      length in seconds (rule: `block_length` in `estimation.blocks`).
+      length in seconds (rule: `block_length` in `uncertainty.block_length`).
     - `stage_names`, `equation_names`: of each stage, and of each equation in it.
     - `rows_offered`: for each stage, how many rows there would be without gaps and masks; NaN
       where that is not known.
@@ -92,7 +92,9 @@ class Estimate(AbstractEstimate):
     def effective_windows(self) -> Float[Array, "*batch p"]:
         """How many independent windows would tell each parameter as well as all of them do.
 
-        The number of rows, times the ratio of naive to actual variance.
+        Least squares' own variance holds if all n rows are independent, and goes with 1 / n: of m
+        independent ones it would be n / m times as large. Setting that equal to the actual variance
+        gives m = n naive^2 / error^2.
         """
         xp = namespace(self.naive)
         counts = [stage.count[..., None] for stage in self.stages for _ in stage.parameters]
@@ -130,7 +132,7 @@ class Estimate(AbstractEstimate):
             *self.negative_values(),
             *self._residuals(),
             *self._shrinking(),
-            *self._disagreement(),
+            *self.disagreement(),
             *self._coverage(),
             *self._few_windows(),
             *self._snapped(),
@@ -157,6 +159,7 @@ class Estimate(AbstractEstimate):
                 "unidentifiable",
                 f"{label}: {which}. There is no answer: what stands for "
                 f"{', '.join(stage.parameters)} means nothing.",
+                parameters=stage.parameters,
             )
 
     def _conditioning(self) -> Iterator[Finding]:
@@ -179,6 +182,7 @@ class Estimate(AbstractEstimate):
                     "interval_wider_than_estimate",
                     f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
                     f"hardly determine it.",
+                    parameters=(name,),
                 )
 
     def _residuals(self) -> Iterator[Finding]:
@@ -188,6 +192,7 @@ class Estimate(AbstractEstimate):
                     "large_residual",
                     f"{name}: the model leaves {100 * share:.0f} % of the signal unexplained, so "
                     f"it is wrong in some important way.",
+                    parameters=equation.parameters,
                 )
 
     def _shrinking(self) -> Iterator[Finding]:
@@ -204,16 +209,7 @@ class Estimate(AbstractEstimate):
                     f"Solve it after the equations that set their scale (riecjax.staged); where "
                     f"those do not determine them, hold one at a known value (on the command "
                     f"line: --set NAME=VALUE).",
-                )
-
-    def _disagreement(self) -> Iterator[Finding]:
-        for name, factor in zip(self.parameters, self.inflation):
-            if float(factor) > NOTABLE_INFLATION:
-                yield Finding(
-                    "records_disagree",
-                    f"the recordings do not agree on {name}: they scatter more than the time "
-                    f"within each of them explains, so its interval is {float(factor):.2g} times "
-                    f"as wide. The model leaves out something that differs between them.",
+                    parameters=equation.parameters,
                 )
 
     def _coverage(self) -> Iterator[Finding]:
@@ -236,18 +232,16 @@ class Estimate(AbstractEstimate):
     def _few_windows(self) -> Iterator[Finding]:
         # What moments leave of data that fit to their rounding says nothing of errors.
         rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
-        told = [s.relative_rms > rounding for s in self.stages for _ in s.parameters]
-        few = [
-            f"{name} ({float(number):.2g})"
-            for name, number, some in zip(self.parameters, self.effective_windows, told)
-            if some and float(number) < FEWEST_WINDOWS
-        ]
-        if few:
+        told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
+        few = np.asarray(self.effective_windows) < FEWEST_WINDOWS
+        names, listed = self._where(few & told, self.effective_windows)
+        if names:
             yield Finding(
                 "few_effective_windows",
                 f"windows overlap and their errors hang together: what they tell of "
-                f"{', '.join(few)} is worth so many independent ones, and fewer than "
+                f"{listed} is worth so many independent ones, and fewer than "
                 f"{FEWEST_WINDOWS} make a rough interval. Record for longer.",
+                parameters=names,
             )
 
     def _snapped(self) -> Iterator[Finding]:
@@ -263,10 +257,13 @@ class Estimate(AbstractEstimate):
 
     def _precision(self) -> Iterator[Finding]:
         if self.theta.dtype == jnp.float32:
+            # The normal equations' rounding moves theta by a share of eps cond^2.
+            eps = float(jnp.finfo(self.theta.dtype).eps)
+            rounding = eps * max(float(self.condition_number), 10.0) ** 2
             yield Finding(
                 "single_precision",
                 f"computed in 32-bit: rounding in the solve alone moves the parameters by a "
-                f"share of about {self._rounding():.0e}, and signals with an offset by more. "
+                f"share of about {rounding:.0e}, and signals with an offset by more. "
                 f"Enable 64-bit by jax.config.update('jax_enable_x64', True).",
             )
 
@@ -274,11 +271,6 @@ class Estimate(AbstractEstimate):
         """The combination of parameters that the data tells least about, in words."""
         worst = max(self.single().stages, key=lambda stage: float(stage.solution.condition_number))
         return combination(worst.parameters, np.asarray(worst.solution.weakest_direction))
-
-    def _rounding(self) -> float:
-        """Relative error that the normal equations' rounding may cause: eps cond^2."""
-        eps = float(jnp.finfo(self.theta.dtype).eps)
-        return eps * max(float(self.condition_number), 10.0) ** 2
 
     def __str__(self) -> str:
         lines = [*self.parameter_lines()]

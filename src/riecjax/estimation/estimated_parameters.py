@@ -6,7 +6,7 @@ from typing import Any, Self
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError
@@ -42,11 +42,17 @@ class AbstractEstimate(eqx.Module):
     - `known`: parameters that were not estimated, with their values.
     - `parameters`: names of those that were estimated.
     - `units`: pairs of name and unit, of known parameters too.
+    - `inflation`: factor on each standard error because recordings disagree, 1 where they agree.
+    - `block_count`, `block_length`: independent blocks of time behind the covariance, and the
+      seconds that each lasts.
     """
 
     theta: eqx.AbstractVar[Float[Array, "*batch p"]]
     uncertainty: eqx.AbstractVar[Uncertainty]
     known: eqx.AbstractVar[dict[str, Array]]
+    inflation: eqx.AbstractVar[Float[Array, "*batch p"]]
+    block_count: eqx.AbstractVar[Int[Array, "*batch"]]
+    block_length: eqx.AbstractVar[Float[Array, "*batch"]]
     parameters: eqx.AbstractVar[tuple[str, ...]]
     units: eqx.AbstractVar[tuple[tuple[str, str], ...]]
 
@@ -183,32 +189,34 @@ class AbstractEstimate(eqx.Module):
                     "negative_value",
                     f"{name} is below zero, from {low:.4g} to {high:.4g} {unit}: {what}. Check the "
                     f"signs of the signals against the equation's, and the direction of time.",
+                    parameters=(name,),
                 )
 
     def few_blocks(self) -> Iterator[Finding]:
         """Parameters whose intervals fell back to a small-sample sandwich (not under jit)."""
-        few, freedom = self.uncertainty.few_blocks, self.uncertainty.degrees_of_freedom
-        listed = [f"{n} ({f:.2g})" for n, f, of in zip(self.parameters, freedom, few) if of]
-        if not listed:
-            return
-        yield Finding(
-            "few_blocks",
-            f"few independent stretches of the record tell of {', '.join(listed)} (degrees of "
-            f"freedom of the variance): these intervals come from a small-sample sandwich with "
-            f"Student's t and are the wider the fewer there are. Record for longer, or excite "
-            f"them all along.",
-        )
+        freedom = self.uncertainty.degrees_of_freedom
+        names, listed = self._where(self.uncertainty.few_blocks, freedom)
+        if names:
+            yield Finding(
+                "few_blocks",
+                f"few independent stretches of the record tell of {listed} (degrees of "
+                f"freedom of the variance): these intervals come from a small-sample sandwich with "
+                f"Student's t and are the wider the fewer there are. Record for longer, or excite "
+                f"them all along.",
+                parameters=names,
+            )
 
     def leaning(self) -> Iterator[Finding]:
         """Intervals that reach much farther than errors alike all along call for."""
         times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
-        far = [f"{n} ({t:.2g})" for n, t in zip(self.parameters, times) if t > NOTABLE_LEAN]
-        if far:
+        names, listed = self._where(times > NOTABLE_LEAN, times)
+        if names:
             yield Finding(
                 "uneven_errors",
                 f"a few stretches of the record err so much more than the rest that the intervals "
-                f"of {', '.join(far)} reach so many times as far as they otherwise would. Look at "
+                f"of {listed} reach so many times as far as they otherwise would. Look at "
                 f"those stretches, or record for longer.",
+                parameters=names,
             )
 
     def rarely_excited(self) -> Iterator[Finding]:
@@ -218,14 +226,38 @@ class AbstractEstimate(eqx.Module):
             return
         lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
         lost = np.where(self.uncertainty.few_blocks, 0.0, lost)
-        rare = [f"{n} ({100 * s:.2g} %)" for n, s in zip(self.parameters, lost) if s > LOST_SHARE]
-        if rare:
+        names, listed = self._where(lost > LOST_SHARE, 100 * lost, " %")
+        if names:
             yield Finding(
                 "rarely_excited",
-                f"so few stretches of the record tell of {', '.join(rare)} that so large a share "
+                f"so few stretches of the record tell of {listed} that so large a share "
                 f"of the bootstrap's replicates held none of them: their intervals are rough. "
                 f"Record for longer, or excite them more often.",
+                parameters=names,
             )
+
+    def disagreement(self) -> Iterator[Finding]:
+        """Parameters on which recordings disagree by more than chance (not under jit)."""
+        for name, factor in zip(self.parameters, self.inflation):
+            if float(factor) > NOTABLE_INFLATION:
+                yield Finding(
+                    "records_disagree",
+                    f"the recordings do not agree on {name}: they scatter more than the time "
+                    f"within each of them explains, so its interval is {float(factor):.2g} times "
+                    f"as wide. The model leaves out something that differs between them.",
+                    parameters=(name,),
+                )
+
+    def _where(
+        self, which: ArrayLike, numbers: ArrayLike, unit: str = ""
+    ) -> tuple[tuple[str, ...], str]:
+        """Names of some parameters, and a list of them with a number beside each."""
+        some = [
+            (n, x)
+            for n, x, of in zip(self.parameters, np.asarray(numbers), np.asarray(which))
+            if of
+        ]
+        return tuple(n for n, _ in some), ", ".join(f"{n} ({x:.2g}{unit})" for n, x in some)
 
     def parameter_lines(self) -> Iterator[str]:
         """A table with value, interval and unit of each parameter (not under jit)."""
@@ -250,20 +282,20 @@ class AbstractEstimate(eqx.Module):
         width = max(9, *(len(name) for name in self))
         units = dict(self.units)
         finite = np.isfinite(self.theta).all(axis=-1)
-        kept = finite & np.asarray(self.determined)
-        lost = {"not finite": np.sum(~finite), "undetermined": np.sum(finite & ~kept)}
+        valid = finite & np.asarray(self.determined)
+        lost = {"not finite": np.sum(~finite), "undetermined": np.sum(finite & ~valid)}
         words = ", ".join(f"{count} of them {what}" for what, count in lost.items() if count)
-        left_out = f", {words} and left out of this table" if words and kept.any() else ""
-        kept = kept if kept.any() else np.full(finite.shape, True)
+        left_out = f", {words} and left out of this table" if words and valid.any() else ""
+        valid = valid if valid.any() else np.full(finite.shape, True)
         yield f"batch of {' x '.join(map(str, self.batch_shape))} estimates{left_out}"
         yield (
             f"{'parameter':<{width}}  {'mean':>12}  {'std over batch':>14}  "
             f"{'mean std error':>14}  min .. max"
         )
         for name in self:
-            values, error = self[name][kept], "known"
+            values, error = self[name][valid], "known"
             if name not in self.known:
-                error = f"{np.mean(self.standard_error(name)[kept]):.3g}"
+                error = f"{np.mean(self.standard_error(name)[valid]):.3g}"
             scatter = np.std(values - values[0], ddof=min(1, values.size - 1))
             line = (
                 f"{name:<{width}}  {np.mean(values):>12.6g}  {scatter:>14.3g}  {error:>14}  "

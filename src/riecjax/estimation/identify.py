@@ -1,4 +1,4 @@
-"""The verbs of this library: estimate a model's parameters, from records or from their sums."""
+"""Estimate a model's parameters, from records (`identify`) or from their sums (`estimate`)."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -16,12 +16,17 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, IdentifiabilityError, require
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
-from riecjax.estimation.question import Question, question
-from riecjax.estimation.sharing import Sharing, stages_over_records
-from riecjax.estimation.stages import StageSolution, found_values, sizes_in_bursts, solve_stages
+from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
+from riecjax.estimation.stages import (
+    StageSolution,
+    found_values,
+    sizes_in_bursts,
+    solve_stages,
+    stages_over_records,
+)
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, is_concrete, on_host
-from riecjax.linear_algebra import factor_of, gram_condition_limit
+from riecjax.leaves import is_concrete, on_host
+from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.record import Record
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
@@ -34,7 +39,7 @@ from riecjax.uncertainty.intervals import (
     BlockBootstrap,
     Naive,
     Uncertainty,
-    judge,
+    estimate_uncertainty,
 )
 
 DOUBTFUL = 5.0
@@ -68,7 +73,7 @@ def identify(
     - `known`: parameters held at these values instead of being estimated.
     - `per_record`: parameters with a value of their own in each record, such as a sensor's offset;
       in the result `offset` becomes `offset[1]`, `offset[2]`, ...
-    - `intervals`: how uncertainty is judged, [`BlockBootstrap`][] by default; [`Sandwich`][] is
+    - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default; [`Sandwich`][] is
       cheaper where thousands of fits are vmapped.
 
     **Returns:** an [`Estimate`][].
@@ -79,9 +84,9 @@ def identify(
     combination that cannot be told apart.
     """
     asked = task(model, records, criterion, key)
-    unknown = question(asked.procedure, len(asked.records), known, per_record)
+    plan = plan_parameters(asked.procedure, len(asked.records), known, per_record)
     _require_intervals(intervals)
-    return _estimated(asked.procedure, summed(asked), unknown, intervals)
+    return _estimated(asked.procedure, summed(asked), plan, intervals)
 
 
 def estimate(
@@ -104,7 +109,7 @@ def estimate(
     - `known`: parameters held at these values instead of being estimated.
     - `per_record`: parameters with a value of their own in each recording, such as a sensor's
       offset; `offset` becomes `offset[1]`, `offset[2]`, ... in the order of `summary.recordings`.
-    - `intervals`: how uncertainty is judged, [`BlockBootstrap`][] by default.
+    - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default.
 
     **Returns:** an [`Estimate`][], which keeps the Summary.
 
@@ -113,9 +118,9 @@ def estimate(
     """
     procedure, summary = as_procedure(model), as_summary(summaries)
     summary.require_model(procedure)
-    unknown = question(procedure, len(summary.recordings), known, per_record)
+    plan = plan_parameters(procedure, len(summary.recordings), known, per_record)
     _require_intervals(intervals)
-    return _estimated(procedure, summary, unknown, intervals)
+    return _estimated(procedure, summary, plan, intervals)
 
 
 def _require_intervals(intervals: AbstractIntervals | None) -> None:
@@ -125,48 +130,51 @@ def _require_intervals(intervals: AbstractIntervals | None) -> None:
 def _estimated(
     procedure: Procedure,
     summary: Summary,
-    unknown: Question,
+    plan: ParameterPlan,
     intervals: AbstractIntervals | None,
 ) -> Estimate:
-    sharing, given, plan = unknown
-    intervals = BlockBootstrap() if intervals is None else intervals
-    window = jnp.asarray(summary.criterion.block_length)
+    sharing, given, _ = plan
     equations, short = summary.equations(), summary.short_blocks
-    solved = _solve(equations, given, window, short, sharing, intervals, None)
-    if is_concrete(solved.stages):
-        raise_if_nothing_to_fit(plan, solved.counts, solved.totals)
-        # Sums that were made under jit have no averages to judge by.
+    window = jnp.asarray(summary.criterion.block_length)
+    settings = (given, window, short, sharing, BlockBootstrap() if intervals is None else intervals)
+    fit = _solve(equations, *settings, None)
+    if is_concrete(fit.stages):
+        raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
+        # Sums that were made under jit have no averages to tell a constant target by.
         if all(one.stages[0][0].averages is not None for one in summary.recordings):
             for finding in constant_targets(procedure, sharing, summary.recordings, given):
                 raise IdentifiabilityError(finding.message, finding.code)
-        past_gram = _worst_condition(solved.stages) > gram_condition_limit(window.dtype)
-        if past_gram and (rows := _rows(summary, equations)):
-            solved = _solve(equations, given, window, short, sharing, intervals, rows)
-        _raise_if_unidentifiable(solved.stages, plan)
-        solved = solved._replace(stages=_where_they_act(solved, given, procedure, sharing, summary))
+        # The condition number is known once the Gram matrix is solved, and mostly that is all.
+        condition = max(float(stage.solution.condition_number) for stage in fit.stages)
+        if condition > gram_condition_limit(window.dtype) and (rows := _rows(summary, equations)):
+            fit = _solve(equations, *settings, rows)
+        _raise_if_unidentifiable(fit.stages, plan)
+        fit = fit._replace(stages=_with_sizes_in_bursts(fit, procedure, plan, summary))
+    # Rows there would be without gaps are not known of another band than the criterion's.
+    offered = sum(one.offered for one in summary.recordings)
+    offered = offered if summary.band == summary.in_law else np.nan
     return Estimate(
-        theta=solved.theta,
-        uncertainty=solved.uncertainty,
-        naive=solved.naive,
-        inflation=solved.inflation,
-        stages=tuple(solved.stages),
+        theta=fit.theta,
+        uncertainty=fit.uncertainty,
+        naive=fit.naive,
+        inflation=fit.inflation,
+        stages=tuple(fit.stages),
         known={name: jnp.asarray(value) for name, value in given.items()},
         criterion=summary.criterion,
-        parameters=tuple(name for stage in solved.stages for name in stage.parameters),
+        parameters=tuple(name for stage in fit.stages for name in stage.parameters),
         units=tuple(sharing.values(procedure.units).items()),
-        stage_names=tuple(plan[stage.stage][0] for stage in solved.stages),
-        equation_names=tuple(procedure.equation_names[stage.stage] for stage in solved.stages),
-        block_count=solved.block_count,
-        block_length=solved.length,
-        rows_offered=solved.offered_to(summary, procedure),
-        summary=summary if is_concrete(solved.stages, summary) else None,
+        stage_names=tuple(plan.stages[stage.stage][0] for stage in fit.stages),
+        equation_names=tuple(procedure.equation_names[stage.stage] for stage in fit.stages),
+        block_count=fit.block_count,
+        block_length=fit.block_length,
+        rows_offered=offered * np.array([len(procedure.stages[s.stage]) for s in fit.stages]),
+        summary=summary if is_concrete(fit.stages, summary) else None,
     )
 
 
-class _Solved(NamedTuple):
-    """Solutions of the stages with their uncertainty, grown by `inflation` where records disagree;
-    `block_count` blocks of all records, of `length` seconds on average; of each stage of the
-    procedure, `counts` of rows and `totals` of their products."""
+class _Fit(NamedTuple):
+    """What `Estimate` takes from a fit; and of each stage of the procedure, those that find nothing
+    included, `counts` of rows and `totals` of their products, to refuse it by."""
 
     theta: Float[Array, " p"]
     stages: list[StageSolution]
@@ -174,16 +182,9 @@ class _Solved(NamedTuple):
     naive: Float[Array, " p"]
     inflation: Float[Array, " p"]
     block_count: Int[Array, ""]
-    length: Float[Array, ""]
+    block_length: Float[Array, ""]
     counts: list[Float[Array, ""]]
     totals: list[Float[Array, "columns columns"]]
-
-    def offered_to(self, summary: Summary, procedure: Procedure) -> Float[Leaf, " stages"]:
-        """Rows of each stage there would be without gaps; NaN if not known, as of another band."""
-        each = sum(one.offered for one in summary.recordings)
-        each = each if summary.band == summary.in_law else np.nan
-        sizes = np.array([len(procedure.stages[stage.stage]) for stage in self.stages])
-        return each * sizes
 
 
 @eqx.filter_jit
@@ -195,7 +196,7 @@ def _solve(
     sharing: Sharing,
     intervals: AbstractIntervals,
     rows: list[list[list[Rows]]] | None,
-) -> _Solved:
+) -> _Fit:
     stages, shared = stages_over_records(equations, sharing)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
     stacked = None
@@ -205,15 +206,17 @@ def _solve(
     values = found_values(solutions, known)
     # What belongs to one recording cannot differ between recordings.
     common = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
-    judged = judge(stages, known, values, short, longest_window, common, intervals)
-    block_count = jnp.sum(judged.evidence.used)
+    uncertainty, inflation, statistics = estimate_uncertainty(
+        stages, known, values, short, longest_window, common, intervals
+    )
+    block_count = jnp.sum(statistics.used)
     totals = [stage.flattened().total() for stage in stages]
-    return _Solved(
+    return _Fit(
         jnp.concatenate([stage.solution.theta for stage in solutions]),
         solutions,
-        judged.uncertainty,
-        jnp.sqrt(jnp.diagonal(naive_covariance(judged.evidence))),
-        judged.inflation,
+        uncertainty,
+        jnp.sqrt(jnp.diagonal(naive_covariance(statistics))),
+        inflation,
         block_count,
         jnp.sum(short.durations) / block_count,
         [total.count for total in totals],
@@ -235,7 +238,7 @@ def _rows(
     def of(i: int, j: int) -> list[Rows]:
         names = equations[i][j].parameters
         factors = [
-            factor_of(equations[i][j].moments[k].sum(0)) if e.factor is None else e.factor
+            factor_of_gram(equations[i][j].moments[k].sum(0)) if e.factor is None else e.factor
             for k, e in enumerate(one.stages[i][j] for one in summary.recordings)
         ]
         return [Rows(jnp.asarray(f).T, jnp.arange(len(f)), names) for f in factors]
@@ -254,19 +257,15 @@ def _stacked(rows: list[list[Rows]], sharing: Sharing, names: tuple[str, ...]) -
     )
 
 
-def _where_they_act(
-    solved: _Solved,
-    given: Mapping[str, Array],
-    procedure: Procedure,
-    sharing: Sharing,
-    summary: Summary,
+def _with_sizes_in_bursts(
+    fit: _Fit, procedure: Procedure, plan: ParameterPlan, summary: Summary
 ) -> list[StageSolution]:
-    """The stages with the size of terms in doubt where they act, if that is in bursts."""
-    values = found_values(on_host(solved.stages), given)
-    errors = np.sqrt(np.diagonal(solved.uncertainty.covariance))
-    errors = dict(zip([name for stage in solved.stages for name in stage.parameters], errors))
-
-    def judged(stage: StageSolution) -> StageSolution:
+    """The stages, with the size of terms in doubt where they act, if that is in bursts."""
+    values = found_values(on_host(fit.stages), plan.given)
+    names = [name for stage in fit.stages for name in stage.parameters]
+    errors = dict(zip(names, np.sqrt(np.diagonal(fit.uncertainty.covariance))))
+    stages = []
+    for stage in fit.stages:
         sizes = np.asarray(stage.relative_size)
         # What is large enough to matter over the whole record needs no closer look.
         doubtful = [
@@ -275,39 +274,32 @@ def _where_they_act(
             if abs(float(values[name])) < DOUBTFUL * errors[name]
             and errors[name] * size < MATTERING_SHARE
         ]
-        if not doubtful:
-            return stage
-        active = sizes_in_bursts(
-            stage.stage, sharing, summary.recordings, values, stage.parameters, doubtful
-        )
-        larger = np.maximum(sizes, [active.get(name, 0.0) for name in stage.parameters])
-        return eqx.tree_at(lambda s: s.relative_size, stage, larger)
-
-    return [judged(stage) for stage in solved.stages]
-
-
-def _worst_condition(solutions: list[StageSolution]) -> float:
-    return max(float(stage.solution.condition_number) for stage in solutions)
+        if doubtful:
+            active = sizes_in_bursts(
+                stage.stage, plan.sharing, summary.recordings, values, stage.parameters, doubtful
+            )
+            larger = np.maximum(sizes, [active.get(name, 0.0) for name in stage.parameters])
+            stage = eqx.tree_at(lambda s: s.relative_size, stage, larger)
+        stages.append(stage)
+    return stages
 
 
 def raise_if_nothing_to_fit(
-    plan: list[tuple[str, tuple[str, ...]]],
-    counts: Sequence[ArrayLike],
-    sums: Sequence[ArrayLike],
+    plan: ParameterPlan, counts: Sequence[ArrayLike], sums: Sequence[ArrayLike]
 ) -> None:
     """Refuse a stage without rows, or with sums that are not finite numbers (not under jit).
 
-    **Arguments:** of each stage of the `plan`, `counts` of its rows and `sums` of their products.
+    **Arguments:** of each stage of the plan, `counts` of its rows and `sums` of their products.
 
     **Raises:** `DataError` naming the stage.
     """
-    for (label, unknown), count in zip(plan, counts):
+    for (label, unknown), count in zip(plan.stages, counts):
         if unknown and not bool(np.sum(np.asarray(count)) > 0):
             raise DataError(
                 f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
                 f"or repair the record's gaps."
             )
-    for (label, _), values in zip(plan, sums):
+    for (label, _), values in zip(plan.stages, sums):
         if not bool(np.all(np.isfinite(values))):
             raise DataError(
                 f"{label}: its terms are not finite numbers on this record: a division by zero, a "
@@ -322,22 +314,22 @@ def not_excited(stage_name: str, name: str) -> Finding:
         "not_excited",
         f"{stage_name}: nothing in the record tells of {name}; its regressor is zero throughout. "
         f"Excite it, or hold it at a known value (on the command line: --set {name}=VALUE).",
+        parameters=(name,),
     )
 
 
-def _raise_if_unidentifiable(
-    solutions: list[StageSolution], plan: list[tuple[str, tuple[str, ...]]]
-) -> None:
+def _raise_if_unidentifiable(solutions: list[StageSolution], plan: ParameterPlan) -> None:
     for stage in solutions:
-        if int(stage.solution.rank) < len(stage.parameters):
-            for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
-                if size == 0:
-                    silent = not_excited(plan[stage.stage][0], name)
-                    raise IdentifiabilityError(silent.message, silent.code)
-            which = combination(stage.parameters, np.asarray(stage.solution.weakest_direction))
-            raise IdentifiabilityError(
-                f"{plan[stage.stage][0]}: the record cannot tell these apart (collinear "
-                f"regressors): {which}, in units of each regressor's size. Excite the system more "
-                f"richly, or hold one of them at a known value (on the command line: --set "
-                f"NAME=VALUE)."
-            )
+        if int(stage.solution.rank) == len(stage.parameters):
+            continue
+        label, _ = plan.stages[stage.stage]
+        for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
+            if size == 0:
+                silent = not_excited(label, name)
+                raise IdentifiabilityError(silent.message, silent.code)
+        which = combination(stage.parameters, np.asarray(stage.solution.weakest_direction))
+        raise IdentifiabilityError(
+            f"{label}: the record cannot tell these apart (collinear regressors): {which}, in "
+            f"units of each regressor's size. Excite the system more richly, or hold one of them "
+            f"at a known value (on the command line: --set NAME=VALUE)."
+        )

@@ -7,7 +7,7 @@ import lineax as lx
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.rows import Rows
-from riecjax.linear_algebra import symmetric_eigen, unit_scale
+from riecjax.linear_algebra import symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.summaries.normal_equations import NormalEquations
 
 
@@ -34,17 +34,19 @@ def solve(equations: NormalEquations) -> Solution:
 
     Columns are scaled to unit length first, which makes the condition number independent of units
     and, among diagonal scalings, close to the least possible. The derivative with respect to the
-    equations is the implicit one, of any order, also where the rank is deficient. (`lax`'s
-    linear solve rather than lineax's: the latter's derivative raises on numbers that are not
-    finite, which optimisers and diverged lanes of a batch may pass through.)
+    equations is the implicit one, of any order, also where the rank is deficient.
     """
-    scale = unit_scale(jnp.diagonal(equations.gram))
-    gram = equations.gram * scale[:, None] * scale[None, :]
+    # G theta = m differentiates to G dtheta = dm - dG theta: one more solve with the same G, here
+    # with its eigenvectors, which are not differentiated themselves (their derivative divides by
+    # differences of eigenvalues). Where the rank is deficient, the pseudo-inverse keeps theta in
+    # the range of G. lax's linear solve rather than lineax's: the latter's derivative raises on
+    # numbers that are not finite, which optimisers and diverged lanes of a batch may pass through.
+    gram, scale = unit_diagonal(equations.gram)
     # Rounding of the Gram matrix hides singular values of A below sqrt(eps) of the largest.
     tolerance = float(jnp.finfo(gram.dtype).eps) * gram.shape[0]
     eigenvalues, vectors = symmetric_eigen(jax.lax.stop_gradient(gram))
-    kept = eigenvalues > tolerance * eigenvalues[-1]
-    inverse = jnp.where(kept, 1 / jnp.where(kept, eigenvalues, 1.0), 0.0)
+    valid = eigenvalues > tolerance * eigenvalues[-1]
+    inverse = jnp.where(valid, 1 / jnp.where(valid, eigenvalues, 1.0), 0.0)
     theta = jax.lax.custom_linear_solve(
         lambda x: gram @ x,
         equations.moment * scale,
@@ -60,7 +62,7 @@ FACTORED = 2**13
 
 
 def solve_rows(rows: Rows) -> Solution:
-    """Solve rows by a singular value decomposition: dearer, accurate to eps times cond."""
+    """Solve rows by a singular value decomposition: slower, accurate to eps times cond."""
     scale = unit_scale(jnp.sum(rows.regressors**2, axis=0))
     matrix = rows.regressors * scale[None, :]
     tolerance = float(jnp.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)

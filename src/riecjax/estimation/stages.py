@@ -1,17 +1,21 @@
-"""Stages solved in turn, each with what earlier ones found, and what is left of every equation."""
+"""Normal equations of stages over records, solved in turn, and what is left of every equation."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
+from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.rows import Rows
+from riecjax.equations.procedure import Procedure
 from riecjax.estimation.least_squares import Solution, solve, solve_rows
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.parameters import Sharing
 from riecjax.linear_algebra import solve_scaled
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.records.record import Record
+from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
+from riecjax.summaries.stage_sums import stage_normal_equations, sum_of_equations
 from riecjax.summaries.sums import RecordingSums
 
 
@@ -157,6 +161,47 @@ def _shrinkage(
         curvature = curvature - pulled[others] @ follow
     both = energy + jnp.maximum(curvature, 0.0)
     return jnp.where(both > 0, energy / jnp.where(both > 0, both, 1.0), 0.0)
+
+
+def all_normal_equations(
+    procedure: Procedure,
+    sharing: Sharing,
+    records: list[Record],
+    criterion: AbstractCriterion,
+    keys: list[Key[Array, ""] | None],
+) -> list[NormalEquations]:
+    """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
+    every = [
+        stage_normal_equations(procedure, record, criterion, key, blocks=True)
+        for record, key in zip(records, keys)
+    ]
+    return [_over_records(stack_normal_equations(parts), sharing) for parts in zip(*every)]
+
+
+def stages_over_records(
+    equations: list[list[NormalEquations]], sharing: Sharing
+) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
+    """Normal equations of stages, and of each equation, among the parameters of all records.
+
+    **Arguments:** `equations` of each stage, with a leading axis of records.
+    """
+    apart = [[_over_records(e, sharing) for e in stage] for stage in equations]
+    names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
+    return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
+
+
+def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+    """Normal equations with a leading axis of records, among the parameters of all of them."""
+    names = equations.parameters
+    if not sharing.own:
+        return equations
+    every = [
+        NormalEquations(moments, count, sharing.of_record(names, i)).embed(
+            sharing.everywhere(names)
+        )
+        for i, (moments, count) in enumerate(zip(equations.moments, equations.count))
+    ]
+    return stack_normal_equations(every)
 
 
 STEADY = 3.0

@@ -32,7 +32,8 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.procedure import Procedure, told_apart
-from riecjax.estimation.sharing import Sharing, all_normal_equations
+from riecjax.estimation.parameters import Sharing
+from riecjax.estimation.stages import all_normal_equations
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.refinement.balance import ParametricBalance, as_balances

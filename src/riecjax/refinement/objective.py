@@ -18,8 +18,7 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.errors import ModelError
 from riecjax.estimation.estimated_parameters import AbstractEstimate
-from riecjax.estimation.question import require_numbers
-from riecjax.estimation.sharing import Sharing, Value, local_name
+from riecjax.estimation.parameters import Sharing, Value, local_name, require_numbers
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.refinement.parametric import Values

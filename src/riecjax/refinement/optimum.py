@@ -39,7 +39,7 @@ from riecjax.refinement.arrowhead import LevenbergMarquardt, Linearised, Point, 
 from riecjax.refinement.coordinates import Constraints, Coordinates
 from riecjax.refinement.objective import AbstractMisfit, Expansion
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.uncertainty.intervals import AbstractIntervals, Uncertainty, judge
+from riecjax.uncertainty.intervals import AbstractIntervals, Uncertainty, estimate_uncertainty
 
 SILENT = 1e-20
 """Share of what is left that a parameter must be able to move by its own size to count at all."""
@@ -314,9 +314,11 @@ def _with_uncertainty(
     blocks = NormalEquations(moments, blocks.count, blocks.parameters)
     zero = {name: jnp.zeros(()) for name in misfit.names}
     shared = np.array([name not in sharing.individual for name in misfit.names])
-    judged = judge([blocks], {}, zero, short, misfit.longest_window, shared, intervals)
-    used = jnp.sum(judged.evidence.used)
-    covariance = judged.uncertainty.covariance
+    uncertainty, inflation, statistics = estimate_uncertainty(
+        [blocks], {}, zero, short, misfit.longest_window, shared, intervals
+    )
+    used = jnp.sum(statistics.used)
+    covariance = uncertainty.covariance
     if constraints.has_priors:
         informed = gram + jnp.diag(information)
         moved = solve_scaled(informed, jnp.diag(jnp.sqrt(variance) * constraints.prior_weight))
@@ -325,8 +327,8 @@ def _with_uncertainty(
     return Optimum(
         reached,
         reached.status == RefinementStatus.converged,
-        eqx.tree_at(lambda u: u.covariance, judged.uncertainty, covariance),
-        judged.inflation,
+        eqx.tree_at(lambda u: u.covariance, uncertainty, covariance),
+        inflation,
         misfit.rms(expansion.energy),
         at_bound,
         used,

@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled
 from riecjax.refinement.objective import AbstractMisfit, Expansion

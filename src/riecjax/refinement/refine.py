@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.errors import require
 from riecjax.estimation.estimated_parameters import AbstractEstimate
-from riecjax.estimation.question import require_settings
+from riecjax.estimation.parameters import require_settings
 from riecjax.records.record import Record, as_records
 from riecjax.refinement.coordinates import Bounds, Constraints, Prior
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective, Specification

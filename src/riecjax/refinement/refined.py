@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.estimation.estimated_parameters import NOTABLE_INFLATION, AbstractEstimate, span
+from riecjax.estimation.estimated_parameters import AbstractEstimate, span
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf
 from riecjax.refinement.optimum import RefinementStatus
@@ -23,7 +23,8 @@ class Refined(AbstractEstimate):
 
     **Fields:**
 
-    - `theta`, `uncertainty`, `known`, `parameters`, `units`: as of an [`Estimate`][].
+    - `theta`, `uncertainty`, `known`, `parameters`, `units`, `inflation`, `block_count`,
+      `block_length`: as of an [`Estimate`][].
     - `status`: how the search ended; `steps` that it took.
     - `rms_before`, `rms`: root mean square of what is left of each of `quantities` (channels, or
       equations), with the start's parameters and now, in `quantity_units`. Both over the same
@@ -31,10 +32,8 @@ class Refined(AbstractEstimate):
     - `cost_before`, `cost`: sums of squared residuals, likewise.
     - `initial_states` that were estimated, one row for each window, columns `initial_state_names`.
     - `at_bound`: which parameters sit on a bound; nothing is said of their uncertainty.
-    - `inflation`: factor on each standard error because recordings disagree.
     - `step_change`: change of `theta`, to first order, if the steps of the simulation are halved;
       `coarse`, where that matters beside the standard error; `steps_label`, the method.
-    - `block_count`, `block_length`: independent blocks of time behind the uncertainty.
     - `by`: what was made small, in plain data.
     """
 
@@ -98,7 +97,7 @@ class Refined(AbstractEstimate):
             *self.few_blocks(),
             *self.leaning(),
             *self.rarely_excited(),
-            *self._disagreement(),
+            *self.disagreement(),
         ]
 
     def _not_converged(self) -> Iterator[Finding]:
@@ -162,16 +161,6 @@ class Refined(AbstractEstimate):
                 f"{silent[0]}=VALUE), or compare another signal.",
                 parameters=tuple(silent),
             )
-
-    def _disagreement(self) -> Iterator[Finding]:
-        for name, factor in zip(self.parameters, self.inflation):
-            if float(factor) > NOTABLE_INFLATION:
-                yield Finding(
-                    "records_disagree",
-                    f"the recordings do not agree on the refined {name}: its interval is "
-                    f"{float(factor):.2g} times as wide.",
-                    parameters=(name,),
-                )
 
     def __str__(self) -> str:
         lines = [*self.parameter_lines(), f"{self.reason} after {span(self.steps, 'd')} steps"]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.sharing import values_of_record
+from riecjax.estimation.parameters import values_of_record
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (
     BLUE,

@@ -18,9 +18,8 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import ModelError, require
-from riecjax.estimation.question import question
-from riecjax.estimation.sharing import Sharing, all_normal_equations
-from riecjax.estimation.stages import solve_stages
+from riecjax.estimation.parameters import Sharing, plan_parameters
+from riecjax.estimation.stages import all_normal_equations, solve_stages
 from riecjax.records.record import Record, as_records
 from riecjax.summaries.task import record_keys, require_key
 
@@ -123,7 +122,7 @@ def seed_scatter(
     if seeds < 2:
         raise ModelError(f"scatter needs at least two seeds; got {seeds}.")
     recordings = as_records(records)
-    sharing, given, plan = question(procedure, len(recordings), known, per_record)
+    sharing, given, plan = plan_parameters(procedure, len(recordings), known, per_record)
     keys = jax.random.split(key, seeds)
     theta = _estimates(procedure, sharing, recordings, criterion, keys, given)
     return SeedScatter(theta, tuple(name for _, names in plan for name in names))

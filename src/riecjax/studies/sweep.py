@@ -18,9 +18,8 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, require
-from riecjax.estimation.question import Question, question
-from riecjax.estimation.sharing import Sharing, stages_over_records
-from riecjax.estimation.stages import found_values, solve_stages
+from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
+from riecjax.estimation.stages import found_values, solve_stages, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record
@@ -29,7 +28,7 @@ from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import task
-from riecjax.uncertainty.scores import block_influence
+from riecjax.uncertainty.block_statistics import block_influence
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
 # time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
@@ -184,8 +183,8 @@ def window_sweep(
             asked.records, criterion, shortest=shortest, longest=longest, bands=bands
         )
         summary = summed(asked, bins=edges)
-    unknown = question(procedure, len(summary.recordings), known, per_record)
-    return _sweep(procedure, summary, unknown, _bands(summary, shortest, longest))
+    plan = plan_parameters(procedure, len(summary.recordings), known, per_record)
+    return _sweep(procedure, summary, plan, _bands(summary, shortest, longest))
 
 
 def sweep_edges(
@@ -264,7 +263,7 @@ def _bands(
 
 
 def _sweep(
-    procedure: Procedure, summary: Summary, unknown: Question, bands: list[tuple[int, int]]
+    procedure: Procedure, summary: Summary, plan: ParameterPlan, bands: list[tuple[int, int]]
 ) -> WindowSweep:
     ends = np.array([summary.lengths_of(band) for band in bands])
     short = summary.short_blocks
@@ -272,8 +271,8 @@ def _sweep(
     used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
     every = [summary.equations(band) for band in bands]
     equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
-    theta, influence, residual = _estimates(equations, unknown.given, short, used, unknown.sharing)
-    stages = [(label, names) for label, names in unknown.plan if names]
+    theta, influence, residual = _estimates(equations, plan.given, short, used, plan.sharing)
+    stages = [(label, names) for label, names in plan.stages if names]
     return WindowSweep(
         alpha=ends[:, 0],
         beta=ends[:, 1],
@@ -282,7 +281,7 @@ def _sweep(
         relative_rms=residual,
         block_count=namespace(used).sum(used),
         parameters=tuple(name for _, names in stages for name in names),
-        units=tuple(unknown.sharing.values(procedure.units).items()),
+        units=tuple(plan.sharing.values(procedure.units).items()),
         stage_names=tuple(label for label, _ in stages),
     )
 

@@ -1,9 +1,16 @@
-"""An equation's columns averaged by hats and looked at sample by sample, reduced to sums.
+"""An equation's columns averaged by hats and looked at sample by sample, reduced to sums."""
 
-A hat of h samples to a side takes two derivatives off the motion: the mean of `d^k/dt^k c` under it
-is the second difference over h of c integrated 2 - k times, over h squared. Rows of such means
-become a triangular factor, which has every norm and least-squares solution that the rows have.
-"""
+# A hat of h samples to a side, w(s) = (1 - |s| / h) / h, has the second derivative delta(-h) -
+# 2 delta(0) + delta(h), over h^2. By parts, the mean of f under it is the second difference of f's
+# second integral I over h, (I(t + h) - 2 I(t) + I(t - h)) / h^2; of f = d^k/dt^k c it is that of c
+# integrated 2 - k times. So no derivative is ever taken of a sample, and one running sum serves all
+# hats. What is constant in f adds a parabola to I, whose values grow with the record's square while
+# its second difference does not: in 32-bit it would leave nothing of what varies. So means are
+# removed before integration and put back behind it, and so are constants of integration, which the
+# second difference does not see.
+#
+# Rows of such means become a triangular factor, which has every norm and least-squares solution
+# that the rows have.
 
 import jax
 import jax.numpy as jnp
@@ -66,7 +73,7 @@ def averaged_rows(
     n = columns.sample_count
     absent = jnp.pad(jnp.cumsum(~there), (1, 0))
     whole = absent[jnp.clip(last + 1, 0, n)] == absent[jnp.clip(first, 0, n)]
-    kept = (first >= 0) & (last < n) & whole
+    valid = (first >= 0) & (last < n) & whole
 
     count = jnp.maximum(jnp.sum(there), 1)
     mean = jnp.sum(jnp.where(there[None, None, :], columns.values, 0.0), -1, keepdims=True) / count
@@ -88,7 +95,7 @@ def averaged_rows(
     hats = mean[0] + second_difference / (jnp.maximum(half, 1) * columns.time_step) ** 2
     samples = columns.values[0][:, jnp.clip(centres, 0, n - 1)]
     rows = jnp.where(jnp.asarray(half) == 0, samples, hats)
-    return jnp.where(kept[None, :], rows, 0.0).T, kept
+    return jnp.where(valid[None, :], rows, 0.0).T, valid
 
 
 def _there(columns: Columns, held: int | Int[Array, ""]) -> Bool[Array, " n"]:

@@ -11,9 +11,7 @@ from jaxtyping import Array, Float, Int
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import (
-    NormalEquations,
-)
+from riecjax.summaries.normal_equations import NormalEquations
 
 MOST_BLOCKS = 64
 """Blocks of a record at most: enough for a quantile of Student's t, and long blocks forgive errors
@@ -43,6 +41,8 @@ def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " r
 
     Of a whole number of short blocks each, so that they come out even.
     """
+    # Fewer than two blocks have no scatter. More than `MOST_BLOCKS` would cost memory in every
+    # replicate and give the variance few more degrees of freedom than Student's t can tell apart.
     xp = namespace(length, short)
     each = xp.maximum(xp.round(xp.divide(length, short.seconds)), 1)
     most = xp.minimum(short.number, MOST_BLOCKS)
@@ -58,7 +58,7 @@ def merge_blocks(
     """Normal equations of longer blocks from those of short ones.
 
     **Arguments:** `equations` with leading axes `(records, short blocks)`; `used`, into how many
-    each record's are put together.
+    each record's are added up.
 
     **Returns:** normal equations with one leading axis: `most` blocks of each record, of which
     those beyond `used` are empty. No block holds anything of two records.
@@ -77,10 +77,10 @@ def sum_blocks(
     most: int = MOST_BLOCKS,
 ) -> Float[Array, "blocks *shape"]:
     """Sums over longer blocks of what is known of short ones; see [`merge_blocks`][]."""
-    held = short.number[:, None]
+    number = short.number[:, None]
     place = np.arange(values.shape[1])[None, :]
     # What is left over is spread, so that no last block is shorter than the others.
-    group = jnp.where(place < held, place * used[:, None] // held, most)
+    group = jnp.where(place < number, place * used[:, None] // number, most)
     summed = jax.vmap(lambda v, g: jax.ops.segment_sum(v, g, num_segments=most))
     return summed(values, group).reshape(-1, *values.shape[2:])
 

@@ -1,4 +1,4 @@
-"""What tells recordings apart: a digest of samples and of everything that their sums depend on."""
+"""What tells recordings and models apart: digests of all that sums depend on."""
 
 import dataclasses
 import hashlib
@@ -16,7 +16,32 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.length_bins import LengthBins
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
+from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
+
+
+class Outline(eqx.Module):
+    """The equations that recordings are summed for, as far as sums depend on them.
+
+    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter;
+    `fingerprint` of the equations' terms, empty where their numbers were traced.
+    """
+
+    stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
+    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    fingerprint: str = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, procedure: Procedure) -> "Outline":
+        """Of a procedure."""
+        stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in procedure.stages)
+        fingerprint = _fingerprint(procedure) if is_concrete(procedure) else ""
+        return cls(stages, tuple(procedure.units.items()), fingerprint)
+
+    def is_of(self, other: "Outline") -> bool:
+        """Whether both are of the same equations, as far as that is known."""
+        known = bool(self.fingerprint and other.fingerprint)
+        return self.stages == other.stages and (not known or self.fingerprint == other.fingerprint)
 
 
 def digest_of(
@@ -47,7 +72,7 @@ def digest_of(
     return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)
 
 
-def fingerprint_of(procedure: Procedure) -> str:
+def _fingerprint(procedure: Procedure) -> str:
     """SHA-256 of what a procedure's sums depend on, without the samples (not under jit)."""
     equations = [[_described(e) for e in stage] for stage in procedure.stages]
     written = json.dumps(equations, sort_keys=True, default=_without_address)
@@ -63,8 +88,8 @@ def _written(value: Any) -> object:
     """A term, or a part of it, field by field. What is known of a coefficient moves no sum."""
     if isinstance(value, eqx.Module):
         fields = [field.name for field in dataclasses.fields(value)]
-        kept = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
-        return [type(value).__name__, {name: _written(part) for name, part in kept.items()}]
+        parts = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
+        return [type(value).__name__, {name: _written(part) for name, part in parts.items()}]
     if eqx.is_array(value):
         return np.asarray(value).tolist()
     return _function(value) if callable(value) else value

@@ -89,16 +89,19 @@ class NormalEquations(eqx.Module):
         Names that do not occur here are ignored. Rows are not needed again, so that one set of
         normal equations serves every variant of what is known.
         """
-        kept = tuple(name for name in self.parameters if name not in known)
-        # y' = y - sum known_j a_j is a linear map of the columns [y A].
-        mix = jnp.zeros((1 + len(kept), 1 + len(self.parameters)), self.moments.dtype)
+        free = tuple(name for name in self.parameters if name not in known)
+        # With y' = y - sum known_j a_j, the columns [y' A'] = [y A] T^T are a linear map of the old
+        # ones, and so are their moments, T M T^T. In it y'^T y' is a difference of large numbers
+        # where the known terms make up most of y, and loses as many digits as they share with it;
+        # A'^T A' and the blocks' additivity are untouched.
+        mix = jnp.zeros((1 + len(free), 1 + len(self.parameters)), self.moments.dtype)
         mix = mix.at[0, 0].set(1.0)
         for j, name in enumerate(self.parameters):
             if name in known:
                 mix = mix.at[0, 1 + j].set(-jnp.asarray(known[name], mix.dtype))
             else:
-                mix = mix.at[1 + kept.index(name), 1 + j].set(1.0)
-        return NormalEquations(mix @ self.moments @ mix.T, self.count, kept)
+                mix = mix.at[1 + free.index(name), 1 + j].set(1.0)
+        return NormalEquations(mix @ self.moments @ mix.T, self.count, free)
 
     @classmethod
     def of_rows(
@@ -116,9 +119,9 @@ class NormalEquations(eqx.Module):
         moments = jax.ops.segment_sum(
             jnp.moveaxis(products, -1, 0), block_of_row, num_segments=block_count
         )
-        kept = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
+        valid = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
         count = jax.ops.segment_sum(
-            kept.astype(columns.dtype), block_of_row, num_segments=block_count
+            valid.astype(columns.dtype), block_of_row, num_segments=block_count
         )
         return cls(moments, count, rows.parameters)
 
@@ -128,10 +131,9 @@ class NormalEquations(eqx.Module):
         return jnp.maximum(jnp.einsum("i,...ij,j->...", v, self.moments, v), 0.0)
 
 
-def stack_normal_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
-    """Of one record after another; where one has fewer blocks than another, empty ones follow."""
-    most = max(part.count.shape[0] for part in parts)
-
+def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> NormalEquations:
+    """Of one record after another, with empty blocks behind, up to as many as `room` or another."""
+    most = max(room, *(part.count.shape[0] for part in parts))
     xp = namespace(parts)
 
     def filled_up(blocks: Array) -> Array:

@@ -1,363 +1,345 @@
-"""One pass over a recording's samples: everything that is kept of it.
+"""One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept."""
 
-Every equation's columns are sampled once, chunk by chunk, and what blocks of starts say is added
-up from them: moments of all windows, rows averaged by hats, activity of terms, and, on request, a
-survey for checks and figures. Of recordings of any length the same few functions serve: samples
-are filled up to one of two lengths behind the recording's end, which is traced, and a longer
-recording is worked through in parts that overlap by the longest window.
-"""
+# A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide
+# the blocks, and a part holds, beside the samples of its own starts, those that windows from them
+# reach (and a margin for quadrature of higher order). So each pair of start and length counts once,
+# in one block of one part, however the recording is cut, and the blocks' sums add up to the
+# recording's. Running sums start anew in each chunk, so that their rounding does not grow with the
+# recording.
+#
+# Shapes decide what is compiled. Short recordings are filled up behind their end, to one of two
+# lengths; where they end is a traced number. Longer ones are worked through in parts of one shape.
+# So recordings of any length are served by the same few compiled functions.
+#
+# Moments hold the squares of what rows hold: of a singular value s of scaled rows they keep s^2, to
+# eps. Directions with s below sqrt(eps) are lost in them, and theta is known to eps / s^2 where
+# rows would give it to eps / s. Windows summed in closed form have no rows. Where a criterion has
+# rows (drawn windows, samples), and their moments are that nearly collinear, a triangular factor R
+# of the rows is kept beside them: R^T R are the moments, and R has the rows' singular values.
 
-from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any, NamedTuple
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
-from riecjax.criteria.chunks import ROUND, Blocks, in_chunks
-from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
 from riecjax.criteria.laws import LagBins
-from riecjax.criteria.rows import Rows
-from riecjax.criteria.windows import WindowSet
-from riecjax.equations.columns import Columns, sampled_columns
+from riecjax.criteria.length_bins import LengthBins, law_in_bins
+from riecjax.criteria.windows import AllWindows, power_of_two
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import mixing_expressions
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Terms, evaluate
+from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
+from riecjax.linear_algebra import factor_of_gram, factor_of_rows, gram_suffices
 from riecjax.records.record import Record
-from riecjax.summaries.averages import activity, averaged_rows, thinned, underived
+from riecjax.summaries.averages import hat_half
+from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.parts import (
+    FILLED,
+    PART,
+    Lengths,
+    Part,
+    PartSums,
+    Request,
+    Surveyed,
+    all_rows,
+    of_all_windows,
+    of_rows,
+)
+from riecjax.summaries.stage_sums import sum_of_equations
+from riecjax.summaries.sums import Averages, EquationSums, RecordingSums, Survey, noise_level
 
-PART = 2**17
-"""Starts to a part of a long recording."""
-FILLED = (2**12, 2**15)
-"""Samples that shorter recordings are filled up to."""
-NOISE = np.random.default_rng(0).standard_normal(2**16)
-"""White noise of unit size, which is sent through the equations."""
-APART = 9973
-"""Samples between where two signals begin to take their noise."""
-SELDOM = 8
-"""Chunks of a record of which one tells what noise adds to averaged rows."""
-Noise = Callable[[], Columns]
-"""What noise adds to an equation's columns, evaluated only where it is asked for."""
+AVERAGED = 1024
+"""Averaged rows of a recording, about."""
+SURVEYED = 2048
+"""Rows of a recording that a survey looks at, about."""
+SHOWN = 2000
+"""Rows of a recording that a survey keeps at most."""
 
 
-class Lengths(NamedTuple):
-    """Window lengths whose sums are kept apart: bins by the first axis.
+class _Layout(NamedTuple):
+    """Blocks of a recording and how it is cut for one pass.
 
-    **Fields:** `lags`, the law in each bin; `reach`, no window of them is longer in samples.
+    **Fields:** `block`, starts to a block as they are summed; `starts` of a part; `filled`, samples
+    that each part is filled up to, `None` to leave the record as it is; `request`.
     """
 
-    lags: LagBins
-    reach: int
+    block: int
+    starts: int
+    filled: int | None
+    request: Request
 
 
-class Request(NamedTuple):
-    """What to sum, as far as it is compiled in.
+class OnePass:
+    """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][]."""
 
-    **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
-    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `averaged`, of
-    means of `thin` samples, and those that are `surveyed`, none unless a survey is asked for.
-    """
+    def __init__(
+        self,
+        procedure: Procedure,
+        record: Record,
+        criterion: AbstractCriterion,
+        key: Key[Array, ""] | None,
+        bins: LengthBins | None,
+        survey: bool,
+    ):
+        self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
+        self.record, self.survey = record, survey
+        self.step, self.count = float(record.time_step), record.sample_count
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.levels = {k: noise_level(np.asarray(v)) for k, v in record.arrays.items()}
+        self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
+        # Hats of four means to a side at the least.
+        self.thin = next((by for by in (16, 4) if self.half >= 4 * by), 1)
 
-    block: Int[Array, ""] | int
-    blocks: int
-    thin: int
-    averaged: int
-    surveyed: int
+    # What overflows is for the fit to refuse.
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def sums(self) -> RecordingSums:
+        """All sums of the recording.
 
-
-class Part(NamedTuple):
-    """Samples of a recording, filled up behind, and which of its starts are summed here.
-
-    **Fields:** `record`; `first` of the starts; `held`, samples that are the recording's (`None`:
-    all of them, a number that is compiled in); `levels`, the noise of each signal.
-    """
-
-    record: Record
-    first: Int[Array, ""] | int
-    held: Int[Array, ""] | None
-    levels: Mapping[str, Float[Leaf, ""]]
-
-
-class Watched(NamedTuple):
-    """What is kept of one equation, by blocks of starts.
-
-    **Fields:** `moments`, pairs of sums and numbers of windows, then by bins; `averaged` rows with
-    a leading one, zero where there is none, and `noise`, outer products of what noise adds to
-    these; `activity`, an `Activity` of each chunk; `survey`.
-    """
-
-    moments: tuple[tuple[Array, Array], ...]
-    averaged: Float[Array, "blocks rows 2+p"]
-    noise: Float[Array, "blocks 2+p 2+p"]
-    activity: Any
-    survey: "Surveyed | None"
-
-
-class Surveyed(NamedTuple):
-    """Rows of some windows in each block, and where they start; the same by the finest quadrature,
-    and what noise adds to them; least and largest argument of each basis."""
-
-    rows: Float[Array, "blocks rows columns"]
-    finer: Float[Array, "blocks rows columns"]
-    noise: Float[Array, "blocks rows columns"]
-    start: Float[Array, "blocks rows"]
-    kept: Array
-    reach: dict[str, Float[Array, "1 2"]]
-
-
-@eqx.filter_jit
-def of_all_windows(
-    procedure: Procedure,
-    criterion: AbstractCriterion,
-    part: Part,
-    lengths: tuple[Lengths, ...],
-    half: Int[Array, ""],
-    band: tuple[Int[Array, ""], Int[Array, ""]],
-    request: Request,
-) -> list[list[Watched]]:
-    """What blocks of starts of a part say of each equation of each stage, where windows are summed.
-
-    **Arguments:** `half` a hat's length in samples; `band`, shortest and longest lag of the law.
-    """
-
-    def watch(
-        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
-    ) -> Watched:
-        moments = tuple(_in_blocks(criterion, columns, which, blocks) for which in lengths)
-        watched = _watched(columns, noise, record, blocks, half, request, None, moments)
-        if not request.surveyed:
-            return watched
-        windows = _some_windows(criterion, blocks, band, request.surveyed)
-        survey = _surveyed(criterion, equation, columns, noise, windows, record, blocks)
-        return watched._replace(survey=survey)
-
-    return _in_chunks(procedure, criterion, part, watch, lengths[-1].reach, request)
-
-
-def _in_blocks(
-    criterion: AbstractCriterion, columns: Columns, lengths: Lengths, blocks: Blocks
-) -> tuple[Array, Array]:
-    """Moments and numbers of windows of some lengths, blocks first and then bins.
-
-    Of windows longer than a block, so many blocks are summed at once that they are not, and the
-    first of them holds the sums: sums within a block are what is fast.
-    """
-    size, wider = blocks.size, 1
-    if isinstance(size, int):
-        while wider * size < lengths.reach and blocks.number % (2 * wider) == 0:
-            wider *= 2
-        blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
-    found = criterion.moments_of(columns, lengths.lags, blocks, lengths.reach)
-
-    def spread(sums: Array) -> Array:
-        apart = jnp.swapaxes(sums, 0, 1)[:, None]
-        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
-        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
-
-    return spread(found[0]), spread(found[1])
-
-
-@eqx.filter_jit
-def of_rows(
-    procedure: Procedure,
-    criterion: AbstractCriterion,
-    part: Part,
-    key: Key[Array, ""] | None,
-    half: Int[Array, ""],
-    request: Request,
-) -> list[list[Watched]]:
-    """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
-    drawn = criterion.draw(part.record, key, part.held)
-    block_of_row = jnp.clip((drawn.start / request.block).astype(int), 0, request.blocks - 1)
-
-    def watch(
-        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
-    ) -> Watched:
-        rows = criterion.rows_of(columns, drawn, part.held)
-        found = NormalEquations.of_rows(rows, block_of_row=block_of_row, block_count=request.blocks)
-        moments = ((found.moments[:, None], found.count[:, None]),)
-        bare = None if criterion.smoothness else underived(equation)
-        watched = _watched(columns, noise, record, blocks, half, request, bare, moments)
-        if not request.surveyed:
-            return watched
-        every = WindowSet(drawn.start[None], drawn.stop[None])
-        survey = _surveyed(criterion, equation, columns, noise, every, record, blocks)
-        return watched._replace(survey=survey)
-
-    return _in_chunks(procedure, criterion, part, watch, 0, request)
-
-
-@eqx.filter_jit
-def all_rows(
-    procedure: Procedure, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
-) -> list[list[Rows]]:
-    """Every row of each equation of each stage."""
-    drawn = criterion.draw(part.record, key, part.held)
-
-    def rows(equation: Equation) -> Rows:
-        columns = sampled_columns(equation, part.record, criterion.smoothness)
-        return criterion.rows_of(columns, drawn, part.held)
-
-    return [[rows(equation) for equation in stage] for stage in procedure.stages]
-
-
-def _in_chunks(
-    procedure: Procedure,
-    criterion: AbstractCriterion,
-    part: Part,
-    watch: Callable[[Equation, Columns, Noise, Record, Blocks], Watched],
-    reach: int,
-    request: Request,
-) -> list[list[Watched]]:
-    def of_chunk(record: Record, blocks: Blocks) -> list[list[Watched]]:
-        def of_equation(equation: Equation) -> Watched:
-            columns = sampled_columns(equation, record, criterion.smoothness)
-            noise = partial(_added_by_noise, equation, columns, record, part.levels)
-            return watch(equation, columns, noise, record, blocks)
-
-        return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
-
-    block = request.block
-    if not isinstance(block, int):
-        held = part.record.sample_count if part.held is None else part.held
-        return of_chunk(part.record, Blocks(part.first, block, request.blocks, held))
-    return in_chunks(
-        part.record,
-        of_chunk,
-        block=block,
-        reach=reach,
-        margin=criterion.margin,
-        held=part.held,
-        first=part.first,
-        number=request.blocks,
-    )
-
-
-def _watched(
-    columns: Columns,
-    noise: Noise,
-    record: Record,
-    blocks: Blocks,
-    half: Int[Array, ""],
-    request: Request,
-    bare: np.ndarray | None,
-    moments: tuple[tuple[Array, Array], ...],
-) -> Watched:
-    thin, each = request.thin, request.averaged
-    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
-    centres = (start + (jnp.arange(each) * blocks.size // each)[None, :] + half).ravel()
-
-    def averaged(of: Columns) -> Float[Array, "blocks rows 2+p"]:
-        rows, kept = averaged_rows(
-            thinned(of, thin), (half + thin // 2) // thin, centres // thin, blocks.held // thin
+        **Raises:** `ModelError` for an expression that mixes samples of a long recording.
+        """
+        equations = [e for stage in self.procedure.stages for e in stage]
+        mixing = mixing_expressions(equations, self.record)
+        if mixing and (self.count > PART or self.criterion.in_chunks(self.record)):
+            raise ModelError(
+                f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
+                f"long is worked through in chunks. Compute it beforehand as a signal of the "
+                f"record."
+            )
+        closed = self.criterion.in_closed_form
+        # What mixes samples would mix those that the record is filled up with.
+        block, stages = (self._all_windows if closed else self._rows)(not mixing)
+        offered = self.criterion.row_count(self.record)
+        sums = RecordingSums(
+            tuple(tuple(stage) for stage in stages),
+            np.asarray(stages[0][0].count.shape[-1]),
+            np.asarray(block * self.step),
+            np.asarray(np.nan if offered is None else float(offered)),
+            np.asarray(self.count),
+            np.asarray(self.step),
+            digest_of(self.procedure, self.record, self.criterion, self.key, self.bins),
         )
-        rows = jnp.pad(rows, ((0, 0), (1, 0)), constant_values=1.0)
-        rows = jnp.where(kept[:, None], rows, 0.0)
-        return rows.reshape(blocks.number, each, -1)
+        # The order of axes in memory is one in which NumPy adds up: it must survive a file.
+        return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
 
-    def noise_gram() -> Float[Array, "blocks 2+p 2+p"]:
-        added = averaged(noise())
-        return jnp.einsum("bri,brj->bij", added, added)
+    def _all_windows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
+        """Starts to a block, and sums over all windows."""
+        windows = self.criterion.in_windows
+        assert windows is not None
+        windows = windows.every
+        lengths = self._lengths(windows)
+        reach = lengths[-1].reach
+        layout = self._layout(windows, reach, fill)
+        lags = windows.lags(self.count, self.record.time_step, self.criterion.lag_samples)
+        band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
+        half, request = jnp.asarray(self.half), layout.request
+        given = (self.procedure, self.criterion)
+        parts = [
+            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, half, band, request))
+            for part in self._parts(layout, reach)
+        ]
+        grouped = windows.block(self.count) // layout.block
+        return layout.block * grouped, self._stages(parts, layout.block, grouped)
 
-    size = 2 + len(columns.parameters)
-    nothing = jnp.zeros((blocks.number, size, size), columns.values.dtype)
-    chunk = jnp.round(record.skipped / record.time_step / ROUND).astype(int)
-    added = jax.lax.cond(chunk % SELDOM == 0, noise_gram, lambda: nothing)
-    at = jnp.arange(columns.sample_count)
-    there = (at >= blocks.first) & (at < blocks.first + blocks.size * blocks.number)
-    there = there & (at < blocks.held)
-    there = there if columns.present is None else there & columns.present
-    acts = activity(columns, there, bare)
-    return Watched(
-        moments,
-        averaged(columns),
-        added,
-        jax.tree.map(lambda leaf: leaf[None], acts),
-        None,
+    def _stages(
+        self, parts: list[list[list[PartSums]]], block: int, grouped: int
+    ) -> list[list[EquationSums]]:
+        """Sums of all equations from those of each part, with so many blocks to one."""
+        count = -(-self.count // block)
+
+        def of_equation(i: int, j: int) -> EquationSums:
+            every = [part[i][j] for part in parts]
+
+            def joined(of: int) -> np.ndarray:
+                """Moments (0) or numbers of windows (1) of all parts and bins, the bins first."""
+                groups = zip(*(p.moments for p in every))
+                in_groups = [np.concatenate([pair[of] for pair in group]) for group in groups]
+                in_bins = np.moveaxis(np.concatenate(in_groups, axis=1)[:count], 1, 0)
+                return _sum_of_groups(in_bins, grouped)
+
+            return self._equation(self.procedure.stages[i][j], joined(0), joined(1), every)
+
+        shape = [len(stage) for stage in self.procedure.stages]
+        return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
+
+    def _lengths(self, windows: AllWindows) -> tuple[Lengths, ...]:
+        """Window lengths, those longer than the law's apart: they reach further than a block."""
+        law = self.criterion.law(self.record)
+        every = LagBins(np.asarray(law.first), np.asarray(law.last), np.asarray(law.weight))
+        reach = windows.reach(self.count)
+        if self.bins is None:
+            return (Lengths(_each(every, None), reach),)
+        multiple = self.criterion.lag_samples
+        cut = law_in_bins(every, self.bins, multiple * self.step, (self.count - 1) // multiple)
+        beyond = self.bins.band[1]
+        if beyond == self.bins.edges.size - 1:
+            return (Lengths(cut, reach),)
+        longest = power_of_two(float(self.bins.edges[-1]) / self.step + 2)
+        within, longer = _each(cut, slice(beyond)), _each(cut, slice(beyond, None))
+        return Lengths(within, reach), Lengths(longer, longest)
+
+    def _layout(self, windows: AllWindows, reach: int, fill: bool) -> _Layout:
+        n = self.count
+        longest = windows.reach(n)
+        if (block := windows.block(n)) < longest:
+            averaged, surveyed = AVERAGED // 2, self.survey * SURVEYED // 2
+            request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
+            return _Layout(block, n, _filled(n) if fill else None, request)
+        starts = max(PART, 4 * longest)
+        filled = starts + reach + 2 * self.criterion.margin
+        if not fill:
+            starts, filled = n, None
+        elif n <= FILLED[-1]:
+            starts = filled = _filled(n)
+        blocks = -(-starts // longest)
+        size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
+        averaged, surveyed = (max(k * longest // size, 1) for k in (AVERAGED, SURVEYED))
+        request = Request(longest, blocks, self.thin, averaged, surveyed if self.survey else 0)
+        return _Layout(longest, starts, filled, request)
+
+    def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
+        """The recording cut into parts, each with what its windows reach beyond it."""
+        if layout.filled is None:
+            record = dataclasses.replace(self.record, skipped=np.zeros(()))
+            yield Part(record, 0, None, self.levels)
+            return
+        margin = self.criterion.margin
+        for start in range(0, self.count, layout.starts):
+            begin = max(start - margin, 0)
+            stop = min(start + layout.starts + reach + margin, self.count)
+            yield Part(
+                _filled_up(self.record, begin, stop, layout.filled),
+                jnp.asarray(start - begin),
+                jnp.asarray(stop - begin),
+                self.levels,
+            )
+
+    def _rows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
+        """Starts to a block, and sums over rows: samples, or windows that are drawn."""
+        n = self.count
+        block = self.criterion.block_samples(self.record)
+        request = Request(
+            jnp.asarray(block),
+            SHORT_BLOCKS_OF_ROWS,
+            self.thin,
+            AVERAGED // SHORT_BLOCKS_OF_ROWS,
+            int(self.survey),
+        )
+        layout = _Layout(block, n, _filled(n) if fill else None, request)
+        (part,) = self._parts(layout, 0)
+        given = (self.procedure, self.criterion, part, self.key)
+        found = jax.tree.map(np.asarray, of_rows(*given, jnp.asarray(self.half), request))
+        stages = self._stages([found], block, 1)
+        if not self._moments_suffice(stages):
+            rows = all_rows(*given)
+            stages = [
+                [
+                    dataclasses.replace(e, factor=np.linalg.qr(np.asarray(r.columns).T, mode="r"))
+                    for e, r in zip(*pair)
+                ]
+                for pair in zip(stages, rows)
+            ]
+        return block, stages
+
+    def _moments_suffice(self, stages: list[list[EquationSums]]) -> bool:
+        """Whether no stage's moments lose more digits than its rows would."""
+        for stage, names in zip(stages, self.procedure.stage_parameters):
+            apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
+            total = np.asarray(sum_of_equations(apart, names).total().gram)
+            # What is not finite is for the fit to refuse.
+            if np.isfinite(total).all() and not gram_suffices(total):
+                return False
+        return True
+
+    def _equation(
+        self, equation: Equation, moments: np.ndarray, count: np.ndarray, parts: list[PartSums]
+    ) -> EquationSums:
+        rows = np.concatenate([p.averaged.reshape(-1, p.averaged.shape[-1]) for p in parts])
+        # Some chunks tell of noise; their sum is brought to the number of all rows.
+        noise, valid = np.sum([p.noise.sum(0) for p in parts], axis=0), rows[:, 0] > 0
+        share = float(np.sum(rows[:, 0])) / noise[0, 0] if noise[0, 0] > 0 else 0.0
+        averages = Averages(
+            factor_of_rows(rows[:, 1:], valid),
+            factor_of_gram(noise * share),
+            np.asarray(self.count / max(2 * self.half, 1)),
+        )
+        active = [jax.tree.map(lambda leaf: leaf.sum(0), p.activity) for p in parts]
+        surveys = [p.survey for p in parts if p.survey is not None]
+        return EquationSums(
+            moments,
+            count,
+            averages,
+            jax.tree.map(lambda *leaves: np.sum(leaves, axis=0), *active),
+            _survey(surveys, float(self.record.skipped)) if surveys else None,
+            None,
+            equation.parameters,
+        )
+
+
+def _each(law: LagBins, index: slice | None) -> LagBins:
+    """Some bins of a law without its edges; of `None`, all of it as one bin."""
+    return LagBins(law.first[index], law.last[index], law.weight[index])
+
+
+def _filled(samples: int) -> int:
+    """How many samples a record is filled up to."""
+    return next((length for length in FILLED if length >= samples), power_of_two(samples))
+
+
+def _filled_up(record: Record, begin: int, stop: int, length: int) -> Record:
+    """Samples from `begin` to `stop`, and the last of them again and again behind."""
+    behind = length - (stop - begin)
+
+    def filled(values: Array) -> np.ndarray:
+        part = np.asarray(values)[begin:stop]
+        return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
+
+    stamps = None if record.stamps is None else filled(record.stamps)
+    earlier = begin * float(record.time_step)
+    if record.stamps is not None:
+        earlier = float(record.stamps[begin]) - float(record.stamps[0])
+    return Record(
+        {name: filled(values) for name, values in record.arrays.items()},
+        record.time_step,
+        0.0,
+        (),
+        {name: filled(mask) for name, mask in record.missing.items()},
+        stamps,
+        earlier,
     )
 
 
-def _some_windows(
-    criterion: AbstractCriterion,
-    blocks: Blocks,
-    band: tuple[Int[Array, ""], Int[Array, ""]],
-    each: int,
-) -> WindowSet:
-    """Windows in each block, at places and of lengths that are drawn once for all."""
-    place, length = np.random.default_rng(1).random((2, blocks.number, each))
-    shortest, longest = band
-    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
-    start = start + (place * blocks.size).astype(int)
-    lag = shortest + (length * (longest - shortest + 1)).astype(int)
-    return WindowSet(start, start + criterion.lag_samples * lag)
+def _sum_of_groups(values: np.ndarray, size: int) -> np.ndarray:
+    """Sums over groups of so many blocks that follow one another."""
+    if size == 1:
+        return values
+    count = -(-values.shape[1] // size)
+    behind = [(0, 0), (0, count * size - values.shape[1])] + [(0, 0)] * (values.ndim - 2)
+    filled = np.pad(values, behind)
+    return filled.reshape(values.shape[0], count, size, *values.shape[2:]).sum(2)
 
 
-def _surveyed(
-    criterion: AbstractCriterion,
-    equation: Equation,
-    columns: Columns,
-    noise: Noise,
-    windows: WindowSet,
-    record: Record,
-    blocks: Blocks,
-) -> Surveyed:
-    shape = windows.start.shape
-    last = columns.sample_count - 1
-    inside = (windows.stop < blocks.held).ravel()
-    flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
+def _survey(parts: Sequence[Surveyed], skipped: float) -> Survey:
+    """Rows of all parts, the first sample at `skipped` seconds, and what they come to."""
 
-    def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
-        found = by.rows_of(of, flat, blocks.held)
-        kept = inside if found.kept is None else inside & found.kept
-        values = jnp.where(kept[:, None], found.columns.T, 0.0)
-        return values.reshape(*shape, -1), kept.reshape(shape)
+    def flat(of: str) -> Float[np.ndarray, "rows columns"]:
+        return np.concatenate([getattr(p, of).reshape(-1, p.rows.shape[-1]) for p in parts])
 
-    values, kept = rows(columns, criterion)
-    finer = criterion.finest()
-    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
-    return Surveyed(
-        values,
-        values if finer is criterion else rows(columns, finer)[0],
-        rows(noise(), criterion)[0],
-        record.elapsed[at].reshape(shape),
-        kept,
-        {name: reach[None] for name, reach in _reaches(equation, record, blocks.held).items()},
-    )
-
-
-def _reaches(
-    equation: Equation, record: Record, held: Int[Array, ""] | int
-) -> dict[str, Float[Array, "2"]]:
-    """Least and largest argument of each basis."""
-    real = jnp.arange(record.sample_count) < held
-    found = {}
-    for term in equation.terms:
-        if isinstance(term, Terms):
-            argument, _ = evaluate(term.of, record)
-            low = jnp.min(argument, where=real, initial=jnp.inf)
-            found[term.prefix] = jnp.stack([low, jnp.max(argument, where=real, initial=-jnp.inf)])
-    return found
-
-
-def _added_by_noise(
-    equation: Equation, columns: Columns, record: Record, levels: Mapping[str, Float[Leaf, ""]]
-) -> Columns:
-    """What noise of these levels adds to an equation's columns."""
-    return sampled_columns(equation, disturbed(record, levels), columns.smoothness) - columns
-
-
-def disturbed(record: Record, levels: Mapping[str, Float[Leaf, ""]]) -> Record:
-    """The record with so much white noise on each signal; the same at a sample in any stretch."""
-    first = jnp.round(record.skipped / record.time_step).astype(int)
-    place = first + jnp.arange(record.sample_count)
-    noise = jnp.asarray(NOISE, record.time_step.dtype)
-    added = {
-        name: record.arrays[name] + level * noise[(place + i * APART) % NOISE.size]
-        for i, (name, level) in enumerate(sorted(levels.items()))
+    valid = np.flatnonzero(np.concatenate([p.valid.ravel() for p in parts]))
+    rows, finer, noise = flat("rows"), flat("finer"), flat("noise")
+    start = skipped + np.concatenate([p.start.ravel() for p in parts])
+    shown = valid[np.linspace(0, max(valid.size - 1, 0), min(valid.size, SHOWN)).astype(int)]
+    shown = shown[np.argsort(start[shown], kind="stable")]
+    quadrature = np.stack([np.sum((rows - finer) ** 2, 0), np.sum(finer**2, 0)])
+    ends = {name: np.concatenate([p.reach[name] for p in parts]) for name in parts[0].reach}
+    reach: dict[str, Leaf] = {
+        name: np.array([own[:, 0].min(), own[:, 1].max()]) for name, own in ends.items()
     }
-    return record.with_signals(added, missing=record.missing)
+    covariance = noise.T @ noise / max(valid.size, 1)
+    return Survey(covariance, quadrature, rows[shown], start[shown], reach)

@@ -7,17 +7,14 @@ equation, record and short block is all that needs to be kept.
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
 from riecjax.summaries.blocks import short_blocks
-from riecjax.summaries.normal_equations import (
-    NormalEquations,
-)
+from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 
@@ -36,7 +33,7 @@ def stage_normal_equations(
     `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
     length one.
     """
-    parts = _equation_by_equation(procedure, record, criterion, key, blocks)
+    parts = _of_equations(procedure, record, criterion, key, blocks)
     return [
         sum_of_equations(equations, names)
         for equations, names in zip(parts, procedure.stage_parameters)
@@ -58,7 +55,7 @@ def traced_sums(
     key: Key[Array, ""] | None,
 ) -> RecordingSums:
     """Moments of one record, for code that is traced: shapes are those of the record."""
-    parts = _compiled(procedure, record, criterion, key)
+    parts = _of_equations_compiled(procedure, record, criterion, key, True)
     stages = tuple(
         tuple(
             EquationSums(e.moments[None], e.count[None], None, None, None, None, e.parameters)
@@ -79,41 +76,27 @@ def traced_sums(
     )
 
 
-@eqx.filter_jit
-def _compiled(
-    procedure: Procedure,
-    record: Record,
-    criterion: AbstractCriterion,
-    key: Key[Array, ""] | None,
-) -> list[list[NormalEquations]]:
-    return _equation_by_equation(procedure, record, criterion, key, True)
-
-
-def _equation_by_equation(
+def _of_equations(
     procedure: Procedure,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
     blocks: bool,
 ) -> list[list[NormalEquations]]:
-    if criterion.in_closed_form:
-        return [[_moments(criterion, e, record) for e in stage] for stage in procedure.stages]
     samples = criterion.block_samples(record) if blocks else record.sample_count
     count = -(-record.sample_count // samples)
 
     # Rows of a stage's equations are summed, never interleaved: one Gram matrix per equation.
-    def summed(equation: Equation) -> NormalEquations:
+    def of(equation: Equation) -> NormalEquations:
+        if criterion.in_closed_form:
+            return NormalEquations(*criterion.moments(equation, record), equation.parameters)
         rows = criterion.rows(equation, record, key)
-        block = _block_of_row(rows, samples, count) if count > 1 else None
+        block = None
+        if count > 1:
+            block = jnp.clip((rows.position / samples).astype(jnp.int32), 0, count - 1)
         return NormalEquations.of_rows(rows, block_of_row=block, block_count=count)
 
-    return [[summed(equation) for equation in stage] for stage in procedure.stages]
+    return [[of(equation) for equation in stage] for stage in procedure.stages]
 
 
-def _moments(criterion: AbstractCriterion, equation: Equation, record: Record) -> NormalEquations:
-    moments, count = criterion.moments(equation, record)
-    return NormalEquations(moments, count, equation.parameters)
-
-
-def _block_of_row(rows: Rows, samples: int, count: int) -> Int[Array, " rows"]:
-    return jnp.clip((rows.position / samples).astype(jnp.int32), 0, count - 1)
+_of_equations_compiled = eqx.filter_jit(_of_equations)

@@ -1,4 +1,4 @@
-"""The verb that reads samples: sum up what recordings say to a model."""
+"""Sum up what recordings say to a model: the only step that reads samples."""
 
 from collections.abc import Sequence
 
@@ -13,9 +13,10 @@ from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.record import Record
-from riecjax.summaries.reduction import Reading
+from riecjax.summaries.digest import Outline
+from riecjax.summaries.one_pass import OnePass
 from riecjax.summaries.stage_sums import traced_sums
-from riecjax.summaries.summary import Outline, Summary
+from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import RecordingSums
 from riecjax.summaries.task import Task, task
 
@@ -63,7 +64,7 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
         if traced:
             return traced_sums(procedure, record, criterion, key)
-        return Reading(procedure, record, criterion, key, kept_apart, survey).sums()
+        return OnePass(procedure, record, criterion, key, kept_apart, survey).sums()
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)

@@ -1,14 +1,13 @@
 """All that recordings say to a model, kept as sums: what every estimate is made from."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
-from typing import Any
+import os
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.length_bins import LengthBins
@@ -16,40 +15,15 @@ from riecjax.equations.procedure import Procedure
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.digest import fingerprint_of
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.digest import Outline
+from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
+from riecjax.summaries.summary_files import read_parts, write_parts
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 ROOMS = (128, 1024)
 """Blocks of a recording that arrays have room for; there are no more than the last."""
-SCHEMA = 1
-"""Of what a Summary holds; another one is refused."""
 UNKNOWN = "0" * 64
 """Digest of a recording that was summed by jit."""
-
-
-class Outline(eqx.Module):
-    """What was asked of the recordings, as far as sums depend on it.
-
-    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter;
-    `fingerprint` of the equations' terms, empty where their numbers were traced.
-    """
-
-    stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
-    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    fingerprint: str = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, procedure: Procedure) -> "Outline":
-        """Of a procedure."""
-        stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in procedure.stages)
-        fingerprint = fingerprint_of(procedure) if is_concrete(procedure) else ""
-        return cls(stages, tuple(procedure.units.items()), fingerprint)
-
-    def is_of(self, other: "Outline") -> bool:
-        """Whether both are of the same equations, as far as that is known."""
-        known = bool(self.fingerprint and other.fingerprint)
-        return self.stages == other.stages and (not known or self.fingerprint == other.fingerprint)
 
 
 class Summary(eqx.Module):
@@ -113,8 +87,11 @@ class Summary(eqx.Module):
             require("what is merged", one, Summary, "summary.merge(other): one after the other")
             self._require_alike(one)
             for digest, recording in zip(one.digests, one.recordings):
-                if UNKNOWN in (digest, *every):
-                    _require_alone(every)
+                if every and UNKNOWN in (digest, *every):
+                    raise ModelError(
+                        "sums that were made under jax.jit do not tell which recordings they are "
+                        "of, so that they cannot be merged: make them by rx.summarise outside it."
+                    )
                 every[digest] = _one_of(every.get(digest, recording), recording)
         return self.of_recordings(every[digest] for digest in sorted(every))
 
@@ -143,14 +120,14 @@ class Summary(eqx.Module):
         """
         (one,) = self.select(recording).recordings
         edges = float(one.block_seconds) * np.arange(int(one.blocks) + 1)
-        kept = (edges[1:] <= start) | (edges[:-1] >= stop)
-        if kept.sum() < 2:
+        outside = (edges[1:] <= start) | (edges[:-1] >= stop)
+        if outside.sum() < 2:
             raise DataError(
                 f"fewer than two blocks of {float(one.block_seconds):.3g} s would remain of "
                 f"recording {recording + 1}."
             )
         others = list(self.recordings)
-        others[recording] = of_blocks(one, np.flatnonzero(kept))
+        others[recording] = one.of_blocks(np.flatnonzero(outside))
         return self.of_recordings(others)
 
     def scale(self, factor: float) -> "Summary":
@@ -160,7 +137,7 @@ class Summary(eqx.Module):
         """
         if is_concrete(factor) and not float(factor) >= 0:
             raise ModelError(f"sums are scaled by a factor of zero or more; got {factor}.")
-        return self.of_recordings(_scaled(one, factor) for one in self.recordings)
+        return self.of_recordings(one.scaled(factor) for one in self.recordings)
 
     def between(self, alpha: float, beta: float) -> "Summary":
         """The same for windows of other lengths, from alpha to beta seconds.
@@ -227,29 +204,30 @@ class Summary(eqx.Module):
         room = count
         if is_concrete(self.recordings):
             room = min((number for number in ROOMS if number >= count), default=count)
-        xp = namespace(self.recordings)
+
+        def in_band(equation: EquationSums) -> NormalEquations:
+            moments, count = (
+                leaf[first] if last == first + 1 else leaf[first:last].sum(0)
+                for leaf in (equation.moments, equation.count)
+            )
+            return NormalEquations(moments, count, equation.parameters)
 
         def stacked(i: int, j: int) -> NormalEquations:
-            every = [one.stages[i][j] for one in self.recordings]
-
-            def of(leaf: Callable[[EquationSums], Leaf]) -> Array:
-                parts = [_sum_of_bins(leaf(e), first, last, xp) for e in every]
-                return xp.stack([_filled_up(part, room, xp) for part in parts])
-
-            return NormalEquations(
-                of(lambda e: e.moments), of(lambda e: e.count), every[0].parameters
-            )
+            every = [in_band(one.stages[i][j]) for one in self.recordings]
+            return stack_normal_equations(every, room)
 
         return [
             [stacked(i, j) for j, _ in enumerate(stage)]
             for i, stage in enumerate(self.outline.stages)
         ]
 
-    def save(self, path: str | Path) -> None:
-        """Write to an NPZ file with a checksum; see [`load`][]."""
-        from riecjax.summaries.summary_files import save
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an NPZ file of exactly this name, whole or not at all; see [`load`][].
 
-        save(self, path)
+        **Raises:** `DataError` if the file cannot be written; `ModelError` for a criterion with a
+        law that is a function, for sums that are traced or of a batch, or for more than 2 GiB.
+        """
+        write_parts(path, **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
 
     def require_model(self, procedure: Procedure) -> None:
         """Raise `ModelError` unless these are sums of the procedure's equations."""
@@ -274,6 +252,18 @@ class Summary(eqx.Module):
             raise ModelError(f"summaries cannot be merged that were made for {why}.")
 
 
+def load(path: str | os.PathLike[str]) -> Summary:
+    """Read a Summary that [`Summary.save`][] wrote, equal to the bit.
+
+    A test function, or another part of a criterion, that is not this library's must be defined
+    before: import its module.
+
+    **Raises:** `DataError`, in one line, for a file that is not there, is no Summary, is damaged,
+    was written with another schema, or names a class that is not defined.
+    """
+    return Summary(**read_parts(path))
+
+
 def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
     """One Summary, or several merged.
 
@@ -292,15 +282,6 @@ def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
 
 def _edges_of(summary: Summary) -> np.ndarray:
     return np.zeros(0) if summary.edges is None else np.asarray(summary.edges)
-
-
-def _require_alone(every: dict[str, RecordingSums]) -> None:
-    """Raise `ModelError` if there are others beside a recording that does not tell which it is."""
-    if every:
-        raise ModelError(
-            "sums that were made under jax.jit do not tell which recordings they are of, so that "
-            "they cannot be merged: make them by rx.summarise outside of it."
-        )
 
 
 def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
@@ -324,54 +305,3 @@ def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
         return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
 
     return min(one, other, key=rank)
-
-
-def of_blocks(one: RecordingSums, kept: np.ndarray) -> RecordingSums:
-    """The sums of some of a recording's blocks."""
-    if kept.size == int(one.blocks):
-        return one
-
-    def of(equation: EquationSums) -> EquationSums:
-        moments, count = (
-            np.asarray(leaf[:, kept], order="C") for leaf in (equation.moments, equation.count)
-        )
-        # A factor of all rows has no parts.
-        return dataclasses.replace(equation, moments=moments, count=count, factor=None)
-
-    stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
-    # Rows are not spread evenly over blocks, so that it is not known how many were offered.
-    return dataclasses.replace(
-        one, stages=stages, blocks=np.asarray(kept.size), offered=np.asarray(np.nan)
-    )
-
-
-def _scaled(one: RecordingSums, factor: float) -> RecordingSums:
-    """Sums times a factor; triangular factors, whose squares are sums, times its root."""
-
-    def of(equation: EquationSums) -> EquationSums:
-        root = namespace(factor).sqrt(factor)
-        scaled: dict[str, Any] = {
-            "moments": equation.moments * factor,
-            "count": equation.count * factor,
-            "factor": None if equation.factor is None else equation.factor * root,
-        }
-        if equation.averages is not None:
-            scaled["averages"] = dataclasses.replace(
-                equation.averages,
-                rows=equation.averages.rows * root,
-                noise=equation.averages.noise * root,
-            )
-        if equation.activity is not None:
-            scaled["activity"] = jax.tree.map(lambda leaf: leaf * factor, equation.activity)
-        return dataclasses.replace(equation, **scaled)
-
-    stages = tuple(tuple(of(e) for e in stage) for stage in one.stages)
-    return dataclasses.replace(one, stages=stages, offered=one.offered * factor)
-
-
-def _sum_of_bins(values: Leaf, first: int, last: int, xp: Any) -> Array:
-    return values[first] if last == first + 1 else xp.sum(values[first:last], axis=0)
-
-
-def _filled_up(blocks: Array, room: int, xp: Any) -> Array:
-    return xp.pad(blocks, [(0, room - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))

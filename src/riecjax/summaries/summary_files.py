@@ -23,7 +23,7 @@ from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.writing import write_npz, write_whole
-from riecjax.summaries.summary import SCHEMA, Outline, Summary
+from riecjax.summaries.digest import Outline
 from riecjax.summaries.sums import Activity, Averages, EquationSums, RecordingSums, Survey
 
 DOCUMENT = "summary"
@@ -31,6 +31,8 @@ DOCUMENT = "summary"
 EDGES = "edges"
 """Name of the array of the bins' edges."""
 FORMAT = "riecjax.Summary"
+SCHEMA = 1
+"""Of what a Summary holds; another one is refused."""
 LARGEST = 2**31
 """Bytes that a file may unpack to: it is refused by what it declares, before it is read."""
 HEADER = 256
@@ -40,21 +42,19 @@ Arrays = dict[str, np.ndarray]
 Document = dict[str, Any]
 
 
-def save(summary: Summary, path: str | os.PathLike[str]) -> None:
-    """Write a Summary to an NPZ file of exactly this name, whole or not at all.
-
-    **Raises:** `DataError` if the file cannot be written; `ModelError` for a criterion with a law
-    that is a function, for sums that are traced or of a batch, or for more than `LARGEST` bytes.
-    """
+def write_parts(path: str | os.PathLike[str], **parts: Any) -> None:
+    """Write the fields of a Summary to a file; see [`Summary.save`][]."""
     file = _path(path)
-    if not is_concrete(summary) or any(np.ndim(one.blocks) for one in summary.recordings):
+    recordings = parts["recordings"]
+    if not is_concrete(parts) or any(np.ndim(one.blocks) for one in recordings):
         raise ModelError(
             "sums of jax.jit or jax.vmap are saved outside of it, and one by one of a batch."
         )
-    arrays = _named(summary.recordings)
-    if summary.edges is not None:
-        arrays[EDGES] = np.asarray(summary.edges)
-    document = _document(summary)
+    leaves, _ = jax.tree_util.tree_flatten_with_path(recordings)
+    arrays = {_name(place): np.asarray(leaf) for place, leaf in leaves}
+    if parts["edges"] is not None:
+        arrays[EDGES] = np.asarray(parts["edges"])
+    document = _document(parts)
     document["checksum"] = _checksum(document, arrays)
     text = json.dumps(document).encode()
     arrays[DOCUMENT] = np.frombuffer(text, np.uint8)
@@ -66,22 +66,14 @@ def save(summary: Summary, path: str | os.PathLike[str]) -> None:
     write_whole(file, lambda temporary: write_npz(temporary, arrays))
 
 
-def load(path: str | os.PathLike[str]) -> Summary:
-    """Read a Summary that [`Summary.save`][] wrote, equal to the bit.
-
-    A test function, or another part of a criterion, of one's own must be defined before: import
-    its module.
-
-    **Raises:** `DataError`, in one line, for a file that is not there, is no Summary, is damaged,
-    was written with another schema, or names a class that is not defined.
-    """
+def read_parts(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The fields of the Summary in a file; see [`load`][]."""
     file = _path(path)
     if not file.is_file():
         raise DataError(f"there is no file '{file}'.")
     try:
         with foreign_reader("Summary"):
-            document, arrays = _contents(file)
-            return _summary(document, arrays)
+            return _parts(*_contents(file))
     except DataError as error:
         raise DataError(" ".join(f"{file.name}: {error}".split())) from None
 
@@ -91,34 +83,28 @@ def _path(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def _named(recordings: tuple[RecordingSums, ...]) -> Arrays:
-    """All arrays of recordings by their paths."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(recordings)
-    return {_name(path): np.asarray(leaf) for path, leaf in leaves}
-
-
 def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path, simple=True, separator="/")
 
 
-def _document(summary: Summary) -> Document:
-    """All that is no array, but for the checksum."""
+def _document(parts: Mapping[str, Any]) -> Document:
+    """What of a Summary's fields is no array, but for the checksum."""
+    outline: Outline = parts["outline"]
+    recordings: tuple[RecordingSums, ...] = parts["recordings"]
     return {
         "format": FORMAT,
         "schema": SCHEMA,
         "riecjax": version("riecjax"),
-        "dtype": str(summary.recordings[0].stages[0][0].moments.dtype),
-        "stages": summary.outline.stages,
-        "units": summary.outline.units,
-        "fingerprint": summary.outline.fingerprint,
-        "bins": summary.edges is not None,
-        "in_law": summary.in_law,
-        "band": summary.band,
-        "asked": summary.asked,
-        "criterion": written(summary.criterion),
+        "dtype": str(recordings[0].stages[0][0].moments.dtype),
+        "stages": outline.stages,
+        "units": outline.units,
+        "fingerprint": outline.fingerprint,
+        "bins": parts["edges"] is not None,
+        **{name: parts[name] for name in ("in_law", "band", "asked")},
+        "criterion": written(parts["criterion"]),
         "recordings": [
             [[_structure(equation) for equation in stage] for stage in one.stages]
-            for one in summary.recordings
+            for one in recordings
         ],
     }
 
@@ -179,30 +165,28 @@ def _require_schema(document: Any) -> None:
         )
 
 
-def _summary(document: Document, arrays: Arrays) -> Summary:
-    """The Summary of a document and its arrays."""
+def _parts(document: Document, arrays: Arrays) -> dict[str, Any]:
+    """The fields of the Summary with this document and these arrays."""
     edges = arrays.pop(EDGES) if document["bins"] else None
     empty = tuple(_skeleton(stages) for stages in document["recordings"])
     paths, structure = jax.tree_util.tree_flatten_with_path(empty)
     names = [_name(path) for path, _ in paths]
     if set(names) != set(arrays):
         raise DataError("its arrays are not those that it lists.")
-    return Summary(
-        jax.tree.unflatten(structure, [arrays[name] for name in names]),
-        criterion_of(document["criterion"]),
-        Outline(
-            tuple(
-                tuple((name, tuple(parameters)) for name, parameters in stage)
-                for stage in document["stages"]
-            ),
-            tuple((name, unit) for name, unit in document["units"]),
-            str(document["fingerprint"]),
-        ),
-        edges,
-        _pair(document["in_law"]),
-        _pair(document["band"]),
-        None if document["asked"] is None else _pair(document["asked"]),
+    stages = (
+        tuple((name, tuple(parameters)) for name, parameters in stage)
+        for stage in document["stages"]
     )
+    units = tuple((name, unit) for name, unit in document["units"])
+    return {
+        "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
+        "criterion": criterion_of(document["criterion"]),
+        "outline": Outline(tuple(stages), units, str(document["fingerprint"])),
+        "edges": edges,
+        "in_law": _pair(document["in_law"]),
+        "band": _pair(document["band"]),
+        "asked": None if document["asked"] is None else _pair(document["asked"]),
+    }
 
 
 def _pair(values: list[Any]) -> tuple[Any, Any]:

@@ -1,6 +1,9 @@
 """What one recording says of each equation, kept as sums."""
 
+import dataclasses
+
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
@@ -112,6 +115,48 @@ class RecordingSums(eqx.Module):
     samples: Int[Leaf, ""]
     time_step: Float[Leaf, ""]
     digest: UInt32[Leaf, "8"]
+
+    def of_blocks(self, index: Int[np.ndarray, " blocks"]) -> "RecordingSums":
+        """The sums of some of the blocks (not under jit)."""
+        if index.size == int(self.blocks):
+            return self
+
+        def of(equation: EquationSums) -> EquationSums:
+            moments, count = (
+                np.asarray(leaf[:, index], order="C") for leaf in (equation.moments, equation.count)
+            )
+            # A factor of all rows has no parts.
+            return dataclasses.replace(equation, moments=moments, count=count, factor=None)
+
+        # Rows are not spread evenly over blocks, so that it is not known how many were offered.
+        return dataclasses.replace(
+            self,
+            stages=tuple(tuple(of(e) for e in stage) for stage in self.stages),
+            blocks=np.asarray(index.size),
+            offered=np.asarray(np.nan),
+        )
+
+    def scaled(self, factor: float) -> "RecordingSums":
+        """Sums times a factor; triangular factors, whose squares are sums, times its root."""
+        root = namespace(factor).sqrt(factor)
+
+        def of(equation: EquationSums) -> EquationSums:
+            averages, rows = equation.averages, equation.factor
+            if averages is not None:
+                averages = dataclasses.replace(
+                    averages, rows=averages.rows * root, noise=averages.noise * root
+                )
+            return dataclasses.replace(
+                equation,
+                moments=equation.moments * factor,
+                count=equation.count * factor,
+                averages=averages,
+                activity=jax.tree.map(lambda leaf: leaf * factor, equation.activity),
+                factor=None if rows is None else rows * root,
+            )
+
+        stages = tuple(tuple(of(e) for e in stage) for stage in self.stages)
+        return dataclasses.replace(self, stages=stages, offered=self.offered * factor)
 
 
 DIFFERENCE_ORDER = 6

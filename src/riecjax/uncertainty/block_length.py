@@ -1,9 +1,17 @@
-"""Blocks of time: stretches of a record whose errors may be taken as independent.
+"""How long a block of time must be: stretches of a record whose errors may count as independent.
 
 Windows overlap and equation errors are autocorrelated, so single rows are far from independent.
-Normal equations are kept for many short blocks of start times, which cost nothing, and put
-together into blocks long enough once that length has been judged from the data.
+Normal equations are made for many short blocks of start times, which cost nothing, and added up to
+blocks that are long enough once that length is known from the data.
 """
+
+# Two lengths compete. The variance of a mean of n values, estimated from blocks of b, misses the
+# covariances beyond b, a bias of -G / b with G = sum |k| R(k), and of n / b blocks it has a
+# variance of about 2 g0^2 b / n, g0 = sum R(k) the spectral density at zero. The sum of squared
+# bias and variance is least at `b = (G^2 / g0^2)^(1/3) n^(1/3)` (Politis and White, 2004; for
+# blocks that overlap it is (3/2)^(1/3) times as long). The series is each block's influence on a
+# parameter, so every parameter has its length and the longest is taken: too long a block costs
+# degrees of freedom, which Student's t pays for, too short a one costs coverage that nothing shows.
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +53,8 @@ def politis_white(
     Politis and White (2004), with the constant for blocks that do not overlap:
     `(G^2 / g0^2)^(1/3) N^(1/3)`, where g0 is the spectral density of the series at frequency zero
     and G = sum |k| R(k); autocovariances R count up to twice the lag from which on they are
-    insignificant, with a flat-top taper.
+    insignificant, with a flat-top taper (1 up to half of it, then falling to 0), whose bias is
+    smaller than any power of that lag where Bartlett's is of its first.
 
     **Arguments:** `influence` of each short block on each estimate, zero where there is none.
     """

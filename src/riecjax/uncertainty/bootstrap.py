@@ -1,6 +1,13 @@
 """Bootstrap over blocks of time: whole procedures solved again from resampled normal equations."""
 
-from collections.abc import Mapping
+# A replicate draws blocks with replacement: block b counts w_b times, and the staged fit is solved
+# from `sum w_b M_b`, M_b a block's moments. Its estimate theta* is divided by its own standard
+# error, `t* = (theta* - theta) / s*`, and the quantiles of t* make the interval `theta - t*_hi s,
+# theta - t*_lo s`. To divide is worth it: t has about the same law whatever the errors' size is (a
+# pivot), so that ends are right to O(1/n) of n blocks rather than O(n^-1/2) (Hall, 1988, of
+# one-sided ones), and lean where estimates are skewed. Blocks rather than rows are drawn since
+# errors are correlated within a block (Kunsch, 1989). A replicate costs a weighted sum of a few
+# dozen small matrices and an elimination; no row is seen again.
 
 import jax
 import jax.numpy as jnp
@@ -10,20 +17,20 @@ from jaxtyping import Array, Float, Int
 from riecjax.linear_algebra import solve_scaled
 from riecjax.summaries.blocks import MOST_BLOCKS
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.uncertainty.scores import Unknowns, in_order, scores, slope, staged_values
+from riecjax.uncertainty.block_statistics import (
+    BlockStatistics,
+    as_vector,
+    scores,
+    slope,
+    staged_values,
+)
 
 AT_ONCE = 250
 """Replicates worked on together: they share vector instructions, and memory stays small."""
 
 
 def studentized_replicates(
-    stages: list[NormalEquations],
-    plan: Unknowns,
-    known: Mapping[str, Array],
-    values: Mapping[str, Array],
-    used: Int[Array, " records"],
-    *,
-    draws: Float[Array, "replicates records blocks_of_record"],
+    statistics: BlockStatistics, draws: Float[Array, "replicates records blocks_of_record"]
 ) -> Float[Array, "replicates p"]:
     """(estimate - value) / standard error of each replicate, for all parameters of all stages.
 
@@ -32,10 +39,10 @@ def studentized_replicates(
     not drawn, so what differs between them does not move a replicate. NaN where a replicate leaves
     a parameter undetermined.
 
-    **Arguments:** `stages` in blocks, `MOST_BLOCKS` of each record, of which `used` hold rows;
-    `values` of all parameters by name, found from all blocks; `draws`, see [`uniform_draws`][].
+    **Arguments:** `draws`, see [`uniform_draws`][].
     """
-    found = in_order(plan, values)
+    stages, unknowns, used = statistics.blocks, statistics.unknowns, statistics.used
+    found = statistics.estimate
     moments = [stage.moments.reshape(stage.moments.shape[0], -1) for stage in stages]
 
     def replicate(drawn: Float[Array, "records blocks_of_record"]) -> Float[Array, " p"]:
@@ -46,11 +53,13 @@ def studentized_replicates(
             )
             for m, s in zip(moments, stages)
         ]
-        again = staged_values(totals, plan, known, solve_definite)
+        again = staged_values(totals, unknowns, statistics.known, _solve_definite)
         error = _standard_errors(
-            scores(stages, plan, again), weights.reshape(used.shape[0], -1), slope(totals, plan)
+            scores(stages, unknowns, again),
+            weights.reshape(used.shape[0], -1),
+            slope(totals, unknowns),
         )
-        moved = in_order(plan, again) - found
+        moved = as_vector(unknowns, again) - found
         usable = (error > 0) & jnp.isfinite(error) & jnp.isfinite(moved)
         return jnp.where(usable, moved / jnp.where(usable, error, 1.0), jnp.nan)
 
@@ -92,6 +101,6 @@ def _standard_errors(
     return jnp.sqrt(jnp.sum(jnp.maximum(squares - total**2 / drawn, 0.0), axis=0))
 
 
-def solve_definite(equations: NormalEquations) -> Float[Array, " p"]:
+def _solve_definite(equations: NormalEquations) -> Float[Array, " p"]:
     """Solution of normal equations of full rank; see [`solve_scaled`][]."""
     return solve_scaled(equations.gram, equations.moment[:, None])[:, 0]

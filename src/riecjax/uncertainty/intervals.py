@@ -5,7 +5,6 @@ of that value's distance from the truth.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,25 +13,18 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax import tails
 from riecjax.errors import ModelError
-from riecjax.summaries.blocks import (
-    MOST_BLOCKS,
-    ShortBlocks,
-    blocks_in_use,
-    merge_blocks,
-    sum_blocks,
-)
+from riecjax.summaries.blocks import MOST_BLOCKS, ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.uncertainty.block_length import block_length, politis_white
-from riecjax.uncertainty.block_statistics import Evidence, record_inflation
+from riecjax.uncertainty.block_statistics import BlockStatistics, block_statistics
 from riecjax.uncertainty.bootstrap import studentized_replicates, uniform_draws
 from riecjax.uncertainty.covariances import (
     effective_freedom,
     jackknife_covariance,
     naive_covariance,
+    record_inflation,
     sandwich_covariance,
 )
-from riecjax.uncertainty.few_blocks import few_blocks_sandwich
-from riecjax.uncertainty.scores import block_influence, in_order, unknowns
+from riecjax.uncertainty.small_samples import few_blocks_sandwich
 
 FEW = 12
 """Blocks of all records up to which the bootstrap's tails do not serve."""
@@ -59,7 +51,7 @@ class Uncertainty(eqx.Module):
     - `few_blocks`: parameters that so few blocks tell of that the small-sample sandwich and
       Student's t stand in, see [`with_few_blocks`][].
     - `times_sandwich`: how many times as far as that sandwich replicates reach, 1 without any.
-    - `method`: how it was judged otherwise, in words.
+    - `method` of all other parameters, in words.
     """
 
     covariance: Float[Array, "p p"]
@@ -71,14 +63,14 @@ class Uncertainty(eqx.Module):
 
     @property
     def label(self) -> str:
-        """How it was judged, in words (not under jit)."""
+        """The method, in words (not under jit)."""
         few = np.asarray(self.few_blocks)
         if few.all():
             return SMALL_SAMPLE
         return f"{self.method}; {SMALL_SAMPLE} of few blocks" if few.any() else self.method
 
-    def grown(self, inflation: Float[Array, " p"]) -> "Uncertainty":
-        """With standard errors multiplied."""
+    def inflated(self, inflation: Float[Array, " p"]) -> "Uncertainty":
+        """With standard errors multiplied by these factors."""
         covariance = self.covariance * inflation[:, None] * inflation[None, :]
         return eqx.tree_at(lambda u: u.covariance, self, covariance)
 
@@ -105,10 +97,10 @@ class Uncertainty(eqx.Module):
 
 
 class AbstractIntervals(eqx.Module):
-    """A way to judge uncertainty."""
+    """How covariance and intervals are made of block statistics."""
 
-    def uncertainty(self, evidence: Evidence) -> Uncertainty:
-        """The uncertainty of the estimates behind this evidence."""
+    def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
+        """Covariance of the estimates, and what intervals need besides."""
         raise NotImplementedError
 
 
@@ -138,34 +130,27 @@ class BlockBootstrap(AbstractIntervals):
                 f"an interval needs at least 100 bootstrap replicates; got {self.replicates}."
             )
 
-    def uncertainty(self, evidence: Evidence) -> Uncertainty:
+    def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
         """Jackknife covariance, and studentized replicates."""
         return with_few_blocks(
-            evidence,
-            jackknife_covariance(evidence),
-            self.studentized(evidence),
+            statistics,
+            jackknife_covariance(statistics),
+            self.studentized(statistics),
             f"studentized block bootstrap, {self.replicates} replicates",
         )
 
-    def studentized(self, evidence: Evidence) -> Float[Array, "replicates p"]:
+    def studentized(self, statistics: BlockStatistics) -> Float[Array, "replicates p"]:
         """The replicates, see [`studentized_replicates`][]."""
-        records = evidence.used.shape[0]
-        return studentized_replicates(
-            evidence.stages,
-            evidence.plan,
-            evidence.known,
-            evidence.values,
-            evidence.used,
-            draws=jnp.asarray(uniform_draws(self.seed, self.replicates, records)),
-        )
+        draws = uniform_draws(self.seed, self.replicates, statistics.used.shape[0])
+        return studentized_replicates(statistics, jnp.asarray(draws))
 
 
 class Sandwich(AbstractIntervals):
     """Sandwich covariance with autocorrelated scores (HAC), and Student's t: without resampling."""
 
-    def uncertainty(self, evidence: Evidence) -> Uncertainty:
+    def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
         """The sandwich."""
-        return with_few_blocks(evidence, sandwich_covariance(evidence), None, "HAC sandwich")
+        return with_few_blocks(statistics, sandwich_covariance(statistics), None, "HAC sandwich")
 
 
 class Naive(AbstractIntervals):
@@ -174,11 +159,11 @@ class Naive(AbstractIntervals):
     Far too narrow, since windows overlap: for comparison only.
     """
 
-    def uncertainty(self, evidence: Evidence) -> Uncertainty:
+    def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
         """sigma^2 (A^T A)^-1 of each stage, earlier stages taken as exact."""
-        count = len(in_order(evidence.plan, evidence.values))
+        count = len(statistics.estimate)
         return Uncertainty(
-            naive_covariance(evidence),
+            naive_covariance(statistics),
             None,
             jnp.full(count, 1e9),
             jnp.zeros(count, bool),
@@ -188,7 +173,7 @@ class Naive(AbstractIntervals):
 
 
 def with_few_blocks(
-    evidence: Evidence,
+    statistics: BlockStatistics,
     covariance: Float[Array, "p p"],
     studentized: Float[Array, "replicates p"] | None,
     method: str,
@@ -200,38 +185,40 @@ def with_few_blocks(
     more than `FARTHEST` times as far as the sandwich or less than `NEAREST`: then some were divided
     by a standard error of next to nothing, or hardly any moved.
     """
+    # The bootstrap's tails come from t* of n blocks, its standard error among them. Of a dozen
+    # blocks a replicate draws on average eight different ones, and now and then so few that its own
+    # standard error is next to nothing: t* then has tails that no number of replicates mends.
+    # Bell and McCaffrey's variance and degrees of freedom hold for few blocks, under a working
+    # model; so it stands in where blocks are few, and beside it shows where the bootstrap went off.
     small = few_blocks_sandwich(
-        evidence.fine, evidence.plan, evidence.values, evidence.short, evidence.used
+        statistics.short_blocks,
+        statistics.unknowns,
+        statistics.values,
+        statistics.short,
+        statistics.used,
     )
-    few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM) | (jnp.sum(evidence.used) <= FEW)
+    few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM) | (jnp.sum(statistics.used) <= FEW)
     variance, other = jnp.diagonal(covariance), jnp.diagonal(small.covariance)
     times = jnp.ones_like(variance)
     if studentized is not None:
         reach = jnp.nanquantile(jnp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
         times = reach * jnp.sqrt(variance / jnp.where(other > 0, other, 1.0))
         few = few | (times > FARTHEST) | (times < NEAREST)
+    # Correlations are taken from one of the two, lest a mixture be no covariance at all.
     error = jnp.sqrt(jnp.where(few, other, variance))
     scale = jnp.where(other > 0, error / jnp.sqrt(jnp.where(other > 0, other, 1.0)), 0.0)
     mixed = small.covariance * scale[:, None] * scale[None, :]
     return Uncertainty(
         jnp.where(jnp.any(few), mixed, covariance),
         studentized,
-        jnp.where(few, small.degrees_of_freedom, effective_freedom(evidence)),
+        jnp.where(few, small.degrees_of_freedom, effective_freedom(statistics)),
         few,
         times,
         method,
     )
 
 
-class Judged(NamedTuple):
-    """Uncertainty, grown by `inflation` where records disagree, and the evidence behind it."""
-
-    uncertainty: Uncertainty
-    inflation: Float[Array, " p"]
-    evidence: Evidence
-
-
-def judge(
+def estimate_uncertainty(
     stages: Sequence[NormalEquations],
     known: Mapping[str, Array],
     values: Mapping[str, Array],
@@ -239,31 +226,16 @@ def judge(
     longest_window: Float[Array, ""],
     shared: Bool[np.ndarray, " p"],
     intervals: AbstractIntervals,
-) -> Judged:
+) -> tuple[Uncertainty, Float[Array, " p"], BlockStatistics]:
     """Uncertainty of the solution `values` of all stages.
 
     **Arguments:** `stages`, normal equations with leading axes `(records, short blocks)`;
     `shared`, which of the parameters found hold for all records: others cannot disagree.
+
+    **Returns:** the uncertainty, inflated where records disagree; by which factor on standard
+    errors; and the block statistics that it rests on.
     """
-    flat = [stage.flattened() for stage in stages]
-    fine = block_influence(flat, known, values)
-    fine = fine.reshape(short.number.shape[0], -1, fine.shape[-1])
-    length = block_length(short, longest_window, politis_white(fine, short))
-    used = blocks_in_use(short, length)
-    blocks = [merge_blocks(stage, short, used) for stage in stages]
-    influence = sum_blocks(fine, short, used)
-    evidence = Evidence(
-        blocks,
-        unknowns(blocks, known),
-        dict(known),
-        dict(values),
-        used,
-        influence,
-        fine,
-        short,
-        length,
-        list(stages),
-    )
-    per_record = influence.reshape(short.number.shape[0], MOST_BLOCKS, -1)
-    inflation = jnp.where(shared, record_inflation(per_record, used), 1.0)
-    return Judged(intervals.uncertainty(evidence).grown(inflation), inflation, evidence)
+    statistics = block_statistics(stages, known, values, short, longest_window)
+    per_record = statistics.influence.reshape(short.number.shape[0], MOST_BLOCKS, -1)
+    inflation = jnp.where(shared, record_inflation(per_record, statistics.used), 1.0)
+    return intervals.uncertainty(statistics).inflated(inflation), inflation, statistics

@@ -24,7 +24,7 @@ from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.sharing import values_of_record
+from riecjax.estimation.parameters import values_of_record
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record
 

@@ -415,5 +415,7 @@ def test_text_in_mat_files_is_left_out_with_the_reason(tmp_path):
     channels = read_channels(tmp_path / "a.mat")
     assert set(channels.columns) == {"x"}
     assert channels.left_out == dict.fromkeys(("t", "log.who"), "it holds no real numbers")
-    with pytest.raises(DataError, match=r"no time column.*; column 't' was left out: it holds no real"):
+    with pytest.raises(
+        DataError, match=r"no time column.*; column 't' was left out: it holds no real"
+    ):
         read_record(tmp_path / "a.mat")

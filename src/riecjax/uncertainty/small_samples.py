@@ -1,9 +1,33 @@
-"""A sandwich for few blocks of time, corrected for what it falls short of and how much it scatters.
+"""Bell and McCaffrey's sandwich for few blocks of time, with its degrees of freedom.
 
-Residuals are small where an estimate hangs on few stretches, since it follows their errors: blocks
+Residuals are small where few stretches decide an estimate, since it follows their errors: blocks
 then scatter too little, whatever their number. The blocks' Gram matrices tell by how much, and how
 many degrees of freedom are left.
 """
+
+# Let s_b be the scores of block b at the truth, G_b its Gram matrix (in the slope's coordinates,
+# see `block_statistics`), H = (sum G)^-1, and h^T the row of H that belongs to one parameter.
+# Residuals at the estimate, which is H sum_c s_c away from the truth, give the block the influence
+#
+#     u_b = h^T (s_b - G_b H sum_c s_c).
+#
+# The variance is estimated by the quadratic form u^T B u, B = 1 on the diagonal and 1/2 between
+# half blocks that follow one another: Newey and West's weights for a lag of two. Half blocks are
+# taken since one cut between long blocks is as arbitrary as the next; half blocks with weight 1/2
+# are the mean over the two cuts, and tell twice as many differences of so few blocks.
+#
+# Working model: errors alike all along, so that s_b has the covariance W_bb = sigma^2 G_b, and
+# `OVERLAP` / 2 of the sum of both between neighbours. With r_b = W_b h and W_b, W the sums of W_bc
+# over c, and over all, the influences then have the covariance
+#
+#     M_bc = h^T W_bc h - r_b^T q_c - q_b^T r_c + q_b^T W q_c,    q_b = H G_b h.
+#
+# So the form expects trace(B M), where it should expect h^T W h; the ratio, `seen`, is what it sees
+# of the variance and is divided out. Its own variance, for Gaussian scores, is 2 trace(B M B M),
+# that of a chi-square with `trace(B M)^2 / trace(B M B M)` degrees of freedom (Satterthwaite); they
+# go to Student's t. Both are functions of the design alone. Errors that are not alike change what u
+# is, and the form follows them; only the correction rests on the working model (Bell and McCaffrey,
+# 2002; Imbens and Kolesar, 2016).
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -13,10 +37,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from riecjax.linear_algebra import eliminate, unit_scale
+from riecjax.linear_algebra import eliminate, unit_diagonal
 from riecjax.summaries.blocks import ShortBlocks, merge_blocks
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.uncertainty.scores import Unknowns, scores, slope
+from riecjax.uncertainty.block_statistics import Unknowns, scores, slope
 
 MOST_HALVES = 128
 """Half blocks of all records together: more, and nothing is few."""
@@ -43,44 +67,31 @@ class FewBlocks(NamedTuple):
 
 
 def few_blocks_sandwich(
-    fine: list[NormalEquations],
-    plan: Unknowns,
+    short_blocks: list[NormalEquations],
+    unknowns: Unknowns,
     values: Mapping[str, Array],
     short: ShortBlocks,
     used: Int[Array, " records"],
 ) -> FewBlocks:
     """Covariance and degrees of freedom by Bell and McCaffrey's (2002) rule.
 
-    The variance of each estimate is a quadratic form in its blocks' influence, here Newey and
-    West's over half blocks u_b with weight 1/2 between neighbours. Were a block's scores s_b of
-    variance proportional to its Gram matrix G_b (a working model: errors alike all along), then
-    u_b = h^T (s_b - G_b H sum s), h^T a row of H = (sum G)^-1, would have the covariance
+    A parameter that one stretch alone tells of has no scatter between blocks: its variance is the
+    other parameters' ratio to the working model, and without any the case that a half block's rows
+    all err alike.
 
-        M_bc = h^T W_bc h - r_b^T q_c - q_b^T r_c + q_b^T W q_c,  q_b = H G_b h,  r_b = W_b h,
-
-    W_bc the scores' covariance, W_b and W its sums. With the weights B, trace(B M) is what the
-    form then expects, against h^T W h that it should; trace(B M)^2 / trace(B M B M) are its
-    degrees of freedom (Satterthwaite). The first is mended by division, the second goes to
-    Student's t. Where errors are not alike, the form still follows them.
-
-    A parameter that one stretch alone tells of has nothing between blocks to go by: its variance
-    leans on the other parameters' ratio to the working model, and without any on the case that a
-    half block's rows all err alike.
-
-    **Arguments:** `fine`, each stage in short blocks, leading axes `(records, short blocks)`;
+    **Arguments:** `short_blocks`, of each stage, leading axes `(records, short blocks)`;
     `used`, long blocks of each record, which are halved where short blocks are short enough.
     """
     records = short.number.shape[0]
     most = max(MOST_HALVES // records, 2)
     halves = jnp.minimum(2 * used, jnp.minimum(short.number, most))
-    stages = [merge_blocks(stage, short, halves, most) for stage in fine]
+    stages = [merge_blocks(stage, short, halves, most) for stage in short_blocks]
     totals = [stage.total() for stage in stages]
-    whole = slope(totals, plan)
-    scale = unit_scale(jnp.diagonal(whole))
-    inverse = eliminate(whole * scale[:, None] * scale[None, :], jnp.eye(scale.shape[0]))
-    each = jax.vmap(lambda *blocks: slope(list(blocks), plan))(*stages)
+    whole, scale = unit_diagonal(slope(totals, unknowns))
+    inverse = eliminate(whole, jnp.eye(scale.shape[0]))
+    each = jax.vmap(lambda *blocks: slope(list(blocks), unknowns))(*stages)
     each = each * (scale[:, None] * scale[None, :])[None]
-    variance = _working_variance(totals, plan, values)
+    variance = _working_variance(totals, unknowns, values)
     largest = jnp.max(variance)
     largest = jnp.where(largest > 0, largest, 1.0)
     working = each * (variance / largest)[None]
@@ -105,7 +116,7 @@ def few_blocks_sandwich(
         return jnp.trace(form), jnp.sum(form * form.T)
 
     seen, scatter = jax.vmap(expected)(rows)
-    moved = (scores(stages, plan, values) * scale[None, :]) @ rows.T
+    moved = (scores(stages, unknowns, values) * scale[None, :]) @ rows.T
     shown = moved.T @ (moved + beside @ moved / 2)
     alike = largest * jnp.max(jnp.stack([total.count for total in totals])) / jnp.sum(halves)
     together = jnp.trace(shown) + TOLD_BY_NONE * alike
@@ -121,11 +132,11 @@ def few_blocks_sandwich(
 
 
 def _working_variance(
-    totals: list[NormalEquations], plan: Unknowns, values: Mapping[str, Array]
+    totals: list[NormalEquations], unknowns: Unknowns, values: Mapping[str, Array]
 ) -> Float[Array, "p p"]:
     """Variance of one row's error, between parameters of one stage; zero between stages."""
     parts = []
-    for i, names in plan:
+    for i, names in unknowns:
         total = totals[i]
         at = jnp.stack([jnp.asarray(values[name]) for name in total.parameters])
         # Exact data leave no more than rounding.

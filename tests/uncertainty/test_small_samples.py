@@ -16,8 +16,8 @@ from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.uncertainty.few_blocks import OVERLAP, few_blocks_sandwich
-from riecjax.uncertainty.scores import unknowns
+from riecjax.uncertainty.block_statistics import unknowns_of
+from riecjax.uncertainty.small_samples import OVERLAP, few_blocks_sandwich
 
 STEP = 0.05
 SAMPLES = 512
@@ -58,7 +58,7 @@ def noisy(kind, seed, noise=0.1):
     return Record.from_samples({**signals, "F": signals["F"] + error}, time_step=STEP)
 
 
-def judged_often(kind, criterion):
+def identified_often(kind, criterion):
     """Estimates less truth, and how far intervals reach, over seeds."""
     signals = {name: jnp.asarray(column) for name, column in motion(kind).items()}
     # What rounding and the quadrature shift is no scatter.
@@ -77,7 +77,7 @@ def judged_often(kind, criterion):
 
 
 def test_a_step_recorded_once_has_intervals_that_hold_the_truth_and_are_of_use():
-    off, below, above, blocks, uncertainty = judged_often("step", SHORT_WINDOWS)
+    off, below, above, blocks, uncertainty = identified_often("step", SHORT_WINDOWS)
     assert blocks == 4
     assert np.asarray(uncertainty.few_blocks).all()
     inside = (off <= below) & (-off <= above)
@@ -90,7 +90,7 @@ def test_a_step_recorded_once_has_intervals_that_hold_the_truth_and_are_of_use()
 
 
 def test_two_blocks_have_intervals_that_are_neither_points_nor_everything():
-    off, below, above, blocks, uncertainty = judged_often("waves", LONG_WINDOWS)
+    off, below, above, blocks, uncertainty = identified_often("waves", LONG_WINDOWS)
     assert blocks == 2
     assert np.asarray(uncertainty.few_blocks).all()
     inside = (off <= below) & (-off <= above)
@@ -128,7 +128,7 @@ def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(use
     flat = [fine.flattened()]
     found = few_blocks_sandwich(
         [fine],
-        unknowns(flat, {}),
+        unknowns_of(flat, {}),
         values,
         ShortBlocks(np.array([6]), jnp.array([1.0])),
         jnp.array([used]),
@@ -167,18 +167,18 @@ def test_the_corrected_sandwich_is_the_same_in_32_bit_and_in_any_unit():
     y, a = bursts(np.random.default_rng(1))
     fine, _ = blocks_of((y, a * [1.0, 1e-6]), 6, ("a", "b"))
 
-    def judged(dtype):
+    def sandwich_in(dtype):
         equations = jax.tree.map(lambda x: x.astype(dtype), fine)
         theta = np.linalg.lstsq(a * [1.0, 1e-6], y)[0].astype(dtype)
         return few_blocks_sandwich(
             [equations],
-            unknowns([equations.flattened()], {}),
+            unknowns_of([equations.flattened()], {}),
             {"a": jnp.asarray(theta[0]), "b": jnp.asarray(theta[1])},
             ShortBlocks(np.array([6]), jnp.array([1.0], dtype)),
             jnp.array([3]),
         )
 
-    for single, double in zip(judged(np.float32), judged(np.float64)):
+    for single, double in zip(sandwich_in(np.float32), sandwich_in(np.float64)):
         np.testing.assert_allclose(single, double, rtol=0.02)
 
 

@@ -1,20 +1,22 @@
-"""Which parameters several records share, and which take a value of their own in each."""
+"""Which parameters are unknown, in which record and in which stage: `known` and `per_record`.
 
-from collections.abc import Container, Iterable, Mapping
-from typing import TypeVar
+A parameter named in `per_record` has another value in each record, such as a sensor's offset; to
+least squares these are different parameters, `offset[1]`, `offset[2]`, ... So normal equations of a
+record are renamed and embedded among the parameters of all records, with zeros for what the record
+does not hold, and then add up like any others.
+"""
+
+from collections.abc import Container, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
-from jaxtyping import Array, Key
+import numpy as np
+from jaxtyping import Array
 
-from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.procedure import Procedure
-from riecjax.errors import ModelError
-from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import (
-    NormalEquations,
-    stack_normal_equations,
-)
-from riecjax.summaries.stage_sums import stage_normal_equations, sum_of_equations
+from riecjax.errors import ModelError, require
+from riecjax.leaves import is_concrete, is_number
+from riecjax.summaries.task import require_key
 
 Value = TypeVar("Value")
 
@@ -101,6 +103,79 @@ class Sharing:
         return {name for name in among if set(self.everywhere([name])) <= known}
 
 
+class ParameterPlan(NamedTuple):
+    """What is to be estimated.
+
+    **Fields:** `sharing` of parameters over records; `given` values by name over all records;
+    `stages`, the name of each and the parameters that it finds, over all records.
+    """
+
+    sharing: Sharing
+    given: dict[str, Array]
+    stages: list[tuple[str, tuple[str, ...]]]
+
+
+def plan_parameters(
+    procedure: Procedure,
+    record_count: int,
+    known: Mapping[str, float | Array] | None,
+    per_record: Sequence[str],
+) -> ParameterPlan:
+    """The plan, with known values and names checked; see [`identify`][] for the arguments.
+
+    **Raises:** `ModelError` as [`identify`][].
+    """
+    require_settings(None, known, per_record)
+    sharing = Sharing(procedure.parameters, per_record, record_count)
+    given = _given_values(procedure, sharing, known or {})
+    # A stage finds what no record has been given, and no earlier stage has found.
+    stages = [
+        (label, tuple(name for name in sharing.everywhere(names) if name not in given))
+        for label, names in procedure.plan(sharing.settled(given))
+    ]
+    if not any(unknown for _, unknown in stages):
+        raise ModelError("every parameter is known; nothing is left to identify.")
+    return ParameterPlan(sharing, given, stages)
+
+
+def require_settings(key: object, known: object, per_record: object) -> None:
+    """Raise `ModelError` unless these are a key, values by name and names, or left out."""
+    require_key(key)
+    write = "known={'m': 2.0}: values by name"
+    require("known", {} if known is None else known, Mapping, write)
+    name = per_record if isinstance(per_record, str) else "offset"
+    kinds = (list, tuple, set, frozenset)
+    require("per_record", per_record, kinds, f"per_record=('{name}',): a tuple of names")
+
+
+def _given_values(
+    procedure: Procedure, sharing: Sharing, known: Mapping[str, float | Array]
+) -> dict[str, Array]:
+    """Values held fixed, by name over all records: the equations' own and the user's.
+
+    **Raises:** `ModelError` for a name that the model does not have, and for what is no finite
+    number.
+    """
+    names = {*procedure.parameters, *sharing.parameters}
+    if unknown := [name for name in known if name not in names]:
+        listed = ", ".join(sharing.parameters)
+        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
+    require_numbers(known)
+    merged = {**sharing.values(procedure.known), **sharing.values(known)}
+    return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
+
+
+def require_numbers(known: Mapping[str, Any]) -> None:
+    """Raise `ModelError` for a known value that is no single number, or not finite if it shows."""
+    for name, value in known.items():
+        if not is_number(value):
+            raise ModelError(
+                f"{name} is held at {value!r}: known values are single numbers, {name}=2.0."
+            )
+        if is_concrete(value) and not np.isfinite(float(value)):
+            raise ModelError(f"{name} is held at {value}: give a finite number.")
+
+
 def values_of_record(values: Mapping[str, Value], index: int) -> dict[str, Value]:
     """Values as the record number `index` (from 0) knows them: its own `offset[2]` as `offset`.
 
@@ -122,54 +197,3 @@ def _numbered(name: str) -> tuple[str, str]:
     """The parts of `offset[2]`, `offset` and `2`; of any other name, itself and nothing."""
     base, bracket, number = name.removesuffix("]").rpartition("[")
     return (base, number) if bracket and name.endswith("]") and number.isdigit() else (name, "")
-
-
-def all_normal_equations(
-    procedure: Procedure,
-    sharing: Sharing,
-    records: list[Record],
-    criterion: AbstractCriterion,
-    keys: list[Key[Array, ""] | None],
-) -> list[NormalEquations]:
-    """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
-    of_stages = []
-    for i, (record, key) in enumerate(zip(records, keys)):
-        stages = stage_normal_equations(procedure, record, criterion, key, blocks=True)
-        of_stages.append([over_records(stage, sharing, i) for stage in stages])
-    return [stack_normal_equations(parts) for parts in zip(*of_stages)]
-
-
-def over_records(equations: NormalEquations, sharing: Sharing, index: int) -> NormalEquations:
-    """Normal equations of one record, from 0, among the parameters of all records."""
-    if not sharing.own:
-        return equations
-    names = equations.parameters
-    return equations.rename(sharing.of_record(names, index)).embed(sharing.everywhere(names))
-
-
-def stages_over_records(
-    equations: list[list[NormalEquations]], sharing: Sharing
-) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
-    """Normal equations of stages, and of each equation, among the parameters of all records.
-
-    **Arguments:** `equations` of each stage, with a leading axis of records.
-    """
-    apart = [[_over_all_records(e, sharing) for e in stage] for stage in equations]
-    names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
-    return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
-
-
-def _over_all_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
-    """The same of normal equations with a leading axis of records."""
-    if not sharing.own:
-        return equations
-    every = [
-        NormalEquations(equations.moments[i], equations.count[i], equations.parameters)
-        for i in range(sharing.record_count)
-    ]
-    shared = [over_records(e, sharing, i) for i, e in enumerate(every)]
-    return NormalEquations(
-        jnp.stack([e.moments for e in shared]),
-        jnp.stack([e.count for e in shared]),
-        shared[0].parameters,
-    )
