@@ -582,8 +582,8 @@ def test_another_band_is_a_fresh_fit_and_says_if_it_snapped(weight, step, alpha,
     assert float(found.stages[0].count) == pytest.approx(float(fresh.stages[0].count), rel=1e-12)
 
     # Snapped if windows of the band asked for are others, by their lengths in samples.
-    unit = step * banded.criterion.lag_samples
-    taken = banded.criterion.in_windows
+    unit = step * banded.criterion.test_function.length_multiple
+    taken = banded.criterion.windows
     assert taken is not None
     lags = [
         [round(float(x) / unit) for x in band]

@@ -170,7 +170,7 @@ def _at_samples(
     total = sum(
         (_contribution(values, term, record) for term in terms), jnp.zeros(record.sample_count)
     )
-    return total, DOLS().rows(equation, record).kept
+    return total, DOLS().rows(equation, record).valid
 
 
 def _contribution(

@@ -197,7 +197,7 @@ def sweep_edges(
     """
     lengths = [_Recorded(float(r.time_step), r.sample_count) for r in records]
     low, high = _reach(lengths, criterion, shortest, longest)
-    windows = criterion.in_windows
+    windows = criterion.windows
     assert windows is not None
     ratio = np.log(high / low) / (bands + 1)
     inner = [v for v in (float(windows.alpha), float(windows.beta)) if low < v < high]
@@ -226,7 +226,7 @@ def _reach(
     shortest: float | None,
     longest: float | None,
 ) -> tuple[float, float]:
-    windows = criterion.in_windows
+    windows = criterion.windows
     assert windows is not None
     coarsest = max(record.step for record in records)
     low = max(float(windows.alpha) / 10, criterion.smoothness * FEWEST_SAMPLES * coarsest)

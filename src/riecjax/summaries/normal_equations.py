@@ -116,7 +116,7 @@ class NormalEquations(eqx.Module):
         moments = jax.ops.segment_sum(
             jnp.moveaxis(products, -1, 0), block_of_row, num_segments=block_count
         )
-        kept = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
+        kept = jnp.ones(columns.shape[1], bool) if rows.valid is None else rows.valid
         count = jax.ops.segment_sum(
             kept.astype(columns.dtype), block_of_row, num_segments=block_count
         )

@@ -113,7 +113,7 @@ class Reading:
         lengths = self._lengths(windows)
         layout = self._layout(windows, lengths[-1].reach, fill)
         shortest, longest = windows.lags(
-            self.count, self.record.time_step, self.criterion.lag_samples
+            self.count, self.record.time_step, self.criterion.test_function.length_multiple
         )
         band = jnp.asarray(shortest), jnp.asarray(longest)
         found = [
@@ -156,7 +156,7 @@ class Reading:
         return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
 
     def _windows(self) -> AllWindows:
-        windows = self.criterion.in_windows
+        windows = self.criterion.windows
         assert windows is not None
         return windows.every
 
@@ -167,7 +167,7 @@ class Reading:
         reach = windows.reach(self.count)
         if self.bins is None:
             return (Lengths(_arrays(law, lambda leaf: leaf[None]), reach),)
-        multiple = self.criterion.lag_samples
+        multiple = self.criterion.test_function.length_multiple
         cut = law_in_bins(law, self.bins, multiple * self.step, (self.count - 1) // multiple)
         beyond = self.bins.band[1]
         if beyond == self.bins.edges.size - 1:
@@ -185,7 +185,7 @@ class Reading:
             request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
             return _Layout(block, n, self._filled(n) if fill else None, request)
         starts = max(PART, 4 * longest)
-        filled = starts + reach + 2 * self.criterion.margin
+        filled = starts + reach + 2 * self.criterion.test_function.margin
         if not fill:
             starts, filled = n, None
         elif n <= FILLED[-1]:
@@ -206,7 +206,7 @@ class Reading:
             record = dataclasses.replace(self.record, skipped=np.zeros(()))
             yield Part(record, 0, None, self.levels)
             return
-        margin = self.criterion.margin
+        margin = self.criterion.test_function.margin
         for start in range(0, self.count, layout.starts):
             begin = max(start - margin, 0)
             stop = min(start + layout.starts + reach + margin, self.count)

@@ -232,7 +232,7 @@ def residual_tests(
 
 def windows_of(estimate: Estimate | Mapping[str, float | Array]) -> AbstractWindows | None:
     """The windows of an estimate's criterion, if it has some."""
-    return estimate.criterion.in_windows if isinstance(estimate, Estimate) else None
+    return estimate.criterion.windows if isinstance(estimate, Estimate) else None
 
 
 def _residual(
