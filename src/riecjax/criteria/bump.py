@@ -64,6 +64,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     **Raises:** `ModelError` for no length.
     """
 
+    smoothness: ClassVar[int] = 2
     lengths: int = eqx.field(static=True, default=32)
 
     def __check_init__(self):
@@ -73,11 +74,6 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def weight(self, tau: Float[Array, " n"], length: Float[Array, ""]) -> Float[Array, " n"]:
         """phi at tau from -1 to 1 over a window that lasts `length` seconds."""
         raise NotImplementedError
-
-    @property
-    def smoothness(self) -> int:
-        """2: as many as an equation of motion has."""
-        return 2
 
     def describe(self) -> dict[str, object]:
         """Name and number of window lengths."""

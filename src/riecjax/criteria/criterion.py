@@ -10,6 +10,7 @@ windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
 from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -173,6 +174,9 @@ class DOLS(AbstractCriterion):
 
     Terms with a derivative need that derivative as a recorded signal.
     """
+
+    def __init__(self):
+        """There is nothing to set."""
 
     @property
     def windows(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]

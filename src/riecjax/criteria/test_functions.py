@@ -60,24 +60,13 @@ class AbstractTestFunction(eqx.Module):
 
     name: ClassVar[str]
     """What `describe` and the command line call it."""
-
-    @property
-    def smoothness(self) -> int:
-        """How many time derivatives it takes off the motion, by integration by parts."""
-        raise NotImplementedError
-
-    @property
-    def length_multiple(self) -> int:
-        """Window lengths are whole multiples of so many samples."""
-        return 1
-
-    @property
-    def row_seconds(self) -> int:
-        """Power of the second by which a row's unit differs from the equation's.
-
-        1 where the weight has no unit; a weight in seconds has 2.
-        """
-        return 1
+    smoothness: ClassVar[int]
+    """How many time derivatives it takes off the motion, by integration by parts."""
+    length_multiple: ClassVar[int] = 1
+    """Window lengths are whole multiples of so many samples."""
+    row_seconds: ClassVar[int] = 1
+    """Power of the second by which a row's unit differs from the equation's: 1 where the weight has
+    no unit, 2 for a weight in seconds."""
 
     @property
     def margin(self) -> int:
@@ -150,16 +139,8 @@ class Dirac(AbstractTestFunction):
     """The pulse at one sample: its row is the equation there, as DOLS takes it, eqs (2)-(4)."""
 
     name: ClassVar[str] = "dirac"
-
-    @property
-    def smoothness(self) -> int:
-        """0: a pulse has no derivative to take, every one of the motion must be recorded."""
-        return 0
-
-    @property
-    def row_seconds(self) -> int:
-        """0: the pulse is per second, and the integral takes that back."""
-        return 0
+    smoothness: ClassVar[int] = 0
+    row_seconds: ClassVar[int] = 0  # the pulse is per second, which the integral takes back
 
     def integrals(
         self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
@@ -173,7 +154,11 @@ class Dirac(AbstractTestFunction):
 
 
 class _Differences(AbstractTestFunction):
-    """Weights whose integrals are differences of running integrals."""
+    """Weights whose integrals are differences, of the order s, of s-fold running integrals.
+
+    Windows are multiples of s samples, so that all points of a difference lie on samples, and rows
+    have s seconds more than the equation: it is integrated s times. s is the `smoothness`.
+    """
 
     quadrature: eqx.AbstractVar[int]
 
@@ -190,16 +175,6 @@ class _Differences(AbstractTestFunction):
     def describe(self) -> dict[str, object]:
         """Name and order of quadrature."""
         return {**super().describe(), "quadrature": self.quadrature}
-
-    @property
-    def length_multiple(self) -> int:
-        """As the order of the difference, so that all its points lie on samples."""
-        return self.smoothness
-
-    @property
-    def row_seconds(self) -> int:
-        """As often as the equation is integrated."""
-        return self.smoothness
 
     def gain(
         self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
@@ -279,12 +254,8 @@ class Boxcar(_Differences):
     """
 
     name: ClassVar[str] = "boxcar"
+    smoothness: ClassVar[int] = 1
     quadrature: int = eqx.field(static=True, default=2)
-
-    @property
-    def smoothness(self) -> int:
-        """1: the boxcar's first derivative is a pulse at either end."""
-        return 1
 
 
 class Hat(_Differences):
@@ -299,12 +270,10 @@ class Hat(_Differences):
     """
 
     name: ClassVar[str] = "hat"
+    smoothness: ClassVar[int] = 2
+    length_multiple: ClassVar[int] = 2
+    row_seconds: ClassVar[int] = 2
     quadrature: int = eqx.field(static=True, default=2)
-
-    @property
-    def smoothness(self) -> int:
-        """2: the hat's second derivative is a pulse at either end and one in the middle."""
-        return 2
 
 
 def valid_windows(
