@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Float
 from riecjax.criteria.criterion import DOLS
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import AbstractTerm, Terms, evaluate
+from riecjax.equations.expressions import evaluate
+from riecjax.equations.term import AbstractTerm, Terms
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Record

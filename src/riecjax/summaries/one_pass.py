@@ -24,8 +24,9 @@ from riecjax.criteria.rows import Rows
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import evaluate
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Terms, evaluate
+from riecjax.equations.term import Terms
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.summaries.averages import activity, averaged_rows, thinned, underived

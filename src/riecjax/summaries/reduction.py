@@ -13,8 +13,7 @@ from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import LengthBins, law_in_bins
 from riecjax.criteria.windows import AllWindows, power_of_two
-from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import mixing_expressions
+from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf

@@ -18,7 +18,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from riecjax.criteria.written import criterion_of, written
+from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.reading.channels import foreign_reader
@@ -116,7 +116,7 @@ def _document(summary: Summary) -> Document:
         "in_law": summary.in_law,
         "band": summary.band,
         "asked": summary.asked,
-        "criterion": written(summary.criterion),
+        "criterion": to_plain_data(summary.criterion),
         "recordings": [
             [[_structure(equation) for equation in stage] for stage in one.stages]
             for one in summary.recordings
@@ -190,7 +190,7 @@ def _summary(document: Document, arrays: Arrays) -> Summary:
         raise DataError("its arrays are not those that it lists.")
     return Summary(
         jax.tree.unflatten(structure, [arrays[name] for name in names]),
-        criterion_of(document["criterion"]),
+        criterion_from_plain_data(document["criterion"]),
         Outline(
             tuple(
                 tuple((name, tuple(parameters)) for name, parameters in stage)
