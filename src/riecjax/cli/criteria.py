@@ -80,6 +80,7 @@ CRITERION_OPTIONS = (
     click.option(
         "--test-function",
         type=TestFunction(),
+        metavar=TestFunction.name,
         help="Weight inside a window, or a class of your own; hat and bump need no velocities. "
         "[default: boxcar]",
     ),

@@ -58,14 +58,14 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     ```
 
     Its derivatives are JAX's, its gain is found by quadrature. One window length after the other is
-    worked through: `lengths` of them, evenly spaced from alpha to beta; a random window takes the
-    nearest one.
+    worked through: `lengths` of them, 32 unless the class says otherwise, evenly spaced from alpha
+    to beta; a random window takes the nearest one.
 
     **Raises:** `ModelError` for no length.
     """
 
     smoothness: ClassVar[int] = 2
-    lengths: int = eqx.field(static=True, default=32)
+    lengths = 32  # no annotation: that would put it before the fields of subclasses
 
     def __check_init__(self):
         if self.lengths < 1:
@@ -204,12 +204,11 @@ class Bump(AbstractSmoothTestFunction):
 
     name: ClassVar[str] = "bump"
     p: int = eqx.field(static=True, default=4)
+    lengths: int = eqx.field(static=True, default=32)  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    def __init__(self, p: int = 4, lengths: int = 32):
-        self.p = p
-        self.lengths = lengths
-        if p < 3:
-            raise ModelError(f"a bump needs p of 3 or more; got {p}.")
+    def __check_init__(self):
+        if self.p < 3:
+            raise ModelError(f"a bump needs p of 3 or more; got {self.p}.")
 
     def weight(self, tau: Float[Array, " n"], length: Float[Array, ""]) -> Float[Array, " n"]:
         """(1 - tau^2)^p."""
