@@ -3,7 +3,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from riecjax.criteria.all_windows import Starts, boxcar_moments, hat_moments
+from riecjax.criteria.all_windows import StartRange, boxcar_moments, hat_moments
 from riecjax.criteria.laws import LagBins
 
 
@@ -53,7 +53,7 @@ def test_all_windows_are_the_sum_over_every_single_one(
     bins = LagBins(jnp.asarray(last - held + 1), jnp.asarray(last), jnp.asarray(weight))
     every = np.repeat(weight, held)
     expected, count = brute_force(phi, present, first, stop, shortest, every, hat)
-    starts = Starts(jnp.asarray(first), jnp.asarray(stop))
+    starts = StartRange(jnp.asarray(first), jnp.asarray(stop))
     moments = hat_moments if hat else boxcar_moments
     found, number = moments(jnp.asarray(phi), jnp.asarray(present), starts, bins)
     np.testing.assert_allclose(number, count, rtol=1e-12)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.quadrature import running_integral
 from riecjax.criteria.rows import Rows
-from riecjax.criteria.test_functions import Boxcar, running_integral
+from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import RandomWindows, WindowSet
 from riecjax.equations.bases import Polynomial
 from riecjax.equations.columns import sampled_columns
@@ -43,7 +44,7 @@ def increments(term, record, start, stop):
 
 @eqx.filter_jit
 def column_increments(equation, record, windows):
-    return Boxcar().primitives(sampled_columns(equation, record, 1)).integrals(windows).columns
+    return Boxcar().integrals(sampled_columns(equation, record, 1), windows).columns
 
 
 def windows_in_samples(kind, steps):

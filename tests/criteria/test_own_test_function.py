@@ -1,6 +1,6 @@
 """A test function is one class: here one that the package does not know."""
 
-from typing import ClassVar
+import json
 
 import click
 import jax
@@ -11,7 +11,8 @@ import scipy.integrate
 
 import riecjax as rx
 from riecjax.cli.criteria import TEST_FUNCTION_NAMES, CriterionOptions
-from riecjax.criteria.test_function_names import TEST_FUNCTIONS
+from riecjax.cli.main import run
+from riecjax.criteria.plain_data import TEST_FUNCTIONS
 from riecjax.equations.procedure import staged
 from riecjax.estimation.check import Check
 from riecjax.models.model import Model
@@ -22,36 +23,17 @@ KEY = jax.random.key(0)
 MODEL = Model("any", "Any model.")
 
 
-class Cosine(rx.Bump):
+class Cosine(rx.criteria.AbstractSmoothTestFunction):
     """The weight (T / 2) cos^4(pi tau / 2) in seconds, tau from -1 to 1 over a window of length T.
 
     Three derivatives of it vanish at both ends, so that sums over samples are of order 4.
     """
 
-    name: ClassVar[str] = "cosine"
+    name = "cosine"
+    row_seconds = 2  # the weight's second and the integral's
 
-    @property
-    def row_seconds(self) -> int:
-        """2: the weight's second and the integral's."""
-        return 2
-
-    def weights(self, length, columns):
-        """Sampled, with (-1)^k of the k-th derivative for k = 0, 1, 2."""
-        sample = jnp.arange(columns.sample_count)
-        inside = (sample > 0) & (sample < length)
-        half = 0.5 * length * columns.time_step
-        u, slope = 0.5 * jnp.pi * (2 * sample / length - 1), 0.5 * jnp.pi / half
-        first = -4 * jnp.cos(u) ** 3 * jnp.sin(u)
-        second = 12 * (jnp.cos(u) * jnp.sin(u)) ** 2 - 4 * jnp.cos(u) ** 4
-        weights = jnp.stack([jnp.cos(u) ** 4, -slope * first, slope**2 * second])
-        return jnp.where(inside[None, :], half * weights, 0.0) * columns.time_step
-
-    def gain(self, frequency, length):
-        """By cos^4 u = 3/8 + cos(2 u) / 2 + cos(4 u) / 8, a sum of sincs."""
-        swings = frequency[:, None] * length[None, :]
-        shares = {0: 3 / 8, 1: 1 / 4, -1: 1 / 4, 2: 1 / 16, -2: 1 / 16}
-        sines = sum(share * np.sinc(swings + shift) for shift, share in shares.items())
-        return 0.5 * length[None, :] ** 2 * np.abs(sines)
+    def weight(self, tau, length):
+        return 0.5 * length * jnp.cos(0.5 * jnp.pi * tau) ** 4
 
 
 def integral_size(frequency: float, length: float) -> float:
@@ -177,3 +159,37 @@ def test_the_command_line_takes_it_from_the_table_and_sees_that_it_has_no_quadra
     assert criterion == rx.RIEC.of_band((1.0, 10.0), Cosine())
     with pytest.raises(click.UsageError, match="belongs to the boxcar and the hat"):
         options(test_function="cosine", quadrature="4").build(MODEL)
+
+
+OWN_FILE = """
+import jax.numpy as jnp
+import riecjax as rx
+
+class Cosine(rx.criteria.AbstractSmoothTestFunction):
+    name = "cosine"
+
+    def weight(self, tau, length):
+        return jnp.cos(0.5 * jnp.pi * tau) ** 4
+
+oscillator = rx.Equation(
+    rx.Term("m", "x", derivative=2), rx.Term("d", "x", derivative=1), rx.Term("k", "x"),
+    -rx.Term(1.0, "u"),
+)
+"""
+
+
+def test_the_command_line_takes_it_from_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    _, record = oscillator()
+    columns = np.column_stack([record.time, record["x"], record["u"]])
+    np.savetxt("drive.csv", columns, delimiter=",", header="t,x,u", comments="")
+    (tmp_path / "own.py").write_text(OWN_FILE)
+    call = ["identify", "drive.csv", "--model", "own.py:oscillator", "--json", "--test-function"]
+    assert run([*call, "own.py:Cosine"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["criterion"]["test_function"] == "cosine"
+    found = [document["parameters"][name]["value"] for name in "mdk"]
+    assert found == pytest.approx([2.0, 0.7, 30.0], rel=1e-3)
+    assert run([*call, "own.py:oscillator"]) == 1
+    assert "is no test function" in capsys.readouterr().err
+    assert run([*call, "cosine"]) == 2

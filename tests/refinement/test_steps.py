@@ -182,7 +182,7 @@ class Stepped(AbstractMisfit):
     names: tuple[str, ...] = ("a", "b")
     labels: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
-    longest_window: float = 0.0
+    longest_window: np.ndarray = eqx.field(default_factory=lambda: np.zeros(()))  # pyright: ignore[reportIncompatibleVariableOverride]
     steps: int = 2
 
     @property

@@ -18,7 +18,7 @@ import pytest
 import riecjax as rx
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import RatioLaw, UniformLaw
-from riecjax.criteria.written import criterion_of, written
+from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
 from riecjax.records.writing import write_npz
 from riecjax.summaries import summary_files
 from riecjax.summaries.sums import RecordingSums
@@ -166,7 +166,7 @@ def test_32_bit_comes_back_to_the_bit(tmp_path):
 
 def test_numbers_of_a_criterion_keep_their_precision():
     narrow = rx.RIEC(rx.AllWindows(jnp.asarray(0.1, jnp.float32), 0.6), Parabola(scale=None))
-    again = criterion_of(json.loads(json.dumps(written(narrow))))
+    again = criterion_from_plain_data(json.loads(json.dumps(to_plain_data(narrow))))
     assert isinstance(again, rx.RIEC)
     assert again.windows.alpha.dtype == np.float32
     assert again.windows.beta.dtype == np.float64
@@ -582,8 +582,8 @@ def test_another_band_is_a_fresh_fit_and_says_if_it_snapped(weight, step, alpha,
     assert float(found.stages[0].count) == pytest.approx(float(fresh.stages[0].count), rel=1e-12)
 
     # Snapped if windows of the band asked for are others, by their lengths in samples.
-    unit = step * banded.criterion.lag_samples
-    taken = banded.criterion.in_windows
+    unit = step * banded.criterion.test_function.length_multiple
+    taken = banded.criterion.windows
     assert taken is not None
     lags = [
         [round(float(x) / unit) for x in band]

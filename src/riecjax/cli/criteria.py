@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from riecjax.models.model import Model
 
 TEST_FUNCTION_NAMES = ("boxcar", "hat", "bump")
-"""As in `criteria.test_function_names`, whose import takes JAX; the first is the default."""
+"""As in `criteria.plain_data`, whose import takes JAX; the first is the default."""
 
 
 class WindowCount(click.ParamType):
@@ -33,6 +33,21 @@ class WindowCount(click.ParamType):
         if not 1 <= count <= 100_000_000:
             self.fail(f"{count} is not between 1 and 100000000.", param, ctx)
         return count
+
+
+class TestFunction(click.ParamType):
+    """The name of a test function, or a class of the user's own in a file."""
+
+    name = "|".join((*TEST_FUNCTION_NAMES, "FILE.py:CLASS"))
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> str:
+        name = str(value)
+        if name not in TEST_FUNCTION_NAMES and not name.rpartition(":")[0].endswith(".py"):
+            listed = ", ".join(f"'{known}'" for known in TEST_FUNCTION_NAMES)
+            self.fail(f"'{name}' is not one of {listed}, nor FILE.py:CLASS.", param, ctx)
+        return name
 
 
 CRITERION_OPTIONS = (
@@ -64,8 +79,10 @@ CRITERION_OPTIONS = (
     ),
     click.option(
         "--test-function",
-        type=click.Choice(TEST_FUNCTION_NAMES),
-        help="Weight inside a window; hat and bump need no velocities. [default: boxcar]",
+        type=TestFunction(),
+        metavar=TestFunction.name,
+        help="Weight inside a window, or a class of your own; hat and bump need no velocities. "
+        "[default: boxcar]",
     ),
     click.option(
         "--quadrature",
@@ -129,10 +146,23 @@ class CriterionOptions:
         return RIEC(windows, self._build_test_function())
 
     def _build_test_function(self) -> "AbstractTestFunction":
-        from riecjax.criteria.test_function_names import TEST_FUNCTIONS
+        from riecjax.criteria.plain_data import TEST_FUNCTIONS
+        from riecjax.criteria.test_functions import AbstractTestFunction
+        from riecjax.errors import ModelError
+        from riecjax.models.catalogue import object_of_file
 
         weights = {name: kind() for name, kind in TEST_FUNCTIONS.items()}
-        weight = weights[self.test_function or TEST_FUNCTION_NAMES[0]]
+        name = self.test_function or TEST_FUNCTION_NAMES[0]
+        if name in weights:
+            weight = weights[name]
+        else:
+            found = object_of_file(name)
+            weight = found() if isinstance(found, type) else found
+            if not isinstance(weight, AbstractTestFunction):
+                raise ModelError(
+                    f"{name} is no test function: derive the class from "
+                    f"riecjax.criteria.AbstractSmoothTestFunction."
+                )
         if self.quadrature is None:
             return weight
         if not hasattr(weight, "quadrature"):

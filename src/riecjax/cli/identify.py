@@ -253,7 +253,7 @@ def _sweep(
     from riecjax.leaves import on_host
     from riecjax.studies.sweep import window_sweep
 
-    if summary.criterion.in_windows is None:
+    if summary.criterion.windows is None:
         return None
     of = records if summary.bins is None else summary
     try:
@@ -270,7 +270,7 @@ def _what_is_left(
     from riecjax.validation.equation_errors import errors_over_records
     from riecjax.validation.residuals import residual_tests
 
-    windowed = estimate.criterion.in_windows is not None
+    windowed = estimate.criterion.windows is not None
     # A fit is not lost because what it leaves cannot be tested.
     try:
         errors = errors_over_records(procedure, records, estimate.values)

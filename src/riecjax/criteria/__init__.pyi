@@ -1,3 +1,4 @@
+from .bump import AbstractSmoothTestFunction as AbstractSmoothTestFunction
 from .laws import DensityLaw as DensityLaw
 from .laws import SteppedLaw as SteppedLaw
 from .rows import Rows as Rows

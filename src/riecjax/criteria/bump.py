@@ -1,5 +1,25 @@
-"""The smooth test function (1 - tau^2)^p, integrated by fast Fourier transform."""
+"""Smooth test functions, integrated by fast Fourier transform.
 
+The row of the window that starts at sample t is a sum over samples of weight times signal,
+
+    r[t] = h sum_k sum_i psi_k[i] s_k[t + i],    psi_k = (-1)^k d^k phi / dt^k
+
+with s_k the part of a column that stands under k time derivatives. For all t at once it is a
+correlation: the signals are transformed once, each window length's weights once, and one inverse
+transform gives the rows at every start, O(N log N) for each column and length. Transforms of 2 N
+samples, half of them zero, keep the ends of the record from wrapping around.
+
+**Order.** By Euler and Maclaurin, a sum over samples differs from the integral by the odd
+derivatives of the integrand g at the window's ends, times even powers of h:
+
+    h sum_i g[i] - integral g dt = h^2 / 12 [g^(1)] - h^4 / 720 [g^(3)] + ...
+
+The k-th derivative of (1 - tau^2)^p has a zero of multiplicity p - k at both ends, so the first
+term that is left has order p - k + 1 where that is even, else p - k + 2: for an inertia (k = 2),
+order 4 with p = 4.
+"""
+
+import math
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -7,14 +27,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.special
 from jaxtyping import Array, Float, Int
 
-from riecjax.criteria.all_windows import Moments, moments_of_rows
-from riecjax.criteria.chunks import Blocks
-from riecjax.criteria.gains import bump_gain
+from riecjax.criteria.all_windows import Moments
+from riecjax.criteria.chunks import StartBlocks
+from riecjax.criteria.gains import fourier_size
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import each_bin
-from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, real_mean, whole
+from riecjax.criteria.quadrature import unpadded_mean
+from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, valid_windows
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.columns import Columns
 from riecjax.errors import ModelError
@@ -22,64 +44,59 @@ from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 
 
-class Bump(AbstractTestFunction):
-    """The smooth weight (1 - tau^2)^p, with tau from -1 to 1 over the window.
+class AbstractSmoothTestFunction(AbstractTestFunction):
+    """A weight that is smooth over the window and vanishes with its slope at both ends.
 
-    Integrals are sums over the samples of weight times signal, for every start at once by fast
-    Fourier transform, one window length after the other. The k-th derivative of the weight has a
-    zero of multiplicity p - k at both ends, so by Euler and Maclaurin the sums converge with
-    order p - k + 1 where that is even, else p - k + 2: for an inertia (k = 2), order 4 with p = 4.
+    A new one is a name and a formula:
 
-    **Arguments:**
+    ```python
+    class Cosine(AbstractSmoothTestFunction):
+        name = "cosine"
 
-    - `p`: 3 or more, so that a second derivative of the weight is still continuous.
-    - `lengths`: number of window lengths, evenly spaced from alpha to beta; a window takes the
-      nearest one.
+        def weight(self, tau, length):
+            return jnp.cos(jnp.pi * tau / 2) ** 4
+    ```
 
-    **Raises:** `ModelError` for p < 3 or no length.
+    Its derivatives are JAX's, its gain is found by quadrature. One window length after the other is
+    worked through: `lengths` of them, 32 unless the class says otherwise, evenly spaced from alpha
+    to beta; a random window takes the nearest one.
+
+    **Raises:** `ModelError` for no length.
     """
 
-    name: ClassVar[str] = "bump"
-    p: int = eqx.field(static=True, default=4)
-    lengths: int = eqx.field(static=True, default=32)
+    smoothness: ClassVar[int] = 2
+    lengths = 32  # no annotation: that would put it before the fields of subclasses
 
     def __check_init__(self):
-        if self.p < 3:
-            raise ModelError(f"a bump needs p of 3 or more; got {self.p}.")
         if self.lengths < 1:
-            raise ModelError(f"a bump needs at least one window length; got {self.lengths}.")
+            raise ModelError(f"a {self.name} needs at least one window length; got {self.lengths}.")
 
-    @property
-    def smoothness(self) -> int:
-        """2: as many as an equation of motion has."""
-        return 2
-
-    @property
-    def length_multiple(self) -> int:
-        """1: any whole number of samples."""
-        return 1
+    def weight(self, tau: Float[Array, " n"], length: Float[Array, ""]) -> Float[Array, " n"]:
+        """phi at tau from -1 to 1 over a window that lasts `length` seconds."""
+        raise NotImplementedError
 
     def describe(self) -> dict[str, object]:
-        """Name, exponent and number of window lengths."""
-        return {**super().describe(), "p": self.p, "lengths": self.lengths}
+        """Name and number of window lengths."""
+        return {**super().describe(), "lengths": self.lengths}
 
     def gain(
         self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
     ) -> Float[np.ndarray, "frequencies lengths"]:
-        """|H| of windows in seconds, by Bessel's function of the order p + 1/2."""
-        return bump_gain(frequency, length, self.p)
+        """|H| of windows, by quadrature."""
+        return fourier_size(self.weight, frequency, length)
 
     def integrals(
-        self, columns: Columns, windows: WindowSet, held: Int[Array, ""] | int | None = None
+        self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
     ) -> Integrals:
         """Integral of every column of the equation over every window.
 
         **Raises:** `ModelError` for windows that start between samples.
         """
         if not jnp.issubdtype(windows.start.dtype, jnp.integer):
-            raise ModelError("bumps need windows on samples (between_samples=False).")
-        everywhere = self._at_every_start(columns, held)
-        windows, lengths = self.rounded(windows, columns.sample_count if held is None else held)
+            raise ModelError(f"{self.name}s need windows on samples (between_samples=False).")
+        everywhere = self._at_every_start(columns, unpadded)
+        count = columns.sample_count if unpadded is None else unpadded
+        windows, lengths = self.rounded(windows, count)
 
         def of_length(total: Array, length: Array) -> tuple[Array, None]:
             mine = (windows.stop - windows.start == length)[None, :]
@@ -87,7 +104,7 @@ class Bump(AbstractTestFunction):
 
         empty = jnp.zeros((columns.values.shape[1], windows.start.shape[0]), columns.values.dtype)
         total, _ = jax.lax.scan(of_length, empty, lengths)
-        return Integrals(total, whole(windows, columns.present))
+        return Integrals(total, valid_windows(windows, columns.present))
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
         """The law at `lengths` window lengths."""
@@ -95,48 +112,41 @@ class Bump(AbstractTestFunction):
         lengths = self._lengths(*windows.lags(n, record.time_step))
         return LagBins(lengths, lengths, windows.weights(n, record.time_step, lengths))
 
-    def moments(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
+    def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
-        everywhere = self._at_every_start(columns, blocks.held)
+        everywhere = self._at_every_start(columns, blocks.unpadded)
         start = jnp.arange(columns.sample_count)
 
         def rows_of_length(length: Leaf) -> tuple[Array, Array]:
-            inside = start + length < blocks.held
+            inside = start + length < blocks.unpadded
             window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
-            unbroken = whole(window, columns.present)
-            held = inside if unbroken is None else inside & unbroken
-            return jnp.where(held[None, :], everywhere(length), 0.0), held
+            unbroken = valid_windows(window, columns.present)
+            valid = inside if unbroken is None else inside & unbroken
+            return jnp.where(valid[None, :], everywhere(length), 0.0), valid
 
-        def of_lags(own: LagBins) -> Moments:
+        def law_moments(law: LagBins) -> Moments:
             return moments_of_rows(
-                rows_of_length, own.first, own.weight, blocks, skip_empty=lags.first.ndim == 2
+                rows_of_length, law.first, law.weight, blocks, skip_empty=lags.first.ndim == 2
             )
 
-        return each_bin(of_lags, lags._replace(edges=None))
-
-    def window_count(self, windows: AllWindows, record: Record) -> float:
-        """Starts of every length, as far as windows end in the record."""
-        lags = self.lags(windows, record)
-        starts = record.sample_count - np.asarray(lags.first, float)
-        return float(np.sum(np.asarray(lags.weight, float) * starts))
+        return each_bin(law_moments, lags._replace(edges=None))
 
     def _at_every_start(
-        self, columns: Columns, held: Int[Array, ""] | int | None
+        self, columns: Columns, unpadded: Int[Array, ""] | int | None
     ) -> Callable[[Leaf], Float[Array, "columns n"]]:
         """A function of window length: integrals of every column over the windows at each start."""
         # A constant has no derivative, while the sum of a weight's derivative is not quite zero.
         values = jnp.stack(
             [
-                of_order if order == 0 else of_order - real_mean(of_order, held)[:, None]
-                for order, of_order in enumerate(columns.values)
+                part if order == 0 else part - unpadded_mean(part, unpadded)[:, None]
+                for order, part in enumerate(columns.values)
             ]
         )
         size = 2 * columns.sample_count
         spectrum = jnp.fft.rfft(values, size, axis=-1)
 
         def everywhere(length: Leaf) -> Float[Array, "columns n"]:
-            weights = jnp.fft.rfft(self.weights(length, columns), size, axis=-1)
-            # Summed over the order of derivative: correlation of each column with its weight.
+            weights = jnp.fft.rfft(self._weights(length, columns), size, axis=-1)
             product = jnp.sum(spectrum * jnp.conj(weights)[:, None, :], axis=0)
             return jnp.fft.irfft(product, size, axis=-1)[:, : columns.sample_count]
 
@@ -159,16 +169,114 @@ class Bump(AbstractTestFunction):
         start = jnp.minimum(windows.start, sample_count - 1 - length)
         return WindowSet(start, start + length), lengths
 
-    def weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "3 n"]:
-        """(-1)^k d^k phi / dt^k dt at the samples of a window of `length` samples, k = 0, 1, 2."""
+    def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "3 n"]:
+        """h psi_k at the samples of a window of `length` samples, k = 0, 1, 2."""
         sample = jnp.arange(columns.sample_count)
         # By whole numbers: at the window's end |tau| is 1 but for rounding, and a compiler may
         # evaluate |tau| < 1 twice, once with fused multiply-adds, so that the masks differ.
         inside = (sample > 0) & (sample < length)
         tau = jnp.where(inside, 2 * sample / length - 1, 0.0)
-        slope = 2 / (length * columns.time_step)
-        u, p = 1 - tau**2, self.p
-        first = -2 * p * tau * u ** (p - 1)
-        second = 4 * p * (p - 1) * tau**2 * u ** (p - 2) - 2 * p * u ** (p - 1)
-        weights = jnp.stack([u**p, -slope * first, slope**2 * second])
+        seconds = jnp.asarray(length * columns.time_step)
+        one, slope = jnp.ones_like(tau), 2 / seconds  # slope: d tau / dt
+
+        def phi(at: Array) -> Array:
+            return self.weight(at, seconds)
+
+        def derivative(at: Array) -> Array:
+            return jax.jvp(phi, (at,), (one,))[1]
+
+        second = jax.jvp(derivative, (tau,), (one,))[1]
+        weights = jnp.stack([phi(tau), -slope * derivative(tau), slope**2 * second])
         return jnp.where(inside[None, :], weights, 0.0) * columns.time_step
+
+
+class Bump(AbstractSmoothTestFunction):
+    """The smooth weight (1 - tau^2)^p, with tau from -1 to 1 over the window.
+
+    **Arguments:**
+
+    - `p`: 3 or more, so that a second derivative of the weight is still continuous.
+    - `lengths`: number of window lengths, evenly spaced from alpha to beta; a window takes the
+      nearest one.
+
+    **Raises:** `ModelError` for p < 3 or no length.
+    """
+
+    name: ClassVar[str] = "bump"
+    p: int = eqx.field(static=True, default=4)
+    lengths: int = eqx.field(static=True, default=32)  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def __check_init__(self):
+        if self.p < 3:
+            raise ModelError(f"a bump needs p of 3 or more; got {self.p}.")
+
+    def weight(self, tau: Float[Array, " n"], length: Float[Array, ""]) -> Float[Array, " n"]:
+        """(1 - tau^2)^p."""
+        return (1 - tau**2) ** self.p
+
+    def describe(self) -> dict[str, object]:
+        """Name, exponent and number of window lengths."""
+        return {"test_function": self.name, "p": self.p, "lengths": self.lengths}
+
+    def gain(
+        self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
+    ) -> Float[np.ndarray, "frequencies lengths"]:
+        """|H| of windows by Poisson's integral for Bessel's functions, with z = w T / 2.
+
+        integral_{-1}^{1} (1 - tau^2)^p exp(i z tau) dtau
+        = sqrt(pi) p! (2 / z)^(p + 1/2) J_{p + 1/2}(z).
+        """
+        z = np.pi * (frequency[:, None] * length[None, :])
+        order, front = self.p + 0.5, math.sqrt(math.pi) * math.gamma(self.p + 1)
+        swings = np.maximum(z, 1e-3)
+        transform = front * (2 / swings) ** order * scipy.special.jv(order, swings)
+        # Below a thousandth of a radian the transform is what it is at rest, to 1e-7.
+        transform = np.where(z > 1e-3, transform, front / math.gamma(self.p + 1.5))
+        return 0.5 * length[None, :] * np.abs(transform)
+
+
+def moments_of_rows(
+    rows_of_length: Callable[[Int[Leaf, ""]], tuple[Float[Array, "columns n"], Array]],
+    lengths: Int[Leaf, " lengths"],
+    weights: Float[Leaf, " lengths"],
+    blocks: StartBlocks,
+    *,
+    skip_empty: bool = False,
+) -> Moments:
+    """Moments of rows that start at every sample, summed over some window lengths.
+
+    **Arguments:** `rows_of_length` gives rows at every start, zero where there is no valid window,
+    and where there is one; `weights` of the lengths. With `skip_empty`, lengths of weight zero,
+    which come last, take no time, and reverse-mode derivatives are impossible.
+    """
+    columns = jax.eval_shape(rows_of_length, jnp.asarray(lengths)[0])[0]
+    count, room = blocks.number, columns.shape[1]
+    # Blocks of a known size are a reshape; of a traced one, a mask for each block.
+    size = blocks.size
+    place = (jnp.arange(room) - blocks.first) // size
+
+    def in_blocks(values: Float[Array, "columns n"]) -> Float[Array, "columns count size"]:
+        if not isinstance(size, int):
+            return jnp.where(
+                (place[None, :] == jnp.arange(count)[:, None])[None], values[:, None, :], 0.0
+            )
+        # Room behind, so that no slice would begin earlier than asked for.
+        padded = jnp.pad(values, ((0, 0), (0, count * size)))
+        part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * size, axis=1)
+        return part.reshape(values.shape[0], count, size)
+
+    def added(total: tuple[Array, Array], length: Leaf, weight: Leaf) -> tuple[Array, Array]:
+        rows, valid = rows_of_length(length)
+        parts = in_blocks(rows)
+        number = jnp.sum(in_blocks(valid[None].astype(rows.dtype))[0], axis=1)
+        moments = jnp.einsum("ibs,jbs->bij", parts, parts)
+        return total[0] + weight * moments, total[1] + weight * number
+
+    empty = jnp.zeros((count, columns.shape[0], columns.shape[0]), columns.dtype)
+    none = (empty, jnp.zeros(count, columns.dtype))
+    if skip_empty:
+        used = jnp.sum(weights > 0)
+        return jax.lax.fori_loop(
+            0, used, lambda i, total: added(total, lengths[i], weights[i]), none
+        )
+    return jax.lax.scan(lambda t, which: (added(t, *which), None), none, (lengths, weights))[0]

@@ -36,28 +36,28 @@ def is_chunked(record: Record, block: int, reach: int) -> bool:
     return chunk_length(record, block, reach) < record.sample_count
 
 
-class Blocks(NamedTuple):
-    """Blocks of starts, one after the other, and how much of the samples is real.
+class StartBlocks(NamedTuple):
+    """Blocks of starts, one after the other, and how many of the samples are no padding.
 
     **Fields:** `first` sample at which the first block begins; `size`, starts to a block; `number`
-    of blocks; `held`, how many samples are the recording's: no window reaches beyond. The rest
-    of an array fills it up to a length that other recordings have too.
+    of blocks; `unpadded`, how many samples are the recording's: no window reaches beyond. Padding
+    fills an array up to a length that other recordings have too.
     """
 
     first: Int[Array, ""] | int
     size: Int[Array, ""] | int
     number: int
-    held: Int[Array, ""] | int
+    unpadded: Int[Array, ""] | int
 
 
 def in_chunks(
     record: Record,
-    of_chunk: Callable[[Record, Blocks], Any],
+    of_chunk: Callable[[Record, StartBlocks], Any],
     *,
     block: int,
     reach: int,
     margin: int,
-    held: Int[Array, ""] | None = None,
+    unpadded: Int[Array, ""] | None = None,
     first: Int[Array, ""] | int = 0,
     number: int | None = None,
 ) -> Any:
@@ -69,31 +69,33 @@ def in_chunks(
       arrays that it returns lead.
     - `block`: starts to a block; `reach`: samples that a window reaches beyond its start at most;
       `margin`: samples more on either side, for quadrature.
-    - `held`: real samples of a record that is filled up, all by default. It may be traced: chunks
+    - `unpadded`: samples before the padding, all by default. It may be traced: chunks
       beyond are not worked through, and what is returned for their blocks is zero. That cannot be
       differentiated backwards.
     - `first` of the starts, and `number` of blocks from there: by default all that there are.
     """
     n = record.sample_count
     count = -(-n // block) if number is None else number
-    if held is None:
+    if unpadded is None:
         length = chunk_length(record, block, reach)
     else:
         length = _in_whole_blocks(max(ROUND, 4 * reach), block)
     width = length + reach + 2 * margin
     if width >= n:
-        return of_chunk(record, Blocks(first, block, count, n if held is None else held))
-    last = n - width if held is None else jnp.maximum(held - width, 0)
+        return of_chunk(
+            record, StartBlocks(first, block, count, n if unpadded is None else unpadded)
+        )
+    last = n - width if unpadded is None else jnp.maximum(unpadded - width, 0)
 
     def one(index: Array) -> Any:
         start = first + index * length
         begin = jnp.clip(start - margin, 0, last)
-        here = width if held is None else jnp.minimum(held - begin, width)
-        blocks = Blocks(start - begin, block, length // block, here)
+        here = width if unpadded is None else jnp.minimum(unpadded - begin, width)
+        blocks = StartBlocks(start - begin, block, length // block, here)
         return of_chunk(record.stretch(begin, width), blocks)
 
     rounds = -(-count * block // length)
-    if held is None:
+    if unpadded is None:
         chunks = jax.lax.map(one, jnp.arange(rounds))
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
 
@@ -113,6 +115,6 @@ def in_chunks(
     none = jax.tree.map(
         lambda leaf: jnp.zeros((rounds * leaf.shape[0], *leaf.shape[1:]), leaf.dtype), shapes
     )
-    there = jnp.minimum(held - first, count * block)
+    there = jnp.minimum(unpadded - first, count * block)
     total = jax.lax.fori_loop(0, -(-there // length), add, none)
     return jax.tree.map(lambda leaf: leaf[:count], total)

@@ -1,16 +1,26 @@
 """Gains of windows: how much of each frequency one window, or a range of lengths, lets through.
 
-A window of length T passes an oscillation of frequency f with a gain |H|, the size of its weight's
-Fourier integral: for the boxcar |2 sin(w T / 2) / w|, eq. (13), blind at multiples of 1 / T. The
-paper averages the gain over T; least squares sees the mean of its square.
+A window of length T passes an oscillation exp(i w t) with a gain |H|, the size of its weight's
+Fourier integral. For the boxcar, eq. (13),
+
+    |H| = |integral_0^T exp(i w t) dt| = |2 sin(w T / 2) / w|
+
+which is largest at T = 1 / (2 f) for a given f (eq. 26) and zero at multiples of T = 1 / f. The hat
+is the boxcar of T / 2 folded with itself, so its gain is the square of that one's. In the mean over
+lengths, eq. (14), no frequency is left unseen: with x = w T / (2 s) and s the order of the
+difference, |H| = (2 |sin x| / w)^s, and for T ~ U(alpha, beta)
+
+    mean |H|^q = (2 / w)^(s q) (P(x_beta) - P(x_alpha)) / (x_beta - x_alpha)
+
+where P is the integral of |sin|^(s q) from zero. The paper averages |H| (q = 1); least squares
+sees the mean of its square (q = 2).
 """
 
-import math
 from collections.abc import Callable
 
+import jax.numpy as jnp
 import numpy as np
-import scipy.special
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 NODES = 256
 """Window lengths in a mean by quadrature: two to a lobe of the gain where there are 128 lobes, and
@@ -76,15 +86,25 @@ def _sine_primitive(x: Float[np.ndarray, " n"], exponent: int) -> Float[np.ndarr
     return 3 * x / 8 - np.sin(2 * x) / 4 + np.sin(4 * x) / 32
 
 
-def bump_gain(
-    frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"], p: int
+def fourier_size(
+    weight: Callable[[Array, Array], Array],
+    frequency: Float[np.ndarray, " frequencies"],
+    length: Float[np.ndarray, " lengths"],
 ) -> Float[np.ndarray, "frequencies lengths"]:
-    """|H| of (1 - tau^2)^p, by Poisson's integral for Bessel's functions."""
-    z = np.pi * (frequency[:, None] * length[None, :])
-    order = p + 0.5
-    swings = np.maximum(z, 1e-3)
-    factor = math.sqrt(math.pi) * math.gamma(p + 1) * (2 / swings) ** order
-    at_rest = math.sqrt(math.pi) * math.gamma(p + 1) / math.gamma(p + 1.5)
-    # Below a thousandth of a radian the transform is what it is at rest, to 1e-7.
-    transform = np.where(z > 1e-3, factor * scipy.special.jv(order, swings), at_rest)
-    return 0.5 * length[None, :] * np.abs(transform)
+    """|H| of a smooth weight phi(tau, T), tau from -1 to 1, by Gauss and Legendre.
+
+    |H| = T / 2 |integral_{-1}^{1} phi exp(i z tau) dtau| with z = w T / 2. n nodes integrate
+    polynomials of degree 2 n - 1, and exp(i z tau) is one of degree little more than z but for
+    rounding, so n nodes serve up to z = n. What a smooth weight lets through beyond is taken to be
+    zero.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    found = np.zeros((frequency.size, length.size))
+    for place, seconds in enumerate(length):
+        phi = weights * np.asarray(weight(jnp.asarray(nodes), jnp.asarray(seconds)))
+        z = np.pi * frequency * seconds
+        seen = z < NODES
+        phase = np.outer(z[seen], nodes)
+        size = np.hypot(np.cos(phase) @ phi, np.sin(phase) @ phi)
+        found[seen, place] = 0.5 * seconds * size
+    return found

@@ -1,10 +1,24 @@
 """The law of window lengths, w(T): how much each length counts when all windows are summed.
 
 The paper draws T uniformly (eq. 14). Any other law is a weight for each length; running sums
-handle a stretch of equally weighted lengths, a bin, at once, so a law is a list of bins.
+handle a stretch of equally weighted lengths, a bin, at once, so a law is a list of bins. Only
+ratios of weights matter to an estimate; they are scaled to 1 on average over all lags, so that sums
+count windows whatever the law.
 
-Lengths are rounded to samples, so that what is summed over them is a staircase in alpha and beta.
-Its derivative is taken to be that of the law without rounding; see `LagBins.with_edges_as_bins`.
+**Derivatives by alpha and beta.** Lengths are rounded to samples, so that a sum over lags,
+S = sum_k w[k] M[k] with M[k] the moments of lag k, is a staircase in alpha and beta: its derivative
+is zero nearly everywhere and useless to an optimiser. Let instead M(k) be linear between lags and
+the law reach from half a lag below the shortest to half a lag above the longest, so that each lag
+stands for an interval of length 1. The integral I = integral w(k) M(k) dk then has at an edge e,
+where w jumps from w_below to w_above, the derivative
+
+    dI / de = (w_below - w_above) M(e) = jump ((1 - f) M[i] + f M[i + 1]),    e = i + f
+
+An edge between samples, alpha and beta being on them, has f = 1 / 2: the mean of the two lags
+beside it, which is the central difference of S over one sample to either side. So the two lags get
+weights that are zero and have the derivatives jump (1 - f) and jump f. The second derivative of the
+linear M(k) comes out as well where these weights are written as integrals of 1 - f and f:
+`LagBins.with_edges_as_bins`.
 """
 
 from collections.abc import Callable

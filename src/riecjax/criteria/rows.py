@@ -15,14 +15,14 @@ class Rows(eqx.Module):
     - `columns`: shape `(1 + parameters, rows)`; the first holds the target.
     - `position`: where in the record each row starts, in samples.
     - `parameters`: names of the regressors.
-    - `kept`: False for rows that touch a missing or masked sample; their columns are zero. `None`
+    - `valid`: False for rows that touch a missing or masked sample; their columns are zero. `None`
       where there are none.
     """
 
     columns: Float[Array, "columns rows"]
     position: Int[Array, " rows"] | Float[Array, " rows"]
     parameters: tuple[str, ...] = eqx.field(static=True)
-    kept: Bool[Array, " rows"] | None = None
+    valid: Bool[Array, " rows"] | None = None
 
     @classmethod
     def of(
@@ -30,12 +30,12 @@ class Rows(eqx.Module):
         columns: Float[Array, "columns rows"],
         position: Array,
         parameters: tuple[str, ...],
-        kept: Bool[Array, " rows"] | None,
+        valid: Bool[Array, " rows"] | None,
     ) -> "Rows":
-        """Rows of which those that are not kept are emptied."""
-        if kept is not None:
-            columns = jnp.where(kept[None, :], columns, 0.0)
-        return cls(columns, position, parameters, kept)
+        """Rows of which those that are not valid become zero."""
+        if valid is not None:
+            columns = jnp.where(valid[None, :], columns, 0.0)
+        return cls(columns, position, parameters, valid)
 
     @property
     def target(self) -> Float[Array, " rows"]:
@@ -50,39 +50,39 @@ class Rows(eqx.Module):
     def embed(self, parameters: tuple[str, ...]) -> "Rows":
         """The same rows among more parameters, with zeros for those that do not occur."""
         zero = jnp.zeros_like(self.target)
-        held = dict(zip(self.parameters, self.columns[1:]))
-        columns = jnp.stack([self.target, *(held.get(name, zero) for name in parameters)])
-        return Rows(columns, self.position, parameters, self.kept)
+        own = dict(zip(self.parameters, self.columns[1:]))
+        columns = jnp.stack([self.target, *(own.get(name, zero) for name in parameters)])
+        return Rows(columns, self.position, parameters, self.valid)
 
     def fix(self, known: Mapping[str, Array]) -> "Rows":
         """The rows left when these parameters take these values: their columns join the target."""
-        held = dict(zip(self.parameters, self.columns[1:]))
-        given = [known[name] * column for name, column in held.items() if name in known]
-        kept = tuple(name for name in self.parameters if name not in known)
+        own = dict(zip(self.parameters, self.columns[1:]))
+        given = [known[name] * column for name, column in own.items() if name in known]
+        unknown = tuple(name for name in self.parameters if name not in known)
         target = self.target - sum(given, start=jnp.zeros_like(self.target))
-        columns = jnp.stack([target, *(held[name] for name in kept)])
-        return Rows(columns, self.position, kept, self.kept)
+        columns = jnp.stack([target, *(own[name] for name in unknown)])
+        return Rows(columns, self.position, unknown, self.valid)
 
     def rename(self, parameters: tuple[str, ...]) -> "Rows":
         """The same rows with other names for the regressors."""
-        return Rows(self.columns, self.position, parameters, self.kept)
+        return Rows(self.columns, self.position, parameters, self.valid)
 
     def count(self) -> Float[Array, ""]:
-        """Number of rows that are kept."""
-        if self.kept is None:
+        """Number of valid rows."""
+        if self.valid is None:
             return jnp.asarray(self.columns.shape[1], self.columns.dtype)
-        return jnp.sum(self.kept, dtype=self.columns.dtype)
+        return jnp.sum(self.valid, dtype=self.columns.dtype)
 
     @staticmethod
     def concatenate(parts: Sequence["Rows"]) -> "Rows":
         """Rows of the same parameters, one after the other."""
         columns = jnp.concatenate([part.columns for part in parts], axis=1)
         position = jnp.concatenate([part.position for part in parts])
-        kept = None
-        if any(part.kept is not None for part in parts):
+        valid = None
+        if any(part.valid is not None for part in parts):
             masks = [
-                jnp.ones(part.columns.shape[1], bool) if part.kept is None else part.kept
+                jnp.ones(part.columns.shape[1], bool) if part.valid is None else part.valid
                 for part in parts
             ]
-            kept = jnp.concatenate(masks)
-        return Rows(columns, position, parts[0].parameters, kept)
+            valid = jnp.concatenate(masks)
+        return Rows(columns, position, parts[0].parameters, valid)

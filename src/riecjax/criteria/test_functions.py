@@ -1,12 +1,23 @@
 """Test functions: the weight that a window gives to the equation of motion inside it.
 
-With a weight phi that vanishes at both ends of the window, integration by parts moves derivatives
-from the motion to the weight:
+**Integration by parts.** A window from t0 to t0 + T weighs the equation with a function phi that is
+zero outside it. As phi vanishes at both ends, derivatives move from the motion s to the weight:
 
-    integral phi d^k s / dt^k dt = (-1)^k integral d^k phi / dt^k s dt
+    integral phi s^(k) dt = (-1)^k integral phi^(k) s dt
 
-so that a position suffices where DOLS needs an acceleration. How many derivatives can be moved is
-the weight's smoothness: one for the boxcar, two for the hat and for bumps.
+so that a recorded position suffices where DOLS needs an acceleration. How many derivatives move is
+the weight's smoothness: one for the boxcar, two for the hat and for bumps. The derivatives that are
+left when a weight's own are pulses need no integral at all:
+
+    boxcar  phi = 1             phi'  = d(t - t0) - d(t - t0 - T)                  [s]    over T
+    hat     phi = min(t, T - t) phi'' = d(t - t0) - 2 d(t - t0 - T/2) + d(t - t0 - T)
+
+with d Dirac's pulse: an integrated boxcar of s' is the paper's Delta x = x(T) - x(0), and the hat
+of s'' its "second integration" x(T) - 2 x(T/2) + x(0). The pulse by itself as a weight leaves the
+equation at one sample, which is DOLS.
+
+**Gain.** An error of frequency f = w / (2 pi) enters a window with the gain |H| = |integral phi
+exp(i w t) dt|, eq. (13); see `gains`. Least squares sees the mean of |H|^2 over the windows.
 """
 
 import dataclasses
@@ -18,10 +29,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.all_windows import Moments, moments_in_blocks
-from riecjax.criteria.chunks import Blocks
+from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.gains import difference_gain, mean_difference_gain, mean_over_lengths
 from riecjax.criteria.laws import LagBins
-from riecjax.criteria.quadrature import ORDERS, running_integral
+from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
 from riecjax.criteria.windows import AllWindows, WindowSet
 from riecjax.equations.columns import Columns
 from riecjax.errors import ModelError, require
@@ -31,40 +42,31 @@ from riecjax.records.record import Record
 class Integrals(NamedTuple):
     """Weighted integrals of every column of an equation over every window.
 
-    **Fields:** `columns`, the target first; `whole`, False for windows that touch a missing or
+    **Fields:** `columns`, the target first; `valid`, False for windows that touch a missing or
     masked sample and hold no meaning, `None` where there are none.
     """
 
     columns: Float[Array, "columns windows"]
-    whole: Bool[Array, " windows"] | None
+    valid: Bool[Array, " windows"] | None
 
 
 class AbstractTestFunction(eqx.Module):
     """A weight on a window, and the integrals of an equation that it makes.
 
-    A new one is one subclass, with a `name` and whatever raises `NotImplementedError` here.
+    A new one is one subclass. A smooth weight takes a name and a formula: see
+    [`AbstractSmoothTestFunction`][riecjax.criteria.bump.AbstractSmoothTestFunction]. Any other
+    gives a `name` and whatever raises `NotImplementedError` here.
     """
 
     name: ClassVar[str]
     """What `describe` and the command line call it."""
-
-    @property
-    def smoothness(self) -> int:
-        """How many time derivatives it takes off the motion, by integration by parts."""
-        raise NotImplementedError
-
-    @property
-    def length_multiple(self) -> int:
-        """Window lengths are whole multiples of so many samples."""
-        raise NotImplementedError
-
-    @property
-    def row_seconds(self) -> int:
-        """Power of the second by which a row's unit differs from the equation's.
-
-        1 where the weight has no unit; a weight in seconds has 2.
-        """
-        return 1
+    smoothness: ClassVar[int]
+    """How many time derivatives it takes off the motion, by integration by parts."""
+    length_multiple: ClassVar[int] = 1
+    """Window lengths are whole multiples of so many samples."""
+    row_seconds: ClassVar[int] = 1
+    """Power of the second by which a row's unit differs from the equation's: 1 where the weight has
+    no unit, 2 for a weight in seconds."""
 
     @property
     def margin(self) -> int:
@@ -72,29 +74,36 @@ class AbstractTestFunction(eqx.Module):
         return 0
 
     def integrals(
-        self, columns: Columns, windows: WindowSet, held: Int[Array, ""] | int | None = None
+        self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
     ) -> Integrals:
         """Integral of every column over every window.
 
-        `held`: real samples of columns that are filled up, all by default.
+        `unpadded`: samples before any padding of the columns, all by default.
         """
         raise NotImplementedError
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
-        """The law of window lengths on a record."""
-        raise NotImplementedError
+        """The law of window lengths on a record, in multiples of `length_multiple` samples."""
+        return windows.bins(record.sample_count, record.time_step, self.length_multiple)
 
-    def moments(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
+    def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts.
 
-        **Arguments:** `lags`, the law of lengths; with two axes, sums are kept for each of the
-        first, along a leading axis. `reach`: no window is longer in samples.
+        **Arguments:** `lags`, the law of lengths; one with two axes gives sums for each of the
+        first, along a leading axis. `reach`: no window is longer, in samples.
         """
         raise NotImplementedError
 
     def window_count(self, windows: AllWindows, record: Record) -> float:
-        """Number of all windows of a record without gaps, by the weights of their law."""
-        raise NotImplementedError
+        """Number of all windows of a record without gaps, by the weights of their law.
+
+        A lag of k samples has n - k starts; a bin's lags have n - k on average at its middle.
+        """
+        first, last, weight, _ = self.lags(windows, record)
+        # In real numbers: windows may be more than 32-bit integers hold.
+        first, last = (np.asarray(edge, float) for edge in (first, last))
+        starts = record.sample_count - self.length_multiple * (first + last) / 2
+        return float(np.sum(np.asarray(weight, float) * (last - first + 1) * starts))
 
     def gain(
         self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
@@ -126,53 +135,30 @@ class AbstractTestFunction(eqx.Module):
         return {"test_function": self.name}
 
 
-class Primitives(eqx.Module):
-    """For each column of an equation, the function whose differences are its integrals.
+class Dirac(AbstractTestFunction):
+    """The pulse at one sample: its row is the equation there, as DOLS takes it, eqs (2)-(4)."""
 
-    The s-th difference over a window, s = 1 for the boxcar and 2 for the hat, of the s-th
-    running integral of a column. Each is kept as the polynomial of its mean plus what is left. Of
-    a signal with an offset the running integral grows with the record, and the difference of
-    large numbers would lose in 32-bit what the polynomial keeps exactly.
+    name: ClassVar[str] = "dirac"
+    smoothness: ClassVar[int] = 0
+    row_seconds: ClassVar[int] = 0  # the pulse is per second, which the integral takes back
 
-    **Fields:**
-
-    - `values`: what is left, at the samples, shape `(columns, n)`.
-    - `mean`: mean of each integrand times the time step to the power s, shape `(columns,)`.
-    - `bend`: increase of the column's slope from each sample to the next, per sample. Between
-      samples an integrand is a straight line, so its primitive is a parabola with this bend.
-    - `present`: where every column has its sample and the equation is to be trusted.
-    - `difference`: s.
-    """
-
-    values: Float[Array, "columns n"]
-    mean: Float[Array, " columns"]
-    bend: Float[Array, "columns n-1"]
-    present: Bool[Array, " n"] | None
-    difference: int = eqx.field(static=True)
-
-    def integrals(self, windows: WindowSet) -> Integrals:
-        """Integral of every column over every window."""
-        start, stop = windows
-        step = (stop - start) / self.difference
-        polynomial = self.mean[:, None] * (step**self.difference)[None, :]
-        ends = self._at(stop) + (-1) ** self.difference * self._at(start)
-        middle = 2 * self._at((start + stop) // 2) if self.difference == 2 else 0.0
-        return Integrals(ends - middle + polynomial, whole(windows, self.present))
-
-    def _at(
-        self, position: Int[Array, " windows"] | Float[Array, " windows"]
-    ) -> Float[Array, "columns windows"]:
-        if jnp.issubdtype(position.dtype, jnp.integer):
-            # A window's columns lie side by side then: one line of cache instead of one for each.
-            return self.values.T[position].T
-        below = jnp.clip(position.astype(jnp.int32), 0, self.values.shape[1] - 2)
-        share = (position - below)[None, :]
-        left, right = self.values[:, below], self.values[:, below + 1]
-        return left + share * (right - left) - 0.5 * share * (1 - share) * self.bend[:, below]
+    def integrals(
+        self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
+    ) -> Integrals:
+        """Every column at the start of every window, where the sample is not padding."""
+        valid = valid_windows(windows, columns.present)
+        if unpadded is not None:
+            inside = windows.start < unpadded
+            valid = inside if valid is None else valid & inside
+        return Integrals(columns.values[0][:, windows.start], valid)
 
 
 class _Differences(AbstractTestFunction):
-    """Weights whose integrals are differences of running integrals."""
+    """Weights whose integrals are differences, of the order s, of s-fold running integrals.
+
+    Windows are multiples of s samples, so that all points of a difference lie on samples, and rows
+    have s seconds more than the equation: it is integrated s times. s is the `smoothness`.
+    """
 
     quadrature: eqx.AbstractVar[int]
 
@@ -189,16 +175,6 @@ class _Differences(AbstractTestFunction):
     def describe(self) -> dict[str, object]:
         """Name and order of quadrature."""
         return {**super().describe(), "quadrature": self.quadrature}
-
-    @property
-    def length_multiple(self) -> int:
-        """As the order of the difference, so that all its points lie on samples."""
-        return self.smoothness
-
-    @property
-    def row_seconds(self) -> int:
-        """As often as the equation is integrated."""
-        return self.smoothness
 
     def gain(
         self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
@@ -221,24 +197,29 @@ class _Differences(AbstractTestFunction):
         """Samples beside a window that its integrals may look at."""
         return self.quadrature
 
-    def primitives(self, columns: Columns, held: Int[Array, ""] | int | None = None) -> Primitives:
-        """Primitives of the target (first row) and of every named coefficient's column."""
+    def primitives(
+        self, columns: Columns, unpadded: Int[Array, ""] | int | None = None
+    ) -> Primitives:
+        """Primitives of the target (first row) and of every named coefficient's column.
+
+        A column is sum_k d^k/dt^k values[k], so that its s-fold integral is the sum over k of the
+        (s - k)-fold integrals of values[k]: each joins after k of s integrations.
+        """
         s, step, present = self.smoothness, columns.time_step, columns.present
-        # A term with a derivative joins the others when they have been integrated as often.
         values = columns.values[0]
         mean, bend = jnp.zeros_like(values[:, 0]), jnp.zeros_like(values[:, 1:])
         for integrated in range(1, s + 1):
             values = values * step
-            average = real_mean(values, held)
-            # The mean of a later integrand belongs to a polynomial whose differences vanish.
+            average = unpadded_mean(values, unpadded)
+            # A later mean is integrated s - 1 times at most: the s-th difference of that vanishes.
             mean = average * step ** (s - 1) if integrated == 1 else mean
             bend = jnp.diff(values, axis=1)
-            values = running_integral(values - average[:, None], self.quadrature, present, held)
+            values = running_integral(values - average[:, None], self.quadrature, present, unpadded)
             values = values + columns.values[integrated]
         return Primitives(values, mean, bend, present, s)
 
     def integrals(
-        self, columns: Columns, windows: WindowSet, held: Int[Array, ""] | int | None = None
+        self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
     ) -> Integrals:
         """Integral of every column over every window.
 
@@ -251,46 +232,13 @@ class _Differences(AbstractTestFunction):
                 "windows between samples go with the boxcar and quadrature of order 2; draw them "
                 "on samples (between_samples=False)."
             )
-        return self.primitives(columns, held).integrals(windows)
+        values = self.primitives(columns, unpadded).differences(*windows)
+        return Integrals(values, valid_windows(windows, columns.present))
 
-    def lags(self, windows: AllWindows, record: Record) -> LagBins:
-        """The law of window lengths on a record, in multiples of samples."""
-        return windows.bins(record.sample_count, record.time_step, self.length_multiple)
-
-    def moments(self, columns: Columns, lags: LagBins, blocks: Blocks, reach: int) -> Moments:
+    def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts."""
-        found = self.primitives(columns, blocks.held)
-        return moments_in_blocks(
-            found.values,
-            found.mean,
-            found.present,
-            lags,
-            blocks.first,
-            blocks.size,
-            blocks.held,
-            order=self.smoothness,
-            count=blocks.number,
-            reach=reach,
-        )
-
-    def window_count(self, windows: AllWindows, record: Record) -> float:
-        """Starts times lengths, as far as windows end in the record."""
-        n, multiple = record.sample_count, self.length_multiple
-        first, last, weight, _ = self.lags(windows, record)
-        # In real numbers: windows may be more than 32-bit integers hold.
-        first, last = (np.asarray(edge, float) for edge in (first, last))
-        starts = n - multiple * (first + last) / 2
-        return float(np.sum(np.asarray(weight, float) * (last - first + 1) * starts))
-
-
-def real_mean(
-    values: Float[Array, "columns n"], held: Int[Array, ""] | int | None
-) -> Float[Array, " columns"]:
-    """Mean of the first `held` samples, of all by default."""
-    if held is None or (isinstance(held, int) and held == values.shape[1]):
-        return jnp.mean(values, axis=1)
-    inside = jnp.arange(values.shape[1]) < held
-    return jnp.sum(jnp.where(inside[None, :], values, 0.0), axis=1) / held
+        primitives = self.primitives(columns, blocks.unpadded)
+        return moments_in_blocks(primitives, lags, blocks, reach=reach)
 
 
 class Boxcar(_Differences):
@@ -306,12 +254,8 @@ class Boxcar(_Differences):
     """
 
     name: ClassVar[str] = "boxcar"
+    smoothness: ClassVar[int] = 1
     quadrature: int = eqx.field(static=True, default=2)
-
-    @property
-    def smoothness(self) -> int:
-        """1: the boxcar's first derivative is a pulse at either end."""
-        return 1
 
 
 class Hat(_Differences):
@@ -326,15 +270,15 @@ class Hat(_Differences):
     """
 
     name: ClassVar[str] = "hat"
+    smoothness: ClassVar[int] = 2
+    length_multiple: ClassVar[int] = 2
+    row_seconds: ClassVar[int] = 2
     quadrature: int = eqx.field(static=True, default=2)
 
-    @property
-    def smoothness(self) -> int:
-        """2: the hat's second derivative is a pulse at either end and one in the middle."""
-        return 2
 
-
-def whole(windows: WindowSet, present: Bool[Array, " n"] | None) -> Bool[Array, " windows"] | None:
+def valid_windows(
+    windows: WindowSet, present: Bool[Array, " n"] | None
+) -> Bool[Array, " windows"] | None:
     """Which windows hold no missing sample; `None` where nothing is missing."""
     if present is None:
         return None

@@ -1,8 +1,28 @@
-"""Windows in time: where an integral criterion looks, and for how long."""
+"""Windows in time: where an integral criterion looks, and for how long.
+
+**Drawing without rejection.** The paper draws T ~ U(alpha, beta) and t0 ~ U(0, t_max), and rejects
+pairs with t0 + T > t_max (eqs 14-15). What is left is uniform over the trapezium of admissible
+pairs, alpha <= T <= beta and 0 <= t0 <= t_max - T. A given T leaves the room r = t_max - T for t0,
+so its density is proportional to r. With r_a = t_max - alpha and r_b = t_max - beta,
+
+    P(T <= t_max - r) = (r_a^2 - r^2) / (r_a^2 - r_b^2)
+
+Setting that to u ~ U(0, 1) gives r = sqrt(r_a^2 - u (r_a^2 - r_b^2)), then T = t_max - r and
+t0 = v r with v ~ U(0, 1): two random numbers to a window, nothing rejected, fixed shapes.
+
+**On samples** the pairs are finitely many. With lags in multiples of m samples, the lag m (k_a + j)
+leaves q - m j starts, q = n - m k_a. The pairs before the j-th lag are
+
+    P(j) = sum_{i < j} (q - m i) = j q - m j (j - 1) / 2
+
+and pair number x belongs to the lag j with P(j) <= x < P(j + 1): the whole part of a root of a
+quadratic, 4 x / (b + sqrt(b^2 - 8 m x)) with b = 2 q + m. With the root in the denominator nothing
+cancels where x is small.
+"""
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -62,6 +82,8 @@ class AbstractWindows(eqx.Module):
 
     alpha: eqx.AbstractVar[Leaf]
     beta: eqx.AbstractVar[Leaf]
+    needs_key: ClassVar[bool]
+    """Whether windows are drawn at random."""
 
     def check(self, sample_count: int, time_step: Array, multiple: int = 1) -> None:
         """Raise `DataError` if the record is too short or too coarse (not under jit)."""
@@ -89,10 +111,9 @@ class AbstractWindows(eqx.Module):
 
         **Raises:** `ModelError` when it is differentiated by alpha or beta.
         """
-        alpha, beta = self.alpha, self.beta
-        if not is_concrete(alpha, beta):
-            alpha, beta = _rounded_away((alpha, beta))
-        shortest, longest = _in_lags(alpha, beta, sample_count, time_step, multiple)
+        band = self.alpha, self.beta
+        band = band if is_concrete(band) else _rounded_away(band)
+        shortest, longest = _in_lags(*band, sample_count, time_step, multiple)
         return rounded(shortest), rounded(longest)
 
     @property
@@ -103,11 +124,6 @@ class AbstractWindows(eqx.Module):
     @property
     def every(self) -> "AllWindows":
         """All windows of these lengths."""
-        raise NotImplementedError
-
-    @property
-    def needs_key(self) -> bool:
-        """Whether windows are drawn at random."""
         raise NotImplementedError
 
     def fitted(self, records: Sequence[Record]) -> Self:
@@ -124,7 +140,7 @@ class AbstractWindows(eqx.Module):
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
-        raise NotImplementedError
+        return {"alpha": np.asarray(self.alpha).tolist(), "beta": np.asarray(self.beta).tolist()}
 
 
 def _in_lags(
@@ -155,23 +171,21 @@ def _rounded_away_jvp(primals: Any, tangents: Any) -> Any:
     )
 
 
-def _length(name: str, value: float | Leaf) -> Leaf:
-    """The length of a window in seconds, one number.
+def _band(alpha: float | Leaf, beta: float | Leaf) -> tuple[Leaf, Leaf]:
+    """The shortest and the longest window in seconds, each one number.
 
-    **Raises:** `ModelError` for anything else.
+    **Raises:** `ModelError` for anything else, and unless 0 < alpha < beta.
     """
-    if isinstance(value, str) or value is None or np.ndim(value):
-        write = "rx.AllWindows(0.05, 0.5), with the shortest and the longest window in seconds"
-        require(name, value, (), write)
-    return as_leaf(value)
-
-
-def _require_order(alpha: Leaf, beta: Leaf) -> None:
+    for name, value in (("alpha", alpha), ("beta", beta)):
+        if isinstance(value, str) or value is None or np.ndim(value):
+            write = "rx.AllWindows(0.05, 0.5), with the shortest and the longest window in seconds"
+            require(name, value, (), write)
     if is_concrete(alpha, beta) and not 0 < float(alpha) < float(beta):
         raise ModelError(
             f"windows need 0 < alpha < beta; got alpha = {float(alpha):g} s and "
             f"beta = {float(beta):g} s."
         )
+    return as_leaf(alpha), as_leaf(beta)
 
 
 class AllWindows(AbstractWindows):
@@ -198,6 +212,7 @@ class AllWindows(AbstractWindows):
     differentiated by alpha or beta with a bump.
     """
 
+    needs_key: ClassVar[bool] = False
     alpha: Leaf
     beta: Leaf
     law: AbstractLaw
@@ -211,11 +226,9 @@ class AllWindows(AbstractWindows):
         law: AbstractLaw | ArrayLike | Callable[[Array], Array] | None = None,
         longest_samples: int | None = None,
     ):
-        self.alpha = _length("alpha", alpha)
-        self.beta = _length("beta", beta)
+        self.alpha, self.beta = _band(alpha, beta)
         self.law = as_law(law)
         self.longest_samples = longest_samples
-        _require_order(self.alpha, self.beta)
 
     def fitted(self, records: Sequence[Record]) -> Self:
         """The same windows with `longest_samples` determined, if that is possible.
@@ -238,11 +251,6 @@ class AllWindows(AbstractWindows):
     def every(self) -> "AllWindows":
         """These."""
         return self
-
-    @property
-    def needs_key(self) -> bool:
-        """False: there is nothing to draw."""
-        return False
 
     def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
         """The same windows with other lengths.
@@ -292,17 +300,13 @@ class AllWindows(AbstractWindows):
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
-        band = {"alpha": np.asarray(self.alpha).tolist(), "beta": np.asarray(self.beta).tolist()}
-        return {**band, "windows": "all", **self.law.describe()}
+        return {**super().describe(), "windows": "all", **self.law.describe()}
 
 
 class RandomWindows(AbstractWindows):
     """The paper's random windows: T ~ U(alpha, beta), t0 ~ U(0, t_max), t0 + T <= t_max.
 
-    Rejecting the pairs that reach beyond the record (eqs 14-15) leaves (t0, T) uniform over the
-    admissible ones. That is drawn directly: T with density proportional to t_max - T, by
-    inverting its distribution, then t0 uniform over what room is left. Shapes are fixed and
-    nothing is rejected.
+    Eqs (14)-(15), drawn without rejection; the module derives how.
 
     **Arguments:**
 
@@ -316,6 +320,7 @@ class RandomWindows(AbstractWindows):
     alpha or beta on samples.
     """
 
+    needs_key: ClassVar[bool] = True
     alpha: Leaf
     beta: Leaf
     count: int = eqx.field(static=True)
@@ -329,8 +334,7 @@ class RandomWindows(AbstractWindows):
         *,
         between_samples: bool = False,
     ):
-        self.alpha = _length("alpha", alpha)
-        self.beta = _length("beta", beta)
+        self.alpha, self.beta = _band(alpha, beta)
         require(
             "the number of windows",
             count,
@@ -341,7 +345,6 @@ class RandomWindows(AbstractWindows):
         self.between_samples = between_samples
         if count < 1:
             raise ModelError(f"the number of windows must be at least 1; got {count}.")
-        _require_order(self.alpha, self.beta)
 
     @property
     def drawn(self) -> "RandomWindows":
@@ -353,19 +356,10 @@ class RandomWindows(AbstractWindows):
         """What they converge to as their number grows."""
         return AllWindows(self.alpha, self.beta)
 
-    @property
-    def needs_key(self) -> bool:
-        """True."""
-        return True
-
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
-        return {
-            "alpha": np.asarray(self.alpha).tolist(),
-            "beta": np.asarray(self.beta).tolist(),
-            "windows": self.count,
-            **({"between_samples": True} if self.between_samples else {}),
-        }
+        between = {"between_samples": True} if self.between_samples else {}
+        return {**super().describe(), "windows": self.count, **between}
 
     def draw(
         self,
@@ -378,43 +372,24 @@ class RandomWindows(AbstractWindows):
 
         On samples, lengths are multiples of `multiple` samples.
         """
+        u, v = jax.random.uniform(key, (2, self.count))
         if self.between_samples:
-            return self._draw_between_samples(key, sample_count, time_step)
-        return self._draw_on_samples(key, sample_count, time_step, multiple)
-
-    def _draw_on_samples(
-        self,
-        key: Key[Array, ""],
-        sample_count: Count,
-        time_step: Float[Array, ""],
-        multiple: int,
-    ) -> WindowSet:
+            last = sample_count - 1.0
+            room_a, room_b = last - self.alpha / time_step, last - self.beta / time_step
+            room = jnp.sqrt(room_a**2 - u * (room_a**2 - room_b**2))
+            start = v * room
+            return WindowSet(start, jnp.minimum(start + (last - room), last))
         m = multiple
         shortest, longest = self.lags(sample_count, time_step, m)
-        u, v = jax.random.uniform(key, (2, self.count))
-        # A lag of k samples leaves n - k starts. Pairs are numbered lag by lag; the number of pairs
-        # before the j-th lag is j (n - k_a) - m j (j - 1) / 2, which is inverted for j. The form
-        # with the root in the denominator does not cancel.
         # In real numbers: of ten minutes at 10 kHz, 32-bit integers do not hold the pairs.
         lag_count = (longest - shortest + 1).astype(u.dtype)
         most = (sample_count - m * shortest).astype(u.dtype)
-        pairs = lag_count * most - m * lag_count * (lag_count - 1) / 2
+        pair = u * (lag_count * most - m * lag_count * (lag_count - 1) / 2)
         b = 2.0 * most + m
-        j = 4 * u * pairs / (b + jnp.sqrt(b**2 - 8 * m * u * pairs))
+        j = 4 * pair / (b + jnp.sqrt(b**2 - 8 * m * pair))
         lag = m * (shortest + jnp.clip(j.astype(jnp.int32), 0, longest - shortest))
         start = jnp.minimum((v * (sample_count - lag)).astype(jnp.int32), sample_count - lag - 1)
         return WindowSet(start, start + lag)
-
-    def _draw_between_samples(
-        self, key: Key[Array, ""], sample_count: Count, time_step: Float[Array, ""]
-    ) -> WindowSet:
-        u, v = jax.random.uniform(key, (2, self.count))
-        last = sample_count - 1.0
-        room_a, room_b = last - self.alpha / time_step, last - self.beta / time_step
-        room = jnp.sqrt(room_a**2 - u * (room_a**2 - room_b**2))
-        length = last - room
-        start = v * room
-        return WindowSet(start, jnp.minimum(start + length, last))
 
 
 def power_of_two(value: float) -> int:

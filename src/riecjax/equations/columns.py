@@ -64,12 +64,12 @@ def sampled_columns(equation: Equation, record: Record, smoothness: int) -> Colu
     zero = jnp.zeros((1 + len(names), record.sample_count), record.time_step.dtype)
 
     def of_order(order: int) -> Float[Array, "columns n"]:
-        held = [
+        terms = [
             (term, sampled.values)
             for term, sampled in zip(equation.terms, read)
             if min(term.derivative, smoothness) == order
         ]
-        return sum_columns(held, names) if held else zero
+        return sum_columns(terms, names) if terms else zero
 
     values = jnp.stack([of_order(order) for order in range(smoothness + 1)])
     return Columns(values, equation.present(record, read), record.time_step, names)

@@ -3,24 +3,32 @@
 from collections.abc import Callable, Iterable, Mapping
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
-from riecjax.equations.term import (
-    AbstractTerm,
+from riecjax.equations.expressions import (
+    Expression,
     Sampled,
-    Term,
     both_present,
     evaluate,
-    merge_known,
     read_expression,
 )
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signals
 
+PROBE = 64
+"""Samples that an expression is tried on."""
+
 
 class Equation(eqx.Module):
     """Terms that sum to zero, up to the equation error.
+
+    Each is a coefficient times a time derivative of an expression of the signals. With the known
+    terms on the left it is linear in the unknown coefficients: eq. (23) of the paper at a sample,
+    eq. (24) integrated over a window.
 
     `M_s x4' = K_s x2 + F(x3 - x4)` is written as
 
@@ -83,7 +91,11 @@ class Equation(eqx.Module):
     @property
     def known(self) -> Mapping[str, Leaf]:
         """Values of the named coefficients that are known in advance."""
-        return merge_known(self.terms)
+        return {
+            term.name: term.known
+            for term in self.terms
+            if isinstance(term, Term) and term.name is not None and term.known is not None
+        }
 
     @property
     def has_target(self) -> bool:
@@ -99,6 +111,12 @@ class Equation(eqx.Module):
             if isinstance(term, Term) and isinstance(term.of, str)
             for pair in zip((term.of, *term.measured), term.measured)
         )
+
+    @property
+    def functions(self) -> list[Expression]:
+        """Its expressions that are functions of the signals, the mask's included."""
+        found = [term.of for term in self.terms] + ([self.where] if self.where else [])
+        return [expression for expression in found if not isinstance(expression, str)]
 
     def trusted(self, record: Record) -> Bool[Array, " n"] | None:
         """Where `where` holds and its signals are present; `None` without `where`."""
@@ -126,3 +144,42 @@ class Equation(eqx.Module):
         if self.where is not None:
             read_expression(self.where, signals)
         return signals.read
+
+
+def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
+    """Expressions whose value at one sample depends on others, as `equation: name` (not under jit).
+
+    A mean, a difference between neighbours or a filter would see only a chunk of the record, or
+    what fills it up. Each is tried on samples from all over the record, and on halves of these.
+    """
+    functions = [(e.name, f) for e in equations for f in e.functions]
+    if not functions:
+        return []
+    at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)
+    probe = Record(
+        {name: np.asarray(values)[at] for name, values in record.arrays.items()},
+        record.time_step,
+    )
+    alone = _each_by_itself(tuple(f for _, f in functions), probe)
+    return [
+        f"{label}: {getattr(function, '__name__', 'an expression')}"
+        for (label, function), good in zip(functions, np.asarray(alone))
+        if not good
+    ]
+
+
+@eqx.filter_jit
+def _each_by_itself(
+    functions: tuple[Expression, ...], record: Record
+) -> Bool[Array, " expressions"]:
+    half = PROBE // 2
+    parts = [record.part(0, half), record.part(half, PROBE)]
+
+    def alone(function: Expression) -> Bool[Array, ""]:
+        whole, _ = evaluate(function, record)
+        halves = jnp.concatenate([evaluate(function, part)[0] for part in parts])
+        # Of differences of large numbers, compilers may round halves otherwise than the whole.
+        size = jnp.max(jnp.abs(whole), where=jnp.isfinite(whole), initial=0.0)
+        return jnp.all(jnp.isclose(whole, halves, rtol=1e-9, atol=1e-9 * size, equal_nan=True))
+
+    return jnp.stack([alone(function) for function in functions])

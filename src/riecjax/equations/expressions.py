@@ -1,21 +1,79 @@
-"""Common functions of the signals, for terms and masks.
+"""Expressions of signals: what a term or a mask is made of, and common ones.
 
-Two of them that say the same compare equal, so that building an equation anew compiles nothing
-anew, as a fresh `lambda` would.
+Two of the common ones that say the same compare equal, so that building an equation anew compiles
+nothing anew, as a fresh `lambda` would.
 """
 
 import functools
 import operator
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
-from riecjax.equations.equation import Equation
-from riecjax.equations.term import Expression, evaluate
+from riecjax.errors import ModelError, users_code
 from riecjax.records.record import Record, Signals
+
+Expression = str | Callable[[Signals], Array]
+"""A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
+
+A function returns one number for each sample, which depends on that sample alone (long records are
+worked through in chunks), or one for all if it reads no signal.
+Write functions once, at module level: a new function object each time compiles anew.
+"""
+
+
+class Sampled(NamedTuple):
+    """Samples of one or several columns, and where they are present (`None`: everywhere)."""
+
+    values: Float[Array, "columns n"]
+    present: Bool[Array, " n"] | None
+
+
+def evaluate(
+    expression: Expression, record: Record
+) -> tuple[Float[Array, " n"], Bool[Array, " n"] | None]:
+    """Samples of an expression on a record, and where every signal that it reads is present.
+
+    **Raises:** `DataError` for a missing signal, `ModelError` if a function of the user's own
+    fails or does not return one number for each sample.
+    """
+    signals = record.signals
+    if isinstance(expression, str):
+        return signals[expression], record.present((expression,))
+    name = getattr(expression, "__name__", "an expression")
+    with users_code(f"the expression {name}"):
+        samples = jnp.asarray(expression(signals))
+    # One number of the signals, such as their sum, is a slip; one of no signal is a constant.
+    if samples.shape == () and not signals.read:
+        samples = jnp.broadcast_to(samples, (record.sample_count,))
+    if samples.shape != (record.sample_count,):
+        raise ModelError(
+            f"the expression {name} must return one number for each of the {record.sample_count} "
+            f"samples; it returned shape {samples.shape}."
+        )
+    return samples, record.present(signals.read)
+
+
+def read_expression(expression: Expression, signals: Signals) -> None:
+    """Note in `signals.read` what an expression reads, without computing anything."""
+    if isinstance(expression, str):
+        _ = signals[expression]
+        return
+    with users_code(f"the expression {getattr(expression, '__name__', 'of a term')}"):
+        jax.eval_shape(lambda: expression(signals))
+
+
+def both_present(
+    one: Bool[Array, " n"] | None, other: Bool[Array, " n"] | None
+) -> Bool[Array, " n"] | None:
+    """Where both are present."""
+    if one is None or other is None:
+        return other if one is None else one
+    return one & other
 
 
 def constant(signals: Signals) -> Array:
@@ -66,53 +124,3 @@ def faster_than(name: str, threshold: float) -> _FasterThan:
     computed from it.
     """
     return _FasterThan(name, threshold)
-
-
-PROBE = 64
-"""Samples that an expression is tried on."""
-
-
-def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
-    """Expressions whose value at one sample depends on others, as `equation: name` (not under jit).
-
-    A mean, a difference between neighbours or a filter would see only a chunk of the record, or
-    what fills it up. Each is tried on samples from all over the record, and on halves of these.
-    """
-    functions = [(e.name, f) for e in equations for f in _functions(e)]
-    if not functions:
-        return []
-    at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)
-    probe = Record(
-        {name: np.asarray(values)[at] for name, values in record.arrays.items()},
-        record.time_step,
-    )
-    alone = _each_by_itself(tuple(f for _, f in functions), probe)
-    return [
-        f"{label}: {getattr(function, '__name__', 'an expression')}"
-        for (label, function), good in zip(functions, np.asarray(alone))
-        if not good
-    ]
-
-
-def _functions(equation: Equation) -> list[Expression]:
-    found: list[Expression] = [term.of for term in equation.terms]
-    if equation.where is not None:
-        found.append(equation.where)
-    return [expression for expression in found if not isinstance(expression, str)]
-
-
-@eqx.filter_jit
-def _each_by_itself(
-    functions: tuple[Expression, ...], record: Record
-) -> Bool[Array, " expressions"]:
-    half = PROBE // 2
-    parts = [record.part(0, half), record.part(half, PROBE)]
-
-    def alone(function: Expression) -> Bool[Array, ""]:
-        whole, _ = evaluate(function, record)
-        halves = jnp.concatenate([evaluate(function, part)[0] for part in parts])
-        # Of differences of large numbers, compilers may round halves otherwise than the whole.
-        size = jnp.max(jnp.abs(whole), where=jnp.isfinite(whole), initial=0.0)
-        return jnp.all(jnp.isclose(whole, halves, rtol=1e-9, atol=1e-9 * size, equal_nan=True))
-
-    return jnp.stack([alone(function) for function in functions])

@@ -1,76 +1,18 @@
 """One term of an equation of motion: a coefficient times a derivative of a signal expression."""
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
-from riecjax.errors import DataError, ModelError, require, users_code
+from riecjax.equations.expressions import Expression, Sampled, evaluate
+from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, as_leaf
-from riecjax.records.record import Record, Signals
-
-Expression = str | Callable[[Signals], Array]
-"""A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
-
-A function returns one number for each sample, which depends on that sample alone (long records are
-worked through in chunks), or one for all if it reads no signal.
-Write functions once, at module level: a new function object each time compiles anew.
-"""
-
-
-class Sampled(NamedTuple):
-    """Samples of one or several columns, and where they are present (`None`: everywhere)."""
-
-    values: Float[Array, "columns n"]
-    present: Bool[Array, " n"] | None
-
-
-def evaluate(
-    expression: Expression, record: Record
-) -> tuple[Float[Array, " n"], Bool[Array, " n"] | None]:
-    """Samples of an expression on a record, and where every signal that it reads is present.
-
-    **Raises:** `DataError` for a missing signal, `ModelError` if a function of the user's own
-    fails or does not return one number for each sample.
-    """
-    signals = record.signals
-    if isinstance(expression, str):
-        return signals[expression], record.present((expression,))
-    name = getattr(expression, "__name__", "an expression")
-    with users_code(f"the expression {name}"):
-        samples = jnp.asarray(expression(signals))
-    # One number of the signals, such as their sum, is a slip; one of no signal is a constant.
-    if samples.shape == () and not signals.read:
-        samples = jnp.broadcast_to(samples, (record.sample_count,))
-    if samples.shape != (record.sample_count,):
-        raise ModelError(
-            f"the expression {name} must return one number for each of the {record.sample_count} "
-            f"samples; it returned shape {samples.shape}."
-        )
-    return samples, record.present(signals.read)
-
-
-def read_expression(expression: Expression, signals: Signals) -> None:
-    """Note in `signals.read` what an expression reads, without computing anything."""
-    if isinstance(expression, str):
-        _ = signals[expression]
-        return
-    with users_code(f"the expression {getattr(expression, '__name__', 'of a term')}"):
-        jax.eval_shape(lambda: expression(signals))
-
-
-def both_present(
-    one: Bool[Array, " n"] | None, other: Bool[Array, " n"] | None
-) -> Bool[Array, " n"] | None:
-    """Where both are present."""
-    if one is None or other is None:
-        return other if one is None else one
-    return one & other
+from riecjax.records.record import Record
 
 
 class AbstractTerm(eqx.Module):
@@ -294,15 +236,6 @@ def _derivative_name(term: Term, record: Record, order: int) -> str:
 def _below(term: Term, order: int) -> str:
     """The signal whose first derivative the derivative of this order is."""
     return (term.of if isinstance(term.of, str) else "SIGNAL", *term.measured)[order - 1]
-
-
-def merge_known(terms: tuple[AbstractTerm, ...]) -> Mapping[str, Leaf]:
-    """Values of the coefficients that the terms themselves call known."""
-    return {
-        term.name: term.known
-        for term in terms
-        if isinstance(term, Term) and term.name is not None and term.known is not None
-    }
 
 
 def sum_columns(

@@ -160,7 +160,7 @@ def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
 
 
 def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Finding]:
-    windows = criterion.in_windows
+    windows = criterion.windows
     if windows is None:
         return []
     findings = []

@@ -219,13 +219,11 @@ def find_model(reference: str) -> Model:
         path = reference
         module = _load(Path(path))
         attribute = _only_model(path, vars(module))
+        found = getattr(module, attribute)
     elif not separator or not path.endswith(".py"):
         return built_in_model(reference)
     else:
-        module = _load(Path(path))
-    if not hasattr(module, attribute):
-        raise ModelError(f"{path} has no object '{attribute}'.")
-    found = getattr(module, attribute)
+        found = object_of_file(reference)
     if not isinstance(found, Model | Equation | Procedure) and callable(found):
         with users_code(path):
             found = found()
@@ -269,6 +267,18 @@ def _only_model(path: str, objects: Mapping[str, object]) -> str:
     raise ModelError(
         f"{path} holds {len(found)} models: {', '.join(found)}. Say which: {path}:{found[0]}."
     )
+
+
+def object_of_file(reference: str) -> object:
+    """The object that `path/to/file.py:object` names.
+
+    **Raises:** `ModelError` if there is no such file or object.
+    """
+    path, _, attribute = reference.rpartition(":")
+    module = _load(Path(path))
+    if not hasattr(module, attribute):
+        raise ModelError(f"{path} has no object '{attribute}'.")
+    return getattr(module, attribute)
 
 
 def _load(path: Path) -> ModuleType:

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import both_present
 from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip
-from riecjax.equations.term import AbstractTerm, Term, both_present
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.records.record import Record, Signals
 from riecjax.refinement.parametric import AbstractParametric, ByFields, Values

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 from riecjax.criteria.criterion import DOLS
 from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Terms, evaluate
+from riecjax.equations.expressions import evaluate
+from riecjax.equations.term import Terms
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Record
@@ -135,7 +136,7 @@ def _samples(
         rows = _rows_left(equation, record, {name: estimate[name] for name in others})
     except DataError:
         return None  # a derivative that is not recorded
-    valid = slice(None) if rows.kept is None else np.asarray(rows.kept)
+    valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
     x, y = variable[valid], np.asarray(rows.target)[valid] / float(term.sign)
     return x[:MOST_POINTS], y[:MOST_POINTS]
 

@@ -22,8 +22,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Expression, Term, Terms
+from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_few

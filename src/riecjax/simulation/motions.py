@@ -19,7 +19,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import AbstractTerm, Expression, Term, Terms
+from riecjax.equations.expressions import Expression
+from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, users_code
 from riecjax.records.record import Signals
 

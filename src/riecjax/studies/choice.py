@@ -137,8 +137,8 @@ def window_choice(
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     if isinstance(estimate, Estimate):
-        windows = windows or estimate.criterion.in_windows
-        test_function = test_function or estimate.criterion.weight
+        windows = windows or estimate.criterion.windows
+        test_function = test_function or estimate.criterion.test_function
     if windows is None:
         raise ModelError("a choice of windows needs some to start from: windows=AllWindows(...).")
     weight = test_function or Boxcar()

@@ -204,7 +204,7 @@ def sweep_edges(
     """
     lengths = [(float(r.time_step), r.sample_count) for r in records]
     low, high = _reach(lengths, criterion, shortest, longest)
-    windows = criterion.in_windows
+    windows = criterion.windows
     assert windows is not None
     ratio = np.log(high / low) / (bands + 1)
     inner = [v for v in (float(windows.alpha), float(windows.beta)) if low < v < high]
@@ -223,7 +223,7 @@ def _reach(
     longest: float | None,
 ) -> tuple[float, float]:
     """Ends of a sweep in seconds, for records of a time step in seconds and a number of samples."""
-    windows = criterion.in_windows
+    windows = criterion.windows
     assert windows is not None
     coarsest = max(step for step, _ in records)
     durations = [step * (samples - 1) for step, samples in records]

@@ -119,7 +119,7 @@ class NormalEquations(eqx.Module):
         moments = jax.ops.segment_sum(
             jnp.moveaxis(products, -1, 0), block_of_row, num_segments=block_count
         )
-        valid = jnp.ones(columns.shape[1], bool) if rows.kept is None else rows.kept
+        valid = jnp.ones(columns.shape[1], bool) if rows.valid is None else rows.valid
         count = jax.ops.segment_sum(
             valid.astype(columns.dtype), block_of_row, num_segments=block_count
         )

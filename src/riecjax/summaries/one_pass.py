@@ -30,8 +30,7 @@ from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import LengthBins, law_in_bins
 from riecjax.criteria.windows import AllWindows, power_of_two
-from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import mixing_expressions
+from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
@@ -130,13 +129,15 @@ class OnePass:
 
     def _all_windows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
         """Starts to a block, and sums over all windows."""
-        windows = self.criterion.in_windows
+        windows = self.criterion.windows
         assert windows is not None
         windows = windows.every
         lengths = self._lengths(windows)
         reach = lengths[-1].reach
         layout = self._layout(windows, reach, fill)
-        lags = windows.lags(self.count, self.record.time_step, self.criterion.lag_samples)
+        lags = windows.lags(
+            self.count, self.record.time_step, self.criterion.test_function.length_multiple
+        )
         band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
         half, request = jnp.asarray(self.half), layout.request
         given = (self.procedure, self.criterion)
@@ -175,7 +176,7 @@ class OnePass:
         reach = windows.reach(self.count)
         if self.bins is None:
             return (Lengths(_each(every, None), reach),)
-        multiple = self.criterion.lag_samples
+        multiple = self.criterion.test_function.length_multiple
         cut = law_in_bins(every, self.bins, multiple * self.step, (self.count - 1) // multiple)
         beyond = self.bins.band[1]
         if beyond == self.bins.edges.size - 1:
@@ -192,7 +193,7 @@ class OnePass:
             request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
             return _Layout(block, n, _filled(n) if fill else None, request)
         starts = max(PART, 4 * longest)
-        filled = starts + reach + 2 * self.criterion.margin
+        filled = starts + reach + 2 * self.criterion.test_function.margin
         if not fill:
             starts, filled = n, None
         elif n <= FILLED[-1]:
@@ -209,7 +210,7 @@ class OnePass:
             record = dataclasses.replace(self.record, skipped=np.zeros(()))
             yield Part(record, 0, None, self.levels)
             return
-        margin = self.criterion.margin
+        margin = self.criterion.test_function.margin
         for start in range(0, self.count, layout.starts):
             begin = max(start - margin, 0)
             stop = min(start + layout.starts + reach + margin, self.count)

@@ -20,15 +20,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.criteria.chunks import ROUND, Blocks, in_chunks
+from riecjax.criteria.chunks import ROUND, StartBlocks, in_chunks
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.rows import Rows
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import evaluate
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Terms, evaluate
+from riecjax.equations.term import Terms
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.summaries.averages import activity, averaged_rows, thinned, underived
@@ -129,7 +130,7 @@ def of_all_windows(
     """
 
     def equation_sums(
-        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
+        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: StartBlocks
     ) -> PartSums:
         moments = tuple(_in_blocks(criterion, columns, which, blocks) for which in lengths)
         sums = _part_sums(columns, noise, record, blocks, half, request, None, moments)
@@ -143,7 +144,7 @@ def of_all_windows(
 
 
 def _in_blocks(
-    criterion: AbstractCriterion, columns: Columns, lengths: Lengths, blocks: Blocks
+    criterion: AbstractCriterion, columns: Columns, lengths: Lengths, blocks: StartBlocks
 ) -> tuple[Array, Array]:
     """Moments and numbers of windows of some lengths, blocks first and then bins.
 
@@ -180,7 +181,7 @@ def of_rows(
     block_of_row = jnp.clip((drawn.start / request.block).astype(int), 0, request.blocks - 1)
 
     def equation_sums(
-        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: Blocks
+        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: StartBlocks
     ) -> PartSums:
         rows = criterion.rows_of(columns, drawn, part.held)
         found = NormalEquations.of_rows(rows, block_of_row=block_of_row, block_count=request.blocks)
@@ -214,11 +215,11 @@ def _in_chunks(
     procedure: Procedure,
     criterion: AbstractCriterion,
     part: Part,
-    equation_sums: Callable[[Equation, Columns, Noise, Record, Blocks], PartSums],
+    equation_sums: Callable[[Equation, Columns, Noise, Record, StartBlocks], PartSums],
     reach: int,
     request: Request,
 ) -> list[list[PartSums]]:
-    def of_chunk(record: Record, blocks: Blocks) -> list[list[PartSums]]:
+    def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
         def of_equation(equation: Equation) -> PartSums:
             columns = sampled_columns(equation, record, criterion.smoothness)
             noise = partial(_added_by_noise, equation, columns, record, part.levels)
@@ -229,14 +230,14 @@ def _in_chunks(
     block = request.block
     if not isinstance(block, int):
         held = part.record.sample_count if part.held is None else part.held
-        return of_chunk(part.record, Blocks(part.first, block, request.blocks, held))
+        return of_chunk(part.record, StartBlocks(part.first, block, request.blocks, held))
     return in_chunks(
         part.record,
         of_chunk,
         block=block,
         reach=reach,
-        margin=criterion.margin,
-        held=part.held,
+        margin=criterion.test_function.margin,
+        unpadded=part.held,
         first=part.first,
         number=request.blocks,
     )
@@ -246,7 +247,7 @@ def _part_sums(
     columns: Columns,
     noise: Noise,
     record: Record,
-    blocks: Blocks,
+    blocks: StartBlocks,
     half: Int[Array, ""],
     request: Request,
     bare: np.ndarray | None,
@@ -258,7 +259,7 @@ def _part_sums(
 
     def averaged(of: Columns) -> Float[Array, "blocks rows 2+p"]:
         rows, valid = averaged_rows(
-            thinned(of, thin), (half + thin // 2) // thin, centres // thin, blocks.held // thin
+            thinned(of, thin), (half + thin // 2) // thin, centres // thin, blocks.unpadded // thin
         )
         rows = jnp.pad(rows, ((0, 0), (1, 0)), constant_values=1.0)
         rows = jnp.where(valid[:, None], rows, 0.0)
@@ -274,7 +275,7 @@ def _part_sums(
     added = jax.lax.cond(chunk % SELDOM == 0, noise_gram, lambda: nothing)
     at = jnp.arange(columns.sample_count)
     there = (at >= blocks.first) & (at < blocks.first + blocks.size * blocks.number)
-    there = there & (at < blocks.held)
+    there = there & (at < blocks.unpadded)
     there = there if columns.present is None else there & columns.present
     acts = activity(columns, there, bare)
     return PartSums(
@@ -288,7 +289,7 @@ def _part_sums(
 
 def _some_windows(
     criterion: AbstractCriterion,
-    blocks: Blocks,
+    blocks: StartBlocks,
     band: tuple[Int[Array, ""], Int[Array, ""]],
     each: int,
 ) -> WindowSet:
@@ -298,7 +299,7 @@ def _some_windows(
     start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
     start = start + (place * blocks.size).astype(int)
     lag = shortest + (length * (longest - shortest + 1)).astype(int)
-    return WindowSet(start, start + criterion.lag_samples * lag)
+    return WindowSet(start, start + criterion.test_function.length_multiple * lag)
 
 
 def _surveyed(
@@ -308,16 +309,16 @@ def _surveyed(
     noise: Noise,
     windows: WindowSet,
     record: Record,
-    blocks: Blocks,
+    blocks: StartBlocks,
 ) -> Surveyed:
     shape = windows.start.shape
     last = columns.sample_count - 1
-    inside = (windows.stop < blocks.held).ravel()
+    inside = (windows.stop < blocks.unpadded).ravel()
     flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
 
     def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
-        found = by.rows_of(of, flat, blocks.held)
-        valid = inside if found.kept is None else inside & found.kept
+        found = by.rows_of(of, flat, blocks.unpadded)
+        valid = inside if found.valid is None else inside & found.valid
         values = jnp.where(valid[:, None], found.columns.T, 0.0)
         return values.reshape(*shape, -1), valid.reshape(shape)
 
@@ -330,7 +331,7 @@ def _surveyed(
         rows(noise(), criterion)[0],
         record.elapsed[at].reshape(shape),
         valid,
-        {name: reach[None] for name, reach in _reaches(equation, record, blocks.held).items()},
+        {name: reach[None] for name, reach in _reaches(equation, record, blocks.unpadded).items()},
     )
 
 

@@ -71,7 +71,7 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
 
 
 def _bins(criterion: AbstractCriterion, bins: int | ArrayLike, traced: bool) -> LengthBins:
-    windows = criterion.in_windows
+    windows = criterion.windows
     if traced or not criterion.in_closed_form or windows is None:
         raise ModelError(
             "bins of window lengths are kept of all windows, with numbers that are known: use "

@@ -171,7 +171,7 @@ class Summary(eqx.Module):
         return first * unit, last * unit
 
     def _lag_seconds(self, one: RecordingSums) -> float:
-        return self.criterion.lag_samples * float(one.time_step)
+        return self.criterion.test_function.length_multiple * float(one.time_step)
 
     def _lags(self, band: tuple[int, int], one: RecordingSums) -> tuple[int, int]:
         """Shortest and longest lag of some bins in a recording."""

@@ -18,7 +18,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from riecjax.criteria.written import criterion_of, written
+from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.reading.channels import foreign_reader, read_array
@@ -101,7 +101,7 @@ def _document(parts: Mapping[str, Any]) -> Document:
         "fingerprint": outline.fingerprint,
         "bins": parts["edges"] is not None,
         **{name: parts[name] for name in ("in_law", "band", "asked")},
-        "criterion": written(parts["criterion"]),
+        "criterion": to_plain_data(parts["criterion"]),
         "recordings": [
             [[_structure(equation) for equation in stage] for stage in one.stages]
             for one in recordings
@@ -180,7 +180,7 @@ def _parts(document: Document, arrays: Arrays) -> dict[str, Any]:
     units = tuple((name, unit) for name, unit in document["units"])
     return {
         "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
-        "criterion": criterion_of(document["criterion"]),
+        "criterion": criterion_from_plain_data(document["criterion"]),
         "outline": Outline(tuple(stages), units, str(document["fingerprint"])),
         "edges": edges,
         "in_law": _pair(document["in_law"]),

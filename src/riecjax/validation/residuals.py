@@ -217,7 +217,7 @@ def residual_tests(
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     if windows is None and isinstance(estimate, Estimate):
-        windows = estimate.criterion.in_windows
+        windows = estimate.criterion.windows
     if errors is None:
         errors = errors_over_records(model, recordings, values)
     if lags is None:

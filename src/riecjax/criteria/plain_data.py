@@ -1,4 +1,4 @@
-"""A criterion as plain data, for files, and back.
+"""Test functions by name, and a criterion as plain data, for files, and back.
 
 Each part is its class's name and its fields, parts within parts. A file names classes and never
 imports them: what is read is looked for among the subclasses that the running program has defined,
@@ -14,21 +14,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-# For its side effect: every test function that can be asked for by name is defined.
-import riecjax.criteria.test_function_names  # noqa: F401
+from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import AbstractLaw
-from riecjax.criteria.test_functions import AbstractTestFunction
+from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Hat
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.errors import DataError, ModelError
 
+TEST_FUNCTIONS: dict[str, type[AbstractTestFunction]] = {
+    kind.name: kind for kind in (Boxcar, Hat, Bump)
+}
+"""The test functions that a user can ask for by name. The command line offers those that
+`cli/criteria.py` lists too, which reads no class before it must."""
 FAMILIES = (AbstractCriterion, AbstractWindows, AbstractLaw, AbstractTestFunction)
 """What a criterion is made of."""
 RESERVED = ("class", "from")
 """Keys beside the fields' names: keywords of Python, and so no names of fields."""
 
 
-def written(part: eqx.Module) -> dict[str, Any]:
+def to_plain_data(part: eqx.Module) -> dict[str, Any]:
     """A part of a criterion as nested dictionaries of what JSON has words for.
 
     `{"class": name, "from": module, field: value, ...}`, where an array is `{dtype: list}`.
@@ -37,17 +41,17 @@ def written(part: eqx.Module) -> dict[str, Any]:
     """
     kind = type(part)
     fields = {
-        field.name: _written(getattr(part, field.name), f"the {field.name} of {kind.__name__}")
+        field.name: _plain(getattr(part, field.name), f"the {field.name} of {kind.__name__}")
         for field in dataclasses.fields(part)
     }
     return {"class": kind.__name__, "from": kind.__module__} | fields
 
 
-def _written(value: Any, name: str) -> Any:
+def _plain(value: Any, name: str) -> Any:
     if isinstance(value, FAMILIES):
-        return written(value)
+        return to_plain_data(value)
     if isinstance(value, tuple | list):
-        return [_written(each, name) for each in value]
+        return [_plain(each, name) for each in value]
     if isinstance(value, np.ndarray | jax.Array) and value.dtype.kind in "fiub":
         return {str(value.dtype): np.asarray(value).tolist()}
     plain = value.item() if isinstance(value, np.generic) else value
@@ -59,8 +63,8 @@ def _written(value: Any, name: str) -> Any:
     )
 
 
-def criterion_of(document: dict[str, Any]) -> AbstractCriterion:
-    """The criterion that [`written`][riecjax.criteria.written.written] described.
+def criterion_from_plain_data(document: dict[str, Any]) -> AbstractCriterion:
+    """The criterion that [`to_plain_data`][riecjax.criteria.plain_data.to_plain_data] described.
 
     **Raises:** `DataError` for a class that is not defined here, or one with other fields.
     """
