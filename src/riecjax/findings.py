@@ -4,7 +4,13 @@ from typing import NamedTuple
 
 
 class Finding(NamedTuple):
-    """Something a user should know, with a code for scripts."""
+    """Something a user should know, with a code for scripts.
+
+    **Fields:** `code`; `message`, with what to do about it; `signals` and `parameters`, the names
+    of those that it concerns, empty where it concerns all or none.
+    """
 
     code: str
     message: str
+    signals: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()

@@ -345,7 +345,7 @@ def check_schema(document: dict) -> None:
         assert stage["rms"] >= 0
         assert stage["rows"] > 0
     for warning in document["warnings"]:
-        assert set(warning) == {"code", "message"}
+        assert set(warning) == {"code", "message", "signals", "parameters"}
     provenance = document["provenance"]
     assert isinstance(provenance["seed"], int)
     assert {"riecjax", "jax", "numpy", "python"} <= set(provenance["versions"])

@@ -169,7 +169,7 @@ def test_what_is_known_to_all_members_has_one_value(batch):
 def test_findings_of_a_batch_say_how_many_members_they_concern(batch):
     mass = batch.theta.at[1, :, 0].set(-100.0)
     wrong = eqx.tree_at(lambda e: e.theta, batch, mass)
-    found = [message for code, message in wrong.findings() if code == "negative_value"]
+    found = [f.message for f in wrong.findings() if f.code == "negative_value"]
     assert len(found) == 1
     assert found[0].startswith("in 2 of 6 members, first in member 1, 0: m is below zero")
     assert f"warning [negative_value] {found[0]}" in str(wrong)

@@ -147,7 +147,7 @@ def test_a_failing_equation_does_not_hide_behind_another():
     found = failing()
     assert found.stages[0].relative_rms < 0.05
     assert found.equations["weak"].relative_rms > 0.9
-    messages = [message for code, message in found.findings() if code == "large_residual"]
+    messages = [f.message for f in found.findings() if f.code == "large_residual"]
     assert len(messages) == 1
     share = 100 * float(found.equations["weak"].relative_rms)
     assert messages[0].startswith(f"weak: the model leaves {share:.0f} % of the signal")
@@ -271,7 +271,7 @@ def of_masses(procedure, one):
 
 
 def codes(found):
-    return [code for code, _ in found.findings()]
+    return [finding.code for finding in found.findings()]
 
 
 @pytest.mark.parametrize(("stiffness", "noise", "least"), [(600.0, 0.0, 0.3), (0.0, 0.1, 0.03)])
@@ -285,7 +285,7 @@ def test_an_equation_without_a_known_term_says_how_far_it_shrinks_its_coefficien
     assert lost > least
     assert float(together.equations["hung"].shrinkage) == pytest.approx(lost, rel=0.1)
     assert together.equations["driven"].shrinkage == 0
-    (message,) = [message for code, message in together.findings() if code == "no_known_term"]
+    (message,) = [f.message for f in together.findings() if f.code == "no_known_term"]
     for word in ("hung: no term of it is known", "m2, k, c towards zero", "riecjax.staged"):
         assert word in message
     assert "no_known_term" not in codes(in_turn)

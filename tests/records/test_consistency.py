@@ -25,6 +25,7 @@ def found(signals: dict[str, np.ndarray], step: float = STEP) -> list[str]:
     record = Record.from_samples(signals, time_step=step)
     findings = check_derivatives(record, [("x", "v")])
     assert {finding.code for finding in findings} <= {"not_its_derivative"}
+    assert all(finding.signals == ("x", "v") for finding in findings)
     return [finding.message for finding in findings]
 
 

@@ -279,7 +279,7 @@ def test_unknown_signal():
 
 def found_in(signals: dict[str, np.ndarray], step: float) -> set[tuple[str, str]]:
     record = Record.from_samples(signals, time_step=step)
-    return {(f.message.split(":")[0], f.code) for f in check_signals(record, signals)}
+    return {(", ".join(f.signals), f.code) for f in check_signals(record, signals)}
 
 
 def test_emps_rests_and_reverses_without_an_alarm():

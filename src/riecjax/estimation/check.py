@@ -120,7 +120,7 @@ def _sensors(
             if set(pair) <= set(names)
         ]
         findings += [
-            Finding(finding.code, prefix + finding.message)
+            finding._replace(message=prefix + finding.message)
             for finding in (*check_signals(record, names), *check_derivatives(record, pairs))
         ]
     return findings

@@ -293,7 +293,7 @@ class Estimate(AbstractEstimate):
                 f"{name}: relative residual {span(100 * np.asarray(fit.relative_rms))} %"
                 for name, fit in ((label, stage), *apart)
             )
-        lines.extend(f"warning [{code}] {message}" for code, message in self.findings())
+        lines.extend(f"warning [{f.code}] {f.message}" for f in self.findings())
         return "\n".join(lines)
 
 

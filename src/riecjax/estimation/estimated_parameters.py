@@ -149,19 +149,20 @@ class AbstractEstimate(eqx.Module):
         host = on_host(self)
         if not self.batch_shape:
             return host._findings()
-        first: dict[str, str] = {}
+        first: dict[str, Finding] = {}
         concerned: dict[str, int] = {}
         for place in np.ndindex(self.batch_shape):
             at = ", ".join(map(str, place))
             said = host.member(*place)._findings()
-            for code, message in said:
-                first.setdefault(code, f"first in member {at}: {message}")
-            for code in {code for code, _ in said}:
+            for finding in said:
+                message = f"first in member {at}: {finding.message}"
+                first.setdefault(finding.code, finding._replace(message=message))
+            for code in {finding.code for finding in said}:
                 concerned[code] = concerned.get(code, 0) + 1
         size = int(np.prod(self.batch_shape))
         return [
-            Finding(code, f"in {concerned[code]} of {size} members, {message}")
-            for code, message in first.items()
+            finding._replace(message=f"in {concerned[code]} of {size} members, {finding.message}")
+            for code, finding in first.items()
         ]
 
     def _findings(self) -> list[Finding]:

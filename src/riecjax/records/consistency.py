@@ -58,6 +58,7 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
                 f"{derivative}, which is read as the derivative of {signal}, {what}; check which "
                 f"columns they are, their units and signs, and that time is in seconds (on the "
                 f"command line: --map and --scale).",
+                (signal, derivative),
             )
         )
     return found

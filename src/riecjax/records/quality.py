@@ -197,6 +197,7 @@ def _missing_samples(record: Record, signals: Iterable[_Signal]) -> list[Finding
                 f"missing in {starts.size} {gaps}, first at {group[0].time[starts[0]]:.4g} s, and "
                 f"the longest unbroken stretch lasts {seconds:.4g} s; choose windows and filters "
                 f"that are short against it.",
+                tuple(signal.name for signal in group),
             )
         )
     return found
@@ -208,6 +209,7 @@ def _constant(signal: _Signal) -> list[Finding]:
             "constant_signal",
             f"{signal.name}: never varies from {signal.says(signal.levels[0])}, so nothing can be "
             f"identified from it; check that the channel was connected and the right one.",
+            (signal.name,),
         )
     ]
 
@@ -239,6 +241,7 @@ def _clipped(signal: _Signal) -> list[Finding]:
             f"first at {signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range "
             f"does; record with a larger range or leave those stretches out, unless the limit is "
             f"real, as of a command or of a wheel that lifts.",
+            (signal.name,),
         )
         for side in sides
     ]
@@ -323,6 +326,7 @@ def _stuck(signal: _Signal, others: list[_Signal]) -> list[Finding]:
             f"the rest of the record {meanwhile} ({samples} samples in {len(stuck)} place(s), "
             f"{_share(samples, signal.present)}); leave that stretch out and check the sensor, "
             f"its cable and the logger.",
+            (signal.name,),
         )
     ]
 
@@ -391,6 +395,7 @@ def _outliers(signal: _Signal) -> list[Finding]:
             f"{signal.says(float(np.max(known[known < limit])))}, first at "
             f"{signal.time[far[0]]:.4g} s; unless they really acted, mark them as missing (NaN), "
             f"since least squares follow them.",
+            (signal.name,),
         )
     ]
 
@@ -420,6 +425,7 @@ def _quantised(signal: _Signal) -> list[Finding]:
             f"{_share(signal.resolution, rms)} of its rms, and it changes by {change:.2g} such "
             f"steps from sample to sample (rms); do not differentiate it without a low-pass, and "
             f"prefer longer windows or a finer range.",
+            (signal.name,),
         )
     ]
 

@@ -172,5 +172,5 @@ class Refined(AbstractEstimate):
         for i, (name, unit) in enumerate(zip(self.quantities, self.quantity_units)):
             left = [span(np.asarray(rms)[..., i], ".4g") for rms in (self.rms_before, self.rms)]
             lines.append(f"{name}: {' -> '.join(left)} {unit} r.m.s.".replace("  ", " "))
-        lines.extend(f"warning [{code}] {message}" for code, message in self.findings())
+        lines.extend(f"warning [{f.code}] {f.message}" for f in self.findings())
         return "\n".join(lines)

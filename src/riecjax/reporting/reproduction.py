@@ -6,6 +6,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from riecjax.findings import Finding
 from riecjax.models.quarter_car.reconstruction import reconstruction_document
 from riecjax.paper.claims.claim import Claim, Evidence
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS, PublishedMode
@@ -44,14 +45,14 @@ def reproduction_document(
     warnings = []
     if lost:
         message = f"{lost} roads lost a simulation; their numbers are not to be trusted."
-        warnings.append({"code": "simulation_lost", "message": message})
+        warnings.append(Finding("simulation_lost", message)._asdict())
     count = int(np.asarray(roads.contact).size)
     fewest = count if scale is None else min(count, scale.studied)
     if fewest < FEW_ROADS:
         remedy = f"Use --roads {FEW_ROADS} or more" if scale is None else "Use --full"
         which = "" if scale is None else f" behind all but the tables ({count} behind these)"
         message = f"only {fewest} roads{which}: means and ranges are rough. {remedy}."
-        warnings.append({"code": "few_roads", "message": message})
+        warnings.append(Finding("few_roads", message)._asdict())
     return {
         "schema": 1,
         "tables": {"1": [_mode_entry(row) for row in table_1()]}
