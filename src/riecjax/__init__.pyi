@@ -45,8 +45,10 @@ from .records.preparation import remove_drift as remove_drift
 from .records.preparation import remove_offset as remove_offset
 from .records.preparation import resample as resample
 from .records.preparation import split as split
-from .records.reading.read import read_record as read_record
 from .records.record import Record as Record
+from .records.recording import Recording as Recording
+from .records.recording import read_record as read_record
+from .records.recording import read_recording as read_recording
 from .records.writing import write_record as write_record
 from .refinement.coordinates import Prior as Prior
 from .refinement.integral_error import IntegralError as IntegralError

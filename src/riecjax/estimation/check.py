@@ -18,7 +18,7 @@ from riecjax.estimation.question import question
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.quality import check_signals
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Records
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import Survey
@@ -72,7 +72,7 @@ def _refusal(findings: Iterable[Finding]) -> Finding | None:
 
 def check(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     criterion: AbstractCriterion,
     *,
     key: Key[Array, ""] | None = None,

@@ -22,7 +22,7 @@ from riecjax.estimation.stages import StageSolution, found_values, sizes_in_burs
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, is_concrete, on_host
 from riecjax.linear_algebra import factor_of, gram_condition_limit
-from riecjax.records.record import Record
+from riecjax.records.record import Records
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summarise import summed
@@ -43,7 +43,7 @@ DOUBTFUL = 5.0
 
 def identify(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     criterion: AbstractCriterion | None = None,
     *,
     key: Key[Array, ""] | None = None,

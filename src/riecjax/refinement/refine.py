@@ -15,7 +15,7 @@ from riecjax.estimation.question import require_numbers, require_settings
 from riecjax.estimation.sharing import Sharing, local_name
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Record, Records, as_records
 from riecjax.refinement.coordinates import Bounds, Laws, Prior
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective, Expansion, Setup
 from riecjax.refinement.optimum import (
@@ -45,7 +45,7 @@ FURTHER_ROUNDS = 2
 
 def refine(
     model: Any,
-    records: Record | Sequence[Record],
+    records: Records,
     start: AbstractEstimate | Mapping[str, float | Array],
     by: AbstractObjective | None = None,
     *,

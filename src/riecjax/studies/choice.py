@@ -19,7 +19,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Records, as_records
 from riecjax.validation.error_spectrum import ErrorSpectrum, error_spectrum
 from riecjax.validation.errors import EquationError, errors_over_records, joined
 
@@ -109,7 +109,7 @@ class WindowChoice(eqx.Module):
 
 def window_choice(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     estimate: Estimate | Mapping[str, float | Array],
     *,
     windows: AbstractWindows | None = None,

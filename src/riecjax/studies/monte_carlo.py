@@ -21,7 +21,7 @@ from riecjax.errors import ModelError, require
 from riecjax.estimation.least_squares import solve
 from riecjax.estimation.question import question
 from riecjax.estimation.sharing import Sharing, all_normal_equations
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Record, Records, as_records
 from riecjax.summaries.task import record_keys, require_key
 from riecjax.uncertainty.scores import in_order, staged_values, unknowns
 
@@ -106,7 +106,7 @@ class SeedScatter(eqx.Module):
 
 def seed_scatter(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     criterion: AbstractCriterion,
     *,
     key: Key[Array, ""],

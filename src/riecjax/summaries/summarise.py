@@ -1,7 +1,5 @@
 """The verb that reads samples: sum up what recordings say to a model."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Array, Key
 from numpy.typing import ArrayLike
@@ -12,7 +10,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Records
 from riecjax.summaries.reduction import Reading
 from riecjax.summaries.stage_sums import traced_sums
 from riecjax.summaries.summary import Outline, Summary
@@ -22,7 +20,7 @@ from riecjax.summaries.task import Task, task
 
 def summarise(
     model: Equation | Procedure | HasProcedure,
-    record: Record | Sequence[Record],
+    record: Records,
     criterion: AbstractCriterion | None = None,
     *,
     key: Key[Array, ""] | None = None,

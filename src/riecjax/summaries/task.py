@@ -1,7 +1,7 @@
 """What is to be summed, and everything of it that can be refused before any arithmetic."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,7 +15,7 @@ from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import MissingSignalError, ModelError, require
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Record, Records, as_records
 
 
 class Task(NamedTuple):
@@ -32,7 +32,7 @@ class Task(NamedTuple):
 
 def task(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     criterion: AbstractCriterion | None,
     key: Key[Array, ""] | None,
 ) -> Task:

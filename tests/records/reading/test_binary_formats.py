@@ -15,7 +15,8 @@ from pyarrow import parquet
 
 from riecjax.errors import DataError
 from riecjax.records.reading import channels as limits
-from riecjax.records.reading.read import read_channels, read_record
+from riecjax.records.reading.read import read_channels
+from riecjax.records.recording import read_record
 
 N = 40
 TIME = np.arange(N) * 0.05
