@@ -7,6 +7,8 @@ from . import simulation as simulation
 from . import studies as studies
 from . import summaries as summaries
 from . import validation as validation
+from .assessment.assess import assess as assess
+from .assessment.assessment import Assessment as Assessment
 from .criteria.bump import Bump as Bump
 from .criteria.criterion import DOLS as DOLS
 from .criteria.criterion import RIEC as RIEC

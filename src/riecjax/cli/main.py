@@ -75,8 +75,10 @@ def run(arguments: list[str] | None = None) -> int:
 
 def _no_answer(message: str, code: str, arguments: list[str]) -> int:
     if "--json" in arguments:
+        from riecjax.reporting.output import SCHEMA
+
         error = {"code": code, "message": message}
-        click.echo(json.dumps({"schema": 1, "error": error}, indent=2))
+        click.echo(json.dumps({"schema": SCHEMA, "error": error}, indent=2))
     return _fail(message, 1)
 
 

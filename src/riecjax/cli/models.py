@@ -9,6 +9,7 @@ from rich.table import Table
 from riecjax.cli.options import json_option
 from riecjax.models.catalogue import MODELS
 from riecjax.models.model import Model, Quantity
+from riecjax.reporting.output import SCHEMA
 
 
 @click.command("models")
@@ -16,7 +17,7 @@ from riecjax.models.model import Model, Quantity
 def command(as_json: bool) -> None:
     """List the built-in models, their parameters with units, and the signals they need."""
     if as_json:
-        click.echo(json.dumps({"schema": 1, "models": models_document()}, indent=2))
+        click.echo(json.dumps({"schema": SCHEMA, "models": models_document()}, indent=2))
         return
     console = Console()
     for model in MODELS.values():

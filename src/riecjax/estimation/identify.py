@@ -13,7 +13,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import DataError, IdentifiabilityError, require
+from riecjax.errors import DataError, IdentifiabilityError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
 from riecjax.estimation.question import Question, question
@@ -41,6 +41,7 @@ DOUBTFUL = 5.0
 """Standard errors within which an estimate of zero leaves its interval's width in doubt."""
 
 
+@renamed(own="per_record")
 def identify(
     model: Equation | Procedure | HasProcedure,
     records: Records,
@@ -84,6 +85,7 @@ def identify(
     return _estimated(asked.procedure, summed(asked), unknown, intervals)
 
 
+@renamed(own="per_record")
 def estimate(
     model: Equation | Procedure | HasProcedure,
     summaries: Summary | Sequence[Summary],

@@ -9,7 +9,7 @@ from types import ModuleType
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError, require, users_code
-from riecjax.models.model import Model, Quantity
+from riecjax.models.model import Model, Quantity, as_model
 
 _QUARTER_CAR_SIGNALS = (
     Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
@@ -232,17 +232,11 @@ def find_model(reference: str) -> Model:
     if isinstance(found, Model):
         return found
     if isinstance(found, Equation | Procedure):
-        return _model_of(attribute, found)
+        return as_model(found, attribute)
     raise ModelError(
         f"'{attribute}' in {path} is not a Model, an Equation or a Procedure, nor a function that "
         f"returns one."
     )
-
-
-def _model_of(name: str, found: Equation | Procedure) -> Model:
-    units = found.units
-    parameters = tuple(Quantity(p, units.get(p, ""), "") for p in found.parameters)
-    return Model(name, "your own equation", procedure=lambda: found, parameters=parameters)
 
 
 def _only_model(path: str, objects: Mapping[str, object]) -> str:

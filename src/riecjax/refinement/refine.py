@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.errors import ModelError, require
+from riecjax.errors import ModelError, renamed, require
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.question import require_numbers, require_settings
 from riecjax.estimation.sharing import Sharing, local_name
@@ -43,6 +43,7 @@ FURTHER_ROUNDS = 2
 """Fits after the first where there are priors, weighed against the scatter that was left before."""
 
 
+@renamed(own="per_record")
 def refine(
     model: Any,
     records: Records,

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate
-from riecjax.reporting.output import Document, finite, number
+from riecjax.reporting.output import SCHEMA, Document, finite, number
 
 
 def estimate_entries(model: str, estimate: Estimate) -> Document:
@@ -36,7 +36,7 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
     ]
     units = dict(estimate.units)
     return {
-        "schema": 1,
+        "schema": SCHEMA,
         "model": model,
         "criterion": estimate.criterion.describe(),
         "parameters": _identified(estimate),

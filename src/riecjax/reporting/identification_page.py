@@ -4,10 +4,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from riecjax.reporting.estimate import several
-from riecjax.reporting.identification import windows_in_words
+from riecjax.reporting.identification import refinement_in_words, windows_in_words
 from riecjax.reporting.output import Document, number
 from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.refinement import refinement_in_words
 
 
 def identification_page(document: Document) -> Page:

@@ -19,6 +19,9 @@ from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.page import Page
 
 Document = dict[str, Any]
+SCHEMA = 1
+"""`schema` of every document: raised when the meaning of a key changes or a key goes; new keys do
+not raise it."""
 
 
 def emit(

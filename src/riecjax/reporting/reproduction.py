@@ -22,7 +22,7 @@ from riecjax.paper.tables import (
     table_4,
     table_5,
 )
-from riecjax.reporting.output import Document, finite, number, versions
+from riecjax.reporting.output import SCHEMA, Document, finite, number, versions
 
 FEW_ROADS = 8
 SHOWN = {
@@ -54,7 +54,7 @@ def reproduction_document(
         message = f"only {fewest} roads{which}: means and ranges are rough. {remedy}."
         warnings.append(Finding("few_roads", message)._asdict())
     return {
-        "schema": 1,
+        "schema": SCHEMA,
         "tables": {"1": [_mode_entry(row) for row in table_1()]}
         | {name: _table_document(table) for name, table in tables.items()},
         "contact": _cell_document(contact(roads)),
