@@ -2,47 +2,35 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from riecjax.assessment.assessment import Assessment, BeforeAfter, Refinement, ValidationRun
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
-from riecjax.errors import DataError, ModelError, RiecjaxError, renamed, require
+from riecjax.errors import DataError, ModelError, renamed, require
 from riecjax.estimation.check import check, raise_if_refused, read_of
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
 from riecjax.estimation.question import question
-from riecjax.estimation.sharing import values_of_record
-from riecjax.findings import Finding
 from riecjax.leaves import on_host
-from riecjax.models.model import Model, as_model
+from riecjax.models.model import as_model
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
-from riecjax.refinement.coordinates import Bounds
-from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.objective import AbstractObjective
-from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import refine as refine_from
-from riecjax.refinement.refined import Refined
-from riecjax.studies.choice import WindowChoice, window_choice
-from riecjax.studies.monte_carlo import seed_scatter
 from riecjax.studies.sweep import WindowSweep, sweep_edges, window_sweep
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import WRITE_CRITERION
 from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
-from riecjax.validation.errors import errors_over_records
-from riecjax.validation.held_out import validate_held_out
-from riecjax.validation.residuals import ResidualTests, residual_tests
 
-MOST_STEPS = 200
-"""Steps that a refinement may take."""
+if TYPE_CHECKING:
+    from riecjax.assessment.assessment import Assessment
+    from riecjax.refinement.coordinates import Bounds
+    from riecjax.refinement.objective import AbstractObjective
 
 
 @renamed(own="per_record")
@@ -55,14 +43,14 @@ def assess(
     known: Mapping[str, float | Array] | None = None,
     per_record: Sequence[str] = (),
     intervals: AbstractIntervals | None = None,
-    refine: AbstractObjective | None = None,
-    bounds: Mapping[str, Bounds] | None = None,
+    refine: "AbstractObjective | None" = None,
+    bounds: "Mapping[str, Bounds] | None" = None,
     hold_out: float | None = None,
     validate_on: Records = (),
     sweep: bool = True,
     on_estimate: Callable[[Estimate], None] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Assessment:
+) -> "Assessment":
     """Identify a model's parameters from recordings, and find out how far to trust them.
 
     What `riecjax identify` does: [`check`][], [`identify`][], [`refine`][] if asked for, a sweep
@@ -91,7 +79,6 @@ def assess(
     procedure = model.build_procedure()
     criterion = RIEC.of_band(model.band or DEFAULT_BAND) if criterion is None else criterion
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    require("refine", refine or OutputError(), AbstractObjective, "refine=rx.OutputError()")
     require("hold_out", hold_out or 0.5, Real, "hold_out=0.2, a share")
     if bounds and refine is None:
         raise ModelError("bounds belong to a refinement: give refine=rx.OutputError() with them.")
@@ -121,34 +108,23 @@ def assess(
     if on_estimate is not None:
         on_estimate(estimate)
 
+    # Not earlier: to import all that simulates takes seconds.
+    from riecjax.assessment import trust
+    from riecjax.assessment.assessment import Assessment
+
     checked = check(
         procedure, records, criterion, key=key, **settings, summary=summary, excited=excited
     )
     refined = None
     if refine is not None:
-        if isinstance(refine, IntegralError) and refine.criterion is None:
-            refine = IntegralError(estimate.criterion)
-        refined = on_host(
-            refine_from(
-                model,
-                records,
-                estimate,
-                refine,
-                bounds=bounds,
-                per_record=per_record,
-                key=key,
-                intervals=intervals,
-                max_steps=MOST_STEPS,
-                progress=progress,
-            )
+        settings_of_fit = {"per_record": per_record, "key": key, "intervals": intervals}
+        refined = trust.refined(
+            model, records, estimate, refine, bounds=bounds, progress=progress, **settings_of_fit
         )
-    found = estimate if refined is None else refined
+    values = estimate.values if refined is None else refined.values
     unseen = [*enumerate(held), *((None, recording) for recording in further)]
-    validations, failed = _validated(model, found.values, unseen)
-    residuals, choice, untested = _what_is_left(procedure, records, estimate)
-    seeds = None
-    if criterion.needs_key and key is not None:
-        seeds = seed_scatter(procedure, records, criterion, key=key, **settings)
+    validations, failed = trust.validated(model, values, unseen)
+    residuals, choice, untested = trust.what_is_left(procedure, records, estimate)
     return Assessment(
         model=model,
         procedure=procedure,
@@ -159,11 +135,11 @@ def assess(
         sweep=_sweep(procedure, records, summary, settings) if sweep else None,
         residuals=residuals,
         choice=choice,
-        seeds=seeds,
+        seeds=trust.seeds(procedure, records, criterion, key, settings),
         validations=validations,
         refinement=None
         if refined is None
-        else _before_after(model, estimate, refined, validations, unseen, fitted),
+        else trust.before_after(model, estimate, refined, validations, unseen, fitted),
         failures=[*failed, *untested],
         key=key,
     )
@@ -201,68 +177,3 @@ def _sweep(
         return on_host(window_sweep(procedure, of, summary.criterion, **settings))
     except DataError:
         return None
-
-
-def _what_is_left(
-    procedure: Procedure, records: list[Record], estimate: Estimate
-) -> tuple[ResidualTests | None, WindowChoice | None, list[Finding]]:
-    """Tests of the residual and the choice of windows it suggests, or why there are none."""
-    windowed = estimate.criterion.in_windows is not None
-    # A fit is not lost because what it leaves cannot be tested.
-    try:
-        errors = errors_over_records(procedure, records, estimate.values)
-        residuals = residual_tests(procedure, records, estimate, errors=errors)
-        choice = window_choice(procedure, records, estimate, errors=errors) if windowed else None
-    except RiecjaxError as error:
-        return None, None, [Finding("residuals_not_tested", str(error))]
-    return residuals, choice, []
-
-
-Numbered = Sequence[tuple[int | None, Recording]]
-"""Recordings, each with the number of the one whose own parameters it takes, if it has some."""
-
-
-def _validated(
-    model: Model, values: Mapping[str, Array], recordings: Numbered
-) -> tuple[list[ValidationRun], list[Finding]]:
-    """Simulations with these values that could be made, and why the others could not."""
-    names = model.build_procedure().parameters
-    runs, failed = [], []
-    for number, recording in recordings:
-        own = dict(values) if number is None else values_of_record(values, number)
-        # A fit is not lost because its model cannot be simulated.
-        try:
-            system = model.identified_system({n: own[n] for n in names}, recording.record)
-            runs.append(ValidationRun(recording, validate_held_out(system, recording.record)))
-        except RiecjaxError as error:
-            failed.append(Finding("not_validated", f"{recording.name}: {error}"))
-    return runs, failed
-
-
-def _before_after(
-    model: Model,
-    estimate: Estimate,
-    refined: Refined,
-    after: list[ValidationRun],
-    unseen: Numbered,
-    fitted: list[Recording],
-) -> Refinement:
-    """Predictions with the start of the refinement and with its result.
-
-    Without recordings kept for validation, of those that were fitted.
-    """
-    on_fitted = not unseen
-    if on_fitted:
-        unseen = list(enumerate(fitted))
-        after, _ = _validated(model, refined.values, unseen)
-    before, _ = _validated(model, estimate.values, unseen)
-    earlier = {run.recording.name: run.held for run in before}
-    return Refinement(
-        refined,
-        [
-            BeforeAfter(run.recording, earlier[run.recording.name], run.held)
-            for run in after
-            if run.recording.name in earlier
-        ],
-        on_fitted,
-    )

@@ -98,13 +98,6 @@ def command(
     from riecjax.assessment.assess import assess
     from riecjax.models.catalogue import find_model
     from riecjax.reporting.estimate import estimate_entries, print_estimate
-    from riecjax.reporting.identification import (
-        identification_document,
-        print_identification,
-        print_judgement,
-    )
-    from riecjax.reporting.identification_figures import identification_figures
-    from riecjax.reporting.identification_page import identification_page
     from riecjax.reporting.output import emit, require_folder
     from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich
 
@@ -135,6 +128,15 @@ def command(
             on_estimate=show if at_once else None,
             progress=progress,
         )
+
+    from riecjax.reporting.identification import (
+        identification_document,
+        print_identification,
+        print_judgement,
+    )
+    from riecjax.reporting.identification_figures import identification_figures
+    from riecjax.reporting.identification_page import identification_page
+
     emit(
         identification_document(assessment),
         as_json=as_json,
