@@ -1,4 +1,4 @@
-"""The built-in models by name."""
+"""The built-in models by name, in plain data: listing them imports no JAX."""
 
 import importlib.util
 import sys
@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 
-from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError, require, users_code
 from riecjax.models.model import Model, Quantity, as_model
 
@@ -213,6 +211,9 @@ def find_model(reference: str) -> Model:
 
     **Raises:** `ModelError` if there is no such model, file or object.
     """
+    from riecjax.equations.equation import Equation
+    from riecjax.equations.procedure import Procedure
+
     require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
     path, separator, attribute = reference.rpartition(":")
     if reference.endswith(".py"):
@@ -241,6 +242,9 @@ def find_model(reference: str) -> Model:
 
 def _only_model(path: str, objects: Mapping[str, object]) -> str:
     """The name of the one model in a file."""
+    from riecjax.equations.equation import Equation
+    from riecjax.equations.procedure import Procedure
+
     public = {name: thing for name, thing in objects.items() if not name.startswith("_")}
     procedures = [thing for thing in public.values() if isinstance(thing, Procedure)]
     parts = {id(e) for procedure in procedures for stage in procedure.stages for e in stage}
