@@ -73,7 +73,6 @@ def test_an_equation_is_assessed_as_its_stages_are_one_by_one():
     (run,) = found.validations
     assert run.recording.name == "run.csv, last part"
     np.testing.assert_allclose(run.held.signals["x"].fit, held.signals["x"].fit, rtol=1e-6)
-    assert "warning" not in str(alone)
     for words in ("validated on run.csv, last part", "m ", "intervals"):
         assert words in str(found)
 
@@ -139,7 +138,7 @@ def test_findings_of_a_file_are_those_of_signals_that_are_read():
     signals["x [mm]"] = 1e3 * signals.pop("x")
     signals["spare [mm]"] = signals["v"]
     recording = rx.read_recording(write("run.csv", signals))
-    assert [f.signals for f in recording.findings] == [("x",), ("spare",)]
+    assert {f.signals for f in recording.findings} == {("x",), ("spare",)}
     checked = rx.check(AXIS, recording, HATS)
     found = rx.assess(AXIS, recording, HATS, **QUICK)
     for said in (checked.findings, found.findings()):
