@@ -21,9 +21,10 @@ def check_document(
 ) -> Document:
     """The document that `riecjax check --json` prints, with an `error` if that exits with 1."""
     refusal = checked.refusal
+    error = {} if refusal is None else {"code": refusal.code, "message": refusal.message}
     return {
         "schema": SCHEMA,
-        **({} if refusal is None else {"error": refusal._asdict()}),
+        **({"error": error} if error else {}),
         "model": model,
         "criterion": criterion.describe(),
         "answerable": checked.answerable,
