@@ -35,7 +35,7 @@ class Recording:
     - `findings`: what is amiss with the file; `signals` of each says whom it concerns.
     - `left_out`: column of the file to why it is no signal.
     - `renamed`: signal to the column that it was called.
-    - `part`: which part of the recording this is, where it was [`split`][Recording.split].
+    - `part`: which part of the recording this is, where it was split.
     """
 
     record: Record
