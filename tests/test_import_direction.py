@@ -20,11 +20,12 @@ STAGES = (
     "validation",
     "studies",
     "models",
+    "assessment",
     "paper",
     "reporting",
     "cli",
 )
-OUTSIDE = ("models", "paper", "reporting", "cli")
+OUTSIDE = ("models", "assessment", "paper", "reporting", "cli")
 """What the engine never imports."""
 SHARED = ("errors", "findings", "leaves", "linear_algebra", "runtime", "tails")
 """Modules beside the stages that all may import, and that import nothing of the package."""

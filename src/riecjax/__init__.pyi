@@ -7,6 +7,8 @@ from . import simulation as simulation
 from . import studies as studies
 from . import summaries as summaries
 from . import validation as validation
+from .assessment.assess import assess as assess
+from .assessment.assessment import Assessment as Assessment
 from .criteria.bump import Bump as Bump
 from .criteria.criterion import DOLS as DOLS
 from .criteria.criterion import RIEC as RIEC
@@ -45,8 +47,10 @@ from .records.preparation import remove_drift as remove_drift
 from .records.preparation import remove_offset as remove_offset
 from .records.preparation import resample as resample
 from .records.preparation import split as split
-from .records.reading.read import read_record as read_record
 from .records.record import Record as Record
+from .records.recording import Recording as Recording
+from .records.recording import read_record as read_record
+from .records.recording import read_recording as read_recording
 from .records.writing import write_record as write_record
 from .refinement.coordinates import Prior as Prior
 from .refinement.integral_error import IntegralError as IntegralError

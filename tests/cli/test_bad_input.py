@@ -265,7 +265,7 @@ OPTIONS = {
     "--test-function bump --quadrature 4": (2, "--quadrature belongs to the boxcar and the hat"),
     "--criterion dols --test-function hat": (2, "belong to --criterion riec"),
     "--hold-out 1": (2, "must lie between 0 and 1"),
-    "--own foo": (1, "unknown parameter 'foo'"),
+    "--per-record foo": (1, "unknown parameter 'foo'"),
     "--from 5": (1, "the record lasts from 0 to 1.995 s, counted from its first sample"),
     "--derive x9=import(os)": (1, "import"),
     "--upsample 0": (2, "'--upsample'"),

@@ -82,7 +82,9 @@ def test_recordings_with_offsets_of_their_own(capsys):
     for i, offset in enumerate((4.0, -7.0)):
         write_csv(Path(f"run{i}.csv"), motion(offset, phase=i, count=COUNT - 1000 * i))
     files = ("run0.csv", "run1.csv")
-    together = call(capsys, "identify", *files, *IDENTIFY, "--own", "offset", "--json").document
+    together = call(
+        capsys, "identify", *files, *IDENTIFY, "--per-record", "offset", "--json"
+    ).document
     assert list(values(together)) == ["M", "c", "k", "offset[1]", "offset[2]"]
     assert values(together)["offset[1]"] == pytest.approx(4.0, rel=1e-3)
     assert values(together)["offset[2]"] == pytest.approx(-7.0, rel=1e-3)

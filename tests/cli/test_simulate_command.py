@@ -4,7 +4,7 @@ import scipy.integrate
 import scipy.io
 from command_line import call, write_csv
 
-from riecjax.records.reading.read import read_record
+from riecjax.records.recording import read_record
 
 COLUMNS = ["t", "v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t"]
 

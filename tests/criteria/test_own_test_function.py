@@ -10,13 +10,14 @@ import pytest
 import scipy.integrate
 
 import riecjax as rx
+from riecjax.assessment.assessment import Assessment
 from riecjax.cli.criteria import TEST_FUNCTION_NAMES, CriterionOptions
 from riecjax.cli.main import run
 from riecjax.criteria.plain_data import TEST_FUNCTIONS
 from riecjax.equations.procedure import staged
 from riecjax.estimation.check import Check
-from riecjax.models.model import Model
-from riecjax.reporting.identification import Identification
+from riecjax.models.model import Model, as_model
+from riecjax.records.recording import Recording
 from riecjax.reporting.identification_figures import identification_figures
 
 KEY = jax.random.key(0)
@@ -117,13 +118,12 @@ def test_figures_show_its_unit():
     criterion = rx.RIEC(rx.RandomWindows(0.2, 0.8, 300), Cosine())
     summary = rx.summarise(procedure, record, criterion, key=KEY, survey=True)
     estimate = rx.estimate(procedure, summary)
-    result = Identification(
-        model="oscillator",
+    result = Assessment(
+        model=as_model(procedure),
         procedure=procedure,
-        files=["a.csv"],
-        records=[record],
-        steps=[],
-        doubts=[],
+        recordings=[Recording(record)],
+        validated_on=[],
+        failures=[],
         estimate=estimate,
         checked=Check([], [], ()),
         sweep=None,
@@ -133,7 +133,6 @@ def test_figures_show_its_unit():
         validations=[],
         refinement=None,
         key=KEY,
-        seed=0,
     )
     fit = identification_figures(result)["fit"].panels[0]
     assert fit.x.label == "explained by the model / (N s^2)"

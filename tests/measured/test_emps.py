@@ -141,7 +141,7 @@ def test_low_pass_hardly_matters_to_riec(identified):
 
 
 def test_settings_in_the_file_are_left_out(file):
-    from riecjax.records.reading.read import read_record
+    from riecjax.records.recording import read_record
 
     record = read_record(file)
     assert set(record.arrays) == {"qm", "qg", "vir"}
@@ -205,7 +205,7 @@ def test_a_mask_about_standstill_moves_the_forward_friction(file):
     from riecjax.estimation.identify import identify
     from riecjax.models.emps import emps_asymmetric_equation
     from riecjax.records.preparation import differentiate
-    from riecjax.records.reading.read import read_record
+    from riecjax.records.recording import read_record
 
     record = differentiate(
         read_record(file, rename={"q": "qm", "force": "vir"}, scale={"vir": GAIN}), "q", "dq"

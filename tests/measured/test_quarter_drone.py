@@ -11,7 +11,7 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
-from riecjax.records.reading.read import read_record
+from riecjax.records.recording import read_record
 from riecjax.studies.sweep import window_sweep
 
 FILES = (

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from riecjax.errors import DataError
 from riecjax.records import writing
-from riecjax.records.reading.read import read_record
 from riecjax.records.record import Record
+from riecjax.records.recording import read_record
 from riecjax.records.writing import write_record, write_whole
 
 ENDINGS = (".csv", ".npz", ".mat", ".parquet")

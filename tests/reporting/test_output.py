@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Hat
@@ -23,13 +24,14 @@ from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError
 from riecjax.estimation.check import Check
 from riecjax.estimation.identify import estimate, identify
+from riecjax.models.model import as_model
 from riecjax.records.record import Record
+from riecjax.records.recording import Recording
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.document import versions
 from riecjax.reporting.identification import (
-    Identification,
     identification_document,
     print_identification,
 )
@@ -178,26 +180,24 @@ def identified(record):
     return identify(EQUATION, record, DOLS(), known={"c": 3.0})
 
 
-def result_of(estimate, procedure, record, **changes) -> Identification:
+def result_of(estimate, procedure, record, **changes) -> Assessment:
     given = dict(
-        model="cart",
+        model=as_model(procedure, "cart"),
         procedure=procedure,
-        files=["a.csv"],
-        records=[record],
-        steps=["filtered"],
-        doubts=[],
-        estimate=estimate,
+        recordings=[Recording(record, "a.csv", ("filtered",))],
+        validated_on=[],
         checked=Check([], [], ()),
+        estimate=estimate,
         sweep=None,
         residuals=ResidualTests(()),
         choice=None,
         seeds=None,
         validations=[],
         refinement=None,
-        key=jax.random.key(0),
-        seed=5,
+        failures=[],
+        key=jax.random.key(5),
     )
-    return Identification(**{**given, **changes})
+    return Assessment(**{**given, **changes})
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 import click
 
 from riecjax.cli.criteria import CriterionOptions, criterion_options
-from riecjax.cli.options import json_option, own_option, seed_option, set_option
-from riecjax.cli.recordings import RecordingOptions, are_small, common_steps, load, record_options
+from riecjax.cli.options import json_option, per_record_option, seed_option, set_option
+from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.runtime import start_jax
 
 
@@ -18,7 +18,7 @@ from riecjax.runtime import start_jax
 )
 @criterion_options
 @set_option
-@own_option
+@per_record_option
 @seed_option
 @json_option
 def command(
@@ -26,7 +26,7 @@ def command(
     model_name: str,
     criteria: CriterionOptions,
     known: dict[str, float],
-    own: tuple[str, ...],
+    per_record: tuple[str, ...],
     seed: int,
     as_json: bool,
 ) -> None:
@@ -47,26 +47,11 @@ def command(
 
     model = find_model(model_name)
     criterion = criteria.build(model)
-    loaded = load(recordings.files, recordings, model, criterion)
-    checked = check(
-        model.build_procedure(),
-        [recording.record for recording in loaded],
-        criterion,
-        key=jax.random.key(seed),
-        known=known,
-        per_record=own,
-    )
-    doubts = [finding for recording in loaded for finding in recording.findings]
-    checked = checked._replace(findings=[*doubts, *checked.findings])
+    read = recordings.read(recordings.files, model)
+    key = jax.random.key(seed)
+    checked = check(model, read, criterion, key=key, known=known, per_record=per_record)
     emit(
-        check_document(
-            checked,
-            model.name,
-            criterion,
-            files=[str(recording.file) for recording in loaded],
-            records=[recording.record for recording in loaded],
-            steps=common_steps(loaded),
-        ),
+        check_document(checked, model.name, criterion, read),
         as_json=as_json,
         out=None,
         show=print_check,

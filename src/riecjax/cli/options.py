@@ -69,13 +69,39 @@ seed_option = click.option(
     show_default=True,
     help="Seed of all random draws.",
 )
-own_option = click.option(
-    "--own",
-    "own",
-    multiple=True,
-    metavar="NAME",
-    help="Give a parameter a value of its own in each recording (such as an offset). Repeatable.",
-)
+
+
+def _old_name(
+    ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
+) -> tuple[str, ...]:
+    if value:
+        click.echo("riecjax: --own is called --per-record now.", err=True)
+    ctx.meta["own"] = value
+    return value
+
+
+def per_record_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """`--per-record NAME`, and for one version its old name `--own`."""
+    old = click.option(
+        "--own",
+        multiple=True,
+        metavar="NAME",
+        is_eager=True,
+        expose_value=False,
+        callback=_old_name,
+        help="Old name of --per-record, which goes in the next version.",
+    )
+    return click.option(
+        "--per-record",
+        "per_record",
+        multiple=True,
+        metavar="NAME",
+        callback=lambda ctx, param, value: (*value, *ctx.meta["own"]),
+        help="Give a parameter a value of its own in each recording (such as an offset). "
+        "Repeatable.",
+    )(old(command))
+
+
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON document instead of tables."
 )

@@ -1,24 +1,17 @@
-"""Options that say how a recording is read and prepared, and the reading itself."""
+"""Options that say how a recording is read and prepared."""
 
-import contextlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import click
 
 from riecjax.cli.options import FINITE, POSITIVE, assignments, collecting
-from riecjax.errors import DataError, MissingSignalError
-from riecjax.findings import Finding
 
 if TYPE_CHECKING:
-    from riecjax.criteria.criterion import AbstractCriterion
     from riecjax.models.model import Model
-    from riecjax.records.preparation.steps import Preparation
-    from riecjax.records.reading.channels import Channels
-    from riecjax.records.reading.selection import Selection
-    from riecjax.records.record import Record
+    from riecjax.records.recording import Recording
 
 RECORD_OPTIONS = (
     click.argument(
@@ -103,14 +96,17 @@ RECORD_OPTIONS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class RecordingOptions:
-    """What the user said of the recordings."""
+    """What the user said of the recordings: their `files`, and how all of them are read.
+
+    The other fields are the keywords of [`read_recording`][riecjax.read_recording].
+    """
 
     files: tuple[Path, ...]
-    rename: dict[str, str]
-    scale: dict[str, float]
-    derive: dict[str, str]
+    rename: Mapping[str, str]
+    scale: Mapping[str, float]
+    derive: Mapping[str, str]
     time_step: float | None
     resample: float | None
     delimiter: str | None
@@ -119,49 +115,28 @@ class RecordingOptions:
     stop: float | None
     offsets: tuple[str, ...]
     drifts: tuple[str, ...]
-    cutoffs: dict[str, float]
+    cutoffs: Mapping[str, float]
     upsample: int
-    derivatives: dict[str, str]
+    derivatives: Mapping[str, str]
     every: int
 
-    def selection(self) -> "Selection":
-        from riecjax.records.reading.selection import Selection
+    def read(self, files: Sequence[Path], model: "Model") -> "list[Recording]":
+        """These files, read and prepared for a model.
 
-        return Selection(
-            rename=self.rename,
-            scale=self.scale,
-            derive=self.derive,
-            time_step=self.time_step,
-            resample=self.resample,
-        )
+        **Raises:** `DataError` naming the file.
+        """
+        from riecjax.records.recording import read_recording
 
-    def preparation(self) -> "Preparation":
-        from riecjax.records.preparation.steps import Preparation
-
-        return Preparation(
-            start=self.start,
-            stop=self.stop,
-            offsets=self.offsets,
-            drifts=self.drifts,
-            cutoffs=self.cutoffs,
-            upsample=self.upsample,
-            derivatives=self.derivatives,
-            every=self.every,
-        )
+        settings = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)
+            if field.name != "files"
+        }
+        return [read_recording(file, model=model, **settings) for file in files]
 
 
 record_options = collecting(RECORD_OPTIONS, RecordingOptions, "recordings")
 """The RECORD... argument and its options; they arrive as one `recordings`."""
-
-
-class Recording(NamedTuple):
-    """A prepared record, its file, how it came about in words, and what seems amiss with it."""
-
-    file: Path
-    record: "Record"
-    steps: list[str]
-    findings: list[Finding]
-
 
 SMALL_FILES = 2**24
 """Bytes of all recordings below which compiling code takes longer than running it."""
@@ -170,152 +145,3 @@ SMALL_FILES = 2**24
 def are_small(files: Sequence[Path]) -> bool:
     """Whether these recordings are so short that what works on them runs in no time."""
     return sum(file.stat().st_size for file in files if file.exists()) < SMALL_FILES
-
-
-def load(
-    files: Sequence[Path], options: RecordingOptions, model: "Model", criterion: "AbstractCriterion"
-) -> list[Recording]:
-    """Read and prepare the files for a model; only signals that it reads are kept.
-
-    **Raises:** `DataError` naming the file.
-    """
-    import numpy as np
-
-    from riecjax.records.preparation.steps import prepare
-    from riecjax.records.reading.read import read_channels
-    from riecjax.records.reading.selection import record_from_channels
-    from riecjax.summaries.task import signals_read
-
-    procedure = model.build_procedure()
-    loaded = []
-    for file in files:
-        # Damaged numbers overflow; what is not finite is found and named.
-        with about(file, options.rename), np.errstate(all="ignore"):
-            channels = read_channels(file, delimiter=options.delimiter, decimal=options.decimal)
-            with _saying_why(channels, options.rename):
-                record = record_from_channels(channels, options.selection())
-                notes = [*channels.notes, *_reading_steps(options)]
-                given = tuple(record.arrays)
-                record, mismatched = with_model_units(record, model, options)
-                idle = options.preparation().idle_cuts(record)
-                record, steps = prepare(record, model.derived, options.preparation())
-                read = signals_read(procedure, record, criterion)
-            unread = [name for name in record.arrays if name not in read]
-            steps = [step for step in steps if step.partition(":")[0] not in unread]
-            doubts = [
-                Finding("unit_mismatch", f"{file.name}: {message}")
-                for name, message in mismatched.items()
-                if name in read
-            ]
-            doubts += [Finding("nothing_cut", f"{file.name}: {why}") for why in idle.values()]
-            doubts += [
-                Finding(
-                    "column_left_out",
-                    f"{file.name}: {why}, and {name} is computed from other signals instead.",
-                )
-                for name in read
-                if name not in given and (why := _why_missing(channels, name))
-            ]
-            loaded.append(Recording(file, record, [*notes, *steps], doubts))
-    return loaded
-
-
-@contextlib.contextmanager
-def _saying_why(channels: "Channels", rename: Mapping[str, str]) -> Iterator[None]:
-    """Add to what is said about a missing signal why the column of that name is none."""
-    try:
-        yield
-    except MissingSignalError as error:
-        why = "" if error.signal in rename.values() else _why_missing(channels, error.signal)
-        if not why:
-            raise
-        listed = ", ".join(error.available) or "none"
-        raise DataError(
-            f"{why}, so that the record has no signal '{error.signal}'; it has: {listed}."
-        ) from None
-
-
-def _why_missing(channels: "Channels", signal: str) -> str:
-    """Why the column of this name, perhaps with its unit behind it, is no signal; empty if none."""
-    import numpy as np
-
-    from riecjax.records.reading.units import split_unit
-
-    for column, why in channels.left_out.items():
-        if signal in (column, split_unit(column)[0]):
-            return f"column '{column}' was left out: {why}"
-    for column, values in channels.columns.items():
-        if signal in (column, split_unit(column)[0]):
-            if np.isnan(values).all():
-                return f"column '{column}' was left out: it holds no number at all"
-            return f"column '{column}' was left out: it has not the length of the time"
-    return ""
-
-
-def with_model_units(
-    record: "Record", model: "Model", options: RecordingOptions
-) -> tuple["Record", dict[str, str]]:
-    """The record in the model's units, and what the file says against them, by signal."""
-    from riecjax.records.reading.units import NOT_SI
-
-    stated = dict(record.units)
-    units = {quantity.name: quantity.unit for quantity in model.signals if quantity.unit}
-    mismatched = {}
-    for name, unit in units.items():
-        column = options.rename.get(name, name)
-        scaled = column in options.scale or name in options.scale or name in options.derive
-        if name in stated and not scaled and _plain(stated[name]) != _plain(unit):
-            mismatched[name] = (
-                f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}; "
-                f"convert it by --scale {name}=FACTOR."
-            )
-    for name, unit in stated.items():
-        column = options.rename.get(name, name)
-        si, factor = NOT_SI.get(unit.replace("^", ""), ("", 1.0))
-        if si and name not in mismatched and name not in units:
-            mismatched[name] = (
-                f"the file gives {column} in {unit}, and nothing converts it: parameters come out "
-                f"in {unit}, not in {si}. Convert it by --scale {name}={factor:g}."
-            )
-    return record.with_signals({}, units), mismatched
-
-
-def _plain(unit: str) -> str:
-    """A unit without what is only spelling: m/s2, m/s^2 and m/s² are one."""
-    plain = unit.replace("²", "2").replace("³", "3").replace("·", " ")
-    return "".join(plain.replace("^", "").replace("*", " ").split()).replace("sec", "s")
-
-
-def common_steps(loaded: list[Recording]) -> list[str]:
-    """The steps common to all recordings once, and those of one with its name."""
-    if len(loaded) == 1:
-        return loaded[0].steps
-    common = [step for step in loaded[0].steps if all(step in other.steps for other in loaded)]
-    own = [f"{r.file.name}: {step}" for r in loaded for step in r.steps if step not in common]
-    return common + own
-
-
-def _reading_steps(options: RecordingOptions) -> list[str]:
-    steps = [f"{name}: column scaled by {factor:g}" for name, factor in options.scale.items()]
-    if options.resample is not None:
-        steps.append(f"resampled to {options.resample:g} Hz")
-    return steps + [f"{name}: {formula}" for name, formula in options.derive.items()]
-
-
-@contextlib.contextmanager
-def about(file: Path, rename: Mapping[str, str]) -> Iterator[None]:
-    """Name the file in what is said about its record."""
-    try:
-        yield
-    except MissingSignalError as error:
-        taken = [new for new, column in rename.items() if column == error.signal]
-        if taken:
-            raise DataError(
-                f"{file.name}: there is no signal '{error.signal}', for --map {taken[0]}="
-                f"{error.signal} renamed that column; there are: {', '.join(error.available)}."
-            ) from None
-        raise DataError(f"{file.name}: {error}") from None
-    except DataError as error:
-        message = str(error)
-        prefix = "" if message.startswith(f"{file.name}: ") else f"{file.name}: "
-        raise DataError(prefix + message) from None

@@ -1,6 +1,8 @@
-"""`--refine` of `riecjax identify`: options, and the refinement they ask for."""
+"""`--refine` of `riecjax identify`: options, and the objective they ask for."""
 
-from collections.abc import Callable
+import contextlib
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -9,15 +11,7 @@ import click
 from riecjax.cli.options import POSITIVE, collecting
 
 if TYPE_CHECKING:
-    from riecjax.criteria.criterion import AbstractCriterion
-    from riecjax.estimation.estimate import Estimate
-    from riecjax.models.model import Model
-    from riecjax.records.record import Record
     from riecjax.refinement.objective import AbstractObjective
-    from riecjax.refinement.refined import Refined
-
-STEPS = 200
-"""Steps that a refinement may take."""
 
 
 class BoundType(click.ParamType):
@@ -60,54 +54,31 @@ class RefinementOptions:
         if self.bounds and self.refine == "none":
             raise click.UsageError("--bound goes with --refine integral or output-error.")
 
-    def objective(self, criterion: "AbstractCriterion") -> "AbstractObjective":
-        """What is to be made small."""
+    def objective(self) -> "AbstractObjective | None":
+        """What is to be made small; `None` for no refinement."""
+        if self.refine == "none":
+            return None
         from riecjax.refinement.integral_error import IntegralError
         from riecjax.refinement.output_error import OutputError
         from riecjax.refinement.shots import Tiles, WholeRecord
 
         if self.refine == "integral":
-            return IntegralError(criterion)
+            return IntegralError()
         shooting = WholeRecord() if self.horizon is None else Tiles(seconds=self.horizon)
         return OutputError(shooting, channels=self.channels or None)
 
-    def run(
-        self,
-        model: "Model",
-        records: "list[Record]",
-        estimate: "Estimate",
-        **settings: Any,
-    ) -> "Refined | None":
-        """The refinement from an estimate, with its progress on standard error.
-
-        **Raises:** as `refine`.
-        """
+    @contextlib.contextmanager
+    def progress(self) -> "Iterator[Callable[[float], None] | None]":
+        """Shows on standard error how a refinement, if one was asked for, gets on."""
+        if self.refine == "none":
+            yield None
+            return
         from rich.console import Console
 
-        from riecjax.leaves import on_host
-        from riecjax.refinement.refine import refine
-
-        if self.refine == "none":
-            return None
-        with Console(stderr=True).status("refining") as status:
-            step = 0
-
-            def report(cost: float) -> None:
-                nonlocal step
-                step += 1
-                status.update(f"refining: step {step}, sum of squares {float(cost):.6g}")
-
-            return on_host(
-                refine(
-                    model,
-                    records,
-                    estimate,
-                    self.objective(estimate.criterion),
-                    bounds=dict(self.bounds),
-                    max_steps=STEPS,
-                    progress=report,
-                    **settings,
-                )
+        with Console(stderr=True).status("identifying") as status:
+            step = itertools.count(1)
+            yield lambda cost: status.update(
+                f"refining: step {next(step)}, sum of squares {float(cost):.6g}"
             )
 
 

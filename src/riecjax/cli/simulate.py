@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from riecjax.cli.options import POSITIVE, json_option, seed_option, set_option
 from riecjax.errors import DataError, MissingSignalError, ModelError
 from riecjax.models.quarter_car.reconstruction import ROUGHNESS, reconstructed
-from riecjax.records.reading.read import read_record
 from riecjax.records.record import Record
+from riecjax.records.recording import read_record
 from riecjax.runtime import start_jax
 from riecjax.simulation.inputs import band_limited_noise, pothole, robson_road
 
@@ -93,6 +93,8 @@ def command(
     record = simulation.record.select(*model.written) if model.written else simulation.record
     write_record(out, record)
     if as_json:
+        from riecjax.reporting.document import SCHEMA
+
         click.echo(
             json.dumps(
                 {

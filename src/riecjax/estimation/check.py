@@ -11,14 +11,15 @@ from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.equations.term import Terms
-from riecjax.errors import IdentifiabilityError
+from riecjax.errors import IdentifiabilityError, renamed
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.quality import check_signals
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Records
+from riecjax.records.recording import Recording, as_recordings
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import Survey
@@ -72,9 +73,10 @@ def _refusal(findings: Iterable[Finding]) -> Finding | None:
     return min(fatal, key=lambda finding: FATAL.index(finding.code), default=None)
 
 
+@renamed(own="per_record")
 def check(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     criterion: AbstractCriterion,
     *,
     key: Key[Array, ""] | None = None,
@@ -86,26 +88,37 @@ def check(
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
     Nothing is estimated, and nothing that is found here stops a fit; see [`Check.answerable`][].
+    What a [`Recording`][riecjax.Recording] says of signals that are read comes first.
     `summary` is what [`summarise`][] made of the same with a survey, and `excited` what
     [`excitations`][] says of it, if they were asked.
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
     asked = task(model, records, criterion, key)
-    procedure, recordings, criterion, _ = asked
-    plan = plan_parameters(procedure, len(recordings), known, per_record)
-    read = [signals_read(procedure, record, criterion) for record in recordings]
+    procedure, plain, criterion, _ = asked
+    recordings = as_recordings(records)
+    read = [read_of(procedure, recording, criterion) for recording in recordings]
+    plan = plan_parameters(procedure, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
     excited = excitations(summary, plan) if excited is None else excited
     findings = [
-        *_sensors(procedure, recordings, read),
-        *_windows(recordings, criterion),
+        *(f for one, names in zip(recordings, read) for f in one.concerning(names).findings),
+        *_sensors(procedure, plain, read),
+        *_windows(plain, criterion),
         *_quadrature(summary),
         *_break_points(procedure, summary),
         *constant_targets(procedure, plan.sharing, summary.recordings, plan.given),
         *(finding for stage in excited for finding in stage.findings()),
     ]
     return Check(findings, excited, tuple(dict.fromkeys(n for names in read for n in names)))
+
+
+def read_of(
+    procedure: Procedure, recording: Recording, criterion: AbstractCriterion
+) -> tuple[str, ...]:
+    """Names of the signals that a criterion reads; errors name the recording."""
+    with recording.explaining_errors():
+        return signals_read(procedure, recording.record, criterion)
 
 
 def _sensors(

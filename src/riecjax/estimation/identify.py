@@ -13,7 +13,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import DataError, IdentifiabilityError, require
+from riecjax.errors import DataError, IdentifiabilityError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
@@ -27,7 +27,7 @@ from riecjax.estimation.stages import (
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
-from riecjax.records.record import Record
+from riecjax.records.record import Records
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summarise import summed
@@ -46,9 +46,10 @@ DOUBTFUL = 5.0
 """Standard errors within which an estimate of zero leaves its interval's width in doubt."""
 
 
+@renamed(own="per_record")
 def identify(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     criterion: AbstractCriterion | None = None,
     *,
     key: Key[Array, ""] | None = None,
@@ -89,6 +90,7 @@ def identify(
     return _estimated(asked.procedure, summed(asked), plan, intervals)
 
 
+@renamed(own="per_record")
 def estimate(
     model: Equation | Procedure | HasProcedure,
     summaries: Summary | Sequence[Summary],

@@ -1,4 +1,4 @@
-"""The built-in models by name."""
+"""The built-in models by name, in plain data: listing them imports no JAX."""
 
 import importlib.util
 import sys
@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 
-from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError, require, users_code
-from riecjax.models.model import Model, Quantity
+from riecjax.models.model import Model, Quantity, as_model
 
 _QUARTER_CAR_SIGNALS = (
     Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
@@ -213,6 +211,9 @@ def find_model(reference: str) -> Model:
 
     **Raises:** `ModelError` if there is no such model, file or object.
     """
+    from riecjax.equations.equation import Equation
+    from riecjax.equations.procedure import Procedure
+
     require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
     path, separator, attribute = reference.rpartition(":")
     if reference.endswith(".py"):
@@ -230,21 +231,18 @@ def find_model(reference: str) -> Model:
     if isinstance(found, Model):
         return found
     if isinstance(found, Equation | Procedure):
-        return _model_of(attribute, found)
+        return as_model(found, attribute)
     raise ModelError(
         f"'{attribute}' in {path} is not a Model, an Equation or a Procedure, nor a function that "
         f"returns one."
     )
 
 
-def _model_of(name: str, found: Equation | Procedure) -> Model:
-    units = found.units
-    parameters = tuple(Quantity(p, units.get(p, ""), "") for p in found.parameters)
-    return Model(name, "your own equation", procedure=lambda: found, parameters=parameters)
-
-
 def _only_model(path: str, objects: Mapping[str, object]) -> str:
     """The name of the one model in a file."""
+    from riecjax.equations.equation import Equation
+    from riecjax.equations.procedure import Procedure
+
     public = {name: thing for name, thing in objects.items() if not name.startswith("_")}
     procedures = [thing for thing in public.values() if isinstance(thing, Procedure)]
     parts = {id(e) for procedure in procedures for stage in procedure.stages for e in stage}

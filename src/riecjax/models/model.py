@@ -12,7 +12,8 @@ from riecjax.errors import ModelError, users_code
 if TYPE_CHECKING:
     from jaxtyping import Array
 
-    from riecjax.equations.procedure import Procedure
+    from riecjax.equations.equation import Equation
+    from riecjax.equations.procedure import HasProcedure, Procedure
     from riecjax.records.record import Record
     from riecjax.refinement.parametric import AbstractParametric
     from riecjax.simulation.system import AbstractSystem
@@ -144,6 +145,22 @@ class Model:
     def _drives(self, record: Record) -> bool:
         """Whether a record holds the inputs of the model's own system."""
         return self.system is not None and all(q.name in record.signals for q in self.inputs)
+
+
+def as_model(model: Equation | Procedure | HasProcedure, name: str = "") -> Model:
+    """The model itself, or one of an equation or a procedure, by default of the equations' name.
+
+    **Raises:** `ModelError` for anything else, saying what to write.
+    """
+    from riecjax.equations.procedure import as_procedure
+
+    if isinstance(model, Model):
+        return model
+    procedure = as_procedure(model)
+    name = name or " + ".join(equation.name for stage in procedure.stages for equation in stage)
+    units = procedure.units
+    parameters = tuple(Quantity(p, units.get(p, ""), "") for p in procedure.parameters)
+    return Model(name, "your own equation", procedure=lambda: procedure, parameters=parameters)
 
 
 def _resolve(reference: str | Callable[..., Any]) -> Callable[..., Any]:

@@ -3,7 +3,7 @@
 import functools
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import equinox as eqx
 import jax
@@ -319,25 +319,39 @@ def _checked_step(time_step: Any, axes: int) -> Any:
     return time_step
 
 
-def as_records(records: Record | Sequence[Record]) -> list[Record]:
-    """One record or several as a list.
+class HasRecord(Protocol):
+    """Something around a record, such as a [`Recording`][riecjax.Recording]."""
+
+    @property
+    def record(self) -> Record:
+        """The signals."""
+        ...
+
+
+Records: TypeAlias = Record | HasRecord | Sequence[Record | HasRecord]
+"""One record or several, bare or with where they came from."""
+
+
+def as_records(records: Records) -> list[Record]:
+    """One record or several as a list; of recordings, their records.
 
     **Raises:** `ModelError` for anything else, saying what to write; `DataError` for none at all.
     """
-    if isinstance(records, Record):
-        return [records]
     single = (
         f"rx.read_record('{records}')"
         if isinstance(records, str | os.PathLike)
         else "rx.Record.from_samples({'x': samples, ...}, time_step=...) of samples by name, or "
         "rx.from_dataframe(frame); the model comes first, then its records"
     )
-    require("the record", records, (list, tuple), single)
-    for record in records:
-        require("one of the records", record, Record, single)
-    if not records:
+    several = isinstance(records, list | tuple)
+    listed: Any = records if several else [records]
+    given = [getattr(each, "record", each) for each in listed]
+    kinds = Record if several else (Record, list, tuple)
+    for record in given:
+        require("one of the records" if several else "the record", record, kinds, single)
+    if not given:
         raise DataError("at least one record is needed.")
-    return list(records)
+    return given
 
 
 def stack_records(records: list[Record]) -> Record:

@@ -32,7 +32,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.estimation.sharing import Sharing
+from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import held_still
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
 from riecjax.refinement.arrowhead import LevenbergMarquardt, Linearised, Point, Residual

@@ -7,10 +7,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from riecjax.errors import require
+from riecjax.errors import renamed, require
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.parameters import require_settings
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Records, as_records
 from riecjax.refinement.coordinates import Bounds, Constraints, Prior
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective, Specification
 from riecjax.refinement.optimum import Reached, RefinementStatus, Solver, search
@@ -23,9 +23,10 @@ FURTHER_ROUNDS = 2
 """Fits after the first where there are priors, weighed against the scatter that was left before."""
 
 
+@renamed(own="per_record")
 def refine(
     model: Any,
-    records: Record | Sequence[Record],
+    records: Records,
     start: AbstractEstimate | Mapping[str, float | Array],
     by: AbstractObjective | None = None,
     *,

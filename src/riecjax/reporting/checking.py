@@ -9,7 +9,7 @@ from rich.text import Text
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.check import Check
-from riecjax.records.record import Record
+from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
 
 
@@ -17,43 +17,41 @@ def check_document(
     checked: Check,
     model: str,
     criterion: AbstractCriterion,
-    *,
-    files: Sequence[str],
-    records: Sequence[Record],
-    steps: Sequence[str],
+    recordings: Sequence[Recording],
 ) -> Document:
     """The document that `riecjax check --json` prints, with an `error` if that exits with 1."""
     refusal = checked.refusal
+    error = {} if refusal is None else {"code": refusal.code, "message": refusal.message}
     return {
         "schema": SCHEMA,
-        **({} if refusal is None else {"error": refusal._asdict()}),
+        **({"error": error} if error else {}),
         "model": model,
         "criterion": criterion.describe(),
         "answerable": checked.answerable,
         "records": [
             {
-                "file": file,
-                "samples": record.sample_count,
-                "time_step": float(record.time_step),
-                "duration": float(record.duration),
-                "stretches": len(record.segments(checked.signals)),
+                "file": recording.source,
+                "samples": recording.record.sample_count,
+                "time_step": float(recording.record.time_step),
+                "duration": float(recording.record.duration),
+                "stretches": len(recording.record.segments(checked.signals)),
             }
-            for file, record in zip(files, records)
+            for recording in recordings
         ],
         "signals": list(checked.signals),
         "excitation": excitation_entries(checked),
         "warnings": [finding._asdict() for finding in checked.findings],
         "provenance": {
-            "start_times": start_times(records),
-            "preparation": list(steps),
+            "start_times": start_times(recordings),
+            "preparation": common_steps([r.concerning(checked.signals) for r in recordings]),
             "versions": versions(),
         },
     }
 
 
-def start_times(records: Sequence[Record]) -> list[float]:
+def start_times(recordings: Sequence[Recording]) -> list[float]:
     """The time stamp of each recording's first sample, from which all other times count."""
-    return [float(record.start_time - record.skipped) for record in records]
+    return [float(r.record.start_time - r.record.skipped) for r in recordings]
 
 
 def excitation_entries(checked: Check) -> dict[str, Any]:

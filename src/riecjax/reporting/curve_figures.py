@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS
 from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
@@ -27,7 +28,6 @@ from riecjax.reporting.charts.chart import (
     Panel,
     labelled,
 )
-from riecjax.reporting.identification import Identification
 
 MOST_POINTS = 4000
 GRID = 400
@@ -50,15 +50,16 @@ class IdentifiedCurve(NamedTuple):
     samples: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]] | None
 
 
-def identified_curves(result: Identification) -> list[IdentifiedCurve]:
+def identified_curves(result: Assessment) -> list[IdentifiedCurve]:
     """The curves of a model that has terms in a basis, from the first record."""
     found: dict[str, IdentifiedCurve] = {}
+    record = result.recordings[0].record
     for stage in result.estimate.stages:
         for equation in result.procedure.stages[stage.stage]:
             for term in equation.terms:
                 shared = all(name in result.estimate for name in term.parameters)
                 if isinstance(term, Terms) and shared and term.prefix not in found:
-                    found[term.prefix] = _curve(result.estimate, equation, term, result.records[0])
+                    found[term.prefix] = _curve(result.estimate, equation, term, record)
     return list(found.values())
 
 

@@ -1,90 +1,28 @@
 """Results of an identification: JSON document and tables on a terminal."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Key
 from rich.console import Console
 
-from riecjax.equations.procedure import Procedure
-from riecjax.estimation.check import Check
+from riecjax.assessment.assessment import Assessment, Refinement
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding
-from riecjax.records.record import Record
+from riecjax.records.recording import common_steps
 from riecjax.reporting.checking import excitation_entries, start_times
 from riecjax.reporting.document import Document, finite, number, versions
 from riecjax.reporting.estimate import estimate_entries, parameter_entries, print_estimate
-from riecjax.reporting.refinement import (
-    Refinement,
-    refinement_entries,
-    refinement_in_words,
-)
-from riecjax.studies.choice import WindowChoice
 from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.studies.sweep import WindowSweep
-from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residuals import ResidualTests
 
 
-class ValidationRun(NamedTuple):
-    """A simulation of the identified model: on what, the measured record, and the result."""
-
-    on: str
-    measured: Record
-    held: HeldOut
-
-
-@dataclass(frozen=True)
-class Identification:
-    """Everything that one `riecjax identify` found.
-
-    **Fields:** `model`'s name; its `procedure`; `files` and the prepared `records`; `steps` of
-    reading and preparation in words; `doubts` about the files; `estimate`; what was `checked`
-    before it; window `sweep`, if any; `residuals`, tests of what is left, if they can be made;
-    `choice` of windows, for a criterion that has some; scatter over `seeds` of random ones;
-    `validations`, of the refined model if there is a `refinement`; `key` and `seed` of the windows.
-    """
-
-    model: str
-    procedure: Procedure
-    files: Sequence[str]
-    records: Sequence[Record]
-    steps: Sequence[str]
-    doubts: Sequence[Finding]
-    estimate: Estimate
-    checked: Check
-    sweep: WindowSweep | None
-    residuals: ResidualTests | None
-    choice: WindowChoice | None
-    seeds: SeedScatter | None
-    validations: Sequence[ValidationRun]
-    refinement: Refinement | None
-    key: Key[Array, ""]
-    seed: int
-
-    def findings(self) -> list[Finding]:
-        """What a user should know, each thing once."""
-        before = [*self.doubts, *self.checked.findings]
-        codes = {finding.code for finding in before}
-        after = [
-            f for f in self.estimate.findings() if f.code != "short_record" or f.code not in codes
-        ]
-        swept = [] if self.sweep is None else self.sweep.findings()
-        validated = [
-            Finding("does_not_predict", f"{run.on}: {run.held.verdict}")
-            for run in self.validations
-            if not run.held.predicts
-        ]
-        left = [] if self.residuals is None else self.residuals.findings()
-        refined = [] if self.refinement is None else self.refinement.findings()
-        return [*before, *after, *swept, *left, *refined, *validated]
-
-
-def identification_document(result: Identification) -> Document:
+def identification_document(result: Assessment) -> Document:
     """The document that `--json` prints and results.json holds."""
     estimate = result.estimate
-    found = estimate_entries(result.model, estimate)
+    found = estimate_entries(result.model.name, estimate)
     identified = found["parameters"]
     if result.refinement is not None:
         found["parameters"] = parameter_entries(result.refinement.refined)
@@ -99,20 +37,22 @@ def identification_document(result: Identification) -> Document:
         "refinement": None
         if result.refinement is None
         else refinement_entries(result.refinement, identified),
-        "validation": [{"on": run.on, **run.held.describe()} for run in result.validations],
+        "validation": [
+            {"on": run.recording.name, **run.held.describe()} for run in result.validations
+        ],
         "warnings": [finding._asdict() for finding in result.findings()],
         "provenance": {
-            "seed": result.seed,
+            "seed": _seed(result.key),
             "records": [
                 {
-                    "file": file,
-                    "samples": record.sample_count,
-                    "time_step": float(record.time_step),
+                    "file": recording.source,
+                    "samples": recording.record.sample_count,
+                    "time_step": float(recording.record.time_step),
                 }
-                for file, record in zip(result.files, result.records)
+                for recording in result.recordings
             ],
-            "start_times": start_times(result.records),
-            "preparation": list(result.steps),
+            "start_times": start_times(result.recordings),
+            "preparation": common_steps(result.recordings),
             "intervals": {
                 "method": estimate.uncertainty.label,
                 "blocks": int(estimate.block_count),
@@ -121,6 +61,14 @@ def identification_document(result: Identification) -> Document:
             "versions": versions(),
         },
     }
+
+
+def _seed(key: Key[Array, ""] | None) -> int | None:
+    """The seed that `jax.random.key` makes this key of: its words, the highest first."""
+    if key is None:
+        return None
+    words = jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
+    return int.from_bytes(np.asarray(words).astype(">u4").tobytes(), "big")
 
 
 def _correlation(estimate: Estimate) -> dict[str, Any]:
@@ -156,6 +104,78 @@ def _sweep_entries(sweep: WindowSweep) -> dict[str, Any]:
             for i, label in enumerate(sweep.stage_names)
         },
     }
+
+
+def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Document:
+    """The part of the document about the refinement."""
+    refined = refinement.refined
+    return {
+        "by": dict(refined.by),
+        "converged": bool(refined.converged),
+        "reason": refined.reason,
+        "steps": int(refined.steps),
+        "identified": identified,
+        "basis": refined.basis,
+        "left": {
+            name: {"before": finite(float(before)), "after": finite(float(after)), "unit": unit}
+            for name, before, after, unit in zip(
+                refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
+            )
+        },
+        "intervals": {
+            "method": refined.uncertainty.label,
+            "blocks": int(refined.block_count),
+            "block_seconds": float(refined.block_length),
+        },
+        "at_bound": [n for n, there in zip(refined.parameters, refined.at_bound) if bool(there)],
+        "simulations": [
+            {
+                "on": run.recording.name,
+                "fitted": refinement.on_fitted,
+                "before": run.before.describe(),
+                "after": run.after.describe(),
+            }
+            for run in refinement.simulations
+        ],
+    }
+
+
+def refinement_in_words(entries: Document) -> Iterator[str]:
+    """What was refined, what it left, and what became of predictions."""
+    kind = {"integral": "impulses of the equation error", "output-error": "the output error"}
+    yield (
+        f"refined by {kind[entries['by']['refine']]}: {entries['reason']} "
+        f"({entries['steps']} steps)"
+    )
+    yield f"left before and after, of {entries['basis']}:"
+    for name, left in entries["left"].items():
+        yield (
+            f"{name}: {_number(left['before'])} before, {_number(left['after'])} {left['unit']} "
+            f"r.m.s. after"
+        )
+    for run in entries["simulations"]:
+        where = f"{run['on']} (fitted)" if run["fitted"] else run["on"]
+        fits = ", ".join(
+            f"{name} {_fit(run['before'], name)} -> {_fit(run['after'], name)} %"
+            for name in run["after"]["signals"]
+        )
+        yield f"simulated on {where}, fit before -> after: {fits} (from the state as recorded)"
+    intervals = entries["intervals"]
+    yield (
+        f"refined intervals: {intervals['method']}, {intervals['blocks']} blocks of "
+        f"{intervals['block_seconds']:.3g} s; of what was identified:"
+    )
+
+
+def _fit(described: Document, name: str) -> str:
+    signal = described["signals"].get(name)
+    return (
+        "?" if signal is None or signal["fit_percent"] is None else f"{signal['fit_percent']:.4g}"
+    )
+
+
+def _number(value: float | None) -> str:
+    return "?" if value is None else number(value, 4)
 
 
 def print_identification(document: Document, console: Console) -> None:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from riecjax.assessment.assessment import Assessment, ValidationRun
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import values_of_record
 from riecjax.records.record import Record
@@ -24,7 +25,6 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
-from riecjax.reporting.identification import Identification, ValidationRun
 from riecjax.reporting.residual_figures import residual_figures, window_choice_figures
 from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.sums import Survey
@@ -33,7 +33,7 @@ MOST_POINTS = 2000
 MOST_COLUMNS = 3
 
 
-def identification_figures(result: Identification) -> dict[str, Chart]:
+def identification_figures(result: Assessment) -> dict[str, Chart]:
     """`fit`; `curves` if the model has some; `window_sweep`; `correlation` of the parameters;
     `residual_1`, ... of each equation; `window_choice`; `validation_1`, ... for each."""
     figures = {"fit": _fit_figure(result)}
@@ -118,11 +118,11 @@ def correlation_figure(estimate: Estimate) -> Chart:
 def validation_figure(run: ValidationRun) -> Chart:
     """Measured and simulated signals over time."""
     names = list(run.held.signals)
-    units = dict(run.measured.units)
-    time = np.asarray(run.measured.elapsed)
+    units = dict(run.recording.record.units)
+    time = np.asarray(run.recording.record.elapsed)
     rows = []
     for name in names:
-        measured = Line(time, _shown(run.measured, name), "measured", GREY, width=1.8)
+        measured = Line(time, _shown(run.recording.record, name), "measured", GREY, width=1.8)
         simulated = Line(time, _shown(run.held.record, name), "simulated", RUST, width=0.9)
         fit = float(run.held.signals[name].fit)
         last = name == names[-1]
@@ -135,8 +135,8 @@ def validation_figure(run: ValidationRun) -> Chart:
         rows.append([panel])
     return Chart(
         rows,
-        f"{run.on}: measured, and simulated by the identified model from the inputs alone. A fit "
-        "of 100 % is perfect, at 0 % the measured mean would do as well.",
+        f"{run.recording.name}: measured, and simulated by the identified model from the inputs "
+        "alone. A fit of 100 % is perfect, at 0 % the measured mean would do as well.",
         (8, 1.8 * len(names) + 0.8),
         share_x=True,
         legend=True,
@@ -157,7 +157,7 @@ class _Fit(NamedTuple):
     start: np.ndarray
 
 
-def _fit_figure(result: Identification) -> Chart:
+def _fit_figure(result: Assessment) -> Chart:
     """Each stage's rows, measured against explained, and what is left of them."""
     estimate, procedure = result.estimate, result.procedure
     count = len(estimate.stages)
@@ -179,7 +179,7 @@ def _fit_figure(result: Identification) -> Chart:
     )
 
 
-def _fits(result: Identification) -> Iterator[tuple[int, _Fit]]:
+def _fits(result: Assessment) -> Iterator[tuple[int, _Fit]]:
     """Some rows of each equation on each record, with the place of its stage."""
     estimate, summary = result.estimate, result.estimate.summary
     assert summary is not None

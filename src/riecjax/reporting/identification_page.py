@@ -5,9 +5,8 @@ from typing import Any
 
 from riecjax.reporting.document import Document, number
 from riecjax.reporting.estimate import several
-from riecjax.reporting.identification import windows_in_words
+from riecjax.reporting.identification import refinement_in_words, windows_in_words
 from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.refinement import refinement_in_words
 
 
 def identification_page(document: Document) -> Page:

@@ -25,7 +25,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Records, as_records
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined
 from riecjax.validation.time_series import ErrorSpectrum, error_spectrum
 
@@ -114,7 +114,7 @@ class WindowChoice(eqx.Module):
 
 def window_choice(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     estimate: Estimate | Mapping[str, float | Array],
     *,
     windows: AbstractWindows | None = None,

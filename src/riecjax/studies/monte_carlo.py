@@ -20,7 +20,7 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import ModelError, require
 from riecjax.estimation.parameters import Sharing, plan_parameters
 from riecjax.estimation.stages import all_normal_equations, solve_stages
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Record, Records, as_records
 from riecjax.summaries.task import record_keys, require_key
 
 
@@ -100,7 +100,7 @@ class SeedScatter(eqx.Module):
 
 def seed_scatter(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     criterion: AbstractCriterion,
     *,
     key: Key[Array, ""],

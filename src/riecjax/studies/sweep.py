@@ -22,7 +22,7 @@ from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameter
 from riecjax.estimation.stages import found_values, solve_stages, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Records
 from riecjax.summaries.blocks import FEWEST_WINDOWS, ShortBlocks, blocks_in_use, merge_blocks
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summarise import summed
@@ -144,7 +144,7 @@ class WindowSweep(eqx.Module):
 
 def window_sweep(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record] | Summary,
+    records: Records | Summary,
     criterion: AbstractCriterion | None = None,
     *,
     key: Key[Array, ""] | None = None,

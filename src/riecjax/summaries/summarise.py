@@ -1,7 +1,5 @@
 """Sum up what recordings say to a model: the only step that reads samples."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Array, Key
 from numpy.typing import ArrayLike
@@ -12,7 +10,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Records
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import OnePass
 from riecjax.summaries.stage_sums import traced_sums
@@ -23,7 +21,7 @@ from riecjax.summaries.task import Task, task
 
 def summarise(
     model: Equation | Procedure | HasProcedure,
-    record: Record | Sequence[Record],
+    record: Records,
     criterion: AbstractCriterion | None = None,
     *,
     key: Key[Array, ""] | None = None,

@@ -1,7 +1,7 @@
 """What is to be summed, and everything of it that can be refused before any arithmetic."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,7 +15,8 @@ from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import MissingSignalError, ModelError, require
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Record, Records
+from riecjax.records.recording import as_recordings
 
 
 class Task(NamedTuple):
@@ -32,7 +33,7 @@ class Task(NamedTuple):
 
 def task(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     criterion: AbstractCriterion | None,
     key: Key[Array, ""] | None,
 ) -> Task:
@@ -45,13 +46,14 @@ def task(
     procedure = as_procedure(model)
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
     require_key(key)
-    recordings = as_records(records)
+    recordings = as_recordings(records)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
-    for record in recordings:
-        criterion.check(record)
-    keys = record_keys(key, len(recordings))
-    return Task(procedure, recordings, criterion.fitted(recordings), keys)
+    for recording in recordings:
+        with recording.explaining_errors():
+            criterion.check(recording.record)
+    plain = [recording.record for recording in recordings]
+    return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
 
 
 WRITE_CRITERION = (

@@ -6,7 +6,7 @@ of the record that do not belong together as errors of unequal size. Each is rep
 chance does not explain it and it is large enough to matter.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,7 +18,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, told_apart
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
-from riecjax.records.record import Record, as_records
+from riecjax.records.record import Record, Records, as_records
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined, with_pads
 from riecjax.validation.time_series import (
     Autocorrelation,
@@ -194,7 +194,7 @@ class ResidualTests(eqx.Module):
 
 def residual_tests(
     model: Equation | Procedure | HasProcedure,
-    records: Record | Sequence[Record],
+    records: Records,
     estimate: Estimate | Mapping[str, float | Array],
     *,
     windows: AbstractWindows | None = None,

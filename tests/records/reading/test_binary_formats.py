@@ -16,8 +16,9 @@ from pyarrow import parquet
 
 from riecjax.errors import DataError
 from riecjax.records.reading import channels as limits
-from riecjax.records.reading.read import read_channels, read_record
+from riecjax.records.reading.read import read_channels
 from riecjax.records.reading.selection import Selection, record_from_channels
+from riecjax.records.recording import read_record
 
 N = 40
 TIME = np.arange(N) * 0.05

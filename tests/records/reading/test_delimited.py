@@ -7,7 +7,8 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.records.reading.delimited import LONGEST_LINE
-from riecjax.records.reading.read import read_channels, read_record
+from riecjax.records.reading.read import read_channels
+from riecjax.records.recording import read_record
 
 LONG = 900
 """Rows of a file much longer than what its dialect is decided on."""

@@ -3,7 +3,7 @@ import pytest
 
 from riecjax.errors import DataError, ModelError
 from riecjax.records.derived import derived
-from riecjax.records.reading.read import read_record
+from riecjax.records.recording import read_record
 
 COLUMNS = {
     "q": np.array([0.5, -1.0, 2.0, 0.25]),

@@ -6,7 +6,7 @@ import scipy.io
 
 from conftest import measured_data
 from riecjax.errors import DataError
-from riecjax.records.reading.read import read_record
+from riecjax.records.recording import read_record
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])

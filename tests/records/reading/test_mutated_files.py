@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from riecjax.errors import RiecjaxError
-from riecjax.records.reading.read import read_record
+from riecjax.records.recording import read_record
 
 N = 60
 TIME = np.arange(N) * 0.125

@@ -10,7 +10,7 @@ import scipy.io
 
 from riecjax.errors import DataError
 from riecjax.records.reading import channels as limits
-from riecjax.records.reading.read import read_record
+from riecjax.records.recording import read_record
 
 ENDINGS = (".csv", ".npz", ".mat")
 TIME = np.arange(5) * 0.1

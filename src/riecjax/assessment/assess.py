@@ -1,0 +1,179 @@
+"""The verb that asks everything of recordings: estimate, refine, test and validate."""
+
+from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from riecjax.criteria.criterion import RIEC, AbstractCriterion
+from riecjax.criteria.windows import DEFAULT_BAND
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import HasProcedure, Procedure
+from riecjax.errors import DataError, ModelError, renamed, require
+from riecjax.estimation.check import check, raise_if_refused, read_of
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.excitation import excitations
+from riecjax.estimation.identify import estimate as estimate_of
+from riecjax.estimation.parameters import plan_parameters
+from riecjax.leaves import on_host
+from riecjax.models.model import as_model
+from riecjax.records.record import Record, Records
+from riecjax.records.recording import Recording, as_recordings
+from riecjax.studies.sweep import WindowSweep, sweep_edges, window_sweep
+from riecjax.summaries.summarise import summarise
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.task import WRITE_CRITERION
+from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
+
+if TYPE_CHECKING:
+    from riecjax.assessment.assessment import Assessment
+    from riecjax.refinement.coordinates import Bounds
+    from riecjax.refinement.objective import AbstractObjective
+
+
+@renamed(own="per_record")
+def assess(
+    model: Equation | Procedure | HasProcedure,
+    recordings: Records,
+    criterion: AbstractCriterion | None = None,
+    *,
+    key: Key[Array, ""] | None = None,
+    known: Mapping[str, float | Array] | None = None,
+    per_record: Sequence[str] = (),
+    intervals: AbstractIntervals | None = None,
+    refine: "AbstractObjective | None" = None,
+    bounds: "Mapping[str, Bounds] | None" = None,
+    hold_out: float | None = None,
+    validate_on: Records = (),
+    sweep: bool = True,
+    on_estimate: Callable[[Estimate], None] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> "Assessment":
+    """Identify a model's parameters from recordings, and find out how far to trust them.
+
+    What `riecjax identify` does: [`check`][], [`identify`][], [`refine`][] if asked for, a sweep
+    over window lengths, tests of what is left, and validation by simulation. All but the tests,
+    the simulations and the refinement is made from one pass over the samples. Not under jit.
+
+    **Arguments:** as for [`identify`][], and
+
+    - `recordings`: from [`read_recording`][], or bare records.
+    - `refine`: what a refinement makes small, such as `rx.OutputError()`, or `None` for no
+      refinement. An `rx.IntegralError()` without a criterion takes the estimate's.
+    - `bounds`: of the refinement, (lower, upper) by name, `None` where there is none.
+    - `hold_out`: keep this share at the end of each recording for validation by simulation.
+    - `validate_on`: further recordings to simulate the identified model on.
+    - `sweep`: whether to estimate against window length, which shows an inexact model.
+    - `on_estimate`: called with the estimate as soon as it is there, before all that is slow.
+    - `progress`: called with the sum of squares after each step of the refinement.
+
+    **Returns:** an [`Assessment`][].
+
+    **Raises:** as [`identify`][], [`refine`][] and [`split`][riecjax.split], and
+    `IdentifiabilityError` for what [`Check.answerable`][] denies. What cannot be tested or
+    simulated raises nothing: it is a finding.
+    """
+    model = as_model(model)
+    procedure = model.build_procedure()
+    criterion = RIEC.of_band(model.band or DEFAULT_BAND) if criterion is None else criterion
+    require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
+    require("hold_out", hold_out or 0.5, Real, "hold_out=0.2, a share")
+    if bounds and refine is None:
+        raise ModelError("bounds belong to a refinement: give refine=rx.OutputError() with them.")
+    if per_record and validate_on:
+        raise ModelError(
+            "per_record gives a parameter no value on the recordings of validate_on: use one of "
+            "the two."
+        )
+    fitted = _concerned(procedure, recordings, criterion)
+    held: list[Recording] = []
+    if hold_out is not None:
+        halves = [recording.split(hold_out) for recording in fitted]
+        fitted, held = [first for first, _ in halves], [last for _, last in halves]
+    further = _concerned(procedure, validate_on, criterion) if validate_on else []
+    records = [recording.record for recording in fitted]
+    settings: dict[str, Any] = {"known": known, "per_record": per_record}
+    # What is refused without arithmetic is refused before a sample is read.
+    plan = plan_parameters(procedure, len(records), **settings)
+    intervals = BlockBootstrap() if intervals is None else intervals
+
+    # Read once: all that follows is made from these sums.
+    bins = _bins(records, criterion) if sweep else None
+    summary = summarise(procedure, records, criterion, key=key, bins=bins, survey=True)
+    estimate = on_host(estimate_of(procedure, summary, **settings, intervals=intervals))
+    excited = excitations(summary, plan)
+    raise_if_refused(excited)
+    if on_estimate is not None:
+        on_estimate(estimate)
+
+    # Not earlier: to import all that simulates takes seconds.
+    from riecjax.assessment import trust
+    from riecjax.assessment.assessment import Assessment
+
+    checked = check(
+        procedure, records, criterion, key=key, **settings, summary=summary, excited=excited
+    )
+    refined = None
+    if refine is not None:
+        settings_of_fit = {"per_record": per_record, "key": key, "intervals": intervals}
+        refined = trust.refined(
+            model, records, estimate, refine, bounds=bounds, progress=progress, **settings_of_fit
+        )
+    values = estimate.values if refined is None else refined.values
+    unseen = [*enumerate(held), *((None, recording) for recording in further)]
+    validations, failed = trust.validated(model, values, unseen)
+    residuals, choice, untested = trust.what_is_left(procedure, records, estimate)
+    return Assessment(
+        model=model,
+        procedure=procedure,
+        recordings=fitted,
+        validated_on=further,
+        checked=checked,
+        estimate=estimate,
+        sweep=_sweep(procedure, records, summary, settings) if sweep else None,
+        residuals=residuals,
+        choice=choice,
+        seeds=trust.seeds(procedure, records, criterion, key, settings),
+        validations=validations,
+        refinement=None
+        if refined is None
+        else trust.before_after(model, estimate, refined, validations, unseen, fitted),
+        failures=[*failed, *untested],
+        key=key,
+    )
+
+
+def _concerned(
+    procedure: Procedure, recordings: Records, criterion: AbstractCriterion
+) -> list[Recording]:
+    """The recordings with what is said of signals that the criterion reads."""
+    return [
+        recording.concerning(read_of(procedure, recording, criterion))
+        for recording in as_recordings(recordings)
+    ]
+
+
+def _bins(
+    records: list[Record], criterion: AbstractCriterion
+) -> Float[np.ndarray, " edges"] | None:
+    """Bins of window lengths that the sweep needs, where all windows are summed."""
+    if not criterion.in_closed_form:
+        return None
+    try:
+        return sweep_edges(records, criterion)
+    except DataError:
+        return None  # too short a record, which the check says
+
+
+def _sweep(
+    procedure: Procedure, records: list[Record], summary: Summary, settings: dict[str, Any]
+) -> WindowSweep | None:
+    if summary.criterion.windows is None:
+        return None
+    of = records if summary.bins is None else summary
+    try:
+        return on_host(window_sweep(procedure, of, summary.criterion, **settings))
+    except DataError:
+        return None

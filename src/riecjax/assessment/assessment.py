@@ -1,0 +1,139 @@
+"""All that is known of an answer, in numbers and codes; sentences and tables are `reporting`'s."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from jaxtyping import Array, Key
+
+from riecjax.equations.procedure import Procedure
+from riecjax.estimation.check import Check
+from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding
+from riecjax.models.model import Model
+from riecjax.records.recording import Recording
+from riecjax.refinement.refined import Refined
+from riecjax.studies.choice import WindowChoice
+from riecjax.studies.monte_carlo import SeedScatter
+from riecjax.studies.sweep import WindowSweep
+from riecjax.validation.held_out import HeldOut
+from riecjax.validation.residuals import ResidualTests
+
+
+class ValidationRun(NamedTuple):
+    """A simulation of the identified model along a recording, compared with it in `held`."""
+
+    recording: Recording
+    held: HeldOut
+
+
+class BeforeAfter(NamedTuple):
+    """Simulations along one recording with the start of a refinement and with its result."""
+
+    recording: Recording
+    before: HeldOut
+    after: HeldOut
+
+    @property
+    def worst_fits(self) -> tuple[float, float]:
+        """The worst fit in percent of any signal before and after; -inf if a simulation failed."""
+        return _worst(self.before), _worst(self.after)
+
+
+def _worst(held: HeldOut) -> float:
+    if not held.ran:
+        return -float("inf")
+    fits = [float(held.signals[name].fit) for name in held.judged]
+    return min((fit for fit in fits if fit == fit), default=-float("inf"))
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """A refinement, and what it did to predictions.
+
+    **Fields:** `refined`; `simulations`, before and after, on held-out parts and further
+    recordings, or if there are none on those that were fitted (`on_fitted`).
+    """
+
+    refined: Refined
+    simulations: Sequence[BeforeAfter]
+    on_fitted: bool
+
+    def findings(self) -> list[Finding]:
+        """What a user should know."""
+        findings = self.refined.findings()
+        for run in self.simulations:
+            before, after = run.worst_fits
+            if after < before - 1 and not self.on_fitted:
+                findings.append(
+                    Finding(
+                        "refined_predicts_worse",
+                        f"{run.recording.name}: the refined model predicts worse than the "
+                        f"identified one (worst fit {before:.1f} % before, {after:.1f} % after): "
+                        f"it was bent to the recording that it was fitted to. Use shorter windows "
+                        f"(--horizon), or keep the estimate.",
+                    )
+                )
+        return findings
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Assessment:
+    """An estimate, and how far to trust it; made by [`assess`][].
+
+    **Fields:**
+
+    - `model`, and the `procedure` that it builds.
+    - `recordings` that were estimated from, and those that it was only `validated_on`: with the
+      steps and findings that concern signals which the criterion reads.
+    - `checked`: what was looked at before the fit.
+    - `estimate`.
+    - `sweep`: estimates against window length, if asked for and possible.
+    - `residuals`: tests of what is left, if they can be made.
+    - `choice` of windows, for a criterion that has some.
+    - `seeds`: scatter over seeds of random windows, for a criterion that draws some.
+    - `validations`: simulations, of the refined model if there is a `refinement`.
+    - `failures`: findings on what could not be tested or simulated.
+    - `key` of the windows.
+    """
+
+    model: Model
+    procedure: Procedure
+    recordings: Sequence[Recording]
+    validated_on: Sequence[Recording]
+    checked: Check
+    estimate: Estimate
+    sweep: WindowSweep | None
+    residuals: ResidualTests | None
+    choice: WindowChoice | None
+    seeds: SeedScatter | None
+    validations: Sequence[ValidationRun]
+    refinement: Refinement | None
+    failures: Sequence[Finding]
+    key: Key[Array, ""] | None
+
+    def findings(self) -> list[Finding]:
+        """What a user should know, each thing once."""
+        read = [f for r in (*self.recordings, *self.validated_on) for f in r.findings]
+        before = [*read, *self.failures, *self.checked.findings]
+        codes = {finding.code for finding in before}
+        after = [
+            f for f in self.estimate.findings() if f.code != "short_record" or f.code not in codes
+        ]
+        for result in (self.sweep, self.residuals, self.refinement):
+            after += [] if result is None else result.findings()
+        after += [
+            Finding("does_not_predict", f"{run.recording.name}: {run.held.verdict}")
+            for run in self.validations
+            if not run.held.predicts
+        ]
+        return [*before, *after]
+
+    def __str__(self) -> str:
+        found = self.estimate if self.refinement is None else self.refinement.refined
+        lines = [line for line in str(found).splitlines() if not line.startswith("warning [")]
+        lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in self.validations]
+        lines += [f"warning [{finding.code}] {finding.message}" for finding in self.findings()]
+        return "\n".join(lines)
+
+    __repr__ = __str__

@@ -1,0 +1,323 @@
+"""A recording: a record with where it came from, what was done to it and what is amiss with it."""
+
+import contextlib
+import os
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from riecjax.errors import DataError, MissingSignalError, ModelError, require
+from riecjax.findings import Finding
+from riecjax.records.preparation import split
+from riecjax.records.preparation.steps import Preparation, prepare
+from riecjax.records.reading.channels import TIME_COLUMNS, Channels
+from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
+from riecjax.records.reading.selection import Selection, record_from_channels
+from riecjax.records.reading.units import NOT_SI, split_unit
+from riecjax.records.record import Record, Records, as_records
+
+
+# Its arrays have no one truth value to compare by, and would fill the screen.
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """A record, where it came from, what was done to it, and what is amiss with it.
+
+    Whatever takes records takes recordings too; under `jax.jit` hand over its `record`.
+
+    **Fields:**
+
+    - `record`: the signals, read and prepared.
+    - `source`: the file, as it was given; empty for a record that was made in memory.
+    - `steps`: how it was read and prepared, in words, in the order in which it was done.
+    - `findings`: what is amiss with the file; `signals` of each says whom it concerns.
+    - `left_out`: column of the file to why it is no signal.
+    - `renamed`: signal to the column that it was called.
+    - `part`: which part of the recording this is, where it was split.
+    """
+
+    record: Record
+    source: str = ""
+    steps: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    part: str = ""
+
+    @property
+    def name(self) -> str:
+        """What messages and tables call it: its file's name, and which part of it."""
+        return ", ".join(filter(None, (Path(self.source).name or "the record", self.part)))
+
+    def split(self, share: float) -> tuple["Recording", "Recording"]:
+        """Hold out the last `share` of its samples; see [`split`][riecjax.split].
+
+        **Returns:** the part to estimate from, and the last part, to validate on.
+        """
+        first, last = split(self.record, share)
+        return replace(self, record=first), replace(self, record=last, part="last part")
+
+    def concerning(self, signals: Collection[str]) -> "Recording":
+        """The same with only those steps and findings that concern these signals, or all."""
+        idle = {name for name in self.record.arrays if name not in signals}
+        return replace(
+            self,
+            steps=tuple(step for step in self.steps if step.partition(":")[0] not in idle),
+            findings=tuple(f for f in self.findings if not f.signals or {*f.signals} & {*signals}),
+        )
+
+    def explaining_errors(self) -> contextlib.AbstractContextManager[None]:
+        """Name the file in errors about its record, and say why a signal is missing."""
+        return _explaining(self.source, self.renamed, self.left_out)
+
+    def __str__(self) -> str:
+        record = self.record
+        units = dict(record.units)
+        signals = ", ".join(f"{n} [{units[n]}]" if units.get(n) else n for n in record.arrays)
+        lines = [
+            f"{self.name}: {record.sample_count} samples at {1 / float(record.time_step):.6g} Hz, "
+            f"{float(record.duration):.4g} s, of {signals}",
+            *(f"prepared: {step}" for step in self.steps),
+            *(f"warning [{finding.code}] {finding.message}" for finding in self.findings),
+        ]
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+
+def as_recordings(records: Records) -> list[Recording]:
+    """One recording or several as a list; several bare records are called by their number.
+
+    **Raises:** as [`as_records`][riecjax.records.record.as_records].
+    """
+    given: Sequence[Any] = records if isinstance(records, list | tuple) else [records]
+    return [
+        one
+        if isinstance(one, Recording)
+        else Recording(record, f"record {i + 1}" if len(given) > 1 else "")
+        for i, (one, record) in enumerate(zip(given, as_records(records), strict=True))
+    ]
+
+
+def read_record(path: str | os.PathLike[str], **settings: Any) -> Record:
+    """Read a record from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file.
+
+    What [`read_recording`][] reads, with the same keywords and errors, but only the signals.
+    """
+    return read_recording(path, **settings).record
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    model: Any = None,
+    rename: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
+    units: Mapping[str, str] | None = None,
+    derive: Mapping[str, str] | None = None,
+    time_step: float | None = None,
+    resample: float | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    offsets: Sequence[str] = (),
+    drifts: Sequence[str] = (),
+    cutoffs: Mapping[str, float] | None = None,
+    upsample: int = 1,
+    derivatives: Mapping[str, str] | None = None,
+    every: int = 1,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> Recording:
+    """Read a recording from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file, and prepare it.
+
+    Time is a column in seconds, called `t` or `time` or renamed to `t`; where the file states
+    another unit of time (`time [ms]`) it is converted. Other units are noted but not converted.
+    Without `rename` every column as long as the time is a signal. How names are made in files that
+    hold more than columns is told by the formats' own readers, and by what
+    [`read_channels`][] returns.
+
+    **Arguments:**
+
+    - `model`: a `Model`, whose units the signals get, and which says which signals are
+      derivatives of others, to be formed if the file lacks them.
+
+    How the file is read:
+
+    - `rename`: new signal name to column name, as in `{"q": "qm"}`; columns that are not named
+      keep their names. A unit in brackets may be left out of a column's name.
+    - `scale`: column name (as in the file) or signal name to the factor that turns it into SI
+      units.
+    - `units`: signal name to unit, before those that the file states.
+    - `derive`: signal name to a formula of signals, as in `{"force": "35.15 * vir"}`; see
+      [`derived`][]. Formulas are computed in their order, last of all.
+    - `time_step`: seconds between samples, for files without time.
+    - `resample`: rate in Hz of the even grid to which all signals are brought: for uneven
+      samples, and for files in which signals have times of their own.
+    - `delimiter`, `decimal`: of a text file, where they are not to be found out.
+
+    What is done to the record then, in this order:
+
+    - `start`, `stop`: cut it at these seconds from its first sample.
+    - `offsets`, `drifts`: signals to remove the mean or a straight line from.
+    - `cutoffs`: signal to cut-off in Hz of a zero-phase low-pass.
+    - `upsample`: factor of a band-limited interpolation.
+    - `derivatives`: new signal to the signal whose central differences it is.
+    - `every`: use every n-th sample.
+
+    **Raises:** `DataError` if the file cannot be read, a named column is missing, the samples do
+    not make a record (see [`Record.from_samples`][]), or a step is not possible; `ModelError` for
+    a formula that is not understood.
+    """
+    require("the file", path, str | os.PathLike, "rx.read_recording('drive.csv')", DataError)
+    if isinstance(model, str | type):
+        require("the model", model, (), "model=rx.find_model('quarter-car')")
+    named = {"rename": rename, "scale": scale, "units": units, "derive": derive}
+    named |= {"cutoffs": cutoffs, "derivatives": derivatives}
+    for name, value in named.items():
+        require(name, value or {}, Mapping, f"{name}={{'x': ...}}, by the signal's name", DataError)
+    for name, value in {"offsets": offsets, "drifts": drifts}.items():
+        require(name, value, (list, tuple), f"{name}=('x',), a tuple of names", DataError)
+    selection = Selection(rename or {}, scale or {}, units or {}, derive or {}, time_step, resample)
+    preparation = Preparation(
+        start=start,
+        stop=stop,
+        offsets=tuple(offsets),
+        drifts=tuple(drifts),
+        cutoffs=cutoffs or {},
+        upsample=upsample,
+        derivatives=derivatives or {},
+        every=every,
+    )
+    file = Path(path).name
+    channels = read_channels(path, delimiter=delimiter, decimal=decimal)
+    left_out = _left_out(channels)
+    # Damaged numbers overflow; what is not finite is found and named.
+    with _explaining(str(path), selection.rename, left_out), np.errstate(all="ignore"):
+        try:
+            record = record_from_channels(channels, selection)
+        except ModelError as error:  # of a formula
+            raise ModelError(f"{file}: {error}") from None
+        read = tuple(record.arrays)
+        record, mismatches = _in_model_units(record, model, selection)
+        idle = preparation.idle_cuts(record)
+        record, steps = prepare(record, getattr(model, "derived", {}), preparation)
+    findings = [
+        *(Finding("unit_mismatch", f"{file}: {why}", (n,)) for n, why in mismatches.items()),
+        *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
+        *(
+            Finding(
+                "column_left_out",
+                f"{file}: {why}, and {name} is computed from other signals instead.",
+                (name,),
+            )
+            for name in record.arrays
+            if name not in read and (why := _why_missing(left_out, name))
+        ),
+    ]
+    used = {*read, *TIME_COLUMNS, *selection.rename.values(), *channels.time_of.values()}
+    return Recording(
+        record,
+        str(path),
+        (*channels.notes, *_reading_steps(selection), *steps),
+        tuple(findings),
+        {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
+        selection.rename,
+    )
+
+
+def _left_out(channels: Channels) -> dict[str, str]:
+    """Why a column is no signal; of one that may be a signal, why it would not be."""
+
+    def why(values: np.ndarray) -> str:
+        # The first sample settles it for nearly all columns.
+        empty = np.isnan(values[:1]).all() and np.isnan(values).all()
+        return "it holds no number at all" if empty else "it has not the length of the time"
+
+    return {**channels.left_out, **{c: why(v) for c, v in channels.columns.items()}}
+
+
+def _why_missing(left_out: Mapping[str, str], signal: str) -> str:
+    """Why the column of this name, perhaps with its unit behind it, is no signal; empty if none."""
+    for column, why in left_out.items():
+        if signal in (column, split_unit(column)[0]):
+            return f"column '{column}' was left out: {why}"
+    return ""
+
+
+@contextlib.contextmanager
+def _explaining(
+    source: str, renamed: Mapping[str, str], left_out: Mapping[str, str]
+) -> Iterator[None]:
+    """Name the file in errors about its record, and say why a signal is missing."""
+    try:
+        yield
+    except DataError as error:
+        if not source:
+            raise
+        message = str(error)
+        if isinstance(error, MissingSignalError):
+            taken = [new for new, column in renamed.items() if column == error.signal]
+            listed = ", ".join(error.available) or "none"
+            if taken:
+                message = (
+                    f"there is no signal '{error.signal}', for --map {taken[0]}={error.signal} "
+                    f"renamed that column; there are: {listed}."
+                )
+            elif why := _why_missing(left_out, error.signal):
+                message = (
+                    f"{why}, so that the record has no signal '{error.signal}'; it has: {listed}."
+                )
+        name = Path(source).name
+        prefix = "" if message.startswith(f"{name}: ") else f"{name}: "
+        raise DataError(" ".join((prefix + message).split())[:LONGEST_MESSAGE]) from None
+
+
+def _in_model_units(
+    record: Record, model: Any, selection: Selection
+) -> tuple[Record, dict[str, str]]:
+    """The record in the model's units, and what the file says against them, by signal."""
+    stated = dict(record.units)
+    units = {signal.name: signal.unit for signal in getattr(model, "signals", ()) if signal.unit}
+    mismatches = {}
+    for name, unit in units.items():
+        column = selection.rename.get(name, name)
+        converted = {column, name} & {*selection.scale} or name in selection.derive
+        if name in stated and not converted and _plain(stated[name]) != _plain(unit):
+            mismatches[name] = (
+                f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}; "
+                f"convert it by --scale {name}=FACTOR."
+            )
+    for name, unit in stated.items():
+        column = selection.rename.get(name, name)
+        si, factor = NOT_SI.get(unit.replace("^", ""), ("", 1.0))
+        if si and name not in mismatches and name not in units:
+            mismatches[name] = (
+                f"the file gives {column} in {unit}, and nothing converts it: parameters come out "
+                f"in {unit}, not in {si}. Convert it by --scale {name}={factor:g}."
+            )
+    return record.with_signals({}, units), mismatches
+
+
+def _plain(unit: str) -> str:
+    """A unit without what is only spelling: m/s2, m/s^2 and m/s² are one."""
+    plain = unit.replace("²", "2").replace("³", "3").replace("·", " ")
+    return "".join(plain.replace("^", "").replace("*", " ").split()).replace("sec", "s")
+
+
+def _reading_steps(selection: Selection) -> list[str]:
+    steps = [f"{name}: column scaled by {factor:g}" for name, factor in selection.scale.items()]
+    if selection.resample is not None:
+        steps.append(f"resampled to {selection.resample:g} Hz")
+    return steps + [f"{name}: {formula}" for name, formula in selection.derive.items()]
+
+
+def common_steps(recordings: Sequence[Recording]) -> list[str]:
+    """Steps that all recordings have in common once, and those of one with its name."""
+    first, *others = recordings
+    if not others:
+        return list(first.steps)
+    common = [step for step in first.steps if all(step in other.steps for other in others)]
+    own = [f"{r.name}: {step}" for r in recordings for step in r.steps if step not in common]
+    return common + own

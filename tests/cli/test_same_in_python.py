@@ -1,0 +1,48 @@
+"""What the command line prints, five lines of Python find."""
+
+import json
+from pathlib import Path
+
+import jax
+import pytest
+from command_line import call, write_csv
+from test_own_recordings import MODEL, motion
+
+import riecjax as rx
+from riecjax.reporting.identification import identification_document
+
+
+@pytest.mark.parametrize("windows", ["all", 500])
+def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows):
+    monkeypatch.chdir(tmp_path)
+    Path("machine.py").write_text(MODEL)
+    write_csv(Path("run.csv"), motion(offset=4.0, count=3000))
+    options = ("--alpha", "0.1", "--beta", "0.5", "--windows", windows, "--test-function", "hat")
+    options += ("--hold-out", "0.3", "--remove-drift", "q", "--json")
+    printed = call(capsys, "identify", "run.csv", "--model", "machine.py:axis", *options).document
+
+    model = rx.find_model("machine.py:axis")
+    recording = rx.read_recording("run.csv", model=model, drifts=["q"])
+    drawn = rx.AllWindows(0.1, 0.5) if windows == "all" else rx.RandomWindows(0.1, 0.5, 500)
+    criterion = rx.RIEC(drawn, rx.Hat())
+    found = rx.assess(model, recording, criterion, key=jax.random.key(0), hold_out=0.3)
+
+    assert json.loads(json.dumps(identification_document(found))) == printed
+    codes = [warning["code"] for warning in printed["warnings"]]
+    assert [finding.code for finding in found.findings()] == codes
+    for name, entry in printed["parameters"].items():
+        assert f"{name} " in str(found)
+        assert float(found.estimate[name]) == entry["value"]
+
+
+def test_the_old_name_of_per_record_is_told(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("machine.py").write_text(MODEL)
+    for i in (0, 1):
+        write_csv(Path(f"{i}.csv"), motion(offset=i, phase=i, count=1500))
+    check = ("check", "0.csv", "1.csv", "--model", "machine.py:axis", "--test-function", "hat")
+    old = call(capsys, *check, "--own", "offset", "--json")
+    new = call(capsys, *check, "--per-record", "offset", "--json")
+    assert list(new.document["excitation"]) == ["M", "c", "k", "offset[1]", "offset[2]"]
+    assert old.document == new.document
+    assert old.err == f"riecjax: --own is called --per-record now.\n{new.err}"
