@@ -59,7 +59,7 @@ class MissingSignalError(DataError):
 
 
 class ModelError(RiecjaxError):
-    """A model, equation or criterion is put together wrongly, or a name in it is unknown."""
+    """A model, equation or criterion is invalid, or a name in it is unknown."""
 
     code = "model"
 

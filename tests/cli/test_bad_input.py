@@ -242,7 +242,10 @@ OPTIONS = {
     "--criterion dols --alpha 0.1": (2, "belong to --criterion riec"),
     "--criterion dols --band 1 10": (2, "belong to --criterion riec"),
     "--criterion dols --windows all": (2, "belong to --criterion riec"),
-    "--band 1 10 --alpha 0.05 --beta 0.5": (2, "--band says what --alpha and --beta say"),
+    "--band 1 10 --alpha 0.05 --beta 0.5": (
+        2,
+        "--band sets the same lengths as --alpha and --beta",
+    ),
     "--band 10 1": (1, "0 < low < high"),
     "--band 5 5": (1, "0 < low < high"),
     "--band 0 10": (2, "'--band'"),

@@ -23,7 +23,7 @@ def test_the_quick_study_evaluates_every_claim(study):
     document = json.loads((study / "results.json").read_text())
     claims = document["claims"]
     assert [claim["id"] for claim in claims] == list(range(1, 18))
-    # What does not hold hangs on the pot-hole's shape, which is reconstructed.
+    # What does not hold depends on the pot-hole's shape, which is reconstructed.
     assert [claim["id"] for claim in claims if not claim["holds"]] == [16]
     assert [warning["code"] for warning in document["warnings"]] == ["few_roads"]
     assert document["provenance"]["study"]["studied"] == 4

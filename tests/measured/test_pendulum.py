@@ -44,7 +44,7 @@ def test_four_pieces_at_once(records):
     assert 63.9 < float(estimate["p1"]) < 64.4
     # The damping of 0.056 1/s that central differences of the angle give.
     assert float(estimate["p2"]) == pytest.approx(0.056, abs=0.002)
-    # Four pieces of 9.2 s: three times 0.5 s to a block, or longer where errors hang together
+    # Four pieces of 9.2 s: three times 0.5 s to a block, or longer where errors are correlated
     # longer, and twenty blocks at least.
     assert 20 <= estimate.block_count <= 4 * 9.2 / 1.5
 

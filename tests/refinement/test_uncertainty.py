@@ -43,7 +43,7 @@ def test_errors_reach_the_cramer_rao_bound_and_are_told():
 
 
 def coloured(seed, count=1001, pole=0.9):
-    """Noise of 5 % whose neighbours hang together."""
+    """Noise of 5 % that is correlated in time."""
     rng = np.random.default_rng(seed)
     held = {name: samples[:count] for name, samples in signals().items()}
     for name, clean in zip(("x", "dx"), motion()):

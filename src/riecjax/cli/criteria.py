@@ -118,7 +118,7 @@ class CriterionOptions:
             )
         if self.band is not None and self.alpha is not None and self.beta is not None:
             raise click.UsageError(
-                "--band says what --alpha and --beta say: leave out one of them."
+                "--band sets the same lengths as --alpha and --beta: leave out one of them."
             )
 
     def build(self, model: "Model") -> "AbstractCriterion":

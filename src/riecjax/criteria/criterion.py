@@ -113,7 +113,7 @@ class AbstractCriterion(eqx.Module):
         return self
 
     def fitted(self, records: Sequence[Record]) -> "AbstractCriterion":
-        """This criterion with what it can find out of the records before tracing."""
+        """This criterion with what it takes from the records before tracing."""
         return self
 
     def draw(
@@ -263,7 +263,7 @@ class RIEC(AbstractCriterion):
         return RIEC(self.windows.every, self.test_function)
 
     def fitted(self, records: Sequence[Record]) -> "RIEC":
-        """This criterion with what it can find out of the records before tracing."""
+        """This criterion with what it takes from the records before tracing."""
         return RIEC(self.windows.fitted(records), self.test_function)
 
     def check(self, record: Record) -> None:

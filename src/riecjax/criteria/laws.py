@@ -214,7 +214,7 @@ class RatioLaw(AbstractLaw):
 class DensityLaw(AbstractLaw):
     """A weight from any function of the length.
 
-    Exact: every length on samples has a weight of its own, and the cost grows with their number.
+    Exact: every length on samples has its own weight, and the cost grows with their number.
 
     **Arguments:** `density`, from lengths in seconds, shape `(lengths,)`, to weights of the same
     shape; an `eqx.Module` if its parameters are to be differentiated.

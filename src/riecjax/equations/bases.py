@@ -1,4 +1,4 @@
-"""Families of functions of one signal, each function with a coefficient of its own."""
+"""Families of functions of one signal, each function with its own coefficient."""
 
 from collections.abc import Sequence
 
@@ -96,7 +96,7 @@ def roof(break_points: Sequence[float]) -> RoofFunctions:
 
 
 class Friction(AbstractBasis):
-    """Viscous and Coulomb friction, alike or of their own in each direction, and Stribeck's.
+    """Viscous and Coulomb friction, shared by both directions or separate, and Stribeck's.
 
     The functions of the velocity v, with the labels that are appended to a coefficient's name:
 
@@ -107,7 +107,7 @@ class Friction(AbstractBasis):
 
     **Arguments:**
 
-    - `asymmetric`: coefficients of their own in each direction.
+    - `asymmetric`: separate coefficients for each direction.
     - `stribeck`: Stribeck speed in the velocity's unit, or `None` for none.
     - `smooth`: width over which sign(v) goes from -1 to 1, as tanh(v / smooth), in the
       velocity's unit; `None` for the sign itself.

@@ -72,7 +72,7 @@ def identify(
       model that names none).
     - `key`: for random windows, `jax.random.key(seed)`. All equations share its windows.
     - `known`: parameters held at these values instead of being estimated.
-    - `per_record`: parameters with a value of their own in each record, such as a sensor's offset;
+    - `per_record`: parameters with a separate value in each record, such as a sensor's offset;
       in the result `offset` becomes `offset[1]`, `offset[2]`, ...
     - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default; [`Sandwich`][] is
       cheaper where thousands of fits are vmapped.
@@ -109,7 +109,7 @@ def estimate(
     - `model`: the one that the Summary was made for.
     - `summaries`: one, or several, of which each recording counts once.
     - `known`: parameters held at these values instead of being estimated.
-    - `per_record`: parameters with a value of their own in each recording, such as a sensor's
+    - `per_record`: parameters with a separate value in each recording, such as a sensor's
       offset; `offset` becomes `offset[1]`, `offset[2]`, ... in the order of `summary.recordings`.
     - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default.
 

@@ -113,7 +113,7 @@ MODELS = {
         ),
         Model(
             name="emps-asymmetric",
-            summary="M q'' + friction = force, with friction of its own in each direction",
+            summary="M q'' + friction = force, with separate friction for each direction",
             signals=_AXIS_SIGNALS,
             derived={"dq": "q", "ddq": "dq"},
             procedure="riecjax.models.emps:emps_asymmetric_equation",

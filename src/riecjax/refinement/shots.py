@@ -73,7 +73,7 @@ class AbstractShooting(eqx.Module):
         estimated must not, for that sample would count twice.
 
         **Raises:** `DataError` if the record has no such window; `ModelError` where a length
-        hangs on a time step that is being traced.
+        depends on a time step that is being traced.
         """
         raise NotImplementedError
 

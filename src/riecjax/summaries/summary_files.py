@@ -146,7 +146,7 @@ def _contents(file: Path) -> tuple[Document, Arrays]:
         _require_schema(document)
         arrays = {name: read(name) for name in members if name != DOCUMENT}
     if document.pop("checksum") != _checksum(document, arrays):
-        raise DataError("it is damaged: its checksum is another. Copy it again, or make it anew.")
+        raise DataError("it is damaged: its checksum differs. Copy it again, or make it anew.")
     return document, {name: _native(array) for name, array in arrays.items()}
 
 

@@ -38,7 +38,7 @@ OUT_OF_MEMORY = 3
 
 
 def read_mdf(file: Path) -> Channels:
-    """Read an MDF file: every channel group has a time axis of its own.
+    """Read an MDF file: every channel group has its own time axis.
 
     A channel keeps its name; one whose name stands in several groups becomes `name (group 2)`,
     groups counted from 1. The times are called `time`, or `time (group 2)`.
