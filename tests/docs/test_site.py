@@ -21,10 +21,12 @@ def finding_codes() -> set[str]:
     found = set()
     for path in (ROOT / "src").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
-                (code, *_) = node.args
-                if isinstance(code, ast.Constant):
-                    found.add(code.value)
+            if not isinstance(node, ast.Call) or not node.args:
+                continue
+            made = getattr(node.func, "id", "") == "Finding"
+            if made or getattr(node.func, "attr", "") == "finding":
+                constants = [n.value for n in ast.walk(node.args[0]) if isinstance(n, ast.Constant)]
+                found |= {value for value in constants if isinstance(value, str)}
     return found
 
 

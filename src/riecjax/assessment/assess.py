@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Key
@@ -18,7 +18,7 @@ from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.leaves import on_host
-from riecjax.models.model import as_model
+from riecjax.models.model import Model, as_model
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
 from riecjax.studies.sweep import WindowSweep, sweep_edges, window_sweep
@@ -76,10 +76,56 @@ def assess(
     simulated raises nothing: it is a finding.
     """
     model = as_model(model)
-    procedure = model.build_procedure()
     criterion = RIEC.of_band(model.band or DEFAULT_BAND) if criterion is None else criterion
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
     require("hold_out", hold_out or 0.5, Real, "hold_out=0.2, a share")
+    _require_sense(refine, bounds, per_record, validate_on)
+    fitted = _concerned(model, recordings, criterion)
+    halves = [(each, None) if hold_out is None else each.split(hold_out) for each in fitted]
+    asked = Asked(
+        model,
+        criterion,
+        [first for first, _ in halves],
+        [last for _, last in halves if last is not None],
+        _concerned(model, validate_on, criterion) if validate_on else [],
+        key,
+        {"known": known, "per_record": per_record},
+        BlockBootstrap() if intervals is None else intervals,
+    )
+    return _assessed(asked, refine, bounds, sweep, on_estimate, progress)
+
+
+class Asked(NamedTuple):
+    """What is asked: a model, a criterion, and recordings to estimate from (`fitted`).
+
+    **Fields:** `held`, their last parts if those are held out, and `further` recordings, both to
+    validate on; `key` of random windows; `settings`, known values and parameters per record;
+    `intervals`.
+    """
+
+    model: Model
+    criterion: AbstractCriterion
+    fitted: list[Recording]
+    held: list[Recording]
+    further: list[Recording]
+    key: Key[Array, ""] | None
+    settings: dict[str, Any]
+    intervals: AbstractIntervals
+
+    @property
+    def procedure(self) -> Procedure:
+        """The model's equations."""
+        return self.model.build_procedure()
+
+    @property
+    def records(self) -> list[Record]:
+        """The records to estimate from."""
+        return [recording.record for recording in self.fitted]
+
+
+def _require_sense(
+    refine: object, bounds: object, per_record: Sequence[str], validate_on: Records
+) -> None:
     if bounds and refine is None:
         raise ModelError("bounds belong to a refinement: give refine=rx.OutputError() with them.")
     if per_record and validate_on:
@@ -87,22 +133,23 @@ def assess(
             "per_record gives a parameter no value on the recordings of validate_on: use one of "
             "the two."
         )
-    fitted = _concerned(procedure, recordings, criterion)
-    held: list[Recording] = []
-    if hold_out is not None:
-        halves = [recording.split(hold_out) for recording in fitted]
-        fitted, held = [first for first, _ in halves], [last for _, last in halves]
-    further = _concerned(procedure, validate_on, criterion) if validate_on else []
-    records = [recording.record for recording in fitted]
-    settings: dict[str, Any] = {"known": known, "per_record": per_record}
-    # What is refused without arithmetic is refused before a sample is read.
-    plan = plan_parameters(procedure, len(records), **settings)
-    intervals = BlockBootstrap() if intervals is None else intervals
 
+
+def _assessed(
+    asked: Asked,
+    refine: "AbstractObjective | None",
+    bounds: "Mapping[str, Bounds] | None",
+    sweep: bool,
+    on_estimate: Callable[[Estimate], None] | None,
+    progress: Callable[[float], None] | None,
+) -> "Assessment":
+    procedure, records, criterion = asked.procedure, asked.records, asked.criterion
+    # What is refused without arithmetic is refused before a sample is read.
+    plan = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
     bins = _bins(records, criterion) if sweep else None
-    summary = summarise(procedure, records, criterion, key=key, bins=bins, survey=True)
-    estimate = on_host(estimate_of(procedure, summary, **settings, intervals=intervals))
+    summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
+    estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
     excited = excitations(summary, plan)
     raise_if_refused(excited)
     if on_estimate is not None:
@@ -113,42 +160,39 @@ def assess(
     from riecjax.assessment.assessment import Assessment
 
     checked = check(
-        procedure, records, criterion, key=key, **settings, summary=summary, excited=excited
+        procedure,
+        records,
+        criterion,
+        key=asked.key,
+        **asked.settings,
+        summary=summary,
+        excited=excited,
     )
-    refined = None
-    if refine is not None:
-        settings_of_fit = {"per_record": per_record, "key": key, "intervals": intervals}
-        refined = trust.refined(
-            model, records, estimate, refine, bounds=bounds, progress=progress, **settings_of_fit
-        )
+    refined = trust.refined(asked, estimate, refine, bounds, progress)
     values = estimate.values if refined is None else refined.values
-    unseen = [*enumerate(held), *((None, recording) for recording in further)]
-    validations, failed = trust.validated(model, values, unseen)
+    validations, failed = trust.validated(asked.model, values, trust.unseen(asked))
     residuals, choice, untested = trust.what_is_left(procedure, records, estimate)
     return Assessment(
-        model=model,
+        model=asked.model,
         procedure=procedure,
-        recordings=fitted,
-        validated_on=further,
+        recordings=asked.fitted,
+        validated_on=asked.further,
         checked=checked,
         estimate=estimate,
-        sweep=_sweep(procedure, records, summary, settings) if sweep else None,
+        sweep=_sweep(procedure, records, summary, asked.settings) if sweep else None,
         residuals=residuals,
         choice=choice,
-        seeds=trust.seeds(procedure, records, criterion, key, settings),
+        seeds=trust.seeds(asked),
         validations=validations,
-        refinement=None
-        if refined is None
-        else trust.before_after(model, estimate, refined, validations, unseen, fitted),
+        refinement=trust.before_after(asked, estimate, refined, validations),
         failures=[*failed, *untested],
-        key=key,
+        key=asked.key,
     )
 
 
-def _concerned(
-    procedure: Procedure, recordings: Records, criterion: AbstractCriterion
-) -> list[Recording]:
+def _concerned(model: Model, recordings: Records, criterion: AbstractCriterion) -> list[Recording]:
     """The recordings with what is said of signals that the criterion reads."""
+    procedure = model.build_procedure()
     return [
         recording.concerning(read_of(procedure, recording, criterion))
         for recording in as_recordings(recordings)

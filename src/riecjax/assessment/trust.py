@@ -4,13 +4,12 @@ Imported by [`assess`][riecjax.assess] once the estimate is there: to import all
 takes seconds, and a reader at a terminal should not wait for it.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
-from jaxtyping import Array, Key
+from jaxtyping import Array
 
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
-from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
@@ -20,6 +19,7 @@ from riecjax.leaves import on_host
 from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
+from riecjax.refinement.coordinates import Bounds
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractObjective
 from riecjax.refinement.refine import refine
@@ -30,37 +30,51 @@ from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.held_out import validate_held_out
 from riecjax.validation.residuals import ResidualTests, residual_tests
 
+if TYPE_CHECKING:
+    from riecjax.assessment.assess import Asked
+
 MOST_STEPS = 200
 """Steps that a refinement may take."""
 
 
 def refined(
-    model: Model,
-    records: list[Record],
+    asked: "Asked",
     estimate: Estimate,
-    by: AbstractObjective,
-    **settings: Any,
-) -> Refined:
+    by: AbstractObjective | None,
+    bounds: Mapping[str, Bounds] | None,
+    progress: Callable[[float], None] | None,
+) -> Refined | None:
     """The refinement from an estimate, over the estimate's windows if no others are asked for.
 
     **Raises:** as `refine`.
     """
+    if by is None:
+        return None
     if isinstance(by, IntegralError) and by.criterion is None:
         by = IntegralError(estimate.criterion)
-    return on_host(refine(model, records, estimate, by, max_steps=MOST_STEPS, **settings))
+    return on_host(
+        refine(
+            asked.model,
+            asked.records,
+            estimate,
+            by,
+            per_record=asked.settings["per_record"],
+            key=asked.key,
+            intervals=asked.intervals,
+            bounds=bounds,
+            max_steps=MOST_STEPS,
+            progress=progress,
+        )
+    )
 
 
-def seeds(
-    procedure: Procedure,
-    records: list[Record],
-    criterion: AbstractCriterion,
-    key: Key[Array, ""] | None,
-    settings: dict[str, Any],
-) -> SeedScatter | None:
+def seeds(asked: "Asked") -> SeedScatter | None:
     """Scatter over other draws of windows, where some are drawn."""
-    if not criterion.needs_key or key is None:
+    if not asked.criterion.needs_key or asked.key is None:
         return None
-    return seed_scatter(procedure, records, criterion, key=key, **settings)
+    return seed_scatter(
+        asked.procedure, asked.records, asked.criterion, key=asked.key, **asked.settings
+    )
 
 
 def what_is_left(
@@ -82,6 +96,11 @@ Numbered = Sequence[tuple[int | None, Recording]]
 """Recordings, each with the number of the one whose own parameters it takes, if it has some."""
 
 
+def unseen(asked: "Asked") -> Numbered:
+    """What the model was not fitted to: last parts that were held out, and further recordings."""
+    return [*enumerate(asked.held), *((None, recording) for recording in asked.further)]
+
+
 def validated(
     model: Model, values: Mapping[str, Array], recordings: Numbered
 ) -> tuple[list[ValidationRun], list[Finding]]:
@@ -100,29 +119,24 @@ def validated(
 
 
 def before_after(
-    model: Model,
-    estimate: Estimate,
-    refined: Refined,
-    after: list[ValidationRun],
-    unseen: Numbered,
-    fitted: list[Recording],
-) -> Refinement:
+    asked: "Asked", estimate: Estimate, refined: Refined | None, after: list[ValidationRun]
+) -> Refinement | None:
     """Predictions with the start of the refinement and with its result.
 
-    Without recordings kept for validation, of those that were fitted.
+    Without recordings to validate on, of those that were fitted.
     """
-    on_fitted = not unseen
+    if refined is None:
+        return None
+    recordings = unseen(asked)
+    on_fitted = not recordings
     if on_fitted:
-        unseen = list(enumerate(fitted))
-        after, _ = validated(model, refined.values, unseen)
-    before, _ = validated(model, estimate.values, unseen)
+        recordings = list(enumerate(asked.fitted))
+        after, _ = validated(asked.model, refined.values, recordings)
+    before, _ = validated(asked.model, estimate.values, recordings)
     earlier = {run.recording.name: run.held for run in before}
-    return Refinement(
-        refined,
-        [
-            BeforeAfter(run.recording, earlier[run.recording.name], run.held)
-            for run in after
-            if run.recording.name in earlier
-        ],
-        on_fitted,
-    )
+    pairs = [
+        BeforeAfter(run.recording, earlier[run.recording.name], run.held)
+        for run in after
+        if run.recording.name in earlier
+    ]
+    return Refinement(refined, pairs, on_fitted)

@@ -19,6 +19,7 @@ from riecjax.cli.refinement import RefinementOptions, refinement_options
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
+    from riecjax.assessment.assessment import Assessment
     from riecjax.estimation.estimate import Estimate
 
 
@@ -98,7 +99,7 @@ def command(
     from riecjax.assessment.assess import assess
     from riecjax.models.catalogue import find_model
     from riecjax.reporting.estimate import estimate_entries, print_estimate
-    from riecjax.reporting.output import emit, require_folder
+    from riecjax.reporting.output import require_folder
     from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich
 
     if out is not None:
@@ -128,7 +129,11 @@ def command(
             on_estimate=show if at_once else None,
             progress=progress,
         )
+    _emit(assessment, as_json, out, shown=at_once)
 
+
+def _emit(assessment: "Assessment", as_json: bool, out: Path | None, *, shown: bool) -> None:
+    """Write and print all but the estimate if that was `shown` before."""
     from riecjax.reporting.identification import (
         identification_document,
         print_identification,
@@ -136,12 +141,13 @@ def command(
     )
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.identification_page import identification_page
+    from riecjax.reporting.output import emit
 
     emit(
         identification_document(assessment),
         as_json=as_json,
         out=out,
-        show=print_judgement if at_once else print_identification,
+        show=print_judgement if shown else print_identification,
         charts=lambda: identification_figures(assessment),
         page=identification_page,
     )

@@ -60,26 +60,27 @@ class Excitation(eqx.Module):
             f"line: --set {self.parameters[int(np.argmax(np.abs(direction)))]}=VALUE)."
         )
         if share < UNIDENTIFIABLE:
-            code, why = "unidentifiable", "the record cannot tell these apart"
+            why = Finding("unidentifiable", "the record cannot tell these apart")
         elif share < NOISE_MARGIN * noise and share < 0.5:
-            code = "unidentifiable"
-            why = (
+            why = Finding(
+                "unidentifiable",
                 f"what tells these apart is no larger than the noise of the signals "
-                f"({100 * share:.2g} % of the regressors, noise {100 * noise:.2g} %)"
+                f"({100 * share:.2g} % of the regressors, noise {100 * noise:.2g} %)",
             )
         elif share < NEARLY_COLLINEAR:
-            code = "nearly_collinear"
-            why = (
+            why = Finding(
+                "nearly_collinear",
                 f"only {100 * share:.2g} % of the regressors tells these apart, so a small error "
-                f"of a sensor moves them far"
+                f"of a sensor moves them far",
             )
         else:
             return []
         which = combination(self.parameters, direction)
-        message = f"{self.stage_name}: {why}: {which}, in units of each regressor's size. {remedy}"
+        scale = f"{which}, in units of each regressor's size"
         weak = np.abs(direction) > 0.1 * np.max(np.abs(direction))
         names = tuple(name for name, part in zip(self.parameters, weak) if part)
-        return [Finding(code, message, parameters=names)]
+        message = f"{self.stage_name}: {why.message}: {scale}. {remedy}"
+        return [why._replace(message=message, parameters=names)]
 
 
 def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
@@ -201,7 +202,7 @@ def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquatio
         )
         for i, (moments, count) in enumerate(zip(equations.moments, equations.count))
     ]
-    return stack_normal_equations(every)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
 
 
 STEADY = 3.0

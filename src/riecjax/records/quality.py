@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.missing import samples_with_nan
+from riecjax.records.record import Record
 
 FEWEST_SAMPLES = 50
 """Present samples below which only missing and constant signals are reported."""
@@ -24,9 +25,8 @@ REPEATS = 2.5
 FEWEST_VISITS = 3
 """Times that a signal must have run into its limits, both together, to count as clipped."""
 STEEP = 10.0
-"""Quanta by which two samples before a visit lie off the extreme where the approach is steep; below
-that, rounding hides whether it was straight. A crest that stays within its last quantum for 3
-samples comes from less than 9."""
+"""Quanta by which a steep approach lies off the extreme two samples before, so that rounding does
+not hide it. A crest that stays within its last quantum for 3 samples comes from less than 9."""
 LONGEST_REST = 0.5
 """Share of samples at one value past which that is where the signal rests."""
 STUCK_SAMPLES = 20

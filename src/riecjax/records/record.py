@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
+from riecjax.records.missing import gaps, hold
 from riecjax.records.time_base import time_base
 
 
@@ -383,31 +384,3 @@ def _require_equal_lengths(arrays: Mapping[str, np.ndarray]) -> None:
     if len({values.size for values in arrays.values()}) > 1:
         listed = ", ".join(f"{name} {values.size}" for name, values in arrays.items())
         raise DataError(f"all signals and the time must have the same length; got {listed}.")
-
-
-def samples_with_nan(record: Record, name: str) -> np.ndarray:
-    """A signal's samples, shape `(n,)`, NaN where they are missing."""
-    values = np.array(record[name], float)
-    if name in record.missing:
-        values[np.asarray(record.missing[name])] = np.nan
-    return values
-
-
-def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Masks, shape `(n,)`, True where a column is NaN; only of columns that hold a NaN."""
-    masks = {name: np.isnan(values) for name, values in columns.items()}
-    return {name: mask for name, mask in masks.items() if mask.any()}
-
-
-def hold(values: np.ndarray) -> np.ndarray:
-    """NaN replaced by the last value before it, at the start by the first after, else by 0.
-
-    Shapes `(n,)`.
-    """
-    present = ~np.isnan(values)
-    if present.all():
-        return values
-    if not present.any():
-        return np.zeros(values.size)
-    last = np.maximum.accumulate(np.where(present, np.arange(values.size), -1))
-    return values[np.where(last < 0, np.argmax(present), last)]

@@ -3,9 +3,9 @@
 import contextlib
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -101,47 +101,8 @@ def as_recordings(records: Records) -> list[Recording]:
     ]
 
 
-def read_record(path: str | os.PathLike[str], **settings: Any) -> Record:
-    """Read a record from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file.
-
-    What [`read_recording`][] reads, with the same keywords and errors, but only the signals.
-    """
-    return read_recording(path, **settings).record
-
-
-def read_recording(
-    path: str | os.PathLike[str],
-    *,
-    model: Any = None,
-    rename: Mapping[str, str] | None = None,
-    scale: Mapping[str, float] | None = None,
-    units: Mapping[str, str] | None = None,
-    derive: Mapping[str, str] | None = None,
-    time_step: float | None = None,
-    resample: float | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    offsets: Sequence[str] = (),
-    drifts: Sequence[str] = (),
-    cutoffs: Mapping[str, float] | None = None,
-    upsample: int = 1,
-    derivatives: Mapping[str, str] | None = None,
-    every: int = 1,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-) -> Recording:
-    """Read a recording from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file, and prepare it.
-
-    Time is a column in seconds, called `t` or `time` or renamed to `t`; where the file states
-    another unit of time (`time [ms]`) it is converted. Other units are noted but not converted.
-    Without `rename` every column as long as the time is a signal. How names are made in files that
-    hold more than columns is told by the formats' own readers, and by what
-    [`read_channels`][] returns.
-
-    **Arguments:**
-
-    - `model`: a `Model`, whose units the signals get, and which says which signals are
-      derivatives of others, to be formed if the file lacks them.
+class ReadingSettings(TypedDict, total=False):
+    """How a file is read, and how its record is prepared: keywords of [`read_recording`][].
 
     How the file is read:
 
@@ -154,8 +115,8 @@ def read_recording(
       [`derived`][]. Formulas are computed in their order, last of all.
     - `time_step`: seconds between samples, for files without time.
     - `resample`: rate in Hz of the even grid to which all signals are brought: for uneven
-      samples, and for files in which signals have times of their own.
-    - `delimiter`, `decimal`: of a text file, where they are not to be found out.
+      samples, and for files in which signals have different times.
+    - `delimiter`, `decimal`: of a text file, instead of detecting them.
 
     What is done to the record then, in this order:
 
@@ -165,6 +126,51 @@ def read_recording(
     - `upsample`: factor of a band-limited interpolation.
     - `derivatives`: new signal to the signal whose central differences it is.
     - `every`: use every n-th sample.
+    """
+
+    rename: Mapping[str, str] | None
+    scale: Mapping[str, float] | None
+    units: Mapping[str, str] | None
+    derive: Mapping[str, str] | None
+    time_step: float | None
+    resample: float | None
+    delimiter: str | None
+    decimal: str | None
+    start: float | None
+    stop: float | None
+    offsets: Sequence[str]
+    drifts: Sequence[str]
+    cutoffs: Mapping[str, float] | None
+    upsample: int
+    derivatives: Mapping[str, str] | None
+    every: int
+
+
+MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives")
+NAMES = ("offsets", "drifts")
+
+
+def read_record(path: str | os.PathLike[str], **settings: Unpack[ReadingSettings]) -> Record:
+    """Read a record from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file.
+
+    What [`read_recording`][] reads, with the same keywords and errors, but only the signals.
+    """
+    return read_recording(path, **settings).record
+
+
+def read_recording(
+    path: str | os.PathLike[str], *, model: Any = None, **settings: Unpack[ReadingSettings]
+) -> Recording:
+    """Read a recording from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file, and prepare it.
+
+    Time is a column in seconds, called `t` or `time` or renamed to `t`; where the file states
+    another unit of time (`time [ms]`) it is converted. Other units are noted but not converted.
+    Without `rename` every column as long as the time is a signal. [`read_channels`][] lists what a
+    file holds, and the readers of the formats say how columns are named in files that hold more.
+
+    **Arguments:** `model`, a `Model`, whose units the signals get, and which says which signals are
+    derivatives of others, to be formed if the file lacks them; and the keywords of
+    [`ReadingSettings`][riecjax.records.ReadingSettings].
 
     **Raises:** `DataError` if the file cannot be read, a named column is missing, the samples do
     not make a record (see [`Record.from_samples`][]), or a step is not possible; `ModelError` for
@@ -173,25 +179,9 @@ def read_recording(
     require("the file", path, str | os.PathLike, "rx.read_recording('drive.csv')", DataError)
     if isinstance(model, str | type):
         require("the model", model, (), "model=rx.find_model('quarter-car')")
-    named = {"rename": rename, "scale": scale, "units": units, "derive": derive}
-    named |= {"cutoffs": cutoffs, "derivatives": derivatives}
-    for name, value in named.items():
-        require(name, value or {}, Mapping, f"{name}={{'x': ...}}, by the signal's name", DataError)
-    for name, value in {"offsets": offsets, "drifts": drifts}.items():
-        require(name, value, (list, tuple), f"{name}=('x',), a tuple of names", DataError)
-    selection = Selection(rename or {}, scale or {}, units or {}, derive or {}, time_step, resample)
-    preparation = Preparation(
-        start=start,
-        stop=stop,
-        offsets=tuple(offsets),
-        drifts=tuple(drifts),
-        cutoffs=cutoffs or {},
-        upsample=upsample,
-        derivatives=derivatives or {},
-        every=every,
-    )
+    selection, preparation, dialect = _sorted(settings)
     file = Path(path).name
-    channels = read_channels(path, delimiter=delimiter, decimal=decimal)
+    channels = read_channels(path, **dialect)
     left_out = _left_out(channels)
     # Damaged numbers overflow; what is not finite is found and named.
     with _explaining(str(path), selection.rename, left_out), np.errstate(all="ignore"):
@@ -203,17 +193,15 @@ def read_recording(
         record, mismatches = _in_model_units(record, model, selection)
         idle = preparation.idle_cuts(record)
         record, steps = prepare(record, getattr(model, "derived", {}), preparation)
+    computed = "and {} is computed from other signals instead."
+    replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
         *(Finding("unit_mismatch", f"{file}: {why}", (n,)) for n, why in mismatches.items()),
         *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
         *(
-            Finding(
-                "column_left_out",
-                f"{file}: {why}, and {name} is computed from other signals instead.",
-                (name,),
-            )
-            for name in record.arrays
-            if name not in read and (why := _why_missing(left_out, name))
+            Finding("column_left_out", f"{file}: {why}, {computed.format(n)}", (n,))
+            for n, why in replaced.items()
+            if why
         ),
     ]
     used = {*read, *TIME_COLUMNS, *selection.rename.values(), *channels.time_of.values()}
@@ -224,6 +212,32 @@ def read_recording(
         tuple(findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
         selection.rename,
+    )
+
+
+def _sorted(settings: ReadingSettings) -> tuple[Selection, Preparation, dict[str, Any]]:
+    """The settings by what they are for: choice of channels, preparation, and a text's dialect.
+
+    **Raises:** `TypeError` for an unknown keyword, `DataError` for what is no mapping or no names.
+    """
+    if unknown := [name for name in settings if name not in ReadingSettings.__annotations__]:
+        raise TypeError(f"read_recording() got an unexpected keyword argument '{unknown[0]}'")
+    given: dict[str, Any] = dict(settings)
+    for name in (n for n in MAPPINGS if n in given):
+        given[name] = given[name] or {}
+        require(name, given[name], Mapping, f"{name}={{'x': ...}}, by the signal's name", DataError)
+    for name in (n for n in NAMES if n in given):
+        require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
+        given[name] = tuple(given[name])
+
+    def of(names: Collection[str]) -> dict[str, Any]:
+        return {name: value for name, value in given.items() if name in names}
+
+    prepared = {field.name for field in fields(Preparation)}
+    return (
+        Selection(**of(Selection._fields)),
+        Preparation(**of(prepared)),
+        of(("delimiter", "decimal")),
     )
 
 

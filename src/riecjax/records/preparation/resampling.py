@@ -7,9 +7,10 @@ import numpy as np
 import scipy.interpolate
 
 from riecjax.errors import DataError
+from riecjax.records.missing import gaps, hold
 from riecjax.records.preparation.band_limited import band_limited, reach_beyond
 from riecjax.records.preparation.filtering import longest_stretch
-from riecjax.records.record import Record, gaps, hold
+from riecjax.records.record import Record
 
 LARGEST_GRID = 50_000_000
 """Samples, over all channels, that a common grid may have before it is refused."""
