@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+import riecjax
 from riecjax.errors import ModelError, users_code
 
 FAILING = """
@@ -45,3 +46,19 @@ def test_what_to_write_comes_before_jaxs_own_words():
 def test_words_that_are_cut_say_so():
     with pytest.raises(ModelError, match=r"word \.\.\.$"), users_code("mine"):
         raise RuntimeError("word " * 100)
+
+
+@pytest.mark.parametrize(
+    "name, place",
+    [("window_sweep", "studies"), ("RoofFunctions", "equations"), ("Rows", "criteria")],
+)
+def test_a_name_that_a_submodule_has_says_where_it_is(name, place):
+    with pytest.raises(AttributeError, match=rf"write rx\.{place}\.{name}\."):
+        getattr(riecjax, name)
+    assert hasattr(getattr(riecjax, place), name)
+
+
+def test_a_name_that_nothing_has_is_an_ordinary_attribute_error():
+    with pytest.raises(AttributeError, match="attribute nonsense"):
+        _ = riecjax.nonsense  # pyright: ignore[reportAttributeAccessIssue]
+    assert not hasattr(riecjax, "nonsense")

@@ -16,6 +16,7 @@ where P is the integral of |sin|^(s q) from zero. The paper averages |H| (q = 1)
 sees the mean of its square (q = 2).
 """
 
+import functools
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -34,6 +35,12 @@ Gain = Callable[
 ]
 
 
+@functools.cache
+def _nodes() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on -1 to 1; finding them takes longer than using them."""
+    return np.polynomial.legendre.leggauss(NODES)
+
+
 def mean_over_lengths(
     gain: Gain,
     frequency: Float[np.ndarray, " frequencies"],
@@ -42,7 +49,7 @@ def mean_over_lengths(
 ) -> Float[np.ndarray, " frequencies"]:
     """Mean of a gain's power over lengths from a uniform law, by Gauss and Legendre."""
     alpha, beta = between
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    nodes, weights = _nodes()
     total = np.zeros_like(frequency)
     # One length at a time: at all of them the spectra of a long record would make a large table.
     for node, weight in zip(nodes, weights):
@@ -98,7 +105,7 @@ def fourier_size(
     rounding, so n nodes serve up to z = n. What a smooth weight lets through beyond is taken to be
     zero.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    nodes, weights = _nodes()
     found = np.zeros((frequency.size, length.size))
     for place, seconds in enumerate(length):
         phi = weights * np.asarray(weight(jnp.asarray(nodes), jnp.asarray(seconds)))
