@@ -49,7 +49,7 @@ def test_words_that_are_cut_say_so():
 
 
 @pytest.mark.parametrize(
-    "name, place",
+    ("name", "place"),
     [("window_sweep", "studies"), ("RoofFunctions", "equations"), ("Rows", "criteria")],
 )
 def test_a_name_that_a_submodule_has_says_where_it_is(name, place):

@@ -12,8 +12,8 @@ from benchmarks.baselines.numpy_bootstrap import replicates
 from benchmarks.drag_problem import START, TRUTH, oscillator, record
 from benchmarks.suite.all_windows import identified
 from benchmarks.timing import Comparison, Size, compare
-from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term

@@ -3,15 +3,16 @@ from . import equations as equations
 from . import estimation as estimation
 from . import records as records
 from . import refinement as refinement
+from . import reporting as reporting
 from . import simulation as simulation
 from . import studies as studies
 from . import summaries as summaries
 from . import validation as validation
 from .assessment.assess import assess as assess
 from .assessment.assessment import Assessment as Assessment
-from .criteria.bump import Bump as Bump
 from .criteria.criterion import DOLS as DOLS
 from .criteria.criterion import RIEC as RIEC
+from .criteria.smooth_test_functions import Bump as Bump
 from .criteria.test_functions import Boxcar as Boxcar
 from .criteria.test_functions import Hat as Hat
 from .criteria.windows import AllWindows as AllWindows

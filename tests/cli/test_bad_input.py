@@ -342,7 +342,7 @@ def test_a_column_that_was_renamed_away_is_gone(capsys):
 LEFT_OUT = {
     "text": (np.full(400, "on"), "column 'x2' was left out: it holds "),
     "nothing": (np.full(400, np.nan), "column 'x2' was left out: it holds no number at all"),
-    "other length": (np.zeros(399), "column 'x2' was left out: it has not the length of the time"),
+    "other length": (np.zeros(399), "column 'x2' was left out: its length differs from the time's"),
 }
 
 

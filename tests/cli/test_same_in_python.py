@@ -30,6 +30,11 @@ def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows
     assert json.loads(json.dumps(identification_document(found))) == printed
     codes = [warning["code"] for warning in printed["warnings"]]
     assert [finding.code for finding in found.findings()] == codes
+    if windows == "all":
+        rx.reporting.write_report(found, "report")
+        assert json.loads(Path("report/results.json").read_text()) == printed
+        assert Path("report/report.html").stat().st_size > 0
+        assert Path("report/fit.png").exists()
     for name, entry in printed["parameters"].items():
         assert f"{name} " in str(found)
         assert float(found.estimate[name]) == entry["value"]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from riecjax.criteria import chunks
-from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from riecjax.criteria.bump import Bump
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat, expected_gain
 from riecjax.errors import ModelError
 

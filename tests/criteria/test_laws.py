@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import DensityLaw, RatioLaw, SteppedLaw
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.columns import sampled_columns

@@ -6,8 +6,8 @@ import scipy.integrate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import RandomWindows, WindowSet
 from riecjax.equations.columns import sampled_columns

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.columns import sampled_columns

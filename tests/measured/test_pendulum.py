@@ -7,8 +7,8 @@ import scipy.io
 
 from conftest import measured_data
 from riecjax.cli.main import run
-from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify

@@ -68,7 +68,10 @@ def test_a_column_that_is_no_signal_is_kept_with_the_reason():
     said = "column 'v' was left out: it holds no number"
     with pytest.raises(rx.DataError, match=rf"^a\.csv: {said}.*no signal 'v'; it has: q\.$"):
         rx.read_record("a.csv", offsets=["v"])
-    with pytest.raises(rx.DataError, match=r"^a\.csv: there is no signal 'q', for --map p=q"):
+    with pytest.raises(
+        rx.DataError,
+        match=r"^a\.csv: there is no signal 'q': its column was renamed to 'p' .--map p=q",
+    ):
         rx.read_record("a.csv", rename={"p": "q"}, offsets=["q"])
 
 

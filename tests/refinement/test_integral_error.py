@@ -7,8 +7,8 @@ import pytest
 import scipy.integrate
 from jaxtyping import Array
 
-from riecjax.criteria.bump import Bump
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation

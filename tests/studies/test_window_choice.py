@@ -91,7 +91,7 @@ def test_a_model_without_error_takes_any_window():
     model, record = spring(lambda t: 0 * t)
     choice = window_choice(model, record, {"k": jnp.array(4.0)}, windows=AllWindows(0.1, 0.4))
     assert choice.recommended == (pytest.approx(choice.length[0]), pytest.approx(choice.length[-1]))
-    assert "nor at any other length" in choice.reason
+    assert "and so at all other lengths" in choice.reason
 
 
 def test_without_an_estimate_windows_must_be_given():

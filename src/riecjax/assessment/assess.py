@@ -11,7 +11,7 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
-from riecjax.errors import DataError, ModelError, renamed, require
+from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.check import check, raise_if_refused, read_of
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from riecjax.refinement.objective import AbstractObjective
 
 
-@renamed(own="per_record")
 def assess(
     model: Equation | Procedure | HasProcedure,
     recordings: Records,

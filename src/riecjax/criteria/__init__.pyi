@@ -1,6 +1,6 @@
-from .bump import AbstractSmoothTestFunction as AbstractSmoothTestFunction
 from .laws import DensityLaw as DensityLaw
 from .laws import SteppedLaw as SteppedLaw
 from .rows import Rows as Rows
+from .smooth_test_functions import AbstractSmoothTestFunction as AbstractSmoothTestFunction
 from .test_functions import AbstractTestFunction as AbstractTestFunction
 from .test_functions import expected_gain as expected_gain

@@ -54,8 +54,8 @@ class AbstractTestFunction(eqx.Module):
     """A weight on a window, and the integrals of an equation that it makes.
 
     A new one is one subclass. A smooth weight takes a name and a formula: see
-    [`AbstractSmoothTestFunction`][riecjax.criteria.bump.AbstractSmoothTestFunction]. Any other
-    gives a `name` and whatever raises `NotImplementedError` here.
+    [`AbstractSmoothTestFunction`][riecjax.criteria.AbstractSmoothTestFunction]. Any other gives a
+    `name` and whatever raises `NotImplementedError` here.
     """
 
     name: ClassVar[str]

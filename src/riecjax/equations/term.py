@@ -220,7 +220,7 @@ def _derivative_name(term: Term, record: Record, order: int) -> str:
             f"this criterion needs the {which} time derivative of {label}, and the equation names "
             f"no signal that holds it. Use windows that need no derivative, rx.Hat() (on the "
             f"command line: --test-function hat), or name the recorded derivative: "
-            f"derivative={term.derivative}, measured=(...)."
+            f"derivative={term.derivative}, measured={('dx', 'ddx')[: term.derivative]}."
         )
     name = term.measured[order - 1]
     if name not in record.signals:

@@ -238,9 +238,9 @@ class Estimate(AbstractEstimate):
         if names:
             yield Finding(
                 "few_effective_windows",
-                f"windows overlap and their errors hang together: what they tell of "
-                f"{listed} is worth so many independent ones, and fewer than "
-                f"{FEWEST_WINDOWS} make a rough interval. Record for longer.",
+                f"errors of overlapping windows are correlated: all of them tell as much as so "
+                f"many independent ones of {listed}. With fewer than {FEWEST_WINDOWS} an interval "
+                f"is rough. Record for longer.",
                 parameters=names,
             )
 

@@ -242,9 +242,11 @@ class AbstractEstimate(eqx.Module):
             if float(factor) > NOTABLE_INFLATION:
                 yield Finding(
                     "records_disagree",
-                    f"the recordings do not agree on {name}: they scatter more than the time "
-                    f"within each of them explains, so its interval is {float(factor):.2g} times "
-                    f"as wide. The model leaves out something that differs between them.",
+                    f"the recordings do not agree on {name}: they differ by more than the "
+                    f"scatter within each explains, so its interval is {float(factor):.2g} times "
+                    f"as wide. The model leaves out something that differs between them; a "
+                    f"parameter that may differ, such as an offset, can have a value in each "
+                    f"(per_record=, --per-record).",
                     parameters=(name,),
                 )
 

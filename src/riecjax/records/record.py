@@ -339,7 +339,7 @@ def as_records(records: Records) -> list[Record]:
     **Raises:** `ModelError` for anything else, saying what to write; `DataError` for none at all.
     """
     single = (
-        f"rx.read_record('{records}')"
+        f"rx.read_recording('{records}')"
         if isinstance(records, str | os.PathLike)
         else "rx.Record.from_samples({'x': samples, ...}, time_step=...) of samples by name, or "
         "rx.from_dataframe(frame); the model comes first, then its records"

@@ -247,7 +247,7 @@ def _left_out(channels: Channels) -> dict[str, str]:
     def why(values: np.ndarray) -> str:
         # The first sample settles it for nearly all columns.
         empty = np.isnan(values[:1]).all() and np.isnan(values).all()
-        return "it holds no number at all" if empty else "it has not the length of the time"
+        return "it holds no number at all" if empty else "its length differs from the time's"
 
     return {**channels.left_out, **{c: why(v) for c, v in channels.columns.items()}}
 
@@ -276,8 +276,8 @@ def _explaining(
             listed = ", ".join(error.available) or "none"
             if taken:
                 message = (
-                    f"there is no signal '{error.signal}', for --map {taken[0]}={error.signal} "
-                    f"renamed that column; there are: {listed}."
+                    f"there is no signal '{error.signal}': its column was renamed to '{taken[0]}' "
+                    f"(--map {taken[0]}={error.signal}); there are: {listed}."
                 )
             elif why := _why_missing(left_out, error.signal):
                 message = (
@@ -301,15 +301,17 @@ def _in_model_units(
         if name in stated and not converted and _plain(stated[name]) != _plain(unit):
             mismatches[name] = (
                 f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}; "
-                f"convert it by --scale {name}=FACTOR."
+                f"convert it: scale={{'{name}': FACTOR}} (on the command line: --scale "
+                f"{name}=FACTOR)."
             )
     for name, unit in stated.items():
         column = selection.rename.get(name, name)
         si, factor = NOT_SI.get(unit.replace("^", ""), ("", 1.0))
         if si and name not in mismatches and name not in units:
             mismatches[name] = (
-                f"the file gives {column} in {unit}, and nothing converts it: parameters come out "
-                f"in {unit}, not in {si}. Convert it by --scale {name}={factor:g}."
+                f"the file gives {column} in {unit}, and nothing converts it to {si}: parameters "
+                f"that multiply {name} do not have the units printed beside them. Convert it: "
+                f"scale={{'{name}': {factor:g}}} (on the command line: --scale {name}={factor:g})."
             )
     return record.with_signals({}, units), mismatches
 

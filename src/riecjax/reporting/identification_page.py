@@ -1,11 +1,19 @@
-"""The page of an identification."""
+"""The page of an identification, and its folder."""
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
+from riecjax.assessment.assessment import Assessment
 from riecjax.reporting.document import Document, number
 from riecjax.reporting.estimate import several
-from riecjax.reporting.identification import refinement_in_words, windows_in_words
+from riecjax.reporting.identification import (
+    identification_document,
+    refinement_in_words,
+    windows_in_words,
+)
+from riecjax.reporting.identification_figures import identification_figures
+from riecjax.reporting.output import require_folder, write_folder
 from riecjax.reporting.page import Page, Section, Table
 
 
@@ -287,3 +295,14 @@ def _fixed(percent: float | None) -> str:
 
 def _name(file: str) -> str:
     return file.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def write_report(assessment: Assessment, folder: str | Path) -> None:
+    """Write results.json, figures and report.html to a folder, as `riecjax identify --out` does.
+
+    **Raises:** `DataError` if the folder cannot be written, or a package for reports is missing.
+    """
+    require_folder(Path(folder))
+    document = identification_document(assessment)
+    charts = identification_figures(assessment)
+    write_folder(Path(folder), document, charts, identification_page(document))

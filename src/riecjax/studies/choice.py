@@ -206,7 +206,7 @@ def _recommend(
         for which, edge, end in (("shorter", first - 1, 0), ("longer", last + 1, -1))
         if 0 <= edge < length.size
     ]
-    ruled = f"; {' and '.join(limits)}" if limits else ", nor at any other length"
+    ruled = f"; {' and '.join(limits)}" if limits else ", and so at all other lengths"
     return (low, high), (
         f"In windows of {low:.2g} to {high:.2g} s the error of no equation is far above its least "
         f"share of the signal{ruled}."

@@ -138,7 +138,8 @@ class EquationResidual(NamedTuple):
                 f"{self.name}: errors of windows share a constant part (correlation "
                 f"{errors.correlation:.2g} between windows drawn at random), which more windows "
                 f"do not average out. Remove the sensors' offsets, or add a term "
-                f"riecjax.Term('offset', riecjax.constant).",
+                f"rx.Term('offset', rx.constant); where it may differ between recordings, give "
+                f"each its own: per_record=('offset',) (--per-record offset).",
             )
 
     def describe(self) -> dict[str, Any]:

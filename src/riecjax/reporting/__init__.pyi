@@ -1,0 +1,2 @@
+from .identification import identification_document as identification_document
+from .identification_page import write_report as write_report
