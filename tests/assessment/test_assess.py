@@ -211,3 +211,50 @@ def test_noisy_samples_in_single_precision():
         assert found.estimate.theta.dtype == np.float32
     for name, value in TRUTH.items():
         assert float(found.estimate[name]) == pytest.approx(value, rel=5e-2)
+
+
+def test_an_estimate_says_what_its_recording_says_of_signals_that_are_read():
+    signals = motion()
+    signals = {
+        "t": signals["t"],
+        "x [mm]": signals["x"],
+        "f": signals["f"],
+        "w [deg]": signals["v"],
+    }
+    recording = rx.read_recording(write("run.csv", signals))
+    equation = rx.Equation(rx.Term("k", "x", unit="N/m"), -rx.Term(1.0, "f"))
+    found = rx.identify(equation, recording, HATS, intervals=rx.Sandwich())
+    (said,) = [finding for finding in found.findings() if finding.code == "unit_mismatch"]
+    assert said.signals == ("x",)
+    bare = rx.identify(equation, recording.record, HATS, intervals=rx.Sandwich())
+    assert bare.doubts == ()
+    assert float(bare["k"]) == float(found["k"])
+
+
+def test_recordings_of_one_name_are_compared_each_with_itself():
+    """Two files called run.csv in two folders, one of them of another machine."""
+    fitted = rx.read_recording(write("fit.csv", motion()))
+    others = []
+    for folder, seed, noise in (("x", 3, 0.3), ("y", 4, 0.0)):
+        Path(folder).mkdir()
+        others.append(rx.read_recording(write(f"{folder}/run.csv", motion(400, seed, noise))))
+    settings = {**QUICK, "refine": rx.IntegralError()}
+
+    def fits(*recordings):
+        found = rx.assess(AXIS, fitted, HATS, validate_on=list(recordings), **settings)
+        assert found.refinement is not None
+        return [
+            [held.describe() for held in (pair.before, pair.after)]
+            for pair in found.refinement.simulations
+        ]
+
+    (first,), (second,) = fits(others[0]), fits(others[1])
+    assert first != second
+    assert fits(*others) == [first, second]
+
+
+@pytest.mark.parametrize("refine", [False, "output-error", rx.OutputError])
+def test_what_is_no_refinement_is_refused_before_the_fit(refine):
+    recording = rx.read_recording(write("run.csv", motion()))
+    with pytest.raises(rx.ModelError, match=r"refine=rx\.OutputError\(\)"):
+        rx.assess(AXIS, recording, HATS, refine=refine, on_estimate=lambda _: pytest.fail("fitted"))

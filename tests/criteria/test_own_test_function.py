@@ -1,6 +1,7 @@
 """A test function is one class: here one that the package does not know."""
 
 import json
+from pathlib import Path
 
 import click
 import jax
@@ -194,3 +195,40 @@ def test_the_command_line_takes_it_from_a_file(tmp_path, monkeypatch, capsys):
     assert run([*call, "own.py:oscillator"]) == 1
     assert "is no test function" in capsys.readouterr().err
     assert run([*call, "cosine"]) == 2
+
+
+FAULTY_FILE = """
+import riecjax as rx
+
+class NeedsArgument(rx.criteria.AbstractSmoothTestFunction):
+    name = "needs"
+    width: float
+
+class Nameless(rx.criteria.AbstractSmoothTestFunction):
+    def weight(self, tau, length):
+        return 1 - tau**2
+
+class Raises(rx.criteria.AbstractSmoothTestFunction):
+    name = "raises"
+
+    def weight(self, tau, length):
+        raise RuntimeError("no weight today")
+
+Criterion = rx.RIEC
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("NeedsArgument", "width"),
+        ("Nameless", "name"),
+        ("Raises", "no weight today"),
+        ("Criterion", "is no test function"),
+    ],
+)
+def test_a_faulty_class_is_one_line(tmp_path, monkeypatch, name, words):
+    monkeypatch.chdir(tmp_path)
+    Path("faulty.py").write_text(FAULTY_FILE)
+    with pytest.raises(rx.ModelError, match=words):
+        options(test_function=f"faulty.py:{name}").build(MODEL)

@@ -77,7 +77,7 @@ def assess(
     model = as_model(model)
     criterion = RIEC.of_band(model.band or DEFAULT_BAND) if criterion is None else criterion
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    require("hold_out", hold_out or 0.5, Real, "hold_out=0.2, a share")
+    require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.2, a share")
     _require_sense(refine, bounds, per_record, validate_on)
     fitted = _concerned(model, recordings, criterion)
     halves = [(each, None) if hold_out is None else each.split(hold_out) for each in fitted]
@@ -125,6 +125,8 @@ class Asked(NamedTuple):
 def _require_sense(
     refine: object, bounds: object, per_record: Sequence[str], validate_on: Records
 ) -> None:
+    if refine is not None and not hasattr(type(refine), "specify"):
+        require("refine", refine, (), "refine=rx.OutputError()")
     if bounds and refine is None:
         raise ModelError("bounds belong to a refinement: give refine=rx.OutputError() with them.")
     if per_record and validate_on:

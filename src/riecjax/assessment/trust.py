@@ -133,10 +133,11 @@ def before_after(
         recordings = list(enumerate(asked.fitted))
         after, _ = validated(asked.model, refined.values, recordings)
     before, _ = validated(asked.model, estimate.values, recordings)
-    earlier = {run.recording.name: run.held for run in before}
+    # By recording, not by name: files in different folders may share one.
+    earlier = {id(run.recording): run.held for run in before}
     pairs = [
-        BeforeAfter(run.recording, earlier[run.recording.name], run.held)
+        BeforeAfter(run.recording, earlier[id(run.recording)], run.held)
         for run in after
-        if run.recording.name in earlier
+        if id(run.recording) in earlier
     ]
     return Refinement(refined, pairs, on_fitted)

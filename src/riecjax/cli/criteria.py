@@ -1,7 +1,8 @@
 """Options that make an error criterion."""
 
 import dataclasses
-from typing import TYPE_CHECKING
+import inspect
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -146,23 +147,31 @@ class CriterionOptions:
         return RIEC(windows, self._build_test_function())
 
     def _build_test_function(self) -> "AbstractTestFunction":
+        import numpy as np
+
         from riecjax.criteria.plain_data import TEST_FUNCTIONS
         from riecjax.criteria.test_functions import AbstractTestFunction
-        from riecjax.errors import ModelError
+        from riecjax.errors import ModelError, users_code
         from riecjax.models.catalogue import object_of_file
 
         weights = {name: kind() for name, kind in TEST_FUNCTIONS.items()}
         name = self.test_function or TEST_FUNCTION_NAMES[0]
         if name in weights:
-            weight = weights[name]
+            weight: Any = weights[name]
         else:
             found = object_of_file(name)
-            weight = found() if isinstance(found, type) else found
-            if not isinstance(weight, AbstractTestFunction):
+            kind = found if isinstance(found, type) else type(found)
+            if not issubclass(kind, AbstractTestFunction) or inspect.isabstract(kind):
                 raise ModelError(
                     f"{name} is no test function: derive the class from "
                     f"riecjax.criteria.AbstractSmoothTestFunction."
                 )
+            # Whatever the class lacks shows here, and not in the middle of a fit.
+            with users_code(name):
+                weight = found() if isinstance(found, type) else found
+                weight.describe()
+                weight.gain(np.array([1.0]), np.array([0.5]))
+                _ = weight.smoothness, weight.row_seconds
         if self.quadrature is None:
             return weight
         if not hasattr(weight, "quadrature"):

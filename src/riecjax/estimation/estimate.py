@@ -59,6 +59,7 @@ class Estimate(AbstractEstimate):
     - `stage_names`, `equation_names`: of each stage, and of each equation in it.
     - `rows_offered`: for each stage, how many rows there would be without gaps and masks; NaN
       where that is not known.
+    - `doubts`: findings of the recordings that it was identified from, such as a wrong unit.
     - `summary`: the sums behind it, from which others can be estimated; `None` under `jax.jit` and
       `jax.vmap`, where each member of a batch would carry its own.
     """
@@ -78,6 +79,7 @@ class Estimate(AbstractEstimate):
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
     equation_names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    doubts: tuple[Finding, ...] = eqx.field(static=True, default=())
 
     @property
     def equations(self) -> dict[str, EquationFit]:
@@ -123,8 +125,9 @@ class Estimate(AbstractEstimate):
 
     def _findings(self) -> list[Finding]:
         if lost := list(self._without_answer()):
-            return [*lost, *self._coverage(), *self._precision()]
+            return [*self.doubts, *lost, *self._coverage(), *self._precision()]
         return [
+            *self.doubts,
             *self._conditioning(),
             *self.few_blocks(),
             *self.leaning(),

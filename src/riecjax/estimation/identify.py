@@ -1,6 +1,7 @@
 """Estimate a model's parameters, from records (`identify`) or from their sums (`estimate`)."""
 
-from collections.abc import Mapping, Sequence
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -28,11 +29,12 @@ from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.record import Records
+from riecjax.records.recording import as_recordings
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
-from riecjax.summaries.task import task
+from riecjax.summaries.task import Task, signals_read, task
 from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
@@ -87,7 +89,17 @@ def identify(
     asked = task(model, records, criterion, key)
     plan = plan_parameters(asked.procedure, len(asked.records), known, per_record)
     _require_intervals(intervals)
-    return _estimated(asked.procedure, summed(asked), plan, intervals)
+    found = _estimated(asked.procedure, summed(asked), plan, intervals)
+    doubts = tuple(_doubts(asked, records))
+    return dataclasses.replace(found, doubts=doubts) if doubts else found
+
+
+def _doubts(asked: Task, records: Records) -> Iterator[Finding]:
+    """What recordings say of signals that are read; bare records say nothing."""
+    for one in as_recordings(records):
+        if one.findings:
+            read = signals_read(asked.procedure, one.record, asked.criterion)
+            yield from one.concerning(read).findings
 
 
 @renamed(own="per_record")

@@ -25,7 +25,8 @@ from riecjax.records.record import Record, Records, as_records
 class Recording:
     """A record, where it came from, what was done to it, and what is amiss with it.
 
-    Whatever takes records takes recordings too; under `jax.jit` hand over its `record`.
+    What identifies, refines or studies takes recordings as it takes records; steps of preparation,
+    simulations and `jax.jit` take its `record`.
 
     **Fields:**
 

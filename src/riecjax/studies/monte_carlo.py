@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import ModelError, require
+from riecjax.errors import ModelError, renamed, require
 from riecjax.estimation.parameters import Sharing, plan_parameters
 from riecjax.estimation.stages import all_normal_equations, solve_stages
 from riecjax.records.record import Record, Records, as_records
@@ -98,6 +98,7 @@ class SeedScatter(eqx.Module):
         return jnp.std(self.theta, axis=0, ddof=1)
 
 
+@renamed(own="per_record")
 def seed_scatter(
     model: Equation | Procedure | HasProcedure,
     records: Records,

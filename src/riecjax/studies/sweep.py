@@ -17,7 +17,7 @@ from riecjax import tails
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import DataError, require
+from riecjax.errors import DataError, renamed, require
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
 from riecjax.estimation.stages import found_values, solve_stages, stages_over_records
 from riecjax.findings import Finding
@@ -142,6 +142,7 @@ class WindowSweep(eqx.Module):
         return f"{float(self.alpha[index]):.3g} to {float(self.beta[index]):.3g} s"
 
 
+@renamed(own="per_record")
 def window_sweep(
     model: Equation | Procedure | HasProcedure,
     records: Records | Summary,

@@ -420,3 +420,24 @@ def test_text_in_mat_files_is_left_out_with_the_reason(tmp_path):
         DataError, match=r"no time column.*; column 't' was left out: it holds no real"
     ):
         read_record(tmp_path / "a.mat")
+
+
+def test_cells_of_a_matlab_table_are_counted_along_columns(tmp_path):
+    """c{2} of a 2 x 2 cell is c{2,1}, whose samples here start at 10."""
+    cell = np.empty((2, 2), dtype=object)
+    for i in range(2):
+        for j in range(2):
+            cell[i, j] = 10.0 * i + j + np.arange(4) / 8
+    scipy.io.savemat(tmp_path / "v5.mat", {"c": cell})
+    with h5py.File(tmp_path / "v73.mat", "w") as file:
+        # HDF5 holds what MATLAB writes transposed.
+        table = file.create_dataset("c", (2, 2), dtype=h5py.ref_dtype)
+        table.attrs["MATLAB_class"] = np.bytes_("cell")
+        for i in range(2):
+            for j in range(2):
+                target = file.create_dataset(f"#refs#/{i}{j}", data=cell[i, j][:, None])
+                table[j, i] = target.ref
+    for name in ("v5.mat", "v73.mat"):
+        columns = read_channels(tmp_path / name).columns
+        first = {key: values[0] for key, values in columns.items() if key.startswith("c{")}
+        assert first == {"c{1}": 0.0, "c{2}": 10.0, "c{3}": 1.0, "c{4}": 11.0}

@@ -192,7 +192,8 @@ def _parts(name: str, value: object, depth: int = 0) -> Iterator[tuple[str, np.n
     array = np.asarray(value)
     if depth > DEEPEST or type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
         return
-    elements = array.reshape(-1)
+    # Counted along columns, as MATLAB counts.
+    elements = array.reshape(-1, order="F")
     if array.dtype.names:
         for place, element in enumerate(elements, start=1):
             whole = name if elements.size == 1 else f"{name}({place})"
@@ -255,7 +256,7 @@ def _elements(source: Any, name: str, item: Any) -> Iterator[tuple[str, Any]]:
         yield name, item
     elif h5py.check_ref_dtype(item.dtype) is h5py.Reference:
         check_column_count(int(item.size or 0))
-        for place, reference in enumerate(np.asarray(item[()]).reshape(-1, order="F"), start=1):
+        for place, reference in enumerate(np.asarray(item[()]).reshape(-1), start=1):
             target = source[reference] if reference else None
             if isinstance(target, h5py.Dataset) and target.dtype.kind in "fiub" and target.shape:
                 yield f"{name}{{{place}}}", target
