@@ -24,7 +24,7 @@ ASKED = {
     "a class of model": ((rx.Equation, RECORD), {}, "the class Equation, not an object of it"),
     "a list of equations": (([EQUATION], RECORD), {}, r"rx.staged(*equations)"),
     "no model": ((3.0, RECORD), {}, "rx.find_model('quarter-car')"),
-    "a path": ((EQUATION, "run.csv"), {}, "rx.read_record('run.csv')"),
+    "a path": ((EQUATION, "run.csv"), {}, "rx.read_recording('run.csv')"),
     "a dictionary": ((EQUATION, {"x": TIME}), {}, "rx.Record.from_samples({'x': samples, ...}"),
     "paths": ((EQUATION, ["a.csv", "b.csv"]), {}, "one of the records is the text 'a.csv'"),
     "an array": ((EQUATION, TIME), {}, "the record is a ndarray"),
