@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from riecjax.assessment.asked import Asked
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
@@ -92,34 +93,6 @@ def assess(
         BlockBootstrap() if intervals is None else intervals,
     )
     return _assessed(asked, refine, bounds, sweep, on_estimate, progress)
-
-
-class Asked(NamedTuple):
-    """What is asked: a model, a criterion, and recordings to estimate from (`fitted`).
-
-    **Fields:** `held`, their last parts if those are held out, and `further` recordings, both to
-    validate on; `key` of random windows; `settings`, known values and parameters per record;
-    `intervals`.
-    """
-
-    model: Model
-    criterion: AbstractCriterion
-    fitted: list[Recording]
-    held: list[Recording]
-    further: list[Recording]
-    key: Key[Array, ""] | None
-    settings: dict[str, Any]
-    intervals: AbstractIntervals
-
-    @property
-    def procedure(self) -> Procedure:
-        """The model's equations."""
-        return self.model.build_procedure()
-
-    @property
-    def records(self) -> list[Record]:
-        """The records to estimate from."""
-        return [recording.record for recording in self.fitted]
 
 
 def _require_sense(

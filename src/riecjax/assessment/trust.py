@@ -5,10 +5,10 @@ takes seconds, and a reader at a terminal should not wait for it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from jaxtyping import Array
 
+from riecjax.assessment.asked import Asked
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import RiecjaxError
@@ -30,15 +30,12 @@ from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.held_out import validate_held_out
 from riecjax.validation.residuals import ResidualTests, residual_tests
 
-if TYPE_CHECKING:
-    from riecjax.assessment.assess import Asked
-
 MOST_STEPS = 200
 """Steps that a refinement may take."""
 
 
 def refined(
-    asked: "Asked",
+    asked: Asked,
     estimate: Estimate,
     by: AbstractObjective | None,
     bounds: Mapping[str, Bounds] | None,
@@ -68,7 +65,7 @@ def refined(
     )
 
 
-def seeds(asked: "Asked") -> SeedScatter | None:
+def seeds(asked: Asked) -> SeedScatter | None:
     """Scatter over other draws of windows, where some are drawn."""
     if not asked.criterion.needs_key or asked.key is None:
         return None
@@ -96,7 +93,7 @@ Numbered = Sequence[tuple[int | None, Recording]]
 """Recordings, each with the number of the one whose own parameters it takes, if it has some."""
 
 
-def unseen(asked: "Asked") -> Numbered:
+def unseen(asked: Asked) -> Numbered:
     """What the model was not fitted to: last parts that were held out, and further recordings."""
     return [*enumerate(asked.held), *((None, recording) for recording in asked.further)]
 
@@ -119,7 +116,7 @@ def validated(
 
 
 def before_after(
-    asked: "Asked", estimate: Estimate, refined: Refined | None, after: list[ValidationRun]
+    asked: Asked, estimate: Estimate, refined: Refined | None, after: list[ValidationRun]
 ) -> Refinement | None:
     """Predictions with the start of the refinement and with its result.
 

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.missing import samples_with_nan
-from riecjax.records.record import Record
+from riecjax.records.record import Record, samples_with_nan
 
 SHORTEST, LONGEST_SHARE = 4, 8
 """Lags: from this many samples to this part of the record, each four times the one before."""

@@ -1,20 +1,8 @@
-"""Missing samples: NaN in columns of numbers, masks in records."""
+"""Missing samples of columns of numbers: masks of them, and what stands in their place."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from riecjax.records.record import Record
-
-
-def samples_with_nan(record: "Record", name: str) -> np.ndarray:
-    """A signal's samples, shape `(n,)`, NaN where they are missing."""
-    values = np.array(record[name], float)
-    if name in record.missing:
-        values[np.asarray(record.missing[name])] = np.nan
-    return values
 
 
 def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.missing import samples_with_nan
-from riecjax.records.record import Record
+from riecjax.records.record import Record, samples_with_nan
 
 FEWEST_SAMPLES = 50
 """Present samples below which only missing and constant signals are reported."""

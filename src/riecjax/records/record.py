@@ -384,3 +384,11 @@ def _require_equal_lengths(arrays: Mapping[str, np.ndarray]) -> None:
     if len({values.size for values in arrays.values()}) > 1:
         listed = ", ".join(f"{name} {values.size}" for name, values in arrays.items())
         raise DataError(f"all signals and the time must have the same length; got {listed}.")
+
+
+def samples_with_nan(record: Record, name: str) -> np.ndarray:
+    """A signal's samples, shape `(n,)`, NaN where they are missing."""
+    values = np.array(record[name], float)
+    if name in record.missing:
+        values[np.asarray(record.missing[name])] = np.nan
+    return values

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.missing import samples_with_nan
-from riecjax.records.record import Record
+from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import STEP_TOLERANCE
 
 Columns = Mapping[str, np.ndarray]

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError
-from riecjax.records.missing import gaps, hold, samples_with_nan
-from riecjax.records.record import Record
+from riecjax.records.missing import gaps, hold
+from riecjax.records.record import Record, samples_with_nan
 
 FILTER_ORDER = 4
 FILTER_PADDING = 16
