@@ -15,12 +15,14 @@ from riecjax.uncertainty.intervals import AbstractIntervals
 class Asked(NamedTuple):
     """What is asked: a model, a criterion, and recordings to estimate from (`fitted`).
 
-    **Fields:** `held`, their last parts if those are held out, and `further` recordings, both to
-    validate on; `key` of random windows; `settings`, known values and parameters per record;
-    `intervals`.
+    **Fields:** `procedure`, the model's equations, built once: equations that are built anew may
+    hold other functions, and would be compiled anew; `held`, the last parts of recordings if
+    those are held out, and `further` recordings, both to validate on; `key` of random windows;
+    `settings`, known values and parameters per record; `intervals`.
     """
 
     model: Model
+    procedure: Procedure
     criterion: AbstractCriterion
     fitted: list[Recording]
     held: list[Recording]
@@ -28,11 +30,6 @@ class Asked(NamedTuple):
     key: Key[Array, ""] | None
     settings: dict[str, Any]
     intervals: AbstractIntervals
-
-    @property
-    def procedure(self) -> Procedure:
-        """The model's equations."""
-        return self.model.build_procedure()
 
     @property
     def records(self) -> list[Record]:

@@ -19,7 +19,7 @@ from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.leaves import on_host
-from riecjax.models.model import Model, as_model
+from riecjax.models.model import as_model
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
 from riecjax.studies.sweep import WindowSweep, sweep_edges, window_sweep
@@ -76,18 +76,20 @@ def assess(
     simulated raises nothing: it is a finding.
     """
     model = as_model(model)
+    procedure = model.build_procedure()
     criterion = RIEC.of_band(model.band or DEFAULT_BAND) if criterion is None else criterion
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.2, a share")
     _require_sense(refine, bounds, per_record, validate_on)
-    fitted = _concerned(model, recordings, criterion)
+    fitted = _concerned(procedure, recordings, criterion)
     halves = [(each, None) if hold_out is None else each.split(hold_out) for each in fitted]
     asked = Asked(
         model,
+        procedure,
         criterion,
         [first for first, _ in halves],
         [last for _, last in halves if last is not None],
-        _concerned(model, validate_on, criterion) if validate_on else [],
+        _concerned(procedure, validate_on, criterion) if validate_on else [],
         key,
         {"known": known, "per_record": per_record},
         BlockBootstrap() if intervals is None else intervals,
@@ -164,9 +166,10 @@ def _assessed(
     )
 
 
-def _concerned(model: Model, recordings: Records, criterion: AbstractCriterion) -> list[Recording]:
+def _concerned(
+    procedure: Procedure, recordings: Records, criterion: AbstractCriterion
+) -> list[Recording]:
     """The recordings with what is said of signals that the criterion reads."""
-    procedure = model.build_procedure()
     return [
         recording.concerning(read_of(procedure, recording, criterion))
         for recording in as_recordings(recordings)

@@ -205,7 +205,7 @@ class AllWindows(AbstractWindows):
       the band (differentiable, see [`SteppedLaw`][]), or a function of lengths in seconds (see
       [`DensityLaw`][]). Uniform by default.
     - `longest_samples`: an upper limit to beta in samples, which sets the size of the blocks that
-      the record is worked through in. Found out where beta is a plain number; under `jit` or
+      the record is worked through in. Known where beta is a plain number; under `jit` or
       `vmap` over beta it should be given, or every block spans the record.
 
     **Raises:** `ModelError` unless 0 < alpha < beta, or for a law that is none; when it is

@@ -1,4 +1,4 @@
-"""The verb of this stage: refine parameters, from a start, of models that need not be linear."""
+"""Refine parameters from a start, of models that need not be linear in them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
