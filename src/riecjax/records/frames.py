@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels, vectors
 from riecjax.records.reading.selection import Selection, record_from_channels
 from riecjax.records.reading.units import split_unit
@@ -23,6 +24,7 @@ def from_dataframe(
     derive: Mapping[str, str] | None = None,
     time_step: float | None = None,
     resample: float | None = None,
+    noise: GivenNoise = "auto",
 ) -> Record:
     """Make a record from a pandas data frame: one signal for each column of numbers.
 
@@ -53,7 +55,9 @@ def from_dataframe(
             # `t` is looked for before any other name of time.
             columns = {"t": index} | {k: v for k, v in columns.items() if k != "t"}
     stated = {name: unit for name in columns if (unit := split_unit(name)[1])}
-    selection = Selection(renamed, scale or {}, units or {}, derive or {}, time_step, resample)
+    selection = Selection(
+        renamed, scale or {}, units or {}, derive or {}, time_step, resample, noise
+    )
     return record_from_channels(Channels(columns, stated, {}, left_out), selection)
 
 
@@ -67,6 +71,7 @@ def from_dataset(
     derive: Mapping[str, str] | None = None,
     time_step: float | None = None,
     resample: float | None = None,
+    noise: GivenNoise = "auto",
 ) -> Record:
     """Make a record from an xarray data set: one signal for each variable over time.
 
@@ -108,7 +113,9 @@ def from_dataset(
             stated[name] = stated["t"] = str(dataset[axis].attrs["units"])
         renamed["t"] = name
     channels = replace(vectors(arrays), units=stated, left_out=left_out)
-    selection = Selection(renamed, scale or {}, units or {}, derive or {}, time_step, resample)
+    selection = Selection(
+        renamed, scale or {}, units or {}, derive or {}, time_step, resample, noise
+    )
     return record_from_channels(channels, selection)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from riecjax.findings import Finding
 from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.resolution import MOST_OUTLIERS, levels_of, resolution_of, rounding_of
 
 FEWEST_SAMPLES = 50
 """Present samples below which only missing and constant signals are reported."""
@@ -45,12 +46,6 @@ OUTLIER_GAP = 1.5
 """Times that the least outlier stands out further than the most extreme other sample."""
 OUTLIER_LOCAL = 1.5
 """Times that an outlier stands out further than its six neighbours range."""
-MOST_OUTLIERS = 0.01
-"""Share of samples; more of them are how the signal is."""
-ROUNDING = 1e-9
-"""Share of a signal's range within which values are one: computed ones differ in last digits."""
-LAST_DIGITS = 1e-13
-"""Share of a signal's range that is rounding for certain."""
 COARSE = 0.01
 """Share of a signal's rms past which its resolution matters."""
 
@@ -129,8 +124,8 @@ class _Signal(NamedTuple):
 def _signal(record: Record, name: str) -> _Signal:
     values = samples_with_nan(record, name)
     known = values[~np.isnan(values)]
-    rounding = _rounding(known)
-    levels, counts = _levels(known, rounding)
+    rounding = rounding_of(known)
+    levels, counts = levels_of(known, rounding)
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return _Signal(
         name,
@@ -140,42 +135,10 @@ def _signal(record: Record, name: str) -> _Signal:
         levels,
         counts,
         rounding,
-        _resolution(levels),
+        resolution_of(levels),
         starts,
         np.diff(starts, append=values.size),
     )
-
-
-def _rounding(samples: np.ndarray) -> float:
-    """How far computed values may differ that are one: a share of the range without spikes."""
-    if not samples.size:
-        return 0.0
-    whole = float(np.ptp(samples))
-    usual = float(np.ptp(np.quantile(samples, [MOST_OUTLIERS, 1 - MOST_OUTLIERS])))
-    # What is at rest but for its last digits has no range without its few moves.
-    return ROUNDING * (usual if usual > LAST_DIGITS * whole else whole)
-
-
-def _levels(samples: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct values, ascending, and how often each occurs."""
-    distinct, counts = np.unique(samples, return_counts=True)
-    if not distinct.size:
-        return distinct, counts
-    new = np.concatenate([[True], np.diff(distinct) > rounding])
-    return distinct[new], np.add.reduceat(counts, np.flatnonzero(new))
-
-
-def _resolution(levels: np.ndarray) -> float:
-    """The quantum whose multiples lie between neighbouring levels, 0 if there is none."""
-    if levels.size < 3:
-        return 0.0
-    steps = np.diff(levels)
-    smallest = float(np.min(steps))
-    # The smallest step carries rounding; the mean of all steps of about its size less of it.
-    quantum = float(np.mean(steps[steps < 1.5 * smallest]))
-    multiples = steps / quantum
-    near = np.abs(multiples - np.round(multiples)) < 0.02 + 1e-3 * multiples
-    return quantum if np.mean(near[multiples < 100]) > 0.99 else 0.0
 
 
 def _missing_samples(record: Record, signals: Iterable[_Signal]) -> Iterator[Finding]:

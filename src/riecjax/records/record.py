@@ -2,7 +2,7 @@
 
 import functools
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
 import equinox as eqx
@@ -12,38 +12,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from riecjax.errors import DataError, MissingSignalError, require
+from riecjax.errors import DataError, require
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.missing import gaps, hold
+from riecjax.records.noise import Noise
+from riecjax.records.signals import Signals
 from riecjax.records.time_base import time_base
-
-
-class Signals(Mapping[str, Array]):
-    """The signals of a record by name; asking for one that is missing says which ones exist.
-
-    `read` collects the names that were asked for: which signals an expression depends on.
-    """
-
-    def __init__(self, arrays: Mapping[str, Array]):
-        self._arrays = dict(arrays)
-        self.read: set[str] = set()
-
-    def __getitem__(self, name: str) -> Array:
-        try:
-            value = self._arrays[name]
-        except KeyError:
-            raise MissingSignalError(name, tuple(self._arrays)) from None
-        self.read.add(name)
-        return value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
-
-    def __len__(self) -> int:
-        return len(self._arrays)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._arrays
 
 
 class Record(eqx.Module):
@@ -66,6 +40,8 @@ class Record(eqx.Module):
       some are named.
     - `stamps`: time of each sample in seconds where the record has pauses, else `None`.
     - `skipped`: seconds of the recording that were cut off before the first sample, scalar.
+    - `noise`: what is known of the signals' noise; what made one signal of another says how that
+      changed it.
     """
 
     arrays: dict[str, Float[Array, " n"]]
@@ -75,6 +51,7 @@ class Record(eqx.Module):
     missing: dict[str, Bool[Array, " n"]]
     stamps: Float[Array, " n"] | None
     skipped: Float[Array, ""]
+    noise: Noise
 
     def __init__(
         self,
@@ -85,6 +62,7 @@ class Record(eqx.Module):
         missing: Mapping[str, ArrayLike | Array] | None = None,
         stamps: ArrayLike | Array | None = None,
         skipped: ArrayLike | Array = 0.0,
+        noise: Noise | None = None,
     ):
         require("what a record is made of", arrays, Mapping, WRITE_RECORD, DataError)
         dtype = jnp.result_type(float)
@@ -102,6 +80,7 @@ class Record(eqx.Module):
         }
         self.stamps = None if stamps is None else jnp.asarray(stamps, dtype)
         self.skipped = jnp.asarray(skipped, dtype)
+        self.noise = (noise or Noise()).of(*self.arrays)
 
     def __check_init__(self):
         lengths = {name: values.shape for name, values in self.arrays.items()}
@@ -204,25 +183,39 @@ class Record(eqx.Module):
         signals: Mapping[str, Array],
         units: Mapping[str, str] | None = None,
         missing: Mapping[str, Array] | None = None,
+        noise: Noise | None = None,
     ) -> "Record":
-        """A record with these signals added or replaced, `missing` where they have no sample."""
+        """A record with these signals added or replaced, `missing` where they have no sample.
+
+        Nothing is known of their noise but what `noise` says.
+        """
         others = {name: mask for name, mask in self.missing.items() if name not in signals}
         return self._on_this_clock(
             {**self.arrays, **signals},
             {**dict(self.units), **(units or {})},
             {**others, **(missing or {})},
+            self.noise.without(*signals).joined(noise or Noise()),
         )
+
+    def with_noise(self, noise: Noise) -> "Record":
+        """The same samples, of whose noise this is known."""
+        arrays, units = self.arrays, dict(self.units)
+        return self._on_this_clock(arrays, units, self.missing, noise)
 
     def select(self, *names: str) -> "Record":
         """A record of only these signals, in this order."""
         arrays = {name: self[name] for name in names}
-        return self._on_this_clock(arrays, dict(self.units), self.missing)
+        return self._on_this_clock(arrays, dict(self.units), self.missing, self.noise)
 
     def _on_this_clock(
-        self, arrays: Mapping[str, Array], units: Mapping[str, str], missing: Mapping[str, Array]
+        self,
+        arrays: Mapping[str, Array],
+        units: Mapping[str, str],
+        missing: Mapping[str, Array],
+        noise: Noise,
     ) -> "Record":
         step, start = self.time_step, self.start_time
-        return Record(arrays, step, start, units, missing, self.stamps, self.skipped)
+        return Record(arrays, step, start, units, missing, self.stamps, self.skipped, noise)
 
     def part(self, start: int, stop: int) -> "Record":
         """The samples from `start` up to, not including, `stop`."""
@@ -247,6 +240,7 @@ class Record(eqx.Module):
             {name: cut(mask) for name, mask in self.missing.items()},
             stamps,
             self.elapsed[first],
+            self.noise,
         )
 
     def every(self, count: int) -> "Record":
@@ -291,6 +285,7 @@ class Record(eqx.Module):
             self.skipped + (samples.start or 0) * self.time_step
             if self.stamps is None
             else self.elapsed[samples.start or 0],
+            self.noise.thinned(count),
         )
 
 

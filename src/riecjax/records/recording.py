@@ -11,6 +11,7 @@ import numpy as np
 
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.findings import Finding
+from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.preparation import split
 from riecjax.records.preparation.steps import Preparation, prepare
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels
@@ -118,6 +119,9 @@ class ReadingSettings(TypedDict, total=False):
     - `resample`: rate in Hz of the even grid to which all signals are brought: for uneven
       samples, and for files in which signals have different times.
     - `delimiter`, `decimal`: of a text file, instead of detecting them.
+    - `noise`: on the signals as measured, in SI units: `"auto"`, judged from their samples;
+      `"none"`; or a standard deviation by signal (0 for none), the others are judged. Steps of
+      preparation carry it on. See [`Noise`][riecjax.Noise].
 
     What is done to the record then, in this order:
 
@@ -137,6 +141,7 @@ class ReadingSettings(TypedDict, total=False):
     resample: float | None
     delimiter: str | None
     decimal: str | None
+    noise: GivenNoise
     start: float | None
     stop: float | None
     offsets: Sequence[str]

@@ -103,5 +103,13 @@ def reach_beyond(spacing: float) -> int:
     return low_pass.reach(density)
 
 
+def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
+    """What `band_limited` makes of one sample of 1, so many samples away from it."""
+    low_pass, density = _low_pass(spacing)
+    reach = low_pass.reach(density)
+    whole = low_pass.weights(np.arange(-reach, reach + 1), density)
+    return low_pass.weights(offsets, density) / whole.sum()
+
+
 def _low_pass(spacing: float) -> tuple[LowPass, float]:
     return (ANTI_ALIAS, spacing) if spacing > 1 else (INTERPOLATION, 1.0)

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError
 from riecjax.records.missing import gaps, hold
+from riecjax.records.noise import Noise
+from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, samples_with_nan
 
 FILTER_ORDER = 4
@@ -49,8 +51,15 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
 
     from scipy.signal import butter, sosfiltfilt  # take half a second, which few records need
 
+    record = judged(record, "auto", *cutoffs)
+    noise = record.noise
+
     def filtered(name: str) -> np.ndarray:
+        nonlocal noise
         sections = butter(FILTER_ORDER, cutoffs[name] / nyquist, output="sos")
+        impulse = np.zeros(4 * lost[name] + FILTER_PADDING + 1)
+        impulse[impulse.size // 2] = 1.0
+        noise = noise.filtered(name, sosfiltfilt(sections, impulse))
 
         def step(samples: np.ndarray) -> np.ndarray:
             found = np.full(samples.size, np.nan)
@@ -62,7 +71,7 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
         return on_stretches(record, name, step)
 
     columns = {name: filtered(name) for name in cutoffs}
-    result = with_gaps(record, columns).part(cut, record.sample_count - cut)
+    result = with_gaps(record, columns, noise=noise).part(cut, record.sample_count - cut)
     for name, cutoff in cutoffs.items():
         if not result.segments([name]):
             raise DataError(
@@ -110,7 +119,7 @@ def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -
             time[there], values[there], min(degree, there.sum() - 1)
         )
         columns[name] = values - trend(time)
-    return with_gaps(record, columns)
+    return with_gaps(record, columns, noise=record.noise)
 
 
 def _shortest(lost: int) -> int:
@@ -137,7 +146,9 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
     unit = dict(record.units).get(signal)
     units = {} if unit is None else {name: f"{unit}/s"}
     derivative = on_stretches(record, signal, lambda x: central_difference(x, record.time_step))
-    return with_gaps(record, {name: derivative}, units)
+    taps = np.array([0.5, 0.0, -0.5]) / float(record.time_step)
+    record = judged(record, "auto", signal)
+    return with_gaps(record, {name: derivative}, units, record.noise.filtered(signal, taps, name))
 
 
 def central_difference(samples: ArrayLike, time_step: ArrayLike) -> Float[np.ndarray, " n"]:
@@ -165,12 +176,15 @@ def on_stretches(
 
 
 def with_gaps(
-    record: Record, columns: Mapping[str, np.ndarray], units: Mapping[str, str] | None = None
+    record: Record,
+    columns: Mapping[str, np.ndarray],
+    units: Mapping[str, str] | None = None,
+    noise: Noise | None = None,
 ) -> Record:
     """A record with these signals added or replaced, missing where they are NaN."""
     missing = {name: jnp.asarray(mask) for name, mask in gaps(columns).items()}
     held = {name: jnp.asarray(hold(values)) for name, values in columns.items()}
-    return record.with_signals(held, units, missing)
+    return record.with_signals(held, units, missing, noise)
 
 
 def longest_stretch(record: Record, signal: str) -> int:

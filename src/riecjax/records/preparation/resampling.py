@@ -8,8 +8,16 @@ import scipy.interpolate
 
 from riecjax.errors import DataError
 from riecjax.records.missing import gaps, hold
+from riecjax.records.noise import Noise
+from riecjax.records.noise_judgement import judged, noise_of_level
 from riecjax.records.preparation.band_limited import band_limited, reach_beyond
 from riecjax.records.preparation.filtering import longest_stretch
+from riecjax.records.preparation.resampled_noise import (
+    low_pass_taps,
+    resampled_noise,
+    spline_taps,
+    uneven_level,
+)
 from riecjax.records.record import Record
 
 LARGEST_GRID = 50_000_000
@@ -111,6 +119,30 @@ def on_grid(
         )
     rows = slice(full[0], full[-1] + 1)
     return grid[rows], {name: values[rows] for name, values in columns.items()}
+
+
+def on_grid_noise(
+    channels: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    grid: np.ndarray,
+    rate: float,
+    given: Noise,
+) -> Noise:
+    """The noise of channels on the grid that [`on_grid`][] brought them to.
+
+    **Arguments:** `given`, what is known of the channels as measured; the others are judged.
+    """
+    found = given.of(*channels)
+    for name, (time, values) in channels.items():
+        if name not in found.kernels:
+            level, known = uneven_level(time, values), ~np.isnan(values)
+            found = found.joined(noise_of_level(name, level, hold(values), known))
+        channel = _channel(name, time, values)
+        if channel.step * rate < 1 - SAME_RATE:
+            taps = low_pass_taps(1 / (rate * channel.step))
+        else:
+            taps = spline_taps(np.interp(grid, time, np.arange(time.size)))
+        found = found.filtered(name, taps)
+    return found
 
 
 class _Stretch(NamedTuple):
@@ -263,6 +295,7 @@ def _resampled(record: Record, step: float, spacing: float) -> Record:
         gaps(columns),
         _stamps(pieces, step) if len(pieces) > 1 else None,
         record.skipped + (pieces[0].start - record.time[0]),
+        resampled_noise(judged(record).noise, spacing),
     )
 
 

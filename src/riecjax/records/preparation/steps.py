@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation import (
     differentiate,
     low_pass,
     remove_drift,
     remove_offset,
     upsample,
+    with_local_derivative,
 )
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
@@ -117,9 +119,9 @@ def prepare(
         words.append(step.words)
     for name, of in derived.items():
         if name not in record.signals:
-            step = _derivative(name, of)
-            record = step.apply(record)
-            words.append(step.words)
+            measured = of not in derived
+            record, step_words = _missing_derivative(record, name, of, measured)
+            words.append(step_words)
     for step in thinning:
         record = step.apply(record)
         words.append(step.words)
@@ -153,6 +155,25 @@ def _lasts(record: Record) -> str:
 
 def _of_signal(step: Callable[..., Record], name: str, record: Record) -> Record:
     return step(record, name)
+
+
+def _missing_derivative(record: Record, name: str, of: str, measured: bool) -> tuple[Record, str]:
+    """A derivative that the model names and the file lacks.
+
+    Of a noisy sensor's signal by local polynomials; of what is filtered already, is a derivative
+    itself or has no noise, by differences.
+    """
+    record = judged(record, "auto", of)
+    kernel = record.noise.kernels[of].get(of)
+    if measured and kernel is not None and kernel.shape[-1] == 1:
+        try:
+            record, width = with_local_derivative(record, of, name)
+            words = f"{name}: slope of {of} by local polynomials, {width:.3g} s to each side"
+            return record, words
+        except DataError:
+            pass  # too short for them
+    step = _derivative(name, of)
+    return step.apply(record), step.words
 
 
 def _derivative(name: str, of: str) -> Step:

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.derived import derived
+from riecjax.records.derived import derived, sensitivities
+from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels, listed
 from riecjax.records.reading.units import SECONDS, split_unit
 from riecjax.records.record import Record
@@ -16,7 +17,8 @@ class Selection(NamedTuple):
     """Which of a file's channels a user wants as signals, and how they are converted.
 
     **Fields:** `rename`, signal to column; `scale`, column or signal to factor; `units`, signal to
-    unit; `derive`, signal to formula; `time_step` in s; `resample` in Hz.
+    unit; `derive`, signal to formula; `time_step` in s; `resample` in Hz; `noise`, on the signals
+    as measured.
     """
 
     rename: Mapping[str, str] = {}
@@ -25,6 +27,7 @@ class Selection(NamedTuple):
     derive: Mapping[str, str] = {}
     time_step: float | None = None
     resample: float | None = None
+    noise: GivenNoise = "auto"
 
 
 class _Signals(NamedTuple):
@@ -57,13 +60,14 @@ def record_from_channels(channels: Channels, selection: Selection) -> Record:
     if selection.resample is not None:
         return _resampled(signals, times, selection)
     values, time = _on_one_axis(signals.values, times)
-    values = _finite(_with_derived(values, time, selection.derive), selection)
-    return Record.from_samples(
-        values,
+    computed = _finite(_with_derived(values, time, selection.derive), selection)
+    record = Record.from_samples(
+        computed,
         time=time,
         time_step=selection.time_step,
         units={**signals.units, **selection.units},
     )
+    return _with_noise(record, selection, computed if time is None else {"t": time, **computed})
 
 
 def column_named(channels: Channels, name: str) -> str:
@@ -241,7 +245,7 @@ def _on_one_axis(
 
 
 def _resampled(signals: _Signals, times: dict[str, np.ndarray], selection: Selection) -> Record:
-    from riecjax.records.preparation.resampling import on_grid
+    from riecjax.records.preparation.resampling import on_grid, on_grid_noise
 
     pairs = {}
     for name, values in _finite(signals.values, selection).items():
@@ -249,12 +253,33 @@ def _resampled(signals: _Signals, times: dict[str, np.ndarray], selection: Selec
         time = times[name] if step is None else step * np.arange(values.size)
         known = ~np.isnan(time)
         pairs[name] = time[known], values[known]
-    time, values = on_grid(pairs, float(selection.resample or 0.0))
-    return Record.from_samples(
-        _with_derived(values, time, selection.derive),
+    rate = float(selection.resample or 0.0)
+    time, values = on_grid(pairs, rate)
+    computed = _with_derived(values, time, selection.derive)
+    record = Record.from_samples(
+        computed,
         time=time,
         units={**signals.units, **selection.units},
     )
+    given = given_noise(selection.noise, record.arrays)
+    record = record.with_noise(on_grid_noise(pairs, time, rate, given))
+    return _with_noise(record, selection, {"t": time, **computed})
+
+
+def _with_noise(record: Record, selection: Selection, columns: Mapping[str, np.ndarray]) -> Record:
+    """The record with what is known of its noise, of the signals of formulas by these columns.
+
+    What is said of a signal goes before what its samples and formulas tell.
+    """
+    given = given_noise(selection.noise, record.arrays)
+    noise = given.joined(record.noise)
+    formulas = {k: f for k, f in selection.derive.items() if k not in noise.kernels}
+    measured = [name for name in record.arrays if name not in formulas]
+    noise = judged(record.with_noise(noise).select(*measured)).noise if measured else noise
+    for name, formula in formulas.items():
+        levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
+        noise = noise.combined(name, sensitivities(formula, columns, levels))
+    return record.with_noise(noise)
 
 
 def _finite(values: dict[str, np.ndarray], selection: Selection) -> dict[str, np.ndarray]:

@@ -1,0 +1,277 @@
+"""The noise of a record's signals: how large it is, and which filter made it what it is.
+
+**A signal's noise** is a sum of white sources, each through the filter that made the signal:
+
+    e_x[n] = sum_s sum_i k_xs[h + i] w_s[n - i]
+
+with w_s white and of unit size, and k_xs the 2 h + 1 taps of a kernel in the signal's unit, the
+middle one for the same sample. A sensor is a source of its own with one tap, its noise's standard
+deviation. A velocity differentiated from it shares the source, and has the taps of the difference:
+so covariances between signals, and between samples of one, all follow from the kernels.
+"""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from numpy.typing import ArrayLike
+
+from riecjax.errors import DataError, require
+from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
+
+DIFFERENCE_ORDER = 6
+STRETCHES = 16
+"""Stretches of a long signal that are looked at."""
+STRETCH = 2**10
+"""Samples to each of them."""
+REPEATS = 3.17
+"""Variance of the mean square of white noise's sixth differences, in terms of that of as many
+independent squares: the sum of their squared autocorrelations, C(24, 12) / C(12, 6)^2."""
+NEGLIGIBLE = 1e-6
+"""Share of a kernel's energy that may be cut off with its ends."""
+LONGEST_KERNEL = 4001
+"""Taps, past which a kernel's ends are cut off in any case."""
+
+
+class Noise(eqx.Module):
+    """What is known of the noise on a record's signals; see the module for how it is made up.
+
+    **Fields:**
+
+    - `kernels`: signal to source to taps, an odd number of them. Of a signal that is not named
+      nothing is known yet; one without any source has no noise.
+    - `freedom`: source to degrees of freedom of its variance, which was estimated; infinite where
+      it was given.
+    """
+
+    kernels: dict[str, dict[str, Float[Leaf, " taps"]]]
+    freedom: dict[str, Float[Leaf, ""]]
+
+    def __init__(
+        self,
+        kernels: Mapping[str, Mapping[str, Float[Leaf, " taps"]]] | None = None,
+        freedom: Mapping[str, Float[Leaf, ""]] | None = None,
+    ):
+        self.kernels = {name: dict(of) for name, of in (kernels or {}).items()}
+        used = {source for of in self.kernels.values() for source in of}
+        given = {source: np.asarray(np.inf) for source in used} | dict(freedom or {})
+        self.freedom = {source: given[source] for source in sorted(used)}
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Names of all sources."""
+        return tuple(sorted(self.freedom))
+
+    @classmethod
+    def given(
+        cls,
+        std: Mapping[str, ArrayLike | Array],
+        correlation: Mapping[tuple[str, str], float] | None = None,
+    ) -> "Noise":
+        """White noise of these standard deviations, in the signals' units; 0 where there is none.
+
+        **Arguments:** `correlation` of the noise on two signals, at the same sample: of what
+        reaches both cables, or of two signals that one instrument computes.
+
+        **Raises:** `DataError` for a standard deviation that is no number from 0 on, or for
+        correlations that no noise can have.
+        """
+        require("the noise", std, Mapping, "{'x': 0.01}, standard deviation by signal", DataError)
+        for name, value in std.items():
+            if is_concrete(value) and not (np.isfinite(value) & (np.asarray(value) >= 0)).all():
+                raise DataError(
+                    f"the standard deviation of the noise of '{name}' must be a number from 0 on, "
+                    f"in the signal's unit; got {value}. Give 0 for a signal without noise."
+                )
+        names, pairs = list(std), dict(correlation or {})
+        if unknown := [name for pair in pairs for name in pair if name not in std]:
+            raise DataError(
+                f"noise of '{unknown[0]}' is to be correlated, and has no standard deviation. "
+                f"Give it one."
+            )
+        levels = {name: as_leaf(value) for name, value in std.items()}
+        joint = [name for name in names if any(name in pair for pair in pairs)]
+        kernels = {n: {n: levels[n][..., None]} if _may_be_noisy(levels[n]) else {} for n in names}
+        kernels |= {
+            name: {other: (levels[name] * share)[..., None] for other, share in row.items()}
+            for name, row in _cholesky(joint, pairs).items()
+        }
+        return cls(kernels, {name: np.asarray(np.inf) for name in names})
+
+    def std(self, signal: str) -> Float[Leaf, ""]:
+        """Standard deviation of a signal's noise, 0 if nothing is known of it."""
+        taps = list(self.kernels.get(signal, {}).values())
+        xp = namespace(taps)
+        return xp.sqrt(sum((xp.sum(xp.asarray(t) ** 2, axis=-1) for t in taps), np.zeros(())))
+
+    def is_made_of(self, signal: str, other: str) -> bool:
+        """Whether a signal's noise is all that of another signal, of which it must be made."""
+        sources = set(self.kernels.get(signal, ()))
+        return bool(sources) and sources <= set(self.kernels.get(other, ()))
+
+    def of(self, *signals: str) -> "Noise":
+        """What is known of these signals only."""
+        kept = {name: of for name, of in self.kernels.items() if name in signals}
+        return Noise(kept, self.freedom)
+
+    def without(self, *signals: str) -> "Noise":
+        """What is known of all other signals."""
+        return self.of(*(name for name in self.kernels if name not in signals))
+
+    def joined(self, other: "Noise") -> "Noise":
+        """What is known of the signals of both; of those that both name, what `other` says."""
+        return Noise({**self.kernels, **other.kernels}, {**self.freedom, **other.freedom})
+
+    def filtered(
+        self, signal: str, taps: Float[np.ndarray, " taps"], name: str | None = None
+    ) -> "Noise":
+        """What is known of all signals, and of a signal through a filter of an odd number of taps.
+
+        **Arguments:** `taps`, the middle one for the same sample; `name` of what the filter makes
+        of the signal, if it has another.
+        """
+        if signal not in self.kernels:
+            return self
+        of = {s: shortened(np.convolve(k, taps)) for s, k in self.kernels[signal].items()}
+        return self.joined(Noise({name or signal: of}, self.freedom))
+
+    def combined(self, name: str, weights: Mapping[str, float]) -> "Noise":
+        """What is known of all signals, and of a new one that is so many times each of these.
+
+        Nothing is known of it if nothing is of one of them.
+        """
+        if any(signal not in self.kernels for signal in weights):
+            return self
+        of: dict[str, Leaf] = {}
+        for signal, weight in weights.items():
+            for source, taps in self.kernels[signal].items():
+                of[source] = _sum(of[source], weight * taps) if source in of else weight * taps
+        return self.joined(Noise({name: of}, self.freedom))
+
+    def thinned(self, count: int) -> "Noise":
+        """What is known of every `count`-th sample.
+
+        A source of several taps becomes `count` of them, one for each of its samples that lie
+        between two that stay: white each, and independent of each other.
+        """
+        wide = {s for of in self.kernels.values() for s, taps in of.items() if taps.shape[-1] > 1}
+        freedom = dict(self.freedom)
+
+        def phases(source: str, taps: Leaf) -> dict[str, Leaf]:
+            if source not in wide or count == 1:
+                return {source: taps}
+            half = taps.shape[-1] // 2
+            # Of w[n count - i] with i = m count + r, the source of phase r has tap m.
+            reach = -(-half // count)
+            room = reach * count - half, (reach + 1) * count - half - 1
+            padded = namespace(taps).pad(taps, [(0, 0)] * (taps.ndim - 1) + [room])
+            apart = padded.reshape(*taps.shape[:-1], 2 * reach + 1, count)
+            there = sorted({i % count for i in range(-half, half + 1)})
+            freedom.update({f"{source}#{r}": freedom[source] for r in there if source in freedom})
+            return {f"{source}#{r}": apart[..., r] for r in there}
+
+        kernels = {
+            name: {new: k for source, taps in of.items() for new, k in phases(source, taps).items()}
+            for name, of in self.kernels.items()
+        }
+        return Noise(kernels, freedom)
+
+
+def _may_be_noisy(level: Leaf) -> bool:
+    return not is_concrete(level) or bool(np.any(level))
+
+
+def _cholesky(
+    names: list[str], correlation: Mapping[tuple[str, str], float]
+) -> dict[str, dict[str, float]]:
+    """Signal to source to share of its standard deviation, of signals that are correlated."""
+    matrix = np.eye(len(names))
+    for pair, value in correlation.items():
+        i, j = (names.index(name) for name in pair)
+        matrix[i, j] = matrix[j, i] = value
+    try:
+        # What two signals share entirely leaves a zero pivot.
+        factor = np.linalg.cholesky(matrix + 1e-12 * np.eye(len(names)))
+    except np.linalg.LinAlgError:
+        raise DataError(
+            f"no noise of {', '.join(names)} has these correlations: they must lie between -1 and "
+            f"1, and their matrix must be positive definite."
+        ) from None
+    return {name: dict(zip(names[: i + 1], factor[i])) for i, name in enumerate(names)}
+
+
+def _sum(one: Leaf, other: Leaf) -> Leaf:
+    """The sum of two kernels, by their middle taps."""
+    xp = namespace(one, other)
+    half = max(one.shape[-1], other.shape[-1]) // 2
+
+    def padded(taps: Leaf) -> Leaf:
+        room = half - taps.shape[-1] // 2
+        return xp.pad(taps, [(0, 0)] * (taps.ndim - 1) + [(room, room)])
+
+    return padded(one) + padded(other)
+
+
+def shortened(
+    taps: Float[np.ndarray, " taps"], negligible: float = NEGLIGIBLE
+) -> Float[np.ndarray, " taps"]:
+    """A kernel without those ends that hold next to nothing of its energy."""
+    half = taps.size // 2
+    sides = taps[half + 1 :] ** 2 + taps[:half][::-1] ** 2
+    beyond = np.cumsum(sides[::-1])[::-1]
+    kept = int(np.sum(beyond > negligible * np.sum(taps**2)))
+    kept = min(kept, LONGEST_KERNEL // 2)
+    return taps[half - kept : half + kept + 1]
+
+
+def white_noise(
+    name: str, samples: Float[Array, "*batch n"] | Float[np.ndarray, "*batch n"]
+) -> Noise:
+    """The white noise on a signal, as its samples tell it."""
+    level = noise_level(samples)
+    xp = namespace(level)
+    seen = min(samples.shape[-1], STRETCHES * STRETCH)
+    freedom = np.asarray(max(seen - DIFFERENCE_ORDER, 1) / REPEATS)
+    return Noise({name: {name: xp.asarray(level)[..., None]}}, {name: freedom})
+
+
+def noise_level(
+    samples: Float[Array, "*batch n"] | Float[np.ndarray, "*batch n"],
+    present: Bool[Array, "*batch n"] | Bool[np.ndarray, "*batch n"] | None = None,
+) -> Float[Leaf, "*batch"]:
+    """Standard deviation of the white noise on a smooth signal.
+
+    From its differences of sixth order: the median of their size, which steps and spikes do not
+    reach, says which are of noise, and the mean square of these how large that is. Content near
+    half the sampling rate counts as noise. Of a long signal it looks at stretches, evenly spread.
+
+    **Arguments:** `present`, False where a sample is missing; no difference reaches across.
+    """
+    n = samples.shape[-1]
+    xp = namespace(samples, present)
+    if n <= DIFFERENCE_ORDER:
+        return xp.zeros(samples.shape[:-1])
+    places = np.arange(n)
+    if n > STRETCHES * STRETCH:
+        starts = np.linspace(0, n - STRETCH, STRETCHES).astype(int)
+        places = starts[:, None] + np.arange(STRETCH)
+    differences = xp.diff(xp.asarray(samples)[..., places], n=DIFFERENCE_ORDER)
+    if present is not None:
+        there = xp.asarray(present)[..., places]
+        count = differences.shape[-1]
+        whole = [there[..., k : k + count] for k in range(DIFFERENCE_ORDER + 1)]
+        differences = xp.where(xp.stack(whole).all(0), differences, xp.nan)
+    gain = np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2))
+    return usual_size(differences.reshape(*samples.shape[:-1], -1)) / gain
+
+
+def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
+    """Root mean square of those that are of noise; 0 where all are NaN."""
+    xp = namespace(contrasts)
+    sizes = xp.abs(contrasts)
+    sizes = xp.where(xp.isnan(sizes).all(-1, keepdims=True), 0.0, sizes)
+    # Of a normal law, 6e-5 lie beyond four standard deviations, and 1e-3 of the squares' sum.
+    kept = sizes <= 4 * xp.nanmedian(sizes, axis=-1, keepdims=True) / 0.6745
+    share = xp.sum(xp.where(kept, sizes, 0.0) ** 2, -1) / xp.maximum(xp.sum(kept, -1), 1)
+    return xp.sqrt(share / 0.9989)

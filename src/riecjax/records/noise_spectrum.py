@@ -1,0 +1,213 @@
+"""The noise on a signal by its power spectrum: where it is flat, past the motion.
+
+White noise is a floor up to half the rate. Noise that a logger's filter let through is a shelf,
+between the motion and the filter's edge; a band-limited excitation makes a shelf of motion as well,
+which other signals then have in common, while noise of sensors is coherent with nothing.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from riecjax.records.noise import shortened
+
+SEGMENT = 256
+"""Samples of a piece whose spectrum is taken."""
+FEWEST_SEGMENTS = 8
+"""Overlapping ones, by three quarters."""
+CLOSE = 9
+"""Frequencies over which a spectrum is averaged to see where it leaves its floor."""
+LEAVES = 1.5
+"""Times the floor past which such a mean is of motion."""
+CLEARANCE = 1.5
+"""Times the last frequency at which motion is seen, past which what is left of it is far below the
+floor: it falls with the fourth power of frequency or faster."""
+LOWEST = 8
+"""Frequencies at the bottom that are left out: a constant's main lobe, and what rounding leaves."""
+NARROWEST = 0.12
+"""Share of the band that a floor must take up."""
+FLAT = 1.3
+"""Times that one half of a floor may lie above the other."""
+TOP = 0.1
+"""Share of the band, up to its end, from which the floor is looked for downwards."""
+TAPERED = 1.5
+"""Segments that the windows of a piece lose at its two ends together."""
+EMPTY = 0.1
+"""Share of a shelf's density that is left at half the rate."""
+OCTAVE = 2.0
+"""Times its lowest frequency that the highest of a shelf is, at the least."""
+LEVELLED = 2.0
+"""Times the least mean of neighbours that the largest one of a shelf is, at the most."""
+BELOW_MOTION = 0.01
+"""Share of the motion's largest density that a shelf of noise has, at the most."""
+ESTIMATED = 1e-4
+"""Share of the energy of an estimated kernel that may be cut off with its ends."""
+CERTAIN, UNSEEN = 3.0, 2.0
+"""Standard errors from which a part of a spectrum is surely there, and up to which it is not."""
+ALIKE = 4.0
+"""Neighbouring frequencies that tell the same."""
+INCOHERENT = 0.3
+"""Coherence with another signal past which a shelf is of motion. That of noise is one over the
+number of independent segments, 0.06 of 2000 samples."""
+
+
+class Spectra(NamedTuple):
+    """Spectra of a signal's segments.
+
+    **Fields:** `transforms`, of which the mean square is the power density, that of white noise
+    being its variance, up to half the rate; `freedom` of all of the band together.
+    """
+
+    transforms: Complex[np.ndarray, "segments frequencies"]
+    freedom: float
+
+    @property
+    def density(self) -> Float[np.ndarray, " frequencies"]:
+        """Mean over the segments."""
+        return np.mean(np.abs(self.transforms) ** 2, axis=0)
+
+
+class Floor(NamedTuple):
+    """Noise where a spectrum is flat.
+
+    **Fields:** `taps` of its kernel, one of white noise; `freedom`, degrees of freedom of its
+    variance; `flat`, or else white noise can be no larger than this.
+    """
+
+    taps: Float[np.ndarray, " taps"]
+    freedom: Float[np.ndarray, ""]
+    flat: bool = True
+
+    @property
+    def level(self) -> float:
+        """Standard deviation."""
+        return float(np.sqrt(np.sum(self.taps**2)))
+
+
+def spectra(pieces: list[np.ndarray]) -> Spectra | None:
+    """Spectra of overlapping segments of unbroken pieces; `None` of too few samples.
+
+    Of second differences, divided by their gain: a motion 1000 times the noise then stays below
+    the side lobes of a Blackman-Harris window.
+    """
+    from scipy.signal.windows import blackmanharris
+
+    window, hop = blackmanharris(SEGMENT, sym=False), SEGMENT // 4
+    rows = [
+        np.lib.stride_tricks.sliding_window_view(np.diff(piece, 2), SEGMENT)[::hop]
+        for piece in pieces
+        if piece.size >= SEGMENT + 2
+    ]
+    if sum(len(row) for row in rows) < FEWEST_SEGMENTS:
+        return None
+    gain = (2 * np.sin(np.pi * np.arange(SEGMENT // 2 + 1) / SEGMENT)) ** 2
+    found = np.fft.rfft(np.concatenate(rows) * window, axis=1)[:, 1:]
+    independent = sum(p.size - TAPERED * SEGMENT for p in pieces if p.size >= SEGMENT + 2)
+    return Spectra(found / gain[1:] / np.sqrt(np.sum(window**2)), independent)
+
+
+def _near(density: np.ndarray) -> np.ndarray:
+    return np.convolve(density, np.ones(CLOSE) / CLOSE, "valid")
+
+
+def beside_motion(of: Spectra) -> Floor | None:
+    """The noise of a signal whose motion fills the band, if it does: none, if none is seen.
+
+    What a random force does to a velocity, in steps from sample to sample, falls off with frequency
+    as 1 / g, g = 4 sin^2(pi f / rate), and is as flat as noise near half the rate; a position, as
+    1 / g^2. The density times g^k is constant, but for noise, which makes a part that rises as g^k.
+    Of two k that may be right, the one that leaves less noise is taken.
+    """
+    upper = slice(of.density.size // 2, -1)
+    place = np.arange(1, of.density.size + 1)[upper] / of.density.size
+    found = []
+    for power in (1, 2):
+        rises = (2 * np.sin(np.pi / 2 * place)) ** (2 * power)
+        flattened = of.density[upper] * rises
+        # A density scatters in proportion to itself, which is about the same all over.
+        columns = np.stack([np.ones_like(rises), rises], axis=1)
+        (motion, noise), left, *_ = np.linalg.lstsq(columns, flattened, rcond=None)
+        # Overlapping segments and a wide window make neighbours alike.
+        variance = ALIKE * left.sum() / rises.size
+        errors = np.sqrt(variance * np.diagonal(np.linalg.inv(columns.T @ columns)))
+        fits = noise > -UNSEEN * errors[1] and _level(flattened - noise * rises)
+        if fits and motion > CERTAIN * errors[0]:
+            seen = noise > UNSEEN * errors[1]
+            freedom = 2 * (noise / errors[1]) ** 2 if seen else np.inf
+            level = np.full(1, np.sqrt(noise) if seen else 0.0)
+            found.append(Floor(level, np.asarray(freedom)))
+    return min(found, key=lambda one: one.level, default=None)
+
+
+def floor(of: Spectra) -> Floor:
+    """The floor up to half the rate of a signal, else the lowest tenth of its band if any."""
+    found, whole = of.density, of.freedom
+    near, size = _near(found), found.size
+    edge = int((1 - TOP) * size)
+    for _ in range(3):
+        beyond = np.flatnonzero(near > LEAVES * np.mean(found[edge:-1]))
+        edge = int(CLEARANCE * (beyond[-1] + CLOSE)) if beyond.size else 0
+        edge = min(max(edge, LOWEST), int((1 - TOP) * size))
+    # At half the rate itself there is one degree of freedom, not two.
+    share = (size - edge) / size
+    if share > NARROWEST and _level(found[edge:-1]):
+        return Floor(np.sqrt(np.mean(found[edge:-1], keepdims=True)), np.asarray(share * whole))
+    # What still falls at the end, as a position does that a random force moves, has none.
+    sooner, later = (np.mean(half) for half in np.array_split(found[int((1 - TOP) * size) : -1], 2))
+    if sooner > LEVELLED * later:
+        return Floor(np.zeros(1), np.asarray(np.inf))
+    least = min(np.mean(tenth) for tenth in np.array_split(found[:-1], round(1 / TOP)))
+    return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * whole), flat=False)
+
+
+def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
+    """The noise of a signal that was low-passed, if it shows between motion and filter.
+
+    Its density is taken to be flat below, where motion hides it. Only where it is clear: other
+    signals must be there, the same pieces of them, and none may be coherent with the shelf.
+    """
+    found = of.density
+    near, size = _near(found), found.size
+    lower, upper = _widest_shelf(near)
+    band = slice(lower + CLOSE - 1, upper)
+    if band.stop < max(OCTAVE * band.start, band.start + NARROWEST * size):
+        return None
+    density = float(np.mean(found[band]))
+    empty = np.mean(found[int((1 - TOP) * size) : -1]) < EMPTY * density
+    if not (empty and _level(found[band]) and density < BELOW_MOTION * np.max(near[:lower])):
+        return None
+    own = of.transforms[:, band]
+    compared = [other.transforms[:, band] for other in others if other is not None]
+    if not compared or any(_coherence(own, other) > INCOHERENT for other in compared):
+        return None
+    beyond = np.convolve(found, np.ones(CLOSE) / CLOSE, "same")[band.stop :]
+    shape = np.concatenate([np.full(band.stop + 1, density), np.minimum(beyond, density)])
+    taps = np.fft.fftshift(np.fft.irfft(np.sqrt(shape), SEGMENT))[1:]
+    share = (band.stop - band.start) / size
+    return Floor(shortened(taps, ESTIMATED), np.asarray(share * of.freedom))
+
+
+def _level(density: np.ndarray) -> bool:
+    halves = [np.mean(half) for half in np.array_split(density, 2)]
+    return bool(max(halves) < FLAT * min(halves))
+
+
+def _widest_shelf(near: np.ndarray) -> tuple[int, int]:
+    """First and end of the widest stretch in which means of neighbours are about the same."""
+    best = 0, 0
+    for lower in range(LOWEST, near.size // 2):
+        rest = near[lower:]
+        alike = np.maximum.accumulate(rest) < LEVELLED * np.minimum.accumulate(rest)
+        length = int(np.argmin(alike)) if not alike.all() else alike.size
+        if length > best[1] - best[0]:
+            best = lower, lower + length
+    return best
+
+
+def _coherence(one: np.ndarray, other: np.ndarray) -> float:
+    """Squared magnitude, the mean over frequencies; 0 where the other is silent."""
+    cross = np.abs(np.mean(one * other.conj(), axis=0)) ** 2
+    power = np.mean(np.abs(one) ** 2, axis=0) * np.mean(np.abs(other) ** 2, axis=0)
+    return float(np.mean(np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)))

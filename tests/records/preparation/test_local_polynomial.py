@@ -1,0 +1,83 @@
+"""Derivatives by local polynomials, against SciPy, closed forms and white noise."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from riecjax.errors import DataError
+from riecjax.records.noise import Noise
+from riecjax.records.preparation.local_polynomial import derivative_taps, with_local_derivative
+from riecjax.records.record import Record
+
+STEP = 0.01
+TIME = np.arange(4000) * STEP
+MOTION = np.sin(2 * np.pi * 0.7 * TIME) + 0.4 * np.sin(2 * np.pi * 1.9 * TIME + 1)
+SLOPE = (
+    2
+    * np.pi
+    * (0.7 * np.cos(2 * np.pi * 0.7 * TIME) + 0.4 * 1.9 * np.cos(2 * np.pi * 1.9 * TIME + 1))
+)
+
+
+def noisy(level, seed=0):
+    white = np.random.default_rng(seed).normal(size=TIME.size)
+    return Record({"x": MOTION + level * white}, STEP, units={"x": "m"})
+
+
+@pytest.mark.parametrize("count", [3, 8, 25])
+def test_taps_are_those_of_savitzky_and_golay(count):
+    reference = scipy.signal.savgol_coeffs(2 * count + 1, 4, deriv=1, delta=0.02, use="conv")
+    np.testing.assert_allclose(derivative_taps(count, 0.02), reference, atol=1e-9)
+
+
+def test_a_polynomial_of_fourth_order_has_its_slope():
+    time = TIME - 20
+    record = Record({"x": 3 - time + 0.1 * time**2 - 0.02 * time**3 + 1e-3 * time**4}, STEP)
+    found, half_width = with_local_derivative(record, "x", "v", 0.1)
+    inner = time[10:-10]
+    assert half_width == pytest.approx(0.1)
+    np.testing.assert_allclose(found.time, TIME[10:-10])
+    slope = -1 + 0.2 * inner - 0.06 * inner**2 + 4e-3 * inner**3
+    np.testing.assert_allclose(found["v"], slope, atol=1e-7)
+
+
+@pytest.mark.parametrize("level", [0.001, 0.01, 0.05])
+def test_smoothing_errs_by_little_of_the_noise_that_is_left(level):
+    record, half_width = with_local_derivative(noisy(level), "x", "v")
+    count = round(half_width / STEP)
+    clean = np.convolve(MOTION, derivative_taps(count, STEP), "valid")
+    bias = np.sqrt(np.mean((clean - SLOPE[count:-count]) ** 2))
+    left = float(record.noise.std("v"))
+    # Half widths come in steps of 8 % and of whole samples; the error grows with the fourth power.
+    assert 0.01 * left < bias < 0.08 * left
+    errors = np.asarray(record["v"]) - SLOPE[count:-count]
+    assert np.std(errors) == pytest.approx(left, rel=0.15)
+    assert record.noise.kernels["v"].keys() == {"x"}
+    assert dict(record.units)["v"] == "m/s"
+
+
+def test_without_noise_it_is_as_narrow_as_can_be():
+    record = Record({"x": MOTION}, STEP).with_noise(Noise({"x": {}}))
+    assert with_local_derivative(record, "x", "v")[1] == pytest.approx(3 * STEP)
+
+
+def test_no_slope_reaches_across_a_gap():
+    values = MOTION.copy()
+    values[2000:] += 100.0
+    values[2000] = np.nan
+    record = Record.from_samples({"x": values}, time_step=STEP)
+    found, _ = with_local_derivative(record, "x", "v", 0.1)
+    missing = np.flatnonzero(np.asarray(found.missing["v"]))
+    np.testing.assert_array_equal(missing, np.arange(1980, 2001))
+    assert np.max(np.abs(np.asarray(found["v"]))) < 20
+
+
+@pytest.mark.parametrize("half_width", [0.0, 0.02, np.nan, np.inf, 30.0])
+def test_impossible_half_width(half_width):
+    with pytest.raises(DataError, match="half width"):
+        with_local_derivative(noisy(0.01), "x", "v", half_width)
+
+
+def test_too_few_samples():
+    with pytest.raises(DataError, match="7 samples in succession"):
+        with_local_derivative(Record({"x": [1.0, 2.0, 4.0, 1.0]}, STEP), "x", "v")

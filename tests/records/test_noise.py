@@ -1,0 +1,213 @@
+"""How large the noise of signals is: judged from samples, given, and computed from others."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+
+import riecjax as rx
+from riecjax.errors import DataError, ModelError
+from riecjax.records import judged, stack_records
+from riecjax.records.noise import Noise, noise_level
+from riecjax.records.record import Record
+
+STEP = 0.01
+TIME = np.arange(2001) * STEP
+SMOOTH = np.sin(2 * np.pi * 1.3 * TIME) + 0.5 * np.sin(2 * np.pi * 2.9 * TIME + 1)
+
+
+def white(level, seed=0, size=TIME.size):
+    return level * np.random.default_rng(seed).normal(size=size)
+
+
+def std(record, name):
+    return float(record.noise.std(name))
+
+
+@pytest.mark.parametrize("share", [0.001, 0.01, 0.05, 0.2])
+def test_white_noise_on_a_smooth_signal(share):
+    level = share * SMOOTH.std()
+    found = [
+        std(judged(Record({"x": SMOOTH + white(level, seed)}, STEP)), "x") for seed in range(60)
+    ]
+    noise = judged(Record({"x": SMOOTH + white(level)}, STEP)).noise
+    scatter = 1 / np.sqrt(2 * float(noise.freedom["x"]))
+    # The mean of 60 lies within three of its standard errors, and they scatter as is stated.
+    assert np.mean(found) == pytest.approx(level, rel=3 * scatter / np.sqrt(60) + 2e-3)
+    assert np.std(found) / level == pytest.approx(scatter, rel=0.35)
+
+
+def test_a_floor_of_the_spectrum_sees_past_motion_that_differences_take_for_noise():
+    quick = 0.1 * np.sin(2 * np.pi * 22.0 * TIME)
+    record = Record({"x": SMOOTH + quick + white(0.01)}, STEP)
+    assert noise_level(np.asarray(record["x"])) > 0.012
+    assert std(judged(record), "x") == pytest.approx(0.01, rel=0.08)
+
+
+FILTER = scipy.signal.butter(4, 25.0, fs=1 / STEP, output="sos")
+
+
+def low_passed(level, seed):
+    size = 6000
+    rough = scipy.signal.sosfilt(FILTER, np.random.default_rng(seed).normal(size=size + 500))
+    motion = np.sin(2 * np.pi * 1.3 * STEP * np.arange(size))
+    return motion, level * np.asarray(rough)[500:]
+
+
+def test_noise_that_a_logger_low_passed():
+    motion, noise = low_passed(0.02, 3)
+    record = judged(Record({"x": motion + noise, "u": motion}, STEP), "auto", "x")
+    assert noise_level(motion + noise) < 0.3 * noise.std()
+    impulse = np.asarray(scipy.signal.sosfilt(FILTER, np.eye(1, 400)[0]))
+    kernel = np.asarray(record.noise.kernels["x"]["x"])
+    for lag in range(8):
+        truth = 0.02**2 * np.sum(impulse[lag:] * impulse[: impulse.size - lag])
+        found = np.sum(kernel[lag:] * kernel[: kernel.size - lag])
+        assert found == pytest.approx(truth, abs=0.08 * 0.02**2 * np.sum(impulse**2))
+
+
+def test_what_other_signals_show_too_is_no_noise():
+    motion, drive = low_passed(0.02, 3)
+    answer = scipy.signal.lfilter([0.5, 0.2], [1.0], drive)
+    record = judged(Record({"x": motion + drive, "u": np.asarray(answer)}, STEP), "auto", "x")
+    assert std(record, "x") < 0.3 * drive.std()
+
+
+def test_quick_content_of_an_input_is_no_noise():
+    drive = low_passed(1.0, 5)[1]
+    assert noise_level(drive) > 0.1 * drive.std()
+    assert std(judged(Record({"u": drive}, STEP)), "u") < 1e-3 * drive.std()
+    noisy = drive + 0.01 * np.random.default_rng(1).normal(size=drive.size)
+    assert std(judged(Record({"u": noisy}, STEP)), "u") == pytest.approx(0.01, rel=0.35)
+
+
+def test_what_no_sensor_measured_has_no_noise():
+    signals = {
+        "command": np.sign(SMOOTH),
+        "ramps": np.interp(TIME, [0, 5, 10, 20], [0, 1, -1, 3]),
+        "nothing": 0 * TIME,
+        "input": white(1.0),
+        "steps": np.repeat(white(1.0, size=TIME.size // 10 + 1), 10)[: TIME.size],
+    }
+    noise = judged(Record(signals, STEP)).noise
+    assert {name: float(noise.std(name)) for name in signals} == dict.fromkeys(signals, 0.0)
+
+
+def test_a_converter_rounds_by_its_quantum():
+    quantum = 0.01
+    record = judged(Record({"x": quantum * np.round(SMOOTH / quantum)}, STEP))
+    assert std(record, "x") == pytest.approx(quantum / np.sqrt(12), rel=0.1)
+
+
+def test_no_difference_reaches_across_a_gap():
+    values = SMOOTH + white(0.01)
+    values[500:] += 30.0
+    values[500:520] = np.nan
+    values[::50] = np.nan
+    record = judged(Record.from_samples({"x": values}, time_step=STEP))
+    assert std(record, "x") == pytest.approx(0.01, rel=0.1)
+    traced = jax.jit(judged)(Record.from_samples({"x": values}, time_step=STEP))
+    assert std(traced, "x") == pytest.approx(0.01, rel=0.1)
+
+
+def test_under_vmap_each_record_has_its_own():
+    records = [Record({"x": SMOOTH + white(level)}, STEP) for level in (0.01, 0.03)]
+    batch = jax.vmap(judged)(stack_records(records))
+    alone = [float(noise_level(np.asarray(record["x"]))) for record in records]
+    np.testing.assert_allclose(jnp.squeeze(batch.noise.kernels["x"]["x"]), alone, rtol=1e-9)
+
+
+def test_what_is_given_goes_before_what_is_judged():
+    record = Record({"x": SMOOTH + white(0.01), "v": SMOOTH + white(0.02, 1)}, STEP)
+    some = judged(judged(record), {"x": 0.5})
+    assert std(some, "x") == 0.5
+    assert np.isinf(some.noise.freedom["x"])
+    assert std(some, "v") == pytest.approx(0.02, rel=0.1)
+    assert std(judged(record, {"x": 0}), "x") == 0
+    for nothing in ("none", None):
+        none = judged(record, nothing)
+        assert none.noise.kernels == {"x": {}, "v": {}}
+
+
+def test_noise_that_signals_share():
+    given = Noise.given({"x": 0.3, "v": 2.0, "u": 1.0}, {("x", "v"): -0.6})
+    covariance = sum(
+        float((given.kernels["x"][s] * given.kernels["v"][s])[0])
+        for s in given.kernels["x"].keys() & given.kernels["v"].keys()
+    )
+    assert covariance == pytest.approx(-0.6 * 0.3 * 2.0)
+    assert float(given.std("v")) == pytest.approx(2.0)
+    assert given.kernels["u"].keys() == {"u"}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "message"),
+    [
+        ({"y": 0.1}, DataError, "no such signal; there are: x"),
+        ({"x": -0.1}, DataError, "a number from 0 on"),
+        ({"x": np.nan}, DataError, "a number from 0 on"),
+        ("much", ModelError, "'auto', 'none' or a standard deviation"),
+        (3.0, DataError, "standard deviation by signal"),
+    ],
+)
+def test_impossible_noise(wrong, error, message):
+    with pytest.raises(error, match=message):
+        judged(Record({"x": SMOOTH}, STEP), wrong)
+
+
+@pytest.mark.parametrize("pair", [("x", "v"), ("x", "y")])
+def test_impossible_correlations(pair):
+    with pytest.raises(DataError):
+        Noise.given({"x": 1.0, "v": 1.0}, {pair: 1.5})
+
+
+@pytest.fixture
+def logged(tmp_path):
+    file = tmp_path / "rig.csv"
+    columns = np.stack([TIME, SMOOTH + white(0.02), 2 + SMOOTH + white(0.03, 1)], axis=1)
+    np.savetxt(file, columns, delimiter=",", header="t,a,b", comments="")
+    return file
+
+
+def test_noise_of_formulas(logged):
+    formulas = {"sum": "3*a - b", "square": "b**2", "centred": "a - mean(a)", "clock": "sin(t)"}
+    noise = rx.read_recording(logged, derive=formulas, noise={"a": 0.02, "b": 0.03}).record.noise
+    assert float(noise.std("sum")) == pytest.approx(np.hypot(0.06, 0.03))
+    assert noise.kernels["sum"]["b"][0] == pytest.approx(-0.03)
+    slope = 2 * np.sqrt(np.mean((2 + SMOOTH) ** 2))
+    assert float(noise.std("square")) == pytest.approx(0.03 * slope, rel=0.01)
+    assert float(noise.std("centred")) == pytest.approx(0.02, rel=0.01)
+    assert noise.kernels["clock"] == {}
+
+
+def test_a_file_s_noise_is_that_of_its_samples(logged):
+    read = rx.read_recording(
+        logged, scale={"a": 10.0}, cutoffs={"a": 20.0}, derivatives={"v": "a"}, every=2
+    ).record.noise
+    assert {source.partition("#")[0] for source in read.kernels["v"]} == {"a"}
+    given = rx.read_recording(
+        logged, scale={"a": 10.0}, cutoffs={"a": 20.0}, derivatives={"v": "a"}, every=2,
+        noise={"a": 0.2},
+    ).record.noise  # fmt: skip
+    assert float(read.std("v")) == pytest.approx(float(given.std("v")), rel=0.1)
+    with pytest.raises(DataError, match=r"rig\.csv: noise is given for 'v'.*noise of the other"):
+        rx.read_recording(logged, derivatives={"v": "a"}, noise={"v": 0.2})
+
+
+def test_noise_of_uneven_samples_that_are_resampled(tmp_path):
+    file, rng = tmp_path / "uneven.csv", np.random.default_rng(5)
+    time = TIME + 0.2 * STEP * rng.uniform(-1, 1, TIME.size)
+    values = np.sin(2 * np.pi * 1.3 * time) + white(0.02)
+    np.savetxt(file, np.stack([time, values], 1), delimiter=",", header="t,a", comments="")
+    smooth = rx.read_recording(file, resample=200.0, noise={"a": 0.02}).record.noise
+    found = rx.read_recording(file, resample=200.0).record.noise
+    assert float(found.std("a")) == pytest.approx(float(smooth.std("a")), rel=0.1)
+    assert 0.7 * 0.02 < float(smooth.std("a")) < 0.02
+
+
+def test_noise_of_a_data_frame_can_be_given():
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"t": TIME, "x": SMOOTH + white(0.02)})
+    assert std(rx.from_dataframe(frame), "x") == pytest.approx(0.02, rel=0.1)
+    assert std(rx.from_dataframe(frame, noise={"x": 0.3}), "x") == 0.3
