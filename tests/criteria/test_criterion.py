@@ -44,7 +44,7 @@ def increments(term, record, start, stop):
 
 @eqx.filter_jit
 def column_increments(equation, record, windows):
-    return Boxcar().integrals(sampled_columns(equation, record, 1), windows).columns
+    return Boxcar(2).integrals(sampled_columns(equation, record, 1), windows).columns
 
 
 def windows_in_samples(kind, steps):
@@ -185,7 +185,7 @@ def test_riec_takes_the_integral_of_every_term_over_every_window(between_samples
     record, s = oscillator_record()
     windows = RandomWindows(0.05, 0.3, 50, between_samples=between_samples)
     key = jax.random.key(5)
-    rows = eqx.filter_jit(RIEC(windows).rows)(EQUATION, record, key)
+    rows = eqx.filter_jit(RIEC(windows, Boxcar(2)).rows)(EQUATION, record, key)
     drawn = windows.draw(key, record.sample_count, record.time_step)
     at = np.arange(200.0)
     for i, (a, b) in enumerate(zip(np.asarray(drawn.start), np.asarray(drawn.stop))):
@@ -219,7 +219,7 @@ def test_random_windows_without_a_key_are_refused():
 def test_criteria_describe_themselves_as_plain_data():
     described = RIEC(RandomWindows(0.05, 0.3, 50)).describe()
     expected = {"name": "riec", "alpha": 0.05, "beta": 0.3, "windows": 50}
-    assert described == expected | {"test_function": "boxcar", "quadrature": 2}
+    assert described == expected | {"test_function": "boxcar", "quadrature": 4}
     assert DOLS().describe() == {"name": "dols"}
 
 

@@ -186,7 +186,16 @@ def test_the_command_line_takes_it_from_a_file(tmp_path, monkeypatch, capsys):
     columns = np.column_stack([record.time, record["x"], record["u"]])
     np.savetxt("drive.csv", columns, delimiter=",", header="t,x,u", comments="")
     (tmp_path / "own.py").write_text(OWN_FILE)
-    call = ["identify", "drive.csv", "--model", "own.py:oscillator", "--json", "--test-function"]
+    call = [
+        "identify",
+        "drive.csv",
+        "--model",
+        "own.py:oscillator",
+        "--json",
+        "--refine",
+        "none",
+        "--test-function",
+    ]
     assert run([*call, "own.py:Cosine"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["criterion"]["test_function"] == "cosine"

@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
@@ -14,8 +14,8 @@ from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError
 from riecjax.estimation.check import check
 from riecjax.estimation.identify import identify
+from riecjax.records.noise import noise_level
 from riecjax.records.record import Record
-from riecjax.summaries.sums import noise_level
 
 KEY = jax.random.key(0)
 CRITERION = RIEC(RandomWindows(0.1, 0.5, 3000))
@@ -159,7 +159,7 @@ def test_coarse_sampling_is_measured_on_the_integrals_themselves():
     x = np.sin(2 * np.pi * 5 * t)
     record = Record.from_samples({"x": x, "v": np.cos(2 * np.pi * 5 * t), "y": x}, time_step=0.02)
     model = Equation(Term("k", "x"), Term("m", "v"), -Term(1.0, "y"))
-    found = check(model, record, CRITERION, key=KEY)
+    found = check(model, record, RIEC(CRITERION.windows, Boxcar(2)), key=KEY)
     (finding,) = [f for f in found.findings if f.code == "coarse_sampling"]
     assert "3.3 % off" in finding.message
     finer = check(model, record, RIEC(CRITERION.windows, Hat(8)), key=KEY)

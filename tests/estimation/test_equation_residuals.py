@@ -12,6 +12,7 @@ import scipy.signal
 from rich.console import Console
 
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure, simultaneous, staged
@@ -85,7 +86,7 @@ CASES = {
     "random windows": (WINDOWS, record(), lambda one: rows_of(WINDOWS, one)),
     "a gap": (WINDOWS, record(gap=True), lambda one: rows_of(WINDOWS, one)),
     "all windows": (
-        RIEC(AllWindows(0.05, 0.3)),
+        RIEC(AllWindows(0.05, 0.3), Boxcar(2)),
         record(),
         lambda one: all_rows_by_hand(one, 0.05, 0.3),
     ),

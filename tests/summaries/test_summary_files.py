@@ -186,7 +186,7 @@ def test_a_name_stays_as_it_is_and_nothing_else_is_left_behind(tmp_path):
         np.testing.assert_array_equal(
             arrays["0/stages/0/0/moments"], summary.recordings[0].stages[0][0].moments
         )
-        assert json.loads(arrays["summary"].tobytes())["schema"] == 1
+        assert json.loads(arrays["summary"].tobytes())["schema"] == 2
 
 
 def refused(path: Any, words: str) -> None:
@@ -228,7 +228,7 @@ def rewritten(file: Path, change) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 1: .* 9.1"),
+        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 2: .* 9.1"),
         (lambda d, _: d.pop("criterion"), "not a readable Summary file"),
         (
             lambda d, _: d["criterion"].update({"class": "Tent", "from": "rig"}),
@@ -444,7 +444,7 @@ def test_one_recording_given_twice_counts_once():
 
 other_windows = [
     rx.RIEC(rx.AllWindows(0.1, 0.5)),
-    rx.RIEC(ALL, rx.Boxcar(quadrature=4)),
+    rx.RIEC(ALL, rx.Boxcar(quadrature=2)),
     rx.RIEC(rx.AllWindows(0.1, 0.6, law=[1, 2])),
     rx.DOLS(),
 ]
@@ -639,7 +639,9 @@ def test_its_size_is_that_of_its_moments(bins):
     records = [record(1500, 1), record(2200, 2)]
     summary = rx.summarise(OSCILLATOR, records, CRITERIA["boxcar"], bins=bins)
     blocks = [int(one.blocks) for one in summary.recordings]
-    moments = sum(8 * (bins or 1) * n * 4**2 for n in blocks)
+    # Moments, what of them is noise, and what each source of noise adds.
+    sources = [len(one.noise.sources) for one in summary.recordings]
+    moments = sum(8 * (bins or 1) * (2 * n + k) * 4**2 for n, k in zip(blocks, sources))
     rest = summary.byte_count - moments
     assert 0 < rest <= sum(8 * (bins or 1) * n for n in blocks) + 2 * 1200
 
@@ -652,7 +654,7 @@ def test_its_size_does_not_grow_with_the_length_of_a_recording():
         sizes.append(summary.byte_count)
         lasting = summary.short_blocks.durations
         assert float(lasting[0]) == pytest.approx(STEP * count, rel=0.01)
-    assert max(sizes) < 8 * 1024 * (2**2 + 1) + 1200
+    assert max(sizes) < 8 * 1024 * (2 * 2**2 + 1) + 1200
 
 
 def test_moments_and_counts_are_the_only_ones_that_grow():
@@ -667,7 +669,9 @@ def spring_summary_of(count: int) -> rx.Summary:
 
 def fixed(one: RecordingSums) -> RecordingSums:
     return eqx.tree_at(
-        lambda r: [getattr(e, of) for s in r.stages for e in s for of in ("moments", "count")],
+        lambda r: [
+            getattr(e, of) for s in r.stages for e in s for of in ("moments", "count", "noise")
+        ],
         one,
         replace_fn=lambda leaf: np.zeros(()),
     )

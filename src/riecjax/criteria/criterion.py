@@ -9,7 +9,8 @@ which is linear in theta: a row of a regression, target first. Least squares ove
 windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -20,20 +21,17 @@ from jaxtyping import Array, Key
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks, in_chunks
 from riecjax.criteria.laws import LagBins
+from riecjax.criteria.length_bins import each_bin
+from riecjax.criteria.noise_moments import NoiseMoments, noise_moments
 from riecjax.criteria.rows import Rows
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
-from riecjax.criteria.windows import (
-    AbstractWindows,
-    AllWindows,
-    Count,
-    RandomWindows,
-    WindowSet,
-    half_periods,
-)
+from riecjax.criteria.windows import AbstractWindows, AllWindows, Count, RandomWindows, WindowSet
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.noisy_columns import NoisyColumns, noisy_columns, without_noise
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.records.noise import Noise
 from riecjax.records.record import Record
 
 SHORT_BLOCKS_OF_ROWS = 512
@@ -144,6 +142,15 @@ class AbstractCriterion(eqx.Module):
     def moments(self, equation: Equation, record: Record) -> Moments:
         """Sums over all rows of their outer products, for blocks of `block_samples` starts.
 
+        **Raises:** as [`sums`][].
+        """
+        return self.sums(equation, record)[0]
+
+    def sums(self, equation: Equation, record: Record) -> tuple[Moments, NoiseMoments | None]:
+        """Sums over all rows of their outer products, for blocks of `block_samples` starts.
+
+        **Returns:** these and numbers of rows, and what of them the record's noise adds.
+
         **Raises:** `ModelError` unless they come in closed form, `DataError` for a missing signal.
         """
         raise ModelError("this criterion has rows, not moments of all of them.")
@@ -164,6 +171,44 @@ class AbstractCriterion(eqx.Module):
         """
         return self.test_function.moments(columns, lags, blocks, reach)
 
+    corrects_noise: ClassVar[bool] = True
+    """Whether what sensor noise adds to the moments is to be taken off."""
+
+    def noisy_columns(self, equation: Equation, record: Record) -> NoisyColumns:
+        """An equation's columns, and what the record's noise does to them."""
+        if self.corrects_noise:
+            return noisy_columns(equation, record, self.smoothness)
+        return without_noise(sampled_columns(equation, record, self.smoothness))
+
+    def noise_of(
+        self, noisy: NoisyColumns, noise: Noise, lags: LagBins, blocks: StartBlocks, reach: int
+    ) -> NoiseMoments | None:
+        """What noise adds to the moments of [`moments_of`][], `None` without any."""
+        if not noisy.moves:
+            return None
+
+        def of_law(law: LagBins) -> NoiseMoments:
+            weights = self.test_function.noise_weights(noisy.columns, law, blocks)
+            return noise_moments(
+                noisy, noise, weights, lambda of: self.moments_of(of, law, blocks, reach)[0], blocks
+            )
+
+        return each_bin(of_law, lags._replace(edges=None))
+
+    def noise_of_rows(
+        self,
+        noisy: NoisyColumns,
+        noise: Noise,
+        drawn: WindowSet,
+        products: Callable[[Columns], Array],
+        blocks: StartBlocks,
+    ) -> NoiseMoments | None:
+        """What noise adds to `products` of rows, windows being drawn; `None` without any."""
+        if not noisy.moves:
+            return None
+        weights = self.test_function.noise_weights(noisy.columns, drawn, blocks)
+        return noise_moments(noisy, noise, weights, products, blocks)
+
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
         raise NotImplementedError
@@ -172,8 +217,11 @@ class AbstractCriterion(eqx.Module):
 class DOLS(AbstractCriterion):
     """Direct ordinary least squares, eqs (2)-(4): the equation at every sample.
 
-    Terms with a derivative need that derivative as a recorded signal.
+    Terms with a derivative need that derivative as a recorded signal. As published: what sensor
+    noise adds stays in.
     """
+
+    corrects_noise: ClassVar[bool] = False
 
     def __init__(self):
         """There is nothing to set."""
@@ -211,13 +259,26 @@ class RIEC(AbstractCriterion):
     Windows that touch a missing or masked sample are left out.
 
     **Arguments:** `windows`, `RandomWindows(alpha, beta, count)` as in the paper, or
-    `AllWindows(alpha, beta)`, which is what those converge to; `test_function`, such
-    as `Boxcar()` (RIEC as published), `Hat()` or `Bump(p)`. Alpha and beta are lengths of the
-    whole window, for each of them.
+    `AllWindows(alpha, beta)`, which is what those converge to; `test_function`, such as `Boxcar()`
+    (the default; RIEC as published with `Boxcar(2)`, trapezoids), `Hat()` or `Bump(p)`. Alpha and
+    beta are lengths of the whole window, for each of them. `why` in words, where it was chosen to
+    suit a recording.
     """
 
     windows: RandomWindows | AllWindows  # pyright: ignore[reportIncompatibleVariableOverride]
-    test_function: AbstractTestFunction = eqx.field(default_factory=Boxcar)
+    test_function: AbstractTestFunction
+    why: str = eqx.field(static=True, default="")
+
+    def __init__(
+        self,
+        windows: RandomWindows | AllWindows,
+        test_function: AbstractTestFunction | None = None,
+        why: str = "",
+    ):
+        self.windows = windows  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.why = why
+        between = getattr(windows, "between_samples", False)
+        self.test_function = test_function or (Boxcar(2) if between else Boxcar())
 
     def __check_init__(self):
         require(
@@ -235,15 +296,23 @@ class RIEC(AbstractCriterion):
     def of_band(
         cls, band: tuple[float, float], test_function: AbstractTestFunction | None = None
     ) -> "RIEC":
-        """All windows of half the periods of a band, lowest and highest frequency in hertz.
+        """All windows as long as suits a band, lowest and highest frequency in hertz.
+
+        Half its periods for the boxcar and the hat, longer for a bump.
 
         **Raises:** `ModelError` unless 0 < low < high.
         """
-        return cls(AllWindows(*half_periods(band)), test_function or Boxcar())
+        Boxcar().lengths_of_band(band)  # refuses what is no band
+        weight = test_function or Boxcar()
+        require("the test function", weight, AbstractTestFunction, "rx.Hat(), an object")
+        return cls(AllWindows(*weight.lengths_of_band(band)), weight)
 
     def between(self, alpha: float | Array, beta: float | Array) -> "RIEC":
         """The same with windows of other lengths."""
-        return RIEC(self.windows.between(alpha, beta), self.test_function)
+        return self._over(self.windows.between(alpha, beta))
+
+    def _over(self, windows: RandomWindows | AllWindows) -> "RIEC":
+        return RIEC(windows, self.test_function, self.why)
 
     def finest(self) -> "RIEC":
         """The same with the test function's finest quadrature; windows between samples have one."""
@@ -260,11 +329,11 @@ class RIEC(AbstractCriterion):
     @property
     def every(self) -> "RIEC":
         """This criterion with all windows, which random ones converge to."""
-        return RIEC(self.windows.every, self.test_function)
+        return self._over(self.windows.every)
 
     def fitted(self, records: Sequence[Record]) -> "RIEC":
         """This criterion with what it takes from the records before tracing."""
-        return RIEC(self.windows.fitted(records), self.test_function)
+        return self._over(self.windows.fitted(records))
 
     def check(self, record: Record) -> None:
         """The record must be longer than the longest window."""
@@ -293,8 +362,10 @@ class RIEC(AbstractCriterion):
             self.test_function.length_multiple,
         )
 
-    def moments(self, equation: Equation, record: Record) -> Moments:
+    def sums(self, equation: Equation, record: Record) -> tuple[Moments, NoiseMoments | None]:
         """Sums over all windows of the outer products of rows, for blocks of starts.
+
+        **Returns:** these and numbers of rows, and what of them the record's noise adds.
 
         **Raises:** `DataError` for a missing signal; `ModelError` for random windows.
         """
@@ -303,12 +374,16 @@ class RIEC(AbstractCriterion):
         windows, n = self.windows.every, record.sample_count
         lags, reach = self.law(record), windows.reach(n)
 
-        def of_chunk(part: Record, blocks: StartBlocks) -> Moments:
-            columns = sampled_columns(equation, part, self.smoothness)
-            return self.moments_of(columns, lags, blocks, reach)
+        def of_chunk(part: Record, blocks: StartBlocks) -> Any:
+            noisy = self.noisy_columns(equation, part)
+            noise = self.noise_of(noisy, part.noise, lags, blocks, reach)
+            if noise is not None:
+                noise = (noise.total, noise.of_source[None])
+            return self.moments_of(noisy.columns, lags, blocks, reach), noise
 
         block, margin = windows.block(n), self.test_function.margin
-        return in_chunks(record, of_chunk, block=block, reach=reach, margin=margin)
+        moments, noise = in_chunks(record, of_chunk, block=block, reach=reach, margin=margin)
+        return moments, None if noise is None else NoiseMoments(noise[0], noise[1].sum(0))
 
     def law(self, record: Record) -> LagBins:
         """The law of window lengths on a record."""
@@ -316,4 +391,6 @@ class RIEC(AbstractCriterion):
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
-        return {"name": "riec", **self.windows.describe(), **self.test_function.describe()}
+        because = {"because": self.why} if self.why else {}
+        windows, weight = self.windows.describe(), self.test_function.describe()
+        return {"name": "riec", **windows, **weight, **because}

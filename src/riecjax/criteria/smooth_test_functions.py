@@ -28,16 +28,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.gains import fourier_size
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import each_bin
+from riecjax.criteria.noise_weights import NoiseWeights, correlated_with_starts
 from riecjax.criteria.quadrature import unpadded_mean
 from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, valid_windows
-from riecjax.criteria.windows import AllWindows, WindowSet
+from riecjax.criteria.windows import AllWindows, WindowSet, half_periods
 from riecjax.equations.columns import Columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
@@ -74,6 +75,15 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def weight(self, tau: Float[Array, " n"], length: Float[Array, ""]) -> Float[Array, " n"]:
         """phi at tau from -1 to 1 over a window that lasts `length` seconds."""
         raise NotImplementedError
+
+    def lengths_of_band(self, band: tuple[float, float]) -> tuple[float, float]:
+        """From half a period of the lowest frequency to two, in seconds.
+
+        Two derivatives of the weight stand where one does of a boxcar, and most of the weight lies
+        in the middle third: windows of half the period of the highest one would be all noise.
+        """
+        _, half = half_periods(band)
+        return half, 4 * half
 
     def describe(self) -> dict[str, object]:
         """Name and number of window lengths."""
@@ -115,13 +125,9 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
         everywhere = self._at_every_start(columns, blocks.unpadded)
-        start = jnp.arange(columns.sample_count)
 
         def rows_of_length(length: Leaf) -> tuple[Array, Array]:
-            inside = start + length < blocks.unpadded
-            window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
-            unbroken = valid_windows(window, columns.present)
-            valid = inside if unbroken is None else inside & unbroken
+            valid = self._whole(columns, length, blocks)
             return jnp.where(valid[None, :], everywhere(length), 0.0), valid
 
         def law_moments(law: LagBins) -> Moments:
@@ -130,6 +136,35 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             )
 
         return each_bin(law_moments, lags._replace(edges=None))
+
+    def noise_weights(
+        self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
+    ) -> NoiseWeights | None:
+        """Of all windows, from the squares of each length's weights."""
+        if not isinstance(windows, LagBins):
+            return None
+        start = jnp.arange(columns.sample_count)
+        within = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
+
+        def of_length(length: Leaf, weight: Leaf) -> NoiseWeights:
+            at = weight * jnp.where(within & self._whole(columns, length, blocks), 1.0, 0.0)
+            weights = self._weights(length, columns)
+            products = weights[:, None] * weights[None, :]
+            return correlated_with_starts(at, products)
+
+        def add(total: NoiseWeights, which: tuple[Leaf, Leaf]) -> tuple[NoiseWeights, None]:
+            return total + of_length(*which), None
+
+        none = jnp.zeros((3, 3, columns.sample_count), columns.values.dtype)
+        return jax.lax.scan(add, none, (jnp.asarray(windows.first), windows.weight))[0]
+
+    def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
+        """Where a window of this length may start: inside, with no sample missing."""
+        start = jnp.arange(columns.sample_count)
+        inside = start + length < blocks.unpadded
+        window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
+        unbroken = valid_windows(window, columns.present)
+        return inside if unbroken is None else inside & unbroken
 
     def _at_every_start(
         self, columns: Columns, unpadded: Int[Array, ""] | int | None

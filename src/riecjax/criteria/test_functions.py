@@ -32,8 +32,15 @@ from riecjax.criteria.all_windows import Moments, moments_in_blocks
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.gains import difference_gain, mean_difference_gain, mean_over_lengths
 from riecjax.criteria.laws import LagBins
+from riecjax.criteria.noise_weights import (
+    NoiseWeights,
+    Points,
+    boxcar_noise_weights,
+    hat_noise_weights,
+    points_of_windows,
+)
 from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
-from riecjax.criteria.windows import AllWindows, WindowSet
+from riecjax.criteria.windows import AllWindows, WindowSet, half_periods
 from riecjax.equations.columns import Columns
 from riecjax.errors import ModelError, require
 from riecjax.records.record import Record
@@ -73,6 +80,13 @@ class AbstractTestFunction(eqx.Module):
         """Samples beside a window that its integrals may look at."""
         return 0
 
+    def lengths_of_band(self, band: tuple[float, float]) -> tuple[float, float]:
+        """alpha and beta in seconds that suit a band in hertz: half its periods, eq. (26).
+
+        **Raises:** `ModelError` unless 0 < low < high.
+        """
+        return half_periods(band)
+
     def integrals(
         self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
     ) -> Integrals:
@@ -93,6 +107,17 @@ class AbstractTestFunction(eqx.Module):
         first, along a leading axis. `reach`: no window is longer, in samples.
         """
         raise NotImplementedError
+
+    def noise_weights(
+        self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
+    ) -> NoiseWeights | None:
+        """How much white noise at each sample weighs in the moments, see `noise_weights`.
+
+        `None` where no closed form is known.
+
+        **Arguments:** `windows`, the law of all windows that start in the blocks, or windows drawn.
+        """
+        return None
 
     def window_count(self, windows: AllWindows, record: Record) -> float:
         """Number of all windows of a record without gaps, by the weights of their law.
@@ -240,6 +265,37 @@ class _Differences(AbstractTestFunction):
         primitives = self.primitives(columns, blocks.unpadded)
         return moments_in_blocks(primitives, lags, blocks, reach=reach)
 
+    def noise_weights(
+        self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
+    ) -> NoiseWeights | None:
+        """In closed form for windows on samples, but for hats in 32-bit: running sums of squares
+        are cubes of a chunk's length, beside which those of a window have no digit left."""
+        if self.smoothness == 2 and columns.values.dtype == jnp.float32:
+            return None
+        points = self._points(columns, windows, blocks)
+        weights = boxcar_noise_weights if self.smoothness == 1 else hat_noise_weights
+        return None if points is None else weights(points, self.quadrature, columns.time_step)
+
+    def _points(
+        self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
+    ) -> Points | None:
+        present, n = columns.present, columns.sample_count
+        if isinstance(windows, LagBins):
+            return points_of_windows(present, n, windows, blocks, self.smoothness)
+        if not jnp.issubdtype(windows.start.dtype, jnp.integer):
+            return None
+        whole = valid_windows(windows, present)
+        one = jnp.ones(windows.start.shape) if whole is None else whole.astype(float)
+        half = (windows.stop - windows.start) // 2
+        middle = windows.start + half
+
+        def at(place: Array, weight: Array) -> Array:
+            return jnp.zeros(n, one.dtype).at[place].add(weight)
+
+        return Points(
+            at(windows.start, one), at(middle, one), at(middle, half * one), at(windows.stop, one)
+        )
+
 
 class Boxcar(_Differences):
     """Weight 1 inside the window, 0 outside: RIEC as published.
@@ -255,7 +311,7 @@ class Boxcar(_Differences):
 
     name: ClassVar[str] = "boxcar"
     smoothness: ClassVar[int] = 1
-    quadrature: int = eqx.field(static=True, default=2)
+    quadrature: int = eqx.field(static=True, default=4)
 
 
 class Hat(_Differences):
@@ -273,7 +329,7 @@ class Hat(_Differences):
     smoothness: ClassVar[int] = 2
     length_multiple: ClassVar[int] = 2
     row_seconds: ClassVar[int] = 2
-    quadrature: int = eqx.field(static=True, default=2)
+    quadrature: int = eqx.field(static=True, default=4)
 
 
 def valid_windows(

@@ -1,11 +1,14 @@
 """An equation's columns, sampled: what every criterion integrates, compares or adds up."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Sampled
 from riecjax.equations.term import sum_columns
 from riecjax.records.record import Record
 
@@ -60,6 +63,13 @@ def sampled_columns(equation: Equation, record: Record, smoothness: int) -> Colu
     **Raises:** `DataError` for a missing signal or derivative.
     """
     read = [term.samples(record, max(term.derivative - smoothness, 0)) for term in equation.terms]
+    return columns_of_terms(equation, record, smoothness, read)
+
+
+def columns_of_terms(
+    equation: Equation, record: Record, smoothness: int, read: Sequence[Sampled]
+) -> Columns:
+    """The columns that samples of each of an equation's terms add up to."""
     names = equation.parameters
     zero = jnp.zeros((1 + len(names), record.sample_count), record.time_step.dtype)
 

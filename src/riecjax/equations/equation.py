@@ -17,7 +17,8 @@ from riecjax.equations.expressions import (
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record
+from riecjax.records.signals import Signals
 
 PROBE = 64
 """Samples that an expression is tried on."""
@@ -137,12 +138,17 @@ class Equation(eqx.Module):
 
         **Raises:** as [`evaluate`][] does, for an expression that cannot be evaluated.
         """
+        read, signals = self.terms_read(record, smoothness), record.signals
+        if self.where is not None:
+            read_expression(self.where, signals)
+        return read | signals.read
+
+    def terms_read(self, record: Record, smoothness: int) -> set[str]:
+        """The same without those that only the mask reads."""
         signals = record.signals
         for term in self.terms:
             order = max(term.derivative - smoothness, 0)
             read_expression(term.expression(record, order), signals)
-        if self.where is not None:
-            read_expression(self.where, signals)
         return signals.read
 
 

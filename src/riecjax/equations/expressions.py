@@ -15,7 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import ModelError, users_code
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record
+from riecjax.records.signals import Signals
 
 Expression = str | Callable[[Signals], Array]
 """A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import Terms
 from riecjax.errors import IdentifiabilityError, renamed
 from riecjax.estimation.constant_target import constant_targets
@@ -17,13 +17,14 @@ from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
+from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.quality import check_signals
 from riecjax.records.record import Record, Records
-from riecjax.records.recording import Recording, as_recordings
+from riecjax.records.recording import Recording
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import Survey
-from riecjax.summaries.task import signals_read, task
+from riecjax.summaries.task import ready, signals_read, task
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window should span."""
@@ -63,9 +64,14 @@ def raise_if_refused(excitations: Iterable[Excitation]) -> None:
 
     **Raises:** `IdentifiabilityError` with the finding's message and code.
     """
-    refusal = _refusal(finding for stage in excitations for finding in stage.findings())
+    refusal = refusal_by(excitations)
     if refusal is not None:
         raise IdentifiabilityError(refusal.message, refusal.code)
+
+
+def refusal_by(excitations: Iterable[Excitation]) -> Finding | None:
+    """What `raise_if_refused` would raise."""
+    return _refusal(finding for stage in excitations for finding in stage.findings())
 
 
 def _refusal(findings: Iterable[Finding]) -> Finding | None:
@@ -77,11 +83,12 @@ def _refusal(findings: Iterable[Finding]) -> Finding | None:
 def check(
     model: Equation | Procedure | HasProcedure,
     records: Records,
-    criterion: AbstractCriterion,
+    criterion: AbstractCriterion | None = None,
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
     per_record: Sequence[str] = (),
+    noise: GivenNoise = "auto",
     summary: Summary | None = None,
     excited: list[Excitation] | None = None,
 ) -> Check:
@@ -94,9 +101,9 @@ def check(
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    asked = task(model, records, criterion, key)
+    recordings = ready(as_procedure(model), records, noise)
+    asked = task(model, recordings, criterion, key)
     procedure, plain, criterion, _ = asked
-    recordings = as_recordings(records)
     read = [read_of(procedure, recording, criterion) for recording in recordings]
     plan = plan_parameters(procedure, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary

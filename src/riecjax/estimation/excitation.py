@@ -1,5 +1,6 @@
 """Whether a record tells a model's parameters apart, known before any of them is estimated."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -9,6 +10,7 @@ from jaxtyping import Array, Float
 
 from riecjax.estimation.estimate import combination
 from riecjax.estimation.identify import not_excited, raise_if_nothing_to_fit
+from riecjax.estimation.noise_level import largest_share
 from riecjax.estimation.parameters import ParameterPlan
 from riecjax.estimation.stages import stages_over_records
 from riecjax.findings import Finding
@@ -21,8 +23,11 @@ UNIDENTIFIABLE = 1e-6
 """Share of a regressor that is its own, below which no sensor could see it."""
 NEARLY_COLLINEAR = 0.02
 """Share below which a sensor error of a few percent would turn the estimate over."""
-NOISE_MARGIN = 2.0
-"""How many times the noise of the signals the own part of a regressor should be."""
+DOMINATES = 0.3
+"""Share of noise in a combination of regressors, as energy, past which an estimate rests on what is
+known of the noise."""
+DROWNED = 0.9
+"""The same past which the combination is lost; a quarter where the noise is not taken off."""
 
 
 class Excitation(eqx.Module):
@@ -37,6 +42,9 @@ class Excitation(eqx.Module):
       changes from sample to sample.
     - `weakest_direction`, `weakest_share`: unit vector over the scaled regressors whose
       combination is smallest, and its size.
+    - `noisiest_direction`, `noisiest_share`: the same of the combination that noise makes up most
+      of, and the noise's share of its energy; `noisiest` signal in it, empty if none is known.
+    - `corrected`: whether what noise adds is taken off before estimation.
     """
 
     size: Float[Array, " p"]
@@ -44,28 +52,45 @@ class Excitation(eqx.Module):
     noise_share: Float[Array, " p"]
     weakest_direction: Float[Array, " p"]
     weakest_share: Float[Array, ""]
+    noisiest_direction: Float[Array, " p"]
+    noisiest_share: Float[Array, ""]
     parameters: tuple[str, ...] = eqx.field(static=True)
     stage_name: str = eqx.field(static=True)
+    corrected: bool = eqx.field(static=True, default=False)
+    noisiest: str = eqx.field(static=True, default="")
 
     def findings(self) -> list[Finding]:
         """What stands against identifying this stage (not under jit)."""
         silent = [n for n, size in zip(self.parameters, self.size) if float(size) == 0]
         if silent:
             return [not_excited(self.stage_name, name) for name in silent]
-        direction = np.asarray(self.weakest_direction)
-        share = float(self.weakest_share)
-        noise = float(np.sqrt(np.sum(np.square(direction * np.asarray(self.noise_share)))))
+        noise, drowned = float(self.noisiest_share), DROWNED if self.corrected else 0.25
+        direction, share = np.asarray(self.weakest_direction), float(self.weakest_share)
+        of_noise = share >= UNIDENTIFIABLE and noise > min(DOMINATES, drowned)
+        direction = np.asarray(self.noisiest_direction) if of_noise else direction
         remedy = (
             f"Excite the system more richly, or hold one of them at a known value (on the command "
             f"line: --set {self.parameters[int(np.argmax(np.abs(direction)))]}=VALUE)."
         )
+        whose = f"noise of {self.noisiest}" if self.noisiest else "noise of the signals"
         if share < UNIDENTIFIABLE:
             why = Finding("unidentifiable", "the record cannot tell these apart")
-        elif share < NOISE_MARGIN * noise and share < 0.5:
+        elif noise > drowned:
             why = Finding(
                 "unidentifiable",
-                f"what tells these apart is no larger than the noise of the signals "
-                f"({100 * share:.2g} % of the regressors, noise {100 * noise:.2g} %)",
+                f"what tells these apart is {100 * noise:.0f} % {whose}",
+                (self.noisiest,) if self.noisiest else (),
+            )
+        elif noise > DOMINATES:
+            why = Finding(
+                "noise_dominates",
+                f"{100 * noise:.0f} % of what tells these apart is {whose}, so that they rest on "
+                f"how well that is known",
+                (self.noisiest,) if self.noisiest else (),
+            )
+            remedy = (
+                f"Take longer windows (--beta), refine by output error (--refine output-error), or "
+                f"give the noise if it is known (--noise {self.noisiest or 'SIGNAL'}=SD)."
             )
         elif share < NEARLY_COLLINEAR:
             why = Finding(
@@ -86,8 +111,8 @@ class Excitation(eqx.Module):
 def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
     """How each stage's regressors are excited, by a Summary with a survey (not under jit).
 
-    The noise of a signal is estimated from its differences of sixth order, which no smooth motion
-    survives, and sent through the equation once: rows with that noise less rows without.
+    Noise is what is taken off the sums; of a criterion that takes off none, what noise of each
+    signal's size adds to rows, sent through the equation once.
 
     **Raises:** `DataError` for a stage without rows, or with terms that are not finite.
     """
@@ -100,6 +125,8 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
 
     def noise(i: int, j: int) -> NormalEquations:
         e = equations[i][j]
+        if e.noise is not None:
+            return NormalEquations(e.noise.sum(1), e.count.sum(1), e.parameters)
         found = [one.stages[i][j].survey for one in summary.recordings]
         count = e.count.sum(1)
         each: Any = np.stack([np.asarray(s.noise) for s in found if s is not None])
@@ -107,15 +134,35 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
 
     noises = [[noise(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]
     totals = [[e.in_blocks_of_records() for e in stage] for stage in equations]
-    return on_host(_excitations(totals, noises, plan))
+    sources = summary.noise_by_source()
+    found, by_source = on_host(_excitations(totals, noises, sources, plan))
+    if all(e.noise is None for stage in equations for e in stage):
+        return found
+    return [_with_noisiest(one, by_source, summary, plan) for one in found]
+
+
+def _with_noisiest(
+    found: Excitation, stages: list[NormalEquations], summary: Summary, plan: ParameterPlan
+) -> Excitation:
+    """The same with the source of noise that adds most to the noisiest combination."""
+    i = [label for label, _ in plan.stages].index(found.stage_name)
+    stage, direction = stages[i], np.zeros(1 + len(stages[i].parameters))
+    place = [1 + stage.parameters.index(name) for name in found.parameters]
+    size = np.asarray(found.size)
+    direction[place] = np.where(size > 0, found.noisiest_direction / np.where(size > 0, size, 1), 0)
+    added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.moments), direction)
+    names = [list(one.noise.sources) for one in summary.recordings]
+    record, source = np.unravel_index(int(np.argmax(added)), added.shape)
+    return dataclasses.replace(found, corrected=True, noisiest=names[record][source])
 
 
 @eqx.filter_jit
 def _excitations(
     equations: list[list[NormalEquations]],
     noise: list[list[NormalEquations]],
+    sources: list[list[NormalEquations]],
     plan: ParameterPlan,
-) -> list[Excitation]:
+) -> tuple[list[Excitation], list[NormalEquations]]:
     stages, _ = stages_over_records(equations, plan.sharing)
     noises, _ = stages_over_records(noise, plan.sharing)
     found = []
@@ -123,8 +170,8 @@ def _excitations(
         if unknown:
             summed, added = stage.total(), own.total()
             mean = added.moments / jnp.where(added.count > 0, added.count, 1.0)
-            found.append(excitation_of(summed, mean, unknown, label))
-    return found
+            found.append(excitation_of(summed.with_noise(None), mean, unknown, label))
+    return found, stages_over_records(sources, plan.sharing)[0]
 
 
 def excitation_of(
@@ -147,13 +194,16 @@ def excitation_of(
     finds; `label`, its name.
     """
     index = np.array([total.parameters.index(name) for name in unknown])
-    mean = total.gram[np.ix_(index, index)] / jnp.where(total.count > 0, total.count, 1.0)
+    with_noise = total.moments[np.ix_(1 + index, 1 + index)]
+    mean = with_noise / jnp.where(total.count > 0, total.count, 1.0)
     size = jnp.sqrt(jnp.diagonal(mean))
     scaled, scale = unit_diagonal(mean)
     squares, directions = symmetric_eigen(scaled)
     # Rounding of the Gram matrix hides shares below the root of eps.
     squares = jnp.maximum(squares, 0.0)
     floor = jnp.finfo(size.dtype).eps * len(unknown)
+    own_noise = noise[1 + index][:, 1 + index]
+    dominance, noisiest = largest_share(own_noise, mean)
     inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
     return Excitation(
         size=size,
@@ -161,6 +211,13 @@ def excitation_of(
         noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)[1 + index]) * scale, 0.0),
         weakest_direction=directions[:, 0],
         weakest_share=jnp.sqrt(squares[0]),
+        noisiest_direction=_unit(noisiest * size),
+        noisiest_share=dominance,
         parameters=unknown,
         stage_name=label,
     )
+
+
+def _unit(vector: Float[Array, " p"]) -> Float[Array, " p"]:
+    length = jnp.sqrt(jnp.sum(vector**2))
+    return vector / jnp.where(length > 0, length, 1.0)

@@ -17,6 +17,7 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, IdentifiabilityError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
+from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
 from riecjax.estimation.stages import (
     StageSolution,
@@ -26,8 +27,9 @@ from riecjax.estimation.stages import (
     stages_over_records,
 )
 from riecjax.findings import Finding
-from riecjax.leaves import is_concrete, on_host
+from riecjax.leaves import Leaf, is_concrete, on_host
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
+from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
 from riecjax.records.recording import as_recordings
 from riecjax.summaries.blocks import ShortBlocks
@@ -58,6 +60,7 @@ def identify(
     known: Mapping[str, float | Array] | None = None,
     per_record: Sequence[str] = (),
     intervals: AbstractIntervals | None = None,
+    noise: GivenNoise = "auto",
 ) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
@@ -78,6 +81,9 @@ def identify(
       in the result `offset` becomes `offset[1]`, `offset[2]`, ...
     - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default; [`Sandwich`][] is
       cheaper where thousands of fits are vmapped.
+    - `noise` of the signals, whose mark on the windows' sums is taken off: judged from the samples
+      unless it is given, see [`GivenNoise`][riecjax.records.GivenNoise]; `"none"` leaves the sums
+      as they are.
 
     **Returns:** an [`Estimate`][].
 
@@ -86,7 +92,7 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    asked = task(model, records, criterion, key)
+    asked = task(model, records, criterion, key, noise)
     plan = plan_parameters(asked.procedure, len(asked.records), known, per_record)
     _require_intervals(intervals)
     found = _estimated(asked.procedure, summed(asked), plan, intervals)
@@ -151,6 +157,8 @@ def _estimated(
     equations, short = summary.equations(), summary.short_blocks
     window = jnp.asarray(summary.criterion.block_length)
     settings = (given, window, short, sharing, BlockBootstrap() if intervals is None else intervals)
+    sources, freedom = summary.noise_by_source(), summary.noise_freedom
+    settings = (sources, freedom, *settings)
     fit = _solve(equations, *settings, None)
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
@@ -204,6 +212,8 @@ class _Fit(NamedTuple):
 @eqx.filter_jit
 def _solve(
     equations: list[list[NormalEquations]],
+    sources: list[list[NormalEquations]],
+    freedom: Float[Leaf, "records sources"],
     known: Mapping[str, Array],
     longest_window: Float[Array, ""],
     short: ShortBlocks,
@@ -211,6 +221,8 @@ def _solve(
     intervals: AbstractIntervals,
     rows: list[list[list[Rows]]] | None,
 ) -> _Fit:
+    both = [[borne_out(*pair) for pair in zip(*stage)] for stage in zip(equations, sources)]
+    equations = [[e for e, _ in stage] for stage in both]
     stages, shared = stages_over_records(equations, sharing)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
     stacked = None
@@ -223,6 +235,9 @@ def _solve(
     uncertainty, inflation, statistics = estimate_uncertainty(
         stages, known, values, short, longest_window, common, intervals
     )
+    by_source, _ = stages_over_records([[s for _, s in stage] for stage in both], sharing)
+    of_level = level_covariance(statistics, by_source, freedom, values)
+    uncertainty = uncertainty.widened(of_level)
     block_count = jnp.sum(statistics.used)
     totals = [stage.flattened().total() for stage in stages]
     return _Fit(

@@ -1,5 +1,6 @@
 """Normal equations of stages over records, solved in turn, and what is left of every equation."""
 
+import operator
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import equinox as eqx
@@ -197,10 +198,10 @@ def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquatio
     if not sharing.own:
         return equations
     every = [
-        NormalEquations(moments, count, sharing.of_record(names, i)).embed(
-            sharing.everywhere(names)
-        )
-        for i, (moments, count) in enumerate(zip(equations.moments, equations.count))
+        equations.each(
+            operator.itemgetter(i), operator.itemgetter(i), sharing.of_record(names, i)
+        ).embed(sharing.everywhere(names))
+        for i in range(equations.count.shape[0])
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
 

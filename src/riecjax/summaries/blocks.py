@@ -63,11 +63,11 @@ def merge_blocks(
     **Returns:** normal equations with one leading axis: `most` blocks of each record, of which
     those beyond `used` are empty. No block holds anything of two records.
     """
-    return NormalEquations(
-        sum_blocks(equations.moments, short, used, most),
-        sum_blocks(equations.count, short, used, most),
-        equations.parameters,
-    )
+
+    def merged(values: Array) -> Array:
+        return sum_blocks(values, short, used, most)
+
+    return equations.each(merged, merged)
 
 
 def sum_blocks(

@@ -67,6 +67,7 @@ def digest_of(
         "equations": [[_described(e) for e in stage] for stage in procedure.stages],
         "key": None if key is None else jax.random.key_data(key).tolist(),
         "bins": None if bins is None else bins.edges.tolist(),
+        "noise": jax.tree.map(lambda taps: np.asarray(taps).tolist(), record.noise.kernels),
     }
     digest.update(json.dumps(settings, sort_keys=True, default=_without_address).encode())
     return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)

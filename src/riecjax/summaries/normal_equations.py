@@ -1,6 +1,6 @@
 """Normal equations: all that least squares needs to know of its rows, and additive."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -23,26 +23,49 @@ class NormalEquations(eqx.Module):
     - `moments`: `[y A]^T [y A]`, shape `(..., 1 + p, 1 + p)`.
     - `count`: number of rows, shape `(...)`.
     - `parameters`: names of the p regressors, in the order of the matrix.
+    - `noise`: what of `moments` sensor noise adds in expectation, shape `(..., 1 + p, 1 + p)`;
+      `None` where nothing is known of it.
     """
 
     moments: Float[Array, "*blocks columns columns"]
     count: Float[Array, "*blocks"]
     parameters: tuple[str, ...] = eqx.field(static=True)
+    noise: Float[Array, "*blocks columns columns"] | None = None
+
+    @property
+    def clean(self) -> Float[Array, "*blocks columns columns"]:
+        """The moments less what noise adds: those of the signals, in expectation."""
+        return self.moments if self.noise is None else self.moments - self.noise
 
     @property
     def gram(self) -> Float[Array, "*blocks p p"]:
-        """A^T A."""
-        return self.moments[..., 1:, 1:]
+        """A^T A, less what noise adds."""
+        return self.clean[..., 1:, 1:]
 
     @property
     def moment(self) -> Float[Array, "*blocks p"]:
-        """A^T y."""
-        return self.moments[..., 1:, 0]
+        """A^T y, less what noise adds."""
+        return self.clean[..., 1:, 0]
 
     @property
     def energy(self) -> Float[Array, "*blocks"]:
-        """y^T y."""
+        """y^T y, noise included."""
         return self.moments[..., 0, 0]
+
+    def each(
+        self,
+        of_matrix: Callable[[Array], Array],
+        of_count: Callable[[Array], Array] = lambda count: count,
+        parameters: tuple[str, ...] | None = None,
+    ) -> "NormalEquations":
+        """The same done to all matrices, and something to the numbers of rows."""
+        names = self.parameters if parameters is None else parameters
+        noise = None if self.noise is None else of_matrix(self.noise)
+        return NormalEquations(of_matrix(self.moments), of_count(self.count), names, noise)
+
+    def with_noise(self, noise: Array | None) -> "NormalEquations":
+        """The same moments, of which this is noise."""
+        return NormalEquations(self.moments, self.count, self.parameters, noise)
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
         if self.parameters != other.parameters:
@@ -50,28 +73,27 @@ class NormalEquations(eqx.Module):
                 f"normal equations of different parameters cannot be added: {self.parameters} and "
                 f"{other.parameters}. Bring both to the same ones by `embed`."
             )
-        return NormalEquations(
-            self.moments + other.moments, self.count + other.count, self.parameters
-        )
+        moments, count = self.moments + other.moments, self.count + other.count
+        known = [noise for noise in (self.noise, other.noise) if noise is not None]
+        noise = sum(known[1:], start=known[0]) if known else None
+        return NormalEquations(moments, count, self.parameters, noise)
 
     def total(self) -> "NormalEquations":
         """The sum over the axis of blocks."""
-        return NormalEquations(self.moments.sum(0), self.count.sum(0), self.parameters)
+        return self.each(lambda m: m.sum(0), lambda count: count.sum(0))
 
     def in_blocks_of_records(self) -> "NormalEquations":
         """Of leading axes `(records, blocks)`, the sum over the second."""
-        return NormalEquations(self.moments.sum(1), self.count.sum(1), self.parameters)
+        return self.each(lambda m: m.sum(1), lambda count: count.sum(1))
 
     def flattened(self) -> "NormalEquations":
         """The same with one leading axis for all that there are."""
         shape = self.moments.shape[-2:]
-        return NormalEquations(
-            self.moments.reshape(-1, *shape), self.count.reshape(-1), self.parameters
-        )
+        return self.each(lambda m: m.reshape(-1, *shape), lambda count: count.reshape(-1))
 
     def rename(self, parameters: tuple[str, ...]) -> "NormalEquations":
         """The same equations with other names for the regressors."""
-        return NormalEquations(self.moments, self.count, parameters)
+        return self.each(lambda m: m, parameters=parameters)
 
     def embed(self, parameters: tuple[str, ...]) -> "NormalEquations":
         """The same equations among more parameters, with zeros for those that do not occur."""
@@ -79,9 +101,12 @@ class NormalEquations(eqx.Module):
             raise ModelError(f"cannot leave out {sorted(missing)}; fix them instead.")
         index = jnp.array([0] + [1 + parameters.index(name) for name in self.parameters])
         size = 1 + len(parameters)
-        moments = jnp.zeros((*self.moments.shape[:-2], size, size), self.moments.dtype)
-        moments = moments.at[..., index[:, None], index[None, :]].set(self.moments)
-        return NormalEquations(moments, self.count, parameters)
+
+        def embedded(matrix: Array) -> Array:
+            among = jnp.zeros((*matrix.shape[:-2], size, size), matrix.dtype)
+            return among.at[..., index[:, None], index[None, :]].set(matrix)
+
+        return self.each(embedded, parameters=parameters)
 
     def fix(self, known: Mapping[str, Array | float]) -> "NormalEquations":
         """The equations left when these parameters take these values: their columns join y.
@@ -101,7 +126,7 @@ class NormalEquations(eqx.Module):
                 mix = mix.at[0, 1 + j].set(-jnp.asarray(known[name], mix.dtype))
             else:
                 mix = mix.at[1 + free.index(name), 1 + j].set(1.0)
-        return NormalEquations(mix @ self.moments @ mix.T, self.count, free)
+        return self.each(lambda matrix: mix @ matrix @ mix.T, parameters=free)
 
     @classmethod
     def of_rows(
@@ -139,8 +164,13 @@ def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> N
     def filled_up(blocks: Array) -> Array:
         return xp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
 
+    noise = None
+    if any(part.noise is not None for part in parts):
+        each = [xp.zeros_like(p.moments) if p.noise is None else p.noise for p in parts]
+        noise = xp.stack([filled_up(one) for one in each])
     return NormalEquations(
         xp.stack([filled_up(part.moments) for part in parts]),
         xp.stack([filled_up(part.count) for part in parts]),
         parts[0].parameters,
+        noise,
     )

@@ -19,7 +19,7 @@
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -52,7 +52,7 @@ from riecjax.summaries.parts import (
     of_rows,
 )
 from riecjax.summaries.stage_sums import sum_of_equations
-from riecjax.summaries.sums import Averages, EquationSums, RecordingSums, Survey, noise_level
+from riecjax.summaries.sums import Averages, EquationSums, RecordingSums, Survey
 
 AVERAGED = 1024
 """Averaged rows of a recording, about."""
@@ -90,8 +90,6 @@ class OnePass:
         self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
         self.record, self.survey = record, survey
         self.step, self.count = float(record.time_step), record.sample_count
-        with np.errstate(over="ignore", invalid="ignore"):
-            self.levels = {k: noise_level(np.asarray(v)) for k, v in record.arrays.items()}
         self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
         # Hats of four means to a side at the least.
         self.thin = next((by for by in (16, 4) if self.half >= 4 * by), 1)
@@ -123,6 +121,7 @@ class OnePass:
             np.asarray(self.count),
             np.asarray(self.step),
             digest_of(self.procedure, self.record, self.criterion, self.key, self.bins),
+            self.record.noise,
         )
         # The order of axes in memory is one in which NumPy adds up: it must survive a file.
         return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
@@ -157,14 +156,31 @@ class OnePass:
         def of_equation(i: int, j: int) -> EquationSums:
             every = [part[i][j] for part in parts]
 
-            def joined(of: int) -> np.ndarray:
-                """Moments (0) or numbers of windows (1) of all parts and bins, the bins first."""
-                groups = zip(*(p.moments for p in every))
-                in_groups = [np.concatenate([pair[of] for pair in group]) for group in groups]
+            def joined(of: str) -> np.ndarray | None:
+                """Sums by blocks of all parts and bins, the bins first."""
+                groups = list(zip(*(part.moments for part in every)))
+                if getattr(groups[0][0], of) is None:
+                    return None
+                in_groups = [np.concatenate([getattr(p, of) for p in group]) for group in groups]
                 in_bins = np.moveaxis(np.concatenate(in_groups, axis=1)[:count], 1, 0)
                 return _sum_of_groups(in_bins, grouped)
 
-            return self._equation(self.procedure.stages[i][j], joined(0), joined(1), every)
+            def of_sources() -> np.ndarray | None:
+                groups = zip(*(part.moments for part in every))
+                sums = [
+                    [p.of_source.sum(0) for p in group if p.of_source is not None]
+                    for group in groups
+                ]
+                return (
+                    np.concatenate([sum(each[1:], start=each[0]) for each in sums])
+                    if sums[0]
+                    else None
+                )
+
+            names = {"moments": "moments", "count": "number", "noise": "noise"}
+            sums = {name: joined(of) for name, of in names.items()}
+            equation = self.procedure.stages[i][j]
+            return self._equation(equation, every, **sums, noise_of_source=of_sources())
 
         shape = [len(stage) for stage in self.procedure.stages]
         return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
@@ -208,7 +224,7 @@ class OnePass:
         """The recording cut into parts, each with what its windows reach beyond it."""
         if layout.filled is None:
             record = dataclasses.replace(self.record, skipped=np.zeros(()))
-            yield Part(record, 0, None, self.levels)
+            yield Part(record, 0, None)
             return
         margin = self.criterion.test_function.margin
         for start in range(0, self.count, layout.starts):
@@ -218,7 +234,6 @@ class OnePass:
                 _filled_up(self.record, begin, stop, layout.filled),
                 jnp.asarray(start - begin),
                 jnp.asarray(stop - begin),
-                self.levels,
             )
 
     def _rows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
@@ -258,9 +273,7 @@ class OnePass:
                 return False
         return True
 
-    def _equation(
-        self, equation: Equation, moments: np.ndarray, count: np.ndarray, parts: list[PartSums]
-    ) -> EquationSums:
+    def _equation(self, equation: Equation, parts: list[PartSums], **sums: Any) -> EquationSums:
         rows = np.concatenate([p.averaged.reshape(-1, p.averaged.shape[-1]) for p in parts])
         # Some chunks tell of noise; their sum is brought to the number of all rows.
         noise, valid = np.sum([p.noise.sum(0) for p in parts], axis=0), rows[:, 0] > 0
@@ -273,13 +286,12 @@ class OnePass:
         active = [jax.tree.map(lambda leaf: leaf.sum(0), p.activity) for p in parts]
         surveys = [p.survey for p in parts if p.survey is not None]
         return EquationSums(
-            moments,
-            count,
-            averages,
-            jax.tree.map(lambda *leaves: np.sum(leaves, axis=0), *active),
-            _survey(surveys, float(self.record.skipped)) if surveys else None,
-            None,
-            equation.parameters,
+            averages=averages,
+            activity=jax.tree.map(lambda *leaves: np.sum(leaves, axis=0), *active),
+            survey=_survey(surveys, float(self.record.skipped)) if surveys else None,
+            factor=None,
+            parameters=equation.parameters,
+            **sums,
         )
 
 
@@ -313,6 +325,7 @@ def _filled_up(record: Record, begin: int, stop: int, length: int) -> Record:
         {name: filled(mask) for name, mask in record.missing.items()},
         stamps,
         earlier,
+        record.noise,
     )
 
 

@@ -10,7 +10,7 @@ for checks and figures. How a recording is cut into parts is the other half's, `
 # columns without it are subtracted. The difference is exact where terms are linear in the signals,
 # and right to first order in the noise where they are not.
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -28,12 +28,12 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
+from riecjax.equations.noisy_columns import NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Terms
-from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.summaries.averages import activity, averaged_rows, thinned, underived
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.stage_sums import moments_of_drawn
 
 PART = 2**17
 """Starts to a part of a long recording."""
@@ -78,28 +78,37 @@ class Part(NamedTuple):
     """Samples of a recording, filled up behind, and which of its starts are summed here.
 
     **Fields:** `record`; `first` of the starts; `held`, samples that are the recording's (`None`:
-    all of them, a number that is compiled in); `levels`, the noise of each signal.
+    all of them, a number that is compiled in).
     """
 
     record: Record
     first: Int[Array, ""] | int
     held: Int[Array, ""] | None
-    levels: Mapping[str, Float[Leaf, ""]]
 
 
 class PartSums(NamedTuple):
     """What a part says of one equation, by blocks of starts.
 
-    **Fields:** `moments`, pairs of sums and numbers of windows, then by bins; `averaged` rows with
-    a leading one, zero where there is none, and `noise`, outer products of what noise adds to
-    these; `activity`, an `Activity` of each chunk; `survey`.
+    **Fields:** `moments`, sums, numbers of windows and what noise adds to the sums, then by bins;
+    and by chunk what each source of noise adds, then by bins; `averaged` rows with a leading one,
+    zero where there is none, and `noise`, outer products of what noise adds to these; `activity`,
+    an `Activity` of each chunk; `survey`.
     """
 
-    moments: tuple[tuple[Array, Array], ...]
+    moments: tuple["BlockSums", ...]
     averaged: Float[Array, "blocks rows 2+p"]
     noise: Float[Array, "blocks 2+p 2+p"]
     activity: Any
     survey: "Surveyed | None"
+
+
+class BlockSums(NamedTuple):
+    """Sums over windows of some lengths, blocks first (of `of_source` chunks) and then bins."""
+
+    moments: Array
+    number: Array
+    noise: Array | None
+    of_source: Array | None
 
 
 class Surveyed(NamedTuple):
@@ -130,9 +139,10 @@ def of_all_windows(
     """
 
     def equation_sums(
-        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: StartBlocks
+        equation: Equation, noisy: NoisyColumns, noise: Noise, record: Record, blocks: StartBlocks
     ) -> PartSums:
-        moments = tuple(_in_blocks(criterion, columns, which, blocks) for which in lengths)
+        columns = noisy.columns
+        moments = tuple(_in_blocks(criterion, noisy, record, which, blocks) for which in lengths)
         sums = _part_sums(columns, noise, record, blocks, half, request, None, moments)
         if not request.surveyed:
             return sums
@@ -144,9 +154,13 @@ def of_all_windows(
 
 
 def _in_blocks(
-    criterion: AbstractCriterion, columns: Columns, lengths: Lengths, blocks: StartBlocks
-) -> tuple[Array, Array]:
-    """Moments and numbers of windows of some lengths, blocks first and then bins.
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    record: Record,
+    lengths: Lengths,
+    blocks: StartBlocks,
+) -> BlockSums:
+    """Moments and numbers of windows of some lengths, and what noise adds.
 
     The closed form sums the windows that start in a block from running sums over the block and its
     reach, so that a block shorter than a window costs as much as one as long. Where windows are
@@ -157,14 +171,17 @@ def _in_blocks(
         while wider * size < lengths.reach and blocks.number % (2 * wider) == 0:
             wider *= 2
         blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
-    found = criterion.moments_of(columns, lengths.lags, blocks, lengths.reach)
 
     def spread(sums: Array) -> Array:
         apart = jnp.swapaxes(sums, 0, 1)[:, None]
         behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
         return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
 
-    return spread(found[0]), spread(found[1])
+    found = criterion.moments_of(noisy.columns, lengths.lags, blocks, lengths.reach)
+    noise = criterion.noise_of(noisy, record.noise, lengths.lags, blocks, lengths.reach)
+    if noise is None:
+        return BlockSums(spread(found[0]), spread(found[1]), None, None)
+    return BlockSums(spread(found[0]), spread(found[1]), spread(noise.total), noise.of_source[None])
 
 
 @eqx.filter_jit
@@ -178,14 +195,16 @@ def of_rows(
 ) -> list[list[PartSums]]:
     """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
     drawn = criterion.draw(part.record, key, part.held)
-    block_of_row = jnp.clip((drawn.start / request.block).astype(int), 0, request.blocks - 1)
 
     def equation_sums(
-        equation: Equation, columns: Columns, noise: Noise, record: Record, blocks: StartBlocks
+        equation: Equation, noisy: NoisyColumns, noise: Noise, record: Record, blocks: StartBlocks
     ) -> PartSums:
-        rows = criterion.rows_of(columns, drawn, part.held)
-        found = NormalEquations.of_rows(rows, block_of_row=block_of_row, block_count=request.blocks)
-        moments = ((found.moments[:, None], found.count[:, None]),)
+        columns = noisy.columns
+        sums, added = moments_of_drawn(criterion, noisy, record, drawn, blocks)
+        of_noise = (None, None)
+        if added is not None:
+            of_noise = added.total[:, None], added.of_source[None, None]
+        moments = (BlockSums(sums[0][:, None], sums[1][:, None], *of_noise),)
         bare = None if criterion.smoothness else underived(equation)
         sums = _part_sums(columns, noise, record, blocks, half, request, bare, moments)
         if not request.surveyed:
@@ -215,15 +234,15 @@ def _in_chunks(
     procedure: Procedure,
     criterion: AbstractCriterion,
     part: Part,
-    equation_sums: Callable[[Equation, Columns, Noise, Record, StartBlocks], PartSums],
+    equation_sums: Callable[[Equation, NoisyColumns, Noise, Record, StartBlocks], PartSums],
     reach: int,
     request: Request,
 ) -> list[list[PartSums]]:
     def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
         def of_equation(equation: Equation) -> PartSums:
-            columns = sampled_columns(equation, record, criterion.smoothness)
-            noise = partial(_added_by_noise, equation, columns, record, part.levels)
-            return equation_sums(equation, columns, noise, record, blocks)
+            noisy = criterion.noisy_columns(equation, record)
+            noise = partial(_added_by_noise, equation, record, criterion.smoothness)
+            return equation_sums(equation, noisy, noise, record, blocks)
 
         return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
 
@@ -251,7 +270,7 @@ def _part_sums(
     half: Int[Array, ""],
     request: Request,
     bare: np.ndarray | None,
-    moments: tuple[tuple[Array, Array], ...],
+    moments: tuple[BlockSums, ...],
 ) -> PartSums:
     thin, each = request.thin, request.averaged
     start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
@@ -349,20 +368,19 @@ def _reaches(
     return found
 
 
-def _added_by_noise(
-    equation: Equation, columns: Columns, record: Record, levels: Mapping[str, Float[Leaf, ""]]
-) -> Columns:
-    """What noise of these levels adds to an equation's columns."""
-    return sampled_columns(equation, disturbed(record, levels), columns.smoothness) - columns
+def _added_by_noise(equation: Equation, record: Record, smoothness: int) -> Columns:
+    """What noise of its signals' sizes adds to an equation's columns."""
+    disturbed = sampled_columns(equation, _disturbed(record), smoothness)
+    return disturbed - sampled_columns(equation, record, smoothness)
 
 
-def disturbed(record: Record, levels: Mapping[str, Float[Leaf, ""]]) -> Record:
-    """The record with so much white noise on each signal; the same at a sample in any stretch."""
+def _disturbed(record: Record) -> Record:
+    """The record with white noise of its size on each signal; any stretch has the same."""
     first = jnp.round(record.skipped / record.time_step).astype(int)
     place = first + jnp.arange(record.sample_count)
     noise = jnp.asarray(NOISE, record.time_step.dtype)
     added = {
-        name: record.arrays[name] + level * noise[(place + i * APART) % NOISE.size]
-        for i, (name, level) in enumerate(sorted(levels.items()))
+        name: record.arrays[name] + record.noise.std(name) * noise[(place + i * APART) % NOISE.size]
+        for i, name in enumerate(sorted(record.arrays))
     }
     return record.with_signals(added, missing=record.missing)

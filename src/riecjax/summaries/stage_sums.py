@@ -9,8 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from riecjax.criteria.all_windows import Moments
+from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.noise_moments import NoiseMoments
+from riecjax.criteria.windows import WindowSet
+from riecjax.equations.columns import Columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.noisy_columns import NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
 from riecjax.summaries.blocks import short_blocks
@@ -35,8 +41,8 @@ def stage_normal_equations(
     """
     parts = _of_equations(procedure, record, criterion, key, blocks)
     return [
-        sum_of_equations(equations, names)
-        for equations, names in zip(parts, procedure.stage_parameters)
+        sum_of_equations([equations for equations, _ in stage], names)
+        for stage, names in zip(parts, procedure.stage_parameters)
     ]
 
 
@@ -58,8 +64,17 @@ def traced_sums(
     parts = _of_equations_compiled(procedure, record, criterion, key, True)
     stages = tuple(
         tuple(
-            EquationSums(e.moments[None], e.count[None], None, None, None, None, e.parameters)
-            for e in stage
+            EquationSums(
+                e.moments[None],
+                e.count[None],
+                None,
+                None,
+                None,
+                None,
+                e.parameters,
+                *((None, None) if noise is None else (noise.total[None], noise.of_source[None])),
+            )
+            for e, noise in stage
         )
         for stage in parts
     )
@@ -73,6 +88,7 @@ def traced_sums(
         np.asarray(record.sample_count),
         record.time_step,
         np.zeros(8, np.uint32),
+        record.noise,
     )
 
 
@@ -82,21 +98,44 @@ def _of_equations(
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
     blocks: bool,
-) -> list[list[NormalEquations]]:
+) -> list[list[tuple[NormalEquations, NoiseMoments | None]]]:
     samples = criterion.block_samples(record) if blocks else record.sample_count
     count = -(-record.sample_count // samples)
 
     # Rows of a stage's equations are summed, never interleaved: one Gram matrix per equation.
-    def of(equation: Equation) -> NormalEquations:
+    def of(equation: Equation) -> tuple[NormalEquations, NoiseMoments | None]:
+        names = equation.parameters
         if criterion.in_closed_form:
-            return NormalEquations(*criterion.moments(equation, record), equation.parameters)
-        rows = criterion.rows(equation, record, key)
-        block = None
-        if count > 1:
-            block = jnp.clip((rows.position / samples).astype(jnp.int32), 0, count - 1)
-        return NormalEquations.of_rows(rows, block_of_row=block, block_count=count)
+            (moments, number), noise = criterion.sums(equation, record)
+        else:
+            drawn = criterion.draw(record, key)
+            cut = StartBlocks(0, jnp.asarray(samples), count, record.sample_count)
+            noisy = criterion.noisy_columns(equation, record)
+            (moments, number), noise = moments_of_drawn(criterion, noisy, record, drawn, cut)
+        total = None if noise is None else noise.total
+        return NormalEquations(moments, number, names, total), noise
 
     return [[of(equation) for equation in stage] for stage in procedure.stages]
+
+
+def moments_of_drawn(
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    record: Record,
+    drawn: WindowSet,
+    blocks: StartBlocks,
+) -> tuple[Moments, NoiseMoments | None]:
+    """Sums over rows of single windows or samples, for blocks of starts, and what noise adds."""
+    place = (drawn.start / blocks.size).astype(jnp.int32)
+    place = jnp.clip(place, 0, blocks.number - 1) if blocks.number > 1 else None
+
+    def sums(columns: Columns) -> Moments:
+        rows = criterion.rows_of(columns, drawn, blocks.unpadded)
+        found = NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
+        return found.moments, found.count
+
+    noise = criterion.noise_of_rows(noisy, record.noise, drawn, lambda c: sums(c)[0], blocks)
+    return sums(noisy.columns), noise
 
 
 _of_equations_compiled = eqx.filter_jit(_of_equations)

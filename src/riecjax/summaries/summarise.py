@@ -10,6 +10,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace
+from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import OnePass
@@ -27,6 +28,7 @@ def summarise(
     key: Key[Array, ""] | None = None,
     bins: int | ArrayLike | None = None,
     survey: bool = False,
+    noise: GivenNoise = "auto",
 ) -> Summary:
     """Sum up what one or several recordings say to a model: all that [`estimate`][] needs.
 
@@ -34,7 +36,7 @@ def summarise(
     Under `jax.jit`, `jax.vmap` and `jax.grad` shapes are those of the records, and only moments are
     summed.
 
-    **Arguments:** `model`, `record`, `criterion` and `key` as for [`identify`][];
+    **Arguments:** `model`, `record`, `criterion`, `key` and `noise` as for [`identify`][];
 
     - `bins`: keep the sums of windows of different length apart, so that a band can be chosen
       afterwards: so many bins from alpha to beta in equal ratios, or their edges in seconds, to
@@ -47,7 +49,7 @@ def summarise(
     windows, or for an expression that mixes samples of a long record; `DataError` for a missing
     signal or a record shorter than a window.
     """
-    asked = task(model, record, criterion, key)
+    asked = task(model, record, criterion, key, noise)
     return summed(asked, bins=bins, survey=survey)
 
 

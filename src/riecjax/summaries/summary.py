@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -206,11 +207,11 @@ class Summary(eqx.Module):
             room = min((number for number in ROOMS if number >= count), default=count)
 
         def in_band(equation: EquationSums) -> NormalEquations:
-            moments, count = (
-                leaf[first] if last == first + 1 else leaf[first:last].sum(0)
-                for leaf in (equation.moments, equation.count)
+            moments, count, noise = (
+                _of_bins(leaf, first, last)
+                for leaf in (equation.moments, equation.count, equation.noise)
             )
-            return NormalEquations(moments, count, equation.parameters)
+            return NormalEquations(moments, count, equation.parameters, noise)
 
         def stacked(i: int, j: int) -> NormalEquations:
             every = [in_band(one.stages[i][j]) for one in self.recordings]
@@ -220,6 +221,39 @@ class Summary(eqx.Module):
             [stacked(i, j) for j, _ in enumerate(stage)]
             for i, stage in enumerate(self.outline.stages)
         ]
+
+    def noise_by_source(self) -> list[list[NormalEquations]]:
+        """Of each equation of each stage, what each source of noise adds, with axes
+        `(recordings, sources)`; empty ones follow where a recording has fewer."""
+        first, last = self.band
+
+        def of(one: RecordingSums, equation: EquationSums) -> NormalEquations:
+            size, each = len(one.noise.sources), equation.noise_of_source
+            names = equation.parameters
+            shape = (size, 1 + len(names), 1 + len(names))
+            xp = namespace(equation.moments)
+            moments: Any = xp.zeros(shape) if each is None else _of_bins(each, first, last)
+            return NormalEquations(moments, xp.zeros(size), names)
+
+        most = max(len(one.noise.sources) for one in self.recordings)
+        return [
+            [
+                stack_normal_equations([of(one, one.stages[i][j]) for one in self.recordings], most)
+                for j, _ in enumerate(stage)
+            ]
+            for i, stage in enumerate(self.outline.stages)
+        ]
+
+    @property
+    def noise_freedom(self) -> Float[Leaf, "recordings sources"]:
+        """Degrees of freedom of the variance of each recording's sources of noise."""
+        most = max(len(one.noise.sources) for one in self.recordings)
+        xp = namespace([one.noise for one in self.recordings])
+        rows = [
+            [xp.asarray(1.0 * f) for f in one.noise.freedom.values()] for one in self.recordings
+        ]
+        filled = [xp.asarray([*row, *(np.inf,) * (most - len(row))]) for row in rows]
+        return xp.stack(filled) if most else xp.zeros((len(rows), 0))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an NPZ file of exactly this name, whole or not at all; see [`load`][].
@@ -278,6 +312,13 @@ def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
     if not summaries:
         raise ModelError("at least one Summary is needed.")
     return summaries[0].merge(*summaries[1:])
+
+
+def _of_bins(leaf: Any, first: int, last: int) -> Any:
+    """The sum over some bins along the leading axis, `None` of `None`."""
+    if leaf is None:
+        return None
+    return leaf[first] if last == first + 1 else leaf[first:last].sum(0)
 
 
 def _edges_of(summary: Summary) -> np.ndarray:

@@ -21,6 +21,7 @@ import numpy as np
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
+from riecjax.records.noise import Noise
 from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.writing import write_npz, write_whole
 from riecjax.summaries.digest import Outline
@@ -31,7 +32,7 @@ DOCUMENT = "summary"
 EDGES = "edges"
 """Name of the array of the bins' edges."""
 FORMAT = "riecjax.Summary"
-SCHEMA = 1
+SCHEMA = 2
 """Of what a Summary holds; another one is refused."""
 LARGEST = 2**31
 """Bytes that a file may unpack to: it is refused by what it declares, before it is read."""
@@ -103,7 +104,10 @@ def _document(parts: Mapping[str, Any]) -> Document:
         **{name: parts[name] for name in ("in_law", "band", "asked")},
         "criterion": to_plain_data(parts["criterion"]),
         "recordings": [
-            [[_structure(equation) for equation in stage] for stage in one.stages]
+            {
+                "stages": [[_structure(equation) for equation in stage] for stage in one.stages],
+                "noise": {signal: sorted(of) for signal, of in one.noise.kernels.items()},
+            }
             for one in recordings
         ],
     }
@@ -117,6 +121,7 @@ def _structure(equation: EquationSums) -> Document:
         "activity": equation.activity is not None,
         "survey": None if equation.survey is None else sorted(equation.survey.reach),
         "factor": equation.factor is not None,
+        "noise": equation.noise is not None,
     }
 
 
@@ -168,7 +173,7 @@ def _require_schema(document: Any) -> None:
 def _parts(document: Document, arrays: Arrays) -> dict[str, Any]:
     """The fields of the Summary with this document and these arrays."""
     edges = arrays.pop(EDGES) if document["bins"] else None
-    empty = tuple(_skeleton(stages) for stages in document["recordings"])
+    empty = tuple(_skeleton(**one) for one in document["recordings"])
     paths, structure = jax.tree_util.tree_flatten_with_path(empty)
     names = [_name(path) for path, _ in paths]
     if set(names) != set(arrays):
@@ -194,7 +199,7 @@ def _pair(values: list[Any]) -> tuple[Any, Any]:
     return first, last
 
 
-def _skeleton(stages: list[list[Document]]) -> RecordingSums:
+def _skeleton(stages: list[list[Document]], noise: dict[str, list[str]]) -> RecordingSums:
     """Sums of a recording with a zero in place of every array that there is."""
 
     def zeros(kind: type, **others: Any) -> Any:
@@ -209,7 +214,15 @@ def _skeleton(stages: list[list[Document]]) -> RecordingSums:
             activity=zeros(Activity) if equation["activity"] else None,
             survey=None if reach is None else zeros(Survey, reach=dict.fromkeys(reach, 0)),
             factor=0 if equation["factor"] else None,
+            noise=0 if equation["noise"] else None,
+            noise_of_source=0 if equation["noise"] else None,
             parameters=tuple(equation["parameters"]),
         )
 
-    return zeros(RecordingSums, stages=tuple(tuple(of(e) for e in stage) for stage in stages))
+    anything: Any = 0  # what is read takes its place
+    kernels = {signal: {source: anything for source in of} for signal, of in noise.items()}
+    return zeros(
+        RecordingSums,
+        stages=tuple(tuple(of(e) for e in stage) for stage in stages),
+        noise=Noise(kernels),
+    )

@@ -5,9 +5,10 @@ import dataclasses
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Float, Int, UInt32
 
 from riecjax.leaves import Leaf, namespace
+from riecjax.records.noise import Noise
 
 
 class Averages(eqx.Module):
@@ -84,6 +85,9 @@ class EquationSums(eqx.Module):
     - `factor`: triangular factor of all rows, shape `(1 + p, 1 + p)`, where rows are so nearly
       collinear that their moments lose too many digits; else `None`.
     - `parameters`: names of the p regressors.
+    - `noise`: what of the moments sensor noise adds in expectation, of the same shape, and
+      `noise_of_source`, what each of the noise's sources adds to all blocks, shape
+      `(bins, sources, 1 + p, 1 + p)`; `None` where nothing is known of it.
     """
 
     moments: Float[Leaf, "bins blocks columns columns"]
@@ -93,6 +97,8 @@ class EquationSums(eqx.Module):
     survey: Survey | None
     factor: Float[Leaf, "columns columns"] | None
     parameters: tuple[str, ...] = eqx.field(static=True)
+    noise: Float[Leaf, "bins blocks columns columns"] | None = None
+    noise_of_source: Float[Leaf, "bins sources columns columns"] | None = None
 
 
 class RecordingSums(eqx.Module):
@@ -106,6 +112,7 @@ class RecordingSums(eqx.Module):
     - `offered`: rows there would be of one equation without gaps and masks; NaN if not known.
     - `samples`, `time_step`: of the recording.
     - `digest`: SHA-256 of its content and of all settings, zero where it was summed under `jit`.
+    - `noise` of the recording's signals.
     """
 
     stages: tuple[tuple[EquationSums, ...], ...]
@@ -115,6 +122,7 @@ class RecordingSums(eqx.Module):
     samples: Int[Leaf, ""]
     time_step: Float[Leaf, ""]
     digest: UInt32[Leaf, "8"]
+    noise: Noise = eqx.field(default_factory=Noise)
 
     def of_blocks(self, index: Int[np.ndarray, " blocks"]) -> "RecordingSums":
         """The sums of some of the blocks (not under jit)."""
@@ -122,11 +130,20 @@ class RecordingSums(eqx.Module):
             return self
 
         def of(equation: EquationSums) -> EquationSums:
-            moments, count = (
-                np.asarray(leaf[:, index], order="C") for leaf in (equation.moments, equation.count)
+            moments, count, noise = (
+                None if leaf is None else np.asarray(leaf[:, index], order="C")
+                for leaf in (equation.moments, equation.count, equation.noise)
             )
-            # A factor of all rows has no parts.
-            return dataclasses.replace(equation, moments=moments, count=count, factor=None)
+            # A factor of all rows has no parts, and what one source adds is spread evenly.
+            share, of_source = index.size / int(self.blocks), equation.noise_of_source
+            return dataclasses.replace(
+                equation,
+                moments=moments,
+                count=count,
+                factor=None,
+                noise=noise,
+                noise_of_source=None if of_source is None else share * of_source,
+            )
 
         # Rows are not spread evenly over blocks, so that it is not known how many were offered.
         return dataclasses.replace(
@@ -142,6 +159,7 @@ class RecordingSums(eqx.Module):
 
         def of(equation: EquationSums) -> EquationSums:
             averages, rows = equation.averages, equation.factor
+            noise, of_source = equation.noise, equation.noise_of_source
             if averages is not None:
                 averages = dataclasses.replace(
                     averages, rows=averages.rows * root, noise=averages.noise * root
@@ -153,33 +171,9 @@ class RecordingSums(eqx.Module):
                 averages=averages,
                 activity=jax.tree.map(lambda leaf: leaf * factor, equation.activity),
                 factor=None if rows is None else rows * root,
+                noise=None if noise is None else noise * factor,
+                noise_of_source=None if of_source is None else of_source * factor,
             )
 
         stages = tuple(tuple(of(e) for e in stage) for stage in self.stages)
         return dataclasses.replace(self, stages=stages, offered=self.offered * factor)
-
-
-DIFFERENCE_ORDER = 6
-STRETCHES = 16
-"""Stretches of a long signal that are looked at."""
-STRETCH = 2**10
-"""Samples to each of them."""
-
-
-def noise_level(samples: Float[Array, " n"] | Float[np.ndarray, " n"]) -> Float[Leaf, ""]:
-    """Standard deviation of the white noise on a smooth signal.
-
-    From the median of its differences of sixth order, which steps and spikes do not reach. Content
-    near half the sampling rate counts as noise. Of a long signal it looks at stretches, evenly
-    spread.
-    """
-    n = samples.shape[0]
-    if n <= DIFFERENCE_ORDER:
-        return np.zeros(())
-    xp = namespace(samples)
-    if n > STRETCHES * STRETCH:
-        starts = np.linspace(0, n - STRETCH, STRETCHES).astype(int)
-        samples = samples[starts[:, None] + np.arange(STRETCH)]
-    differences = xp.diff(samples, n=DIFFERENCE_ORDER)
-    gain = np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2))
-    return xp.median(xp.abs(differences)) / (0.6745 * gain)

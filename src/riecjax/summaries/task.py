@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,13 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from riecjax.criteria.criterion import RIEC, AbstractCriterion
-from riecjax.criteria.windows import DEFAULT_BAND
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.suited import suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import MissingSignalError, ModelError, require
+from riecjax.records.noise_judgement import GivenNoise, judged
 from riecjax.records.record import Record, Records
-from riecjax.records.recording import as_recordings
+from riecjax.records.recording import Recording, as_recordings
 
 
 class Task(NamedTuple):
@@ -36,17 +38,21 @@ def task(
     records: Records,
     criterion: AbstractCriterion | None,
     key: Key[Array, ""] | None,
+    noise: GivenNoise = "auto",
 ) -> Task:
     """What can be refused of records before arithmetic; see [`identify`][] for the arguments.
 
+    Of the records' noise something is known from here on.
+
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
-    if criterion is None:
-        criterion = RIEC.of_band(getattr(model, "band", None) or DEFAULT_BAND)
     procedure = as_procedure(model)
+    recordings = ready(procedure, records, noise)
+    if criterion is None:
+        of_records = [recording.record for recording in recordings]
+        criterion = suited(procedure, getattr(model, "band", None), of_records)
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
     require_key(key)
-    recordings = as_recordings(records)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for recording in recordings:
@@ -54,6 +60,18 @@ def task(
             criterion.check(recording.record)
     plain = [recording.record for recording in recordings]
     return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
+
+
+def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
+    """Recordings with the velocities that only functions read, and with their noise judged."""
+
+    def of(recording: Recording) -> Recording:
+        with recording.explaining_errors():
+            record, steps = with_velocities(procedure, recording.record)
+            record = judged(record, noise)
+        return replace(recording, record=record, steps=(*recording.steps, *steps))
+
+    return [of(recording) for recording in as_recordings(records)]
 
 
 WRITE_CRITERION = (

@@ -43,7 +43,7 @@ def studentized_replicates(
     """
     stages, unknowns, used = statistics.blocks, statistics.unknowns, statistics.used
     found = statistics.estimate
-    moments = [stage.moments.reshape(stage.moments.shape[0], -1) for stage in stages]
+    moments = [stage.clean.reshape(stage.count.shape[0], -1) for stage in stages]
 
     def replicate(drawn: Float[Array, "records blocks_of_record"]) -> Float[Array, " p"]:
         weights = drawn_counts(drawn, used).astype(found.dtype).ravel()

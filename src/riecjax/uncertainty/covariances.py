@@ -43,7 +43,7 @@ def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     # own, and nothing is lost by subtracting two estimates that agree in most of their digits.
     def without(blocks: list[NormalEquations], score: Float[Array, " p"]) -> Float[Array, " p"]:
         left = [
-            NormalEquations(t.moments - b.moments, t.count - b.count, t.parameters)
+            NormalEquations(t.clean - b.clean, t.count - b.count, t.parameters)
             for t, b in zip(totals, blocks)
         ]
         matrix = slope(left, unknowns) * scale[:, None] * scale[None, :]

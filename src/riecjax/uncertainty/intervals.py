@@ -74,6 +74,10 @@ class Uncertainty(eqx.Module):
         covariance = self.covariance * inflation[:, None] * inflation[None, :]
         return eqx.tree_at(lambda u: u.covariance, self, covariance)
 
+    def widened(self, further: Float[Array, "p p"]) -> "Uncertainty":
+        """With the covariance of something else that scatters besides."""
+        return eqx.tree_at(lambda u: u.covariance, self, self.covariance + further)
+
     def reach(self, level: float) -> tuple[np.ndarray, np.ndarray]:
         """How many standard errors intervals reach below and above estimates (not under jit).
 

@@ -1,0 +1,170 @@
+"""What sensor noise adds to a Gram matrix of rows, in expectation.
+
+Subtracted from it, it leaves what the same windows would say of the signals without noise: a model
+that leaves something out converges to the values that it has without noise, which under other
+weights it does not.
+
+Noise that is white in all signals of an equation needs the weights W_kl of `noise_weights` and one
+weighted product of how columns move. Other noise is sent through the windows: signs at random,
+filtered as the noise is, make columns whose own Gram matrix has the right expectation, whatever the
+windows, gaps and filters are. The mean over `PROBES` of them scatters by less than the noise's own
+products do, and adds to an estimate's variance a `PROBES`-th of what these add.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.criteria.chunks import StartBlocks
+from riecjax.criteria.noise_weights import NoiseWeights
+from riecjax.equations.columns import Columns
+from riecjax.equations.noisy_columns import Movement, NoisyColumns, is_white
+from riecjax.records.noise import Noise
+
+PROBES = 8
+"""Noises that are sent through the windows for each source that is not white."""
+SIGNS = np.random.default_rng(7).integers(0, 2, (PROBES, 2**16), np.int8) * 2 - 1
+
+
+class NoiseMoments(eqx.Module):
+    """What noise adds to the sums of outer products of rows.
+
+    **Fields:** `total`, for blocks of starts; `of_source`, what each source adds to all of them,
+    in the order of the noise's sources.
+    """
+
+    total: Float[Array, "*bins blocks columns columns"]
+    of_source: Float[Array, "*bins sources columns columns"]
+
+
+def noise_moments(
+    noisy: NoisyColumns,
+    noise: Noise,
+    weights: NoiseWeights | None,
+    products: Callable[[Columns], Float[Array, "blocks columns columns"]],
+    blocks: StartBlocks,
+) -> NoiseMoments:
+    """What noise adds to the moments of an equation.
+
+    **Arguments:** `weights` of white noise at each sample, `None` where there is no closed form;
+    `products`, sums of outer products of the rows that columns make, for the blocks.
+    """
+    size = noisy.columns.values.shape[1]
+    found: dict[str, Array] = {}
+    for source, movement in noisy.white.items():
+        if weights is None:
+            taps = {source: {source: jnp.ones(1)}}
+            found[source] = _probed({source: movement}, taps, source, noisy.columns, products)
+        else:
+            found[source] = _weighted(movement, weights, blocks, size)
+    kernels = _coloured_kernels(noise, list(noisy.coloured))
+    for source in sorted({source for taps in kernels.values() for source in taps}):
+        found[source] = _probed(noisy.coloured, kernels, source, noisy.columns, products)
+    nothing = jnp.zeros((blocks.number, size, size), noisy.columns.values.dtype)
+    total = sum(found.values(), start=nothing)
+    if weights is not None and noisy.shift.values:
+        total = total - 2 * _weighted(noisy.shift, weights, blocks, size)
+    each = [jnp.sum(found.get(source, nothing), axis=0) for source in noise.sources]
+    return NoiseMoments(total, jnp.stack(each))
+
+
+def _coloured_kernels(noise: Noise, read: list[str]) -> dict[str, dict[str, Array]]:
+    """Kernels of the signals' coloured noise, which has unit size in each."""
+    found = {}
+    for name in read:
+        taps = {s: t for s, t in noise.kernels[name].items() if not is_white(noise, s, read)}
+        size = jnp.sqrt(sum(jnp.sum(jnp.asarray(t) ** 2) for t in taps.values()))
+        found[name] = {s: t / jnp.where(size > 0, size, 1.0) for s, t in taps.items()}
+    return found
+
+
+def _weighted(
+    movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
+) -> Float[Array, "blocks columns columns"]:
+    """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
+    total = jnp.zeros((blocks.number, size, size), weights.dtype)
+    for k, left in movement.values.items():
+        for m, right in movement.values.items():
+            rows, columns = jnp.array(movement.rows[k]), jnp.array(movement.rows[m])
+            part = _sums_in_blocks(left, weights[k, m], right, blocks)
+            total = total.at[:, rows[:, None], columns[None, :]].add(part)
+    return total
+
+
+def _sums_in_blocks(
+    left: Float[Array, "a samples"],
+    weight: Float[Array, " n"],
+    right: Float[Array, "b samples"],
+    blocks: StartBlocks,
+) -> Float[Array, "blocks a b"]:
+    """sum_u weight[u] left[u] right[u]^T by blocks; what lies beyond counts to the last one."""
+    number, size, n = blocks.number, blocks.size, weight.shape[0]
+    still = left.shape[1] == right.shape[1] == 1
+    if not isinstance(size, int):
+        block = jnp.clip((jnp.arange(n) - blocks.first) // size, 0, number - 1)
+        if still:
+            sums = jax.ops.segment_sum(weight, block, num_segments=number)
+            return sums[:, None, None] * (left @ right.T)[None]
+        other = jnp.broadcast_to(right, (right.shape[0], n)).T
+        each = (weight[None] * left).T[:, :, None] * other[:, None]
+        return jax.ops.segment_sum(each, block, num_segments=number)
+    # As many blocks of the same size as the samples could fill, the first sample in the first one.
+    room = max(-(-n // size), number)
+
+    def apart(values: Array) -> Array:
+        padded = jnp.pad(values, ((0, 0), (0, room * size)))
+        part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, room * size, axis=1)
+        return part.reshape(values.shape[0], room, size)
+
+    weights = apart(weight[None])[0]
+    if still:
+        sums = jnp.sum(weights, axis=1)[:, None, None] * (left @ right.T)[None]
+    else:
+        varying = [
+            values[:, :, None] if values.shape[1] == 1 else apart(values)
+            for values in (left, right)
+        ]
+        sums = jnp.einsum(
+            "abu,cbu->bac",
+            weights[None] * varying[0],
+            jnp.broadcast_to(varying[1], (right.shape[0], room, size)),
+            precision=jax.lax.Precision.HIGHEST,
+        )
+    return sums[:number].at[-1].add(jnp.sum(sums[number:], axis=0))
+
+
+def _probed(
+    movements: dict[str, Movement],
+    kernels: dict[str, dict[str, Array]],
+    source: str,
+    like: Columns,
+    products: Callable[[Columns], Float[Array, "blocks columns columns"]],
+) -> Float[Array, "blocks columns columns"]:
+    """Mean of the products of rows of what a source's noise, sent through, makes of columns."""
+    n = like.sample_count
+    own = {name: taps[source] for name, taps in kernels.items() if source in taps}
+    reach = max(taps.shape[-1] // 2 for taps in own.values())
+
+    def once(signs: Array) -> Array:
+        values = jnp.zeros_like(like.values)
+        for name in sorted(own.keys() & movements.keys()):
+            noise = _filtered(signs.astype(values.dtype), own[name], reach, n)
+            values = values + movements[name].scaled(noise).columns(like).values
+        return products(Columns(values, like.present, like.time_step, like.parameters))
+
+    place = np.arange(n + 2 * reach) % SIGNS.shape[1]
+    return jnp.mean(jax.lax.map(once, jnp.asarray(SIGNS[:, place])), axis=0)
+
+
+def _filtered(
+    signs: Float[Array, " m"], taps: Float[Array, " taps"], reach: int, n: int
+) -> Float[Array, " n"]:
+    """n samples of white noise, which begins `reach` samples earlier, through a kernel."""
+    size = signs.shape[0] + taps.shape[-1]
+    spectrum = jnp.fft.rfft(signs, size) * jnp.fft.rfft(taps, size)
+    first = reach + taps.shape[-1] // 2
+    return jnp.fft.irfft(spectrum, size)[first : first + n]

@@ -1,0 +1,90 @@
+"""Which criterion suits a model and what was recorded of its motion.
+
+The boxcar of RIEC as published needs a recorded velocity for every inertia. Where the record has
+none, or one that was made of the position, noise and all, a smooth test function takes both
+derivatives off the position instead, and the velocity appears in no window.
+"""
+
+import functools
+from collections.abc import Sequence
+
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.smooth_test_functions import Bump
+from riecjax.criteria.windows import DEFAULT_BAND
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import Term
+from riecjax.errors import MissingSignalError
+from riecjax.leaves import is_concrete, namespace
+from riecjax.records.preparation import with_local_derivative
+from riecjax.records.record import Record
+
+LENGTHS = 8
+"""Of bumps, evenly spaced: their rows change slowly with the length."""
+FEWEST_SAMPLES = 12
+"""To the shortest bump."""
+LONGEST = 0.2
+"""Share of a record that a bump lasts at most."""
+MOST = 2
+"""Time derivatives that a test function takes off at most."""
+
+
+def suited(
+    procedure: Procedure, band: tuple[float, float] | None, records: Sequence[Record]
+) -> RIEC:
+    """The criterion to take unless another is asked for, which says why if it has no boxcars.
+
+    **Arguments:** `band` in hertz that the model should explain, 1 to 10 if there is none.
+    """
+    usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
+    equations = [equation for stage in procedure.stages for equation in stage]
+    lacking = [name for e in equations for record in records for name in unmeasured(e, record)]
+    if not lacking:
+        return usual
+    bump = RIEC.of_band(band or DEFAULT_BAND, Bump(lengths=LENGTHS))
+    alpha, beta = bump.windows.alpha, bump.windows.beta
+    steps = [record.time_step for record in records]
+    xp = namespace(alpha, beta, steps)
+    shortest = FEWEST_SAMPLES * functools.reduce(xp.maximum, steps)
+    longest = functools.reduce(xp.minimum, [LONGEST * record.duration for record in records])
+    beta = xp.maximum(xp.minimum(beta, longest), 2 * shortest)
+    alpha = xp.maximum(xp.minimum(alpha, 0.5 * beta), shortest)
+    why = f"no sensor measured {lacking[0]}; smooth windows take both derivatives off the position"
+    return RIEC(bump.windows.between(alpha, beta), bump.test_function, why)
+
+
+def unmeasured(equation: Equation, record: Record) -> list[str]:
+    """Derivatives that boxcars would read of linear terms, and that no sensor measured."""
+    found = []
+    for term in equation.terms:
+        if not isinstance(term, Term) or term.derivative < 2:
+            continue
+        name = term.measured[0] if term.measured else "a velocity"
+        made = isinstance(term.of, str) and record.noise.is_made_of(name, term.of)
+        if name not in record.arrays or made:
+            found.append(name)
+    return found
+
+
+def with_velocities(procedure: Procedure, record: Record) -> tuple[Record, list[str]]:
+    """Add the velocities that functions of an equation read and the record lacks, if it can.
+
+    Slopes of local polynomials of the signals that the equations call them derivatives of (not
+    under jit).
+
+    **Returns:** the record, and what was added, in words.
+    """
+    steps = []
+    for equation in (e for stage in procedure.stages for e in stage):
+        below = {name: of for of, name in equation.derivatives}
+        while any(name not in record.arrays for name in below):
+            try:
+                equation.signals_read(record, MOST)
+                break
+            except MissingSignalError as error:
+                name, of = error.signal, below.get(error.signal)
+                if of not in record.arrays or not is_concrete(record):
+                    break
+            record, width = with_local_derivative(record, of, name)
+            steps.append(f"{name}: slope of {of} by local polynomials, {width:.3g} s to each side")
+    return record, steps

@@ -1,0 +1,86 @@
+"""How far an equation's sums bear out the noise that is taken off them, and what is unsure of it.
+
+**Bound.** Less what noise adds, the moments of target and regressors are those of the signals,
+which no combination of columns can make negative. So C <= M: the largest eigenvalue of C against M
+is at most one, and one if the model is right, since then nothing but noise is left of the equation.
+Noise that comes out larger is not there: the motion itself, or a command, reached up to half the
+sampling rate and was taken for it. Then C is taken as large as it can be, and no larger.
+"""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from riecjax.leaves import Leaf
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.uncertainty.block_statistics import BlockStatistics, scores, slope
+
+SCATTER = 1.25
+"""Eigenvalue up to which noise that is judged right may come out, by chance."""
+MOST = 0.9
+"""Share of the regressors' moments that is taken off at most."""
+
+
+def largest_share(
+    noise: Float[Array, "q q"], moments: Float[Array, "q q"]
+) -> tuple[Float[Array, ""], Float[Array, " q"]]:
+    """The largest eigenvalue of one matrix against another, and its vector over the columns."""
+    scaled, scale = unit_diagonal(moments)
+    ridge = 100 * float(jnp.finfo(scaled.dtype).eps)
+    values, vectors = symmetric_eigen(scaled)
+    # Square roots of the eigenvalues bring the moments to the unit matrix.
+    root = vectors / jnp.sqrt(jnp.maximum(values, 0.0) + ridge)[None, :]
+    shares, mixed = symmetric_eigen(root.T @ (noise * scale[:, None] * scale[None, :]) @ root)
+    return shares[-1], scale * (root @ mixed[:, -1])
+
+
+def borne_out(
+    equations: NormalEquations, sources: NormalEquations
+) -> tuple[NormalEquations, NormalEquations]:
+    """The same with no more noise than the moments bear out.
+
+    **Arguments:** `equations`, with leading axes `(records, blocks)`; `sources`, what each source
+    of noise adds, with leading axes `(records, sources)`.
+    """
+    if equations.noise is None:
+        return equations, sources
+    share = share_borne_out(equations)
+    less = equations.with_noise(share * equations.noise)
+    return less, sources.each(lambda matrix: share * matrix)
+
+
+def share_borne_out(equations: NormalEquations) -> Float[Array, ""]:
+    """How much of the noise the moments bear out, 0 to 1."""
+    assert equations.noise is not None
+    total = equations.flattened().total()
+    assert total.noise is not None
+    noise, moments = jax.lax.stop_gradient(total.noise), jax.lax.stop_gradient(total.moments)
+    with_target = largest_share(noise, moments)[0]
+    regressors = largest_share(noise[1:, 1:], moments[1:, 1:])[0]
+    least = jnp.finfo(noise.dtype).tiny
+    share = jnp.where(with_target > SCATTER, 1 / jnp.maximum(with_target, least), 1.0)
+    return jnp.minimum(share, MOST / jnp.maximum(regressors, least))
+
+
+def level_covariance(
+    statistics: BlockStatistics,
+    sources: list[NormalEquations],
+    freedom: Float[Leaf, "records sources"],
+    values: Mapping[str, Array],
+) -> Float[Array, "p p"]:
+    """Covariance of the estimates because the noise's variances were themselves estimated.
+
+    A variance with nu degrees of freedom scatters by sqrt(2 / nu) of itself, and takes with it what
+    is subtracted from the scores.
+
+    **Arguments:** `sources`, what each source of noise adds to each stage, with leading axes
+    `(records, sources)`, and `freedom` of its variance.
+    """
+    totals = [stage.total() for stage in statistics.blocks]
+    moved = scores([s.flattened() for s in sources], statistics.unknowns, values)
+    moved = solve_scaled(slope(totals, statistics.unknowns), moved.T)
+    spread = moved * jnp.sqrt(2 / jnp.asarray(freedom)).ravel()[None, :]
+    return spread @ spread.T
