@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
@@ -96,7 +97,7 @@ def test_without_a_second_mass_both_criteria_find_the_first():
     lone = TwoMass(jnp.asarray(M1), jnp.asarray(1e-9), jnp.asarray(OMEGA), jnp.asarray(ZETA))
     force = band_limited_noise(jax.random.key(0), 20_000, STEP, bandwidth=30.0, rms=100.0)
     record = simulate(lone, Record({"F": force}, STEP)).record
-    windows = RIEC(RandomWindows(0.1, 1.0, 4000))
+    windows = RIEC(RandomWindows(0.1, 1.0, 4000), Boxcar(2))
     equation = two_mass_equation()
     np.testing.assert_allclose(identify(equation, record, DOLS())["M"], M1, rtol=1e-8)
     riec = identify(equation, record, windows, key=jax.random.key(0))["M"]

@@ -17,7 +17,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf, as_leaf
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record
+from riecjax.records.signals import Signals
 from riecjax.simulation.method import SimulationStatus
 from riecjax.simulation.simulate import Simulation
 from riecjax.simulation.system import AbstractSystem, Quantities
@@ -93,6 +94,11 @@ class Axis(AbstractSystem):
 
     states: ClassVar[Quantities] = (("q", "m"), ("dq", "m/s"))
     inputs: ClassVar[Quantities] = (("force", "N"),)
+
+    @property
+    def reversing(self) -> tuple[str, ...]:
+        """The velocity, with whose sign the friction changes."""
+        return ("dq",)
 
     def friction(self, velocity: Array, smoothing: Array | float | None = None) -> Array:
         """Friction force in N, positive for positive velocity.

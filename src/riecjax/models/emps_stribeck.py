@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from riecjax.models.emps import Axis
-from riecjax.records.record import Signals
+from riecjax.records.signals import Signals
 from riecjax.refinement.balance import AbstractBalance
 
 SUBSTEPS = 8

@@ -28,7 +28,7 @@ from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_few
-from riecjax.records.record import Signals
+from riecjax.records.signals import Signals
 from riecjax.simulation.motions import Structure, derivative_name, label_of, read_structure
 from riecjax.simulation.system import AbstractSystem, Quantities
 
@@ -59,6 +59,11 @@ class EquationSystem(AbstractSystem):
         """Leading derivatives under their recorded names, and what static equations determine."""
         rates = {f"d{name}" for name in self.structure.states}
         return self._with_units([n for n in self.structure.unknowns if n not in rates])
+
+    @property
+    def reversing(self) -> tuple[str, ...]:
+        """States at whose zero the equations jump: velocities with dry friction."""
+        return self.structure.reversing
 
     @property
     def velocity_of(self) -> Mapping[str, str]:

@@ -47,7 +47,7 @@ def suitable_steps(
     solver.
     """
     chosen = spread_points(len(states))
-    slopes = np.asarray(_slopes(system, np.asarray(states)[chosen], np.asarray(inputs)[chosen]))
+    slopes = jacobians(system, np.asarray(states)[chosen], np.asarray(inputs)[chosen])
     finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
     if not finite.size:
         return 1
@@ -58,6 +58,13 @@ def suitable_steps(
 def spread_points(count: int) -> Int[np.ndarray, " points"]:
     """Indices of at most 256 points, spread evenly over so many."""
     return np.unique(np.linspace(0, count - 1, min(POINTS, count)).astype(int))
+
+
+def jacobians(
+    system: AbstractSystem, states: Float[np.ndarray, "n states"], inputs: Float[np.ndarray, "n i"]
+) -> Float[np.ndarray, "n states states"]:
+    """Derivatives of the state's derivative by the state, at points. Not under jit."""
+    return np.asarray(_slopes(system, states, inputs))
 
 
 @eqx.filter_jit

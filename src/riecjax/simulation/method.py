@@ -1,15 +1,16 @@
 """How a system is stepped along the samples of its inputs.
 
-**Inputs** are continuous and piecewise linear between their samples (first-order hold). Of a smooth
-input sampled every H seconds that is H^2 max|u''| / 8 off at most, whatever the method's order: it
-is the record's error, not the steps'.
+**Inputs** are continuous, and between their samples straight lines (first-order hold) or, given
+their `bends`, cubics. What a line leaves of a smooth input, H^2 max|u''| / 8 at most, is an error
+whatever the method's order: see `intersample`.
 
 **Order.** A method of order p errs by O(h^p) over a fixed time where the right-hand side has p
 continuous derivatives. Here its slope in time jumps at every sample, and a step across such a kink
 errs by O(h^2) in itself, with as many kinks as samples. Steps that end on samples never see one:
-within each, inputs are exact straight lines, level + rise k, and the full order holds. An adaptive
-method is told where the kinks are (`jump_ts`). Where a force jumps with the state (sign v) no grid
-helps, the order falls to one, and halving the steps says what that does to an answer.
+within each, inputs are polynomials, and the full order holds. An adaptive
+method is told where the kinks are (`jump_ts`). Where a force jumps with the sign of a velocity no
+grid helps; a fixed step is cut there (`reversals`). At other jumps the order falls to one, and
+halving the steps says what that does to an answer.
 
 **Error by step.** A fixed step errs by c h^4, so that k times as many leave k^-4 of it. An adaptive
 one holds the error of each step, C h^5 of an embedded method of fourth order, at its tolerance:
@@ -28,7 +29,7 @@ starts kernels one by one, the state is one vector, so that there are few of the
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -52,6 +53,8 @@ from jaxtyping import Array, Float, Int
 
 from riecjax.errors import ModelError
 from riecjax.runtime import compiles_loops_whole
+from riecjax.simulation.intersample import curves_of
+from riecjax.simulation.reversals import Regime, cut_step
 from riecjax.simulation.system import AbstractSystem
 
 
@@ -110,8 +113,13 @@ class AbstractMethod(eqx.Module):
         inputs: Float[Array, "n inputs"],
         time_step: Float[Array, ""],
         initial_state: Float[Array, " states"],
+        bends: Float[Array, "n inputs"] | None = None,
     ) -> Trajectory:
-        """States at the samples of `inputs`; differentiable and vmappable."""
+        """States at the samples of `inputs`; differentiable and vmappable.
+
+        **Arguments:** `bends`, the inputs' curvature at each sample, in their unit per time step
+        squared; without it they are straight lines between samples.
+        """
         raise NotImplementedError
 
     def finer(self, factor: int) -> "AbstractMethod | None":
@@ -158,6 +166,7 @@ class FixedStep(AbstractMethod):
         inputs: Float[Array, "n inputs"],
         time_step: Float[Array, ""],
         initial_state: Float[Array, " states"],
+        bends: Float[Array, "n inputs"] | None = None,
     ) -> Trajectory:
         """States at the samples; see the base class."""
         count = self.steps_per_sample
@@ -165,16 +174,27 @@ class FixedStep(AbstractMethod):
         split = _components if compiles_loops_whole() else _whole
         start = split(initial_state)
 
+        reversing = [name in system.reversing for name in system.state_names]
+
         def slope(state: _State, level: Array) -> _State:
             return split(system.derivative(_vector(state), level))
 
-        def between_samples(carry, ends):
+        def between_samples(carry, interval):
             state, running = carry
-            first, last = ends
+            first, last, *curve = interval
             rise = (last - first) / count
 
             def one_step(k, x):
-                return _runge_kutta_step(self.tableau, slope, x, first + rise * k, rise, step)
+                begin = first + rise * k
+
+                def level(node: float | Array) -> Array:
+                    at_begin = isinstance(node, float) and not node
+                    on_line = begin if at_begin else begin + node * rise
+                    return on_line + _off_line(curve, (k + node) / count) if curve else on_line
+
+                if any(reversing):
+                    return split(self._cut_step(system, _vector(x), level, step, reversing))
+                return _runge_kutta_step(self.tableau, slope, x, level, step)
 
             # A lost lane restarts from its initial state, unseen, so that no infinity enters later
             # steps or their derivatives; the state it shows stays at its last finite value.
@@ -183,9 +203,8 @@ class FixedStep(AbstractMethod):
             state = _where(running, moved, state)
             return (state, running), (_vector(state), running)
 
-        _, (states, running) = jax.lax.scan(
-            between_samples, (start, jnp.array(True)), (inputs[:-1], inputs[1:])
-        )
+        intervals = (inputs[:-1], inputs[1:], *_curves(bends))
+        _, (states, running) = jax.lax.scan(between_samples, (start, jnp.array(True)), intervals)
         status = SimulationStatus.where(
             running[-1], SimulationStatus.successful, SimulationStatus.diverged
         )
@@ -194,6 +213,33 @@ class FixedStep(AbstractMethod):
             status,
             1 + jnp.sum(running.astype(jnp.int32)),
         )
+
+    def _cut_step(
+        self,
+        system: AbstractSystem,
+        state: Float[Array, " states"],
+        level: Callable[[float | Array], Float[Array, " inputs"]],
+        step: Float[Array, ""],
+        reversing: Sequence[bool],
+    ) -> Float[Array, " states"]:
+        """One step of a system that jumps where one of its velocities reverses."""
+
+        def derivative(regime: Regime, state: Array, inputs: Array) -> Array:
+            return jnp.where(regime.stuck, 0.0, system.derivative(regime.seen(state), inputs))
+
+        def rise(regime: Regime, state: Array, at: float | Array) -> Array:
+            return step * derivative(regime, state, level(at))
+
+        def move(regime: Regime, state: Array, at: float | Array, share: float | Array) -> Array:
+            def slope(state: _State, inputs: Array) -> _State:
+                return (derivative(regime, state[0], inputs),)
+
+            def along(node: float) -> Float[Array, " inputs"]:
+                return level(at + node * share)
+
+            return _runge_kutta_step(self.tableau, slope, (state,), along, share * step)[0]
+
+        return cut_step(move, rise, state, reversing)
 
 
 class Adaptive(AbstractMethod):
@@ -234,6 +280,7 @@ class Adaptive(AbstractMethod):
         inputs: Float[Array, "n inputs"],
         time_step: Float[Array, ""],
         initial_state: Float[Array, " states"],
+        bends: Float[Array, "n inputs"] | None = None,
     ) -> Trajectory:
         """States at the samples; see the base class."""
         last = inputs.shape[0] - 1
@@ -241,10 +288,12 @@ class Adaptive(AbstractMethod):
         # Time is counted in samples, so that the sample below a time is found without a search.
         # All that may be differentiated by is an argument: some adjoints see no closure.
         def vector_field(position, state, args):
-            system, inputs, time_step = args
+            system, inputs, time_step, curves = args
             below = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, last - 1)
             share = position - below
             level = inputs[below] + share * (inputs[below + 1] - inputs[below])
+            if curves:
+                level = level + _off_line([part[below] for part in curves], share)
             return time_step * system.derivative(state, level)
 
         samples = jnp.arange(last + 1, dtype=initial_state.dtype)
@@ -255,7 +304,7 @@ class Adaptive(AbstractMethod):
             samples[-1],
             0.1,
             initial_state,
-            args=(system, inputs, time_step),
+            args=(system, inputs, time_step, _curves(bends)),
             saveat=SaveAt(ts=samples),
             # The right-hand side has a kink at every sample; a step across one loses its order.
             stepsize_controller=ClipStepSizeController(
@@ -306,19 +355,27 @@ def _where(condition: Array, state: _State, otherwise: _State) -> _State:
     return tuple(jnp.where(condition, a, b) for a, b in zip(state, otherwise))
 
 
+def _curves(bends: Float[Array, "n inputs"] | None) -> tuple[Float[Array, "n-1 inputs"], ...]:
+    return () if bends is None else curves_of(bends)
+
+
+def _off_line(curve: Sequence[Array], share: float | Array) -> Float[Array, " inputs"]:
+    """What inputs differ from a straight line by, at a share of the interval."""
+    return share * (1 - share) * (curve[0] + share * curve[1])
+
+
 def _runge_kutta_step(
     tableau: _Tableau,
     slope: Callable[[_State, Array], _State],
     state: _State,
-    level: Float[Array, " inputs"],
-    rise: Float[Array, " inputs"],
+    level: Callable[[float], Float[Array, " inputs"]],
     step: Float[Array, ""],
 ) -> _State:
-    """One step over which the inputs go from `level` to `level + rise`."""
-    slopes = [slope(state, level)]
+    """One step, over which `level` gives the inputs from 0 to 1."""
+    slopes = [slope(state, level(0.0))]
     for node, weights in zip(tableau.nodes, tableau.lower):
         at = _moved(state, step, weights, slopes)
-        slopes.append(slope(at, level + node * rise))
+        slopes.append(slope(at, level(node)))
     return _moved(state, step, tableau.weights, slopes)
 
 

@@ -22,7 +22,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, users_code
-from riecjax.records.record import Signals
+from riecjax.records.signals import Signals
+from riecjax.simulation.reversals import reversing_states
 
 
 class Motion(NamedTuple):
@@ -36,13 +37,15 @@ class Structure(NamedTuple):
     """What each signal of the equations is.
 
     **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
-    `determined`, signals that static equations determine; `inputs`.
+    `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
+    zero the equations jump.
     """
 
     motions: tuple[Motion, ...]
     rates: tuple[tuple[str, Expression], ...]
     determined: tuple[str, ...]
     inputs: tuple[str, ...]
+    reversing: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -81,7 +84,13 @@ def read_structure(
     )
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
     _check_derivatives(label, equations, structure)
-    return structure
+    functions = [
+        (term.of, term.basis if isinstance(term, Terms) else None)
+        for equation in equations
+        for term in equation.terms
+    ]
+    signals = (*structure.states, *structure.unknowns, *structure.inputs)
+    return structure._replace(reversing=reversing_states(functions, structure.states, signals))
 
 
 def _motions(

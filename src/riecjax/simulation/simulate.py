@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
+from riecjax.simulation.intersample import Intersample, bends_of, require_intersample
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
 
@@ -54,6 +55,7 @@ def simulate(
     *,
     method: AbstractMethod | None = None,
     initial_state: Mapping[str, Array | float] | None = None,
+    intersample: Intersample = "lines",
 ) -> Simulation:
     """Simulate `system` along `inputs`, taken as piecewise linear between their samples.
 
@@ -66,10 +68,12 @@ def simulate(
     - `inputs`: a record that holds every input of the system.
     - `method`: `FixedStep(...)` or `Adaptive(...)`.
     - `initial_state`: state name to value at the first sample; those not named start at zero.
+    - `intersample`: what inputs are between samples: straight `"lines"`, or `"smooth"`, cubics
+      wherever they neither jump nor turn a corner.
 
     **Raises:** `DataError` if an input is missing from the record, `ModelError` for an unknown
-    state, or for what is no system, record or method. Losing the solution raises nothing: it is in
-    the result's `status`.
+    state or `intersample`, or for what is no system, record or method. Losing the solution raises
+    nothing: it is in the result's `status`.
     """
     require(
         "the system",
@@ -79,13 +83,15 @@ def simulate(
     )
     require("the inputs", inputs, Record, "rx.Record.from_samples({'u': force}, time_step=h)")
     require("the method", method or FixedStep(), AbstractMethod, "method=rx.FixedStep(8)")
+    require_intersample(intersample)
     start = dict(initial_state or {})
     system.require_states(start)
     levels = _levels(system, inputs)
     first = jnp.stack(
         [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]
     )
-    return _simulate(system, levels, inputs, first, FixedStep() if method is None else method)
+    method = FixedStep() if method is None else method
+    return _simulate(system, levels, inputs, first, method, intersample == "smooth")
 
 
 def _levels(system: AbstractSystem, inputs: Record) -> Float[Array, "n inputs"]:
@@ -101,8 +107,13 @@ def _simulate(
     inputs: Record,
     initial_state: Float[Array, " states"],
     method: AbstractMethod,
+    smooth: bool,
 ) -> Simulation:
-    states, status, reached = method.trajectory(system, levels, inputs.time_step, initial_state)
+    # A method of one's own need not know of bends that are not asked for.
+    bends = (bends_of(levels, inputs.present(system.input_names)),) if smooth else ()
+    states, status, reached = method.trajectory(
+        system, levels, inputs.time_step, initial_state, *bends
+    )
     derivatives = jax.vmap(system.derivative)(states, levels)
     outputs = jax.vmap(system.output)(states, levels)
     signals = {

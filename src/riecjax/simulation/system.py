@@ -65,6 +65,11 @@ class AbstractSystem(eqx.Module):
             )
 
     @property
+    def reversing(self) -> tuple[str, ...]:
+        """Velocities at whose zero friction makes the derivative jump: fixed steps end there."""
+        return ()
+
+    @property
     def velocity_of(self) -> Mapping[str, str]:
         """State to the state that is its time derivative: `d<state>`, where there is one."""
         names = self.state_names

@@ -1,0 +1,168 @@
+"""Steps that end where a velocity reverses, and a force that depends on its sign jumps.
+
+Dry friction makes x' = f(x) jump where v = 0. A step across that falls to first order, in the
+solution and above all in its derivatives: what differs by dv just before the reversal differs by
+(f+ / f-) dv just behind it, f- and f+ being v' on the two sides. No derivative of a sign tells
+that, nor do smaller steps. So the step is cut in two,
+
+    x* = step(x, s h) by f-,    x(h) = step(x*, (1 - s) h) by f+,    v(x*) = 0,
+
+each half seeing one side of the jump only: a velocity that is past zero counts as zero, of the sign
+it had. s is a root of the cubic through v and v' at both ends of the whole step by f-, as exact as
+that step, and a function of x: its derivative, that of one step of Newton's, is what makes the
+factor f+ / f-.
+
+Behind a reversal that f+ would undo at once the mass sticks: v stays 0, whatever it would have
+depended on, until at the beginning of a step some side lets it go. So f+ / f- is never large.
+Of several velocities the first to reverse cuts the step.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from riecjax.equations.expressions import Expression
+from riecjax.records.signals import Signals
+
+NEWTON_STEPS = 5
+"""From the secant's root to that of a cubic which is nearly straight."""
+FLAT = 1e-3
+"""Slope at its root that a cubic is taken to have at the least, of what its ends are apart."""
+ASIDE, JUMP = 1e-9, 1e-4
+"""A velocity to either side of zero, and the share of itself that a function jumps by there."""
+
+Basis = Callable[[Array], Array]
+Moves = Callable[["Regime", Array, float | Array, float | Array], Array]
+"""From a state, at a share of the step, by another share of it."""
+Rises = Callable[["Regime", Array, float | Array], Array]
+"""The state's derivative times the step, at a share of it."""
+
+
+class Regime(NamedTuple):
+    """On which side of zero velocities are, and which of them stick there.
+
+    **Fields:** `sides`, 1 above, -1 below, 0 where a state may be anywhere; `stuck`.
+    """
+
+    sides: Float[Array, " states"]
+    stuck: Bool[Array, " states"]
+
+    def seen(self, state: Float[Array, " states"]) -> Float[Array, " states"]:
+        """The state, velocities past zero taken for zero on their side."""
+        tiny = jnp.finfo(state.dtype).tiny
+        held = self.sides * jnp.maximum(self.sides * state, tiny)
+        return jnp.where(self.sides == 0, state, held)
+
+
+def cut_step(
+    move: Moves, rise: Rises, state: Float[Array, " states"], reversing: Sequence[bool]
+) -> Float[Array, " states"]:
+    """A step of a system, cut where the first of the velocities that matter reverses."""
+    ours, nowhere = np.array(reversing), jnp.zeros(state.shape, bool)
+    resting = jnp.asarray(ours) & (state == 0)
+    free = Regime(jnp.zeros_like(state), nowhere)
+    leaving = jnp.where(resting, rise(free, state, 0.0), state)
+    sides = jnp.where(ours, jnp.sign(leaving), 0.0)
+    before = _sticking(rise, state, sides, resting, 0.0)
+    whole = move(before, state, 0.0, 1.0)
+    reversed_ = sides * whole < 0
+
+    def cut() -> Array:
+        rises = rise(before, state, 0.0), rise(before, whole, 1.0)
+        shares = jnp.where(reversed_, _first_root((state, whole), rises, reversed_), 1.0)
+        first = jnp.min(shares)
+        turned = reversed_ & (shares <= first)
+        middle = jnp.where(turned, 0.0, move(before, state, 0.0, first))
+        behind = jnp.where(turned, -sides, sides)
+        after = _sticking(rise, middle, behind, turned | before.stuck, first)
+        return move(after, middle, first, 1 - first)
+
+    return jax.lax.cond(jnp.any(reversed_), cut, lambda: whole)
+
+
+def _sticking(
+    rise: Rises, state: Array, sides: Array, resting: Bool[Array, " states"], at: float | Array
+) -> Regime:
+    """With the velocities at rest that their own side would push back."""
+    risen = rise(Regime(sides, jnp.zeros(state.shape, bool)), state, at)
+    return Regime(sides, resting & (sides * risen <= 0))
+
+
+def _first_root(
+    ends: tuple[Array, Array], rises: tuple[Array, Array], reversed_: Bool[Array, " states"]
+) -> Float[Array, " states"]:
+    """Where, of a step, cubics through values of other signs at its ends are zero."""
+    # Others get a line whose root is harmless.
+    first, last = (jnp.where(reversed_, v, other) for v, other in zip(ends, (-0.5, 0.5)))
+    begins, leaves = (jnp.where(reversed_, r, 1.0) for r in rises)
+    square = 3 * (last - first) - 2 * begins - leaves
+    cube = 2 * (first - last) + begins + leaves
+
+    least = FLAT * jax.lax.stop_gradient(jnp.abs(first) + jnp.abs(last))
+
+    def newton(share: Array) -> Array:
+        at, value = jax.lax.stop_gradient(share), first
+        value = first + at * (begins + at * (square + at * cube))
+        slope = jax.lax.stop_gradient(begins + at * (2 * square + 3 * at * cube))
+        # Where v only just touches zero, when it does depends on next to anything.
+        steep = jnp.where(slope < 0, -1.0, 1.0) * jnp.maximum(jnp.abs(slope), least)
+        return jnp.clip(at - value / steep, 0.0, 1.0)
+
+    # A loop is compiled once, where steps written out would be fused into each other.
+    share = jax.lax.stop_gradient(first / (first - last))
+    share = jax.lax.fori_loop(
+        0, NEWTON_STEPS, lambda _, at: jax.lax.stop_gradient(newton(at)), share
+    )
+    return newton(share)
+
+
+def reversing_states(
+    functions: Sequence[tuple[Expression, Basis | None]],
+    states: Sequence[str],
+    signals: Sequence[str],
+) -> tuple[str, ...]:
+    """States at whose zero a function jumps, as dry friction does of a velocity.
+
+    **Arguments:** expressions, and what bases make of them, of `signals`, the states among these.
+    """
+    found: set[str] = set()
+    for of, basis in functions:
+        if basis is not None:
+            found |= _jumping(of, basis, tuple(states), tuple(signals))
+        elif not isinstance(of, str):
+            found |= _jumping_alone(of, tuple(states), tuple(signals))
+    return tuple(state for state in states if state in found)
+
+
+@functools.lru_cache
+def _jumping_alone(of: Expression, states: tuple[str, ...], signals: tuple[str, ...]) -> set[str]:
+    return _jumping(of, None, states, signals)
+
+
+def _jumping(
+    of: Expression, basis: Basis | None, states: tuple[str, ...], signals: tuple[str, ...]
+) -> set[str]:
+    """The states at whose zero one function jumps (none of a function that is not concrete)."""
+    # Four samples for each state: next to its zero and well away, on both sides.
+    places = np.array([ASIDE, -ASIDE, 1.0, -1.0])
+    levels = np.random.default_rng(0).uniform(0.2, 0.9, (len(signals), 1))
+    at = dict(zip(signals, np.repeat(levels, len(states) * places.size, axis=1)))
+    for i, state in enumerate(states):
+        at[state][i * places.size : (i + 1) * places.size] = places
+    try:
+        with jax.ensure_compile_time_eval():
+            probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
+            samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
+            values = np.asarray(samples if basis is None else basis(samples))
+    except Exception:  # whatever is wrong with a user's function is said where it is used
+        return set()
+    if not values.shape or values.shape[-1] != len(states) * places.size:
+        return set()
+    above, below, far, other = np.moveaxis(values.reshape(-1, len(states), places.size), -1, 0)
+    jumps = np.abs(above - below) > JUMP * np.maximum(np.abs(far), np.abs(other))
+    return {state for state, jump in zip(states, np.atleast_1d(jumps.any(axis=0))) if jump}

@@ -1,0 +1,239 @@
+"""Inputs that are smooth between samples: against SciPy with the exact input, and brute force."""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from scipy.integrate import solve_ivp
+
+from riecjax.errors import ModelError
+from riecjax.records.record import Record
+from riecjax.simulation.intersample import bends_of
+from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep, SimulationStatus
+from riecjax.simulation.simulate import simulate
+from riecjax.simulation.system import AbstractSystem
+
+SECONDS = 4.0
+STEADY = (0.8, 1.1)
+RNG = np.random.default_rng(7)
+
+
+class Swing(AbstractSystem):
+    """Smooth, and non-linear in the state and in both inputs."""
+
+    damping: Array
+
+    states: ClassVar = (("angle", "rad"), ("rate", "rad/s"))
+    inputs: ClassVar = (("torque", ""), ("gust", ""))
+
+    def derivative(self, state, inputs):
+        angle, rate = state
+        push = inputs[0] * jnp.cos(angle) + 0.3 * inputs[1] ** 2
+        return jnp.stack([rate, -4 * jnp.sin(angle) - self.damping * rate + push])
+
+
+class Area(AbstractSystem):
+    """x' = u."""
+
+    states: ClassVar = (("x", ""),)
+    inputs: ClassVar = (("u", ""),)
+
+    def derivative(self, state, inputs):
+        return inputs
+
+
+SWING = Swing(jnp.asarray(0.3))
+
+
+def torque(t):
+    return np.sin(2 * np.pi * 0.9 * t + 0.3) + 0.5 * np.sin(2 * np.pi * 2.0 * t)
+
+
+def gust(t):
+    return np.cos(2 * np.pi * 1.3 * t)
+
+
+def recorded(count: int) -> Record:
+    t = np.linspace(0, SECONDS, count + 1)
+    signals = {"torque": torque(t), "gust": gust(t)}
+    return Record.from_samples(signals, time_step=SECONDS / count)
+
+
+@pytest.fixture(scope="module")
+def exact() -> np.ndarray:
+    """At quarters of a second, driven by the formulas themselves."""
+
+    def slope(t, s):
+        push = torque(t) * np.cos(s[0]) + 0.3 * gust(t) ** 2
+        return [s[1], -4 * np.sin(s[0]) - 0.3 * s[1] + push]
+
+    t = np.linspace(0, SECONDS, 17)
+    return solve_ivp(slope, (0, SECONDS), STEADY, "DOP853", t, rtol=1e-12, atol=1e-13).y.T
+
+
+def states(count: int, intersample, method: AbstractMethod | None = None) -> np.ndarray:
+    first = dict(zip(SWING.state_names, STEADY))
+    run = simulate(
+        SWING, recorded(count), initial_state=first, intersample=intersample, method=method
+    )
+    found = run.checked().record
+    return np.stack([found["angle"], found["rate"]], axis=-1)[:: count // 16]
+
+
+@pytest.mark.parametrize(("intersample", "order"), [("lines", 2), ("smooth", 4)])
+def test_a_sampled_input_errs_in_its_stated_order(exact, intersample, order):
+    """8 steps a sample leave nothing beside that."""
+    errors = [np.abs(states(count, intersample) - exact).max() for count in (160, 320, 640)]
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    np.testing.assert_allclose(orders, order, atol=0.35)
+    # 20 samples to the fastest period at first.
+    assert errors[0] < {"lines": 2e-3, "smooth": 1e-4}[intersample]
+
+
+def test_an_adaptive_method_sees_the_same_input(exact):
+    adaptive = states(80, "smooth", Adaptive(1e-10, 1e-12))
+    np.testing.assert_allclose(adaptive, states(80, "smooth", FixedStep(32)), atol=1e-8)
+    assert np.abs(adaptive - exact).max() < 0.2 * np.abs(states(80, "lines") - exact).max()
+
+
+def test_one_step_a_sample_sees_it_too(exact):
+    assert np.abs(states(320, "smooth", FixedStep(1)) - exact).max() < 1e-5
+
+
+def test_lines_are_what_they_were():
+    by_default = simulate(SWING, recorded(80)).record["angle"]
+    np.testing.assert_array_equal(
+        simulate(SWING, recorded(80), intersample="lines").record["angle"], by_default
+    )
+
+
+def bends_one_by_one(levels: np.ndarray, present: np.ndarray) -> np.ndarray:
+    n = len(levels)
+    second = np.full(levels.shape, np.nan)
+    for i in range(1, n - 1):
+        if present[i - 1 : i + 2].all():
+            second[i] = levels[i + 1] - 2 * levels[i] + levels[i - 1]
+    found = np.zeros(levels.shape)
+    for i in range(n):
+        nearby = second[max(i - 2, 0) : i + 3]
+        for column in range(levels.shape[1]):
+            told = nearby[np.isfinite(nearby[:, column]), column]
+            if np.isfinite(second[i, column]) and len(told) >= 3:
+                found[i, column] = np.median(told)
+    for i in range(n):
+        if present[i] and not np.isfinite(second[i]).all():
+            for j in (i - 1, i + 1):
+                if 0 <= j < n and np.isfinite(second[j]).all():
+                    found[i] = found[j]
+    return found
+
+
+def test_bends_are_medians_of_second_differences_around_gaps_and_ends():
+    levels, present = RNG.normal(size=(200, 3)), RNG.random(200) > 0.1
+    for there in (present, np.ones(200, bool)):
+        np.testing.assert_allclose(
+            bends_of(jnp.asarray(levels), jnp.asarray(there)),
+            bends_one_by_one(levels, there),
+            atol=1e-14,
+        )
+    np.testing.assert_array_equal(
+        bends_of(jnp.asarray(levels)), bends_of(jnp.asarray(levels), jnp.ones(200, bool))
+    )
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 6])
+def test_a_short_record_is_simulated(count):
+    u = np.arange(count) ** 2.0
+    x = simulate(Area(), Record.from_samples({"u": u}, time_step=1.0), intersample="smooth").record
+    trapezoids = np.concatenate([[0], np.cumsum(0.5 * (u[1:] + u[:-1]))])
+    # A parabola is one from five samples on; the trapezoid is 1/6 more of it in each interval.
+    rest = np.arange(count) / 6 if count >= 5 else 0.0
+    np.testing.assert_allclose(x["x"], trapezoids - rest, atol=1e-12)
+
+
+def test_samples_across_a_gap_say_nothing_of_each_other():
+    u = np.concatenate([np.arange(20) ** 2.0, np.full(3, np.nan), 1e6 - 5 * np.arange(20.0)])
+    held = Record.from_samples({"u": u}, time_step=1.0)
+    bends = np.asarray(bends_of(held["u"][:, None], held.present(["u"])))[:, 0]
+    np.testing.assert_allclose(bends, np.where(np.arange(43) < 20, 2.0, 0.0), atol=1e-9)
+
+
+COMMANDS = {
+    "a step": np.repeat([0.0, 1.0], 20),
+    "a first sample": np.repeat([3.0, 1.0], [1, 30]),
+    "steps held for 3": np.repeat(RNG.normal(size=15), 3),
+    "a random binary command": np.repeat(RNG.choice([-1.0, 1.0], 30), 4),
+    "a triangle": np.concatenate([np.arange(10.0), 10 - np.arange(10.0), np.arange(9.0)]),
+    "ramps": np.interp(np.arange(60), [0, 7, 19, 20, 41, 60], [0, 3, 1, 8, 8, -2]),
+    "a pulse of one sample": np.eye(30)[12],
+    "a pulse of two": np.eye(30)[12] + np.eye(30)[13],
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_stay_straight_lines(name):
+    u = COMMANDS[name]
+    held = Record.from_samples({"u": u}, time_step=1.0)
+    smooth, lines = (
+        simulate(Area(), held, intersample=of).record["x"] for of in ("smooth", "lines")
+    )
+    np.testing.assert_allclose(smooth, lines, atol=1e-13)
+
+
+def test_a_smooth_signal_with_a_step_is_smooth_elsewhere():
+    t = np.arange(400) / 40
+    waves = np.sin(2 * np.pi * t)
+    stepped = waves + 5.0 * (t > 5.01)
+    of_both = [np.asarray(bends_of(jnp.asarray(u[:, None])))[:, 0] for u in (waves, stepped)]
+    far = np.abs(np.arange(400) - 200.5) > 4
+    np.testing.assert_allclose(of_both[1][far], of_both[0][far], atol=1e-13)
+    # Beside the step no more than the waves have elsewhere.
+    assert np.abs(of_both[1]).max() < 1.1 * np.abs(of_both[0]).max()
+
+
+def test_noise_is_not_amplified():
+    u = RNG.normal(size=(100_000, 1))
+    d = np.asarray(bends_of(jnp.asarray(u)))
+    middle = 0.5 * (u[1:] + u[:-1]) - (d[1:] + d[:-1]) / 16
+    # Lines leave 0.707 in the middle, Lagrange's cubic 0.80.
+    assert np.std(middle) < 0.72
+    # And a curvature below the noise stays what it is: 0.05 to each of 2e5 samples.
+    t = np.arange(100_000.0)[:, None]
+    found = np.asarray(bends_of(jnp.asarray(u + 0.025 * (t - 5e4) ** 2)))[10:-10]
+    assert found.mean() == pytest.approx(0.05, abs=4 * found.std() / np.sqrt(100_000 / 5))
+
+
+def test_a_batch_under_jit_is_its_members_and_differentiates():
+    inputs = jnp.asarray(RNG.normal(size=(3, 30)))
+
+    def last(u):
+        run = simulate(Area(), Record({"u": u}, 0.1), intersample="smooth")
+        return run.record["x"][-1]
+
+    batch = jax.jit(jax.vmap(last))(inputs)
+    np.testing.assert_allclose(batch, [last(u) for u in inputs], rtol=1e-12)
+    _, tangent = jax.jvp(last, (inputs[0],), (inputs[1],))
+    # The median picks the same samples nearby: it is linear there.
+    ahead, behind = (last(inputs[0] + h * inputs[1]) for h in (1e-7, -1e-7))
+    np.testing.assert_allclose(tangent, (ahead - behind) / 2e-7, rtol=1e-6)
+
+
+def test_another_word_is_refused():
+    with pytest.raises(ModelError, match="'lines' or 'smooth'; got 'cubic'"):
+        simulate(SWING, recorded(80), intersample="cubic")  # pyright: ignore[reportArgumentType]
+
+
+class Standing(AbstractMethod):
+    """A method of one's own, which knows nothing of bends."""
+
+    def trajectory(self, system, inputs, time_step, initial_state):  # pyright: ignore[reportIncompatibleMethodOverride]
+        still = jnp.broadcast_to(initial_state, (len(inputs), len(initial_state)))
+        return still, SimulationStatus.successful, jnp.asarray(len(inputs))
+
+
+def test_a_method_of_ones_own_without_bends_takes_lines():
+    run = simulate(SWING, recorded(80), method=Standing())
+    assert bool(run.successful)
