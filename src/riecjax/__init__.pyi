@@ -42,6 +42,7 @@ from .models.catalogue import find_model as find_model
 from .models.model import Model as Model
 from .records.frames import from_dataframe as from_dataframe
 from .records.frames import from_dataset as from_dataset
+from .records.noise import Noise as Noise
 from .records.preparation import differentiate as differentiate
 from .records.preparation import low_pass as low_pass
 from .records.preparation import remove_drift as remove_drift

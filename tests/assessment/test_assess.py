@@ -43,7 +43,7 @@ AXIS = rx.Equation(
     unit="N",
 )
 HATS = rx.RIEC(rx.AllWindows(0.1, 0.5), rx.Hat(quadrature=6))
-QUICK = {"sweep": False, "intervals": rx.Sandwich()}
+QUICK = {"sweep": False, "intervals": rx.Sandwich(), "refine": None}
 
 
 @pytest.fixture(autouse=True)
@@ -59,7 +59,13 @@ def test_an_equation_is_assessed_as_its_stages_are_one_by_one():
     recording = rx.read_recording(write("run.csv", motion(noise=1e-3)))
     seen = []
     found = rx.assess(
-        AXIS, recording, HATS, hold_out=0.3, intervals=rx.Sandwich(), on_estimate=seen.append
+        AXIS,
+        recording,
+        HATS,
+        hold_out=0.3,
+        intervals=rx.Sandwich(),
+        on_estimate=seen.append,
+        refine=None,
     )
     first, last = rx.split(recording.record, 0.3)
     alone = rx.identify(AXIS, first, HATS, intervals=rx.Sandwich())
@@ -98,14 +104,14 @@ def test_a_refinement_is_compared_on_what_it_was_not_fitted_to():
         AXIS,
         first,
         HATS,
-        refine=rx.OutputError(),
         bounds={"c": (0.0, None)},
         validate_on=second,
         progress=steps.append,
-        **QUICK,
+        **{**QUICK, "refine": rx.OutputError()},
     )
     refinement = found.refinement
     assert refinement is not None
+    assert refinement.refined is not None
     assert steps
     for name, value in TRUTH.items():
         assert float(refinement.refined[name]) == pytest.approx(value, rel=1e-2)
@@ -167,7 +173,8 @@ def test_a_record_shorter_than_a_window_names_the_file():
         (("quarter-car",), {}, "rx.find_model('quarter-car')"),
         ((AXIS, "dols"), {}, "rx.DOLS()"),
         ((AXIS, HATS), {"refine": "output-error"}, "rx.OutputError()"),
-        ((AXIS, HATS), {"bounds": {"m": (0, 1)}}, "refine="),
+        ((AXIS, HATS), {"bounds": {"m": (0, 1)}, "refine": None}, "refine="),
+        ((AXIS, HATS), {"horizon": -1.0}, "a positive number of seconds"),
         ((AXIS, HATS), {"hold_out": "0.2"}, "hold_out=0.2"),
         ((AXIS, HATS), {"hold_out": 1.5}, "between 0 and 1"),
         ((AXIS, HATS), {"known": {"mass": 1.0}}, "unknown parameter 'mass'"),
@@ -253,7 +260,7 @@ def test_recordings_of_one_name_are_compared_each_with_itself():
     assert fits(*others) == [first, second]
 
 
-@pytest.mark.parametrize("refine", [False, "output-error", rx.OutputError])
+@pytest.mark.parametrize("refine", [False, "output-error", rx.OutputError, ["auto"]])
 def test_what_is_no_refinement_is_refused_before_the_fit(refine):
     recording = rx.read_recording(write("run.csv", motion()))
     with pytest.raises(rx.ModelError, match=r"refine=rx\.OutputError\(\)"):

@@ -24,7 +24,7 @@ def working_folder(tmp_path, monkeypatch) -> Path:
 
 def refused(capsys, status: int, file: object, *options: object, model="quarter-car") -> str:
     """The message for a record or an option, with a folder asked for that must not appear."""
-    arguments = ("identify", file, "--model", model, *options)
+    arguments = ("identify", file, "--model", model, "--refine", "none", *options)
     return rejected(capsys, status, *arguments, "--out", "results")
 
 
@@ -254,7 +254,7 @@ OPTIONS = {
     "--band 2 5 --alpha 0.3": (1, "0 < alpha < beta"),
     "--intervals jackknife": (2, "'--intervals'"),
     "--criterion dols --windows 100": (2, "belong to --criterion riec"),
-    "--horizon 1": (2, "--horizon goes with --refine output-error"),
+    "--horizon 1": (2, "--horizon goes with --refine auto or output-error"),
     "--refine integral --channel x2": (2, "--channel goes with --refine output-error"),
     "--bound K_t=0:": (2, "--bound goes with --refine"),
     "--refine output-error --horizon 0": (2, "'--horizon'"),

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.integrate
-from command_line import call, write_csv
+from command_line import call, rejected, write_csv
 
 MODEL = """
 import riecjax as rx
@@ -51,8 +51,9 @@ def here(tmp_path, monkeypatch):
     Path("machine.py").write_text(MODEL)
 
 
-IDENTIFY = ("--model", "machine.py:axis", "--test-function", "hat", "--quadrature", "6")
-IDENTIFY += ("--alpha", "0.1", "--beta", "0.5")
+CHECK = ("--model", "machine.py:axis", "--test-function", "hat", "--quadrature", "6")
+CHECK += ("--alpha", "0.1", "--beta", "0.5")
+IDENTIFY = (*CHECK, "--refine", "none")
 
 
 def values(document):
@@ -183,11 +184,11 @@ def test_a_unit_that_the_model_says_nothing_of_is_pointed_out(capsys, unit, fact
 
 def test_check_says_what_a_record_can_answer(capsys):
     write_csv(Path("run.csv"), motion(offset=4.0))
-    result = call(capsys, "check", "run.csv", *IDENTIFY)
+    result = call(capsys, "check", "run.csv", *CHECK)
     assert result.status == 0
     for word in ("6000 samples at 200 Hz", "own share", "M", "offset", "can answer what the model"):
         assert word in result.out
-    document = call(capsys, "check", "run.csv", *IDENTIFY, "--json").document
+    document = call(capsys, "check", "run.csv", *CHECK, "--json").document
     assert document["answerable"] is True
     assert document["signals"] == ["q", "F"]
     assert document["warnings"] == []
@@ -198,39 +199,47 @@ def test_check_refuses_a_step_with_an_offset_and_names_the_direction(capsys):
     t = np.arange(COUNT) / RATE
     still = {"t": t, "q": 0.5 + 1e-6 * rng.normal(size=COUNT), "F": np.full(COUNT, 40.0)}
     write_csv(Path("step.csv"), still)
-    options = (*IDENTIFY, "--set", "M=2", "--set", "c=3")
-    result = call(capsys, "check", "step.csv", *options)
+    held = ("--set", "M=2", "--set", "c=3")
+    result = call(capsys, "check", "step.csv", *CHECK, *held)
     assert result.status == 1
     assert "cannot answer" in result.out
     assert "0.71 k - 0.71 offset" in result.err
-    document = call(capsys, "check", "step.csv", *options, "--json").document
+    document = call(capsys, "check", "step.csv", *CHECK, *held, "--json").document
     assert document["answerable"] is False
     assert "unidentifiable" in codes(document)
     # The noise would make a fit possible in numbers; it is refused in the same words.
-    fit = call(capsys, "identify", "step.csv", *options, "--json")
+    fit = call(capsys, "identify", "step.csv", *IDENTIFY, *held, "--json")
     assert fit.status == 1
     assert fit.document == {"schema": 1, "error": document["error"]}
     assert document["error"]["code"] == "constant_target"
     assert fit.err == f"riecjax: {document['error']['message']}\n"
 
 
-def test_what_only_noise_tells_apart_is_refused_by_check_and_identify_alike(capsys):
+def test_what_only_noise_tells_apart_is_refused_without_a_refinement(capsys):
     data = motion()
     data["q2"] = data["q"] + 1e-4 * np.random.default_rng(1).normal(size=COUNT)
     second = '    rx.Term("k2", "q2"),\n    rx.Term("offset"'
     Path("machine.py").write_text(MODEL.replace('    rx.Term("offset"', second))
     write_csv(Path("run.csv"), data)
-    checked = call(capsys, "check", "run.csv", *IDENTIFY, "--json")
+    checked = call(capsys, "check", "run.csv", *CHECK, "--json")
     fit = call(capsys, "identify", "run.csv", *IDENTIFY, "--json")
-    assert (checked.status, fit.status) == (1, 1)
-    assert fit.document["error"]["code"] == checked.document["error"]["code"] == "unidentifiable"
+    assert fit.status == 1
+    assert fit.document["error"]["code"] == "unidentifiable"
+    # k of the position, which has no noise, is told by the whole motion; k2 only to be next to 0.
+    assert checked.status == 0
+    assert codes(checked.document) == ["unidentifiable"]
+    assert checked.document["by_refinement"]["k"] < 1e-3
+    answer = call(capsys, "identify", "run.csv", *CHECK, "--json").document["refinement"]
+    low, high = answer["refined"]["k"]["interval95"]
+    assert low < 80 < high
+    assert high - low < 0.1
 
 
 def test_check_names_a_silent_parameter(capsys):
     data = motion()
     data["q"] = np.zeros(COUNT)
     write_csv(Path("run.csv"), data)
-    document = call(capsys, "check", "run.csv", *IDENTIFY, "--json").document
+    document = call(capsys, "check", "run.csv", *CHECK, "--json").document
     assert {"constant_signal", "not_excited"} <= set(codes(document))
     assert any("nothing in the record tells of M" in w["message"] for w in document["warnings"])
 
@@ -299,3 +308,34 @@ def test_a_cut_by_absolute_stamps_says_where_the_clock_begins(capsys):
     assert (
         "lasts from 0 to 2.995 s, counted from its first sample, stamped 1700000000." in result.err
     )
+
+
+def test_noise_is_judged_or_given_and_written_down(capsys):
+    samples = motion()
+    samples["q"] = samples["q"] + 0.02 * np.random.default_rng(0).normal(size=COUNT)
+    write_csv(Path("noisy.csv"), samples)
+    check = ("check", "noisy.csv", "--model", "machine.py:axis", "--test-function", "hat", "--json")
+    judged = call(capsys, *check).document["noise"]
+    assert judged["q"]["std"] == pytest.approx(0.02, rel=0.05)
+    assert judged["q"]["share"] == pytest.approx(0.02 / np.std(samples["q"]), rel=0.05)
+    given = call(capsys, *check, "--noise", "q=0.5", "--noise", "F=0").document["noise"]
+    assert (given["q"]["std"], given["F"]["std"]) == (0.5, 0.0)
+    none = call(capsys, *check, "--noise", "none").document["noise"]
+    assert none["q"]["std"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--noise", "z=1"), "there is no such signal; there are: "),
+        (("--noise", "q=-1"), "give a standard deviation from 0 on"),
+        (("--noise", "q=1", "--noise", "q=2"), "'q' is given twice"),
+        (("--noise", "none", "--noise", "q=2"), "'none' is for all signals"),
+        (("--noise", "some"), "auto|none|SIGNAL=SD"),
+    ],
+)
+def test_impossible_noise(capsys, options, message):
+    write_csv(Path("rig.csv"), motion(count=500))
+    status = 1 if "z=1" in options else 2
+    refused = rejected(capsys, status, "check", "rig.csv", "--model", "machine.py:axis", *options)
+    assert message in refused

@@ -71,7 +71,16 @@ def executions(capsys, model: str, **recordings: float) -> Counter[tuple[str, in
     **Returns:** by the recording, or "with noise" added to one, and how many samples were given.
     """
     files = [f"{name}.csv" for name in recordings]
-    settings = ("--model", f"model.py:{model}", "--alpha", "0.05", "--beta", "0.5")
+    settings = (
+        "--model",
+        f"model.py:{model}",
+        "--alpha",
+        "0.05",
+        "--beta",
+        "0.5",
+        "--refine",
+        "none",
+    )
     result = call(capsys, "identify", *files, *settings, "--out", "results")
     assert result.status == 0, result.err
     jax.effects_barrier()
@@ -89,9 +98,10 @@ def executions(capsys, model: str, **recordings: float) -> Counter[tuple[str, in
 def test_one_command_sums_a_recording_once(capsys):
     assert executions(capsys, "cart", one=recording("one.csv", SAMPLES, seed=0)) == {
         # The one pass: moments, bins of the sweep, averaged rows, activity and the check's survey.
-        ("one", FILLED): 1,
-        # In it, what the signals' noise adds to averaged rows, and to the survey's.
-        ("with noise", FILLED): 2,
+        # In it values, slopes along the noise, and what noise adds to averaged and surveyed rows.
+        ("one", FILLED): 4,
+        # A step of noise to either side, for curvature; and the two sorts of rows with noise.
+        ("with noise", FILLED): 4,
         # What is left sample by sample, which residual tests and the choice of windows share.
         ("one", SAMPLES): 1,
     }
@@ -100,10 +110,10 @@ def test_one_command_sums_a_recording_once(capsys):
 def test_each_of_two_recordings_is_summed_once(capsys):
     first, second = recording("one.csv", SAMPLES, 0), recording("two.csv", OTHER_SAMPLES, 1)
     assert executions(capsys, "cart", one=first, two=second) == {
-        ("one", FILLED): 1,
-        ("two", FILLED): 1,
-        # As for one recording: two in each.
-        ("with noise", FILLED): 4,
+        # As for one recording.
+        ("one", FILLED): 4,
+        ("two", FILLED): 4,
+        ("with noise", FILLED): 8,
         ("one", SAMPLES): 1,
         ("two", OTHER_SAMPLES): 1,
     }
@@ -111,8 +121,9 @@ def test_each_of_two_recordings_is_summed_once(capsys):
 
 def test_a_curve_is_drawn_over_samples_that_are_computed_for_it(capsys):
     assert executions(capsys, "curved", one=recording("one.csv", SAMPLES, seed=0)) == {
-        # The one pass, and in it the reach of the curve's variable, which the survey keeps.
-        ("one", FILLED): 2,
+        # The one pass, and in it the reach of the curve's variable, which the survey keeps. Noise
+        # moves the variable along its slope, and steps to either side are taken in the roofs alone.
+        ("one", FILLED): 6,
         ("with noise", FILLED): 2,
         # What is left; for the figure, the curve's variable, and the equation at each sample.
         ("one", SAMPLES): 3,

@@ -87,3 +87,64 @@ def test_windows_shorter_than_the_recording(recording, capsys):
     assert document["refinement"]["by"]["seconds"] == 2.0
     assert set(document["refinement"]["left"]) == {"x"}
     assert document["parameters"]["k"]["value"] == pytest.approx(20.0, rel=0.03)
+
+
+def test_by_default_the_answer_is_refined_where_white_noise_is_left(recording, capsys):
+    """The linear estimate comes at once; what replaces it says so before its table."""
+    printed = call(capsys, "identify", str(recording), *IDENTIFY)
+    assert printed.status == 0
+    words = " ".join(printed.out.split())
+    first, said, second = (
+        words.index(part)
+        for part in ("parameter value", "the refined values are the answer", "parameter identified")
+    )
+    assert first < said < second
+    assert "does not prove the model right" in words
+    document = call(capsys, "identify", str(recording), *IDENTIFY, "--json").document
+    refinement = document["refinement"]
+    assert refinement["chosen"] is True
+    assert refinement["whiteness"]["largest"] < refinement["whiteness"]["threshold"]
+    assert refinement["chi_squared"] == pytest.approx(1.0, abs=0.2)
+    assert document["parameters"] == refinement["refined"]
+    for name, true in TRUTH.items():
+        entry = document["parameters"][name]
+        low, high = entry["interval95"]
+        assert low - (high - low) < true < high + (high - low)
+
+
+def test_of_another_model_the_identified_values_stay_with_one_table(recording, capsys, tmp_path):
+    """The oscillator without its drag."""
+    model = tmp_path / "linear.py"
+    model.write_text(
+        "import riecjax as rx\n"
+        "axis = rx.Equation(rx.Term('m', 'x', derivative=2, measured=('dx', 'ddx')),\n"
+        "    rx.Term('r', 'x', derivative=1, measured=('dx',)), rx.Term('k', 'x'),\n"
+        "    -rx.Term(1.0, 'u'), name='axis')\n"
+    )
+    arguments = (
+        "identify",
+        str(recording),
+        "--model",
+        str(model),
+        *IDENTIFY[2:],
+        "--hold-out",
+        "0.3",
+    )
+    printed = call(capsys, *arguments).out
+    words = " ".join(printed.split())
+    assert printed.count("parameter ") == 1
+    assert "that is not the answer: what it leaves of" in words
+    assert "are the physical parameters" in words
+    assert "worst fit on run.csv, last part" in words
+    assert "refined values: m " in words
+
+
+def test_a_horizon_needs_something_to_simulate(recording, capsys):
+    file = str(recording)
+    horizon = ("--refine", "none", "--horizon", "2")
+    refused = call(capsys, "identify", file, *IDENTIFY, *horizon)
+    assert refused.status == 2
+    assert "--hold-out" in refused.err
+    found = call(capsys, "identify", file, *IDENTIFY, *horizon, "--hold-out", "0.3", "--json")
+    assert found.document["validation"][0]["horizon_s"] == 2.0
+    assert found.document["refinement"] is None

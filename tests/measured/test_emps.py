@@ -21,6 +21,9 @@ ASYMMETRIC = {
     "Fc_neg": 20.6277,
 }
 FILTERED = ("--low-pass", "q=100")
+AS_COMPARED = ("--refine", "none", "--noise", "none")
+"""The velocity by central differences, and nothing taken off, as in what tests compare with."""
+TRAPEZOIDS = ("--test-function", "boxcar", "--quadrature", "2")
 PUBLISHED_PREPARATION = (*FILTERED, "--every", "10", "--criterion", "dols")
 
 
@@ -33,7 +36,8 @@ def file() -> Path:
 def identified(file, capsys):
     def identify(model: str, *options: object) -> dict:
         given = ("--map", "q=qm", "--map", "force=vir", "--scale", f"vir={GAIN}", "--json")
-        arguments = ["identify", file, "--model", model, *given, *options]
+        windows = () if "dols" in options else TRAPEZOIDS
+        arguments = ["identify", file, "--model", model, *AS_COMPARED, *windows, *given, *options]
         assert run([str(argument) for argument in arguments]) == 0
         return json.loads(capsys.readouterr().out)["parameters"]
 
@@ -153,7 +157,8 @@ def test_settings_in_the_file_are_left_out(file):
 def document(file, capsys):
     def identify(model: str, *options: object) -> dict:
         given = ("--map", "q=qm", "--map", "force=vir", "--scale", f"vir={GAIN}", "--json")
-        arguments = ["identify", file, "--model", model, *given, *options]
+        windows = () if "dols" in options else TRAPEZOIDS
+        arguments = ["identify", file, "--model", model, *AS_COMPARED, *windows, *given, *options]
         assert run([str(argument) for argument in arguments]) == 0
         return json.loads(capsys.readouterr().out)
 

@@ -81,8 +81,9 @@ def test_through_files_on_the_command_line(records, tmp_path, capsys):
     paths = [tmp_path / f"piece{i}.csv" for i in range(4)]
     for path, record in zip(paths, records):
         write_record(path, record)
-    arguments = ["identify", *map(str, paths), "--model", "pendulum", "--json"]
-    arguments += ["--windows", "8000"]
+    arguments = ["identify", *map(str, paths), "--model", "pendulum", "--refine", "none", "--json"]
+    arguments += ["--windows", "8000", "--test-function", "boxcar"]
+    arguments += ["--differentiate", "dtheta=theta"]
     assert run(arguments) == 0
     parameters = json.loads(capsys.readouterr().out)["parameters"]
     estimate = riec(records)

@@ -1,5 +1,7 @@
 """Refinement on the paper's quarter car; the whole study is `benchmarks/refined_quarter_car.py`."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +37,8 @@ from riecjax.validation.goodness_of_fit import validate
 
 STEP = 1 / 200
 METHOD = FixedStep(3)
+# The source model is driven by roads that are straight lines between samples.
+BY = partial(OutputError, intersample="lines")
 KEYS = jax.random.split(jax.random.key(6), 3)
 WINDOWS = AllWindows(0.05, 0.5)
 # Samples that cross a break point are kinks, at which no gradient vanishes to rounding.
@@ -82,7 +86,7 @@ def values(refined) -> dict:
 
 
 def refined_on_a_road(start, known):
-    by = OutputError(channels=VALIDATED_STATES, initial_states=STATES["four states"], method=METHOD)
+    by = BY(channels=VALIDATED_STATES, initial_states=STATES["four states"], method=METHOD)
     record = driven(road(KEYS[1]))
     refined = refine(damper_system(), record, start, by, known=known, solver=SOLVER)
     assert bool(refined.converged)
@@ -159,7 +163,7 @@ def test_the_source_model_is_found_from_sensors_from_a_start_that_is_half_off():
     seen = simulate(model.build_system({}), white_noise(1000), method=FixedStep(24)).checked()
     record = seen.record.select("v_r", *channels)
     start = {name: value * (1.5, 0.5)[i % 2] for i, (name, value) in enumerate(truth.items())}
-    by = OutputError(channels=channels, initial_states=STATES["seven states"], method=FixedStep(8))
+    by = BY(channels=channels, initial_states=STATES["seven states"], method=FixedStep(8))
     refined = refine(model, record, start, by)
     assert bool(refined.converged)
     for name, value in truth.items():

@@ -74,7 +74,7 @@ def recording(hardening) -> Record:
 
 
 def test_a_spring_that_hardens_is_resolved_where_it_is_deflected(recording):
-    refined = refine(duffing(), recording, HARD)
+    refined = refine(duffing(), recording, HARD, OutputError(intersample="lines"))
     assert bool(refined.converged)
     assert [finding for finding in refined.findings() if finding.code == "coarse_steps"] == []
     for name, true in HARD.items():
@@ -260,7 +260,7 @@ def stiff():
 
 @pytest.mark.parametrize("pole", [1e3, pytest.param(1e5, marks=pytest.mark.slow)])
 def test_an_implicit_solver_refines_a_stiff_model(stiff, pole):
-    by = OutputError(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()))
+    by = OutputError(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()), intersample="lines")
     refined = refine(stiff, lagged(pole), {"k": 2.0}, by, known={"pole": pole})
     assert bool(refined.converged)
     assert float(refined["k"]) == pytest.approx(3.0, rel=1e-4)

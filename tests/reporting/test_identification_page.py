@@ -28,6 +28,7 @@ DOCUMENT: dict[str, Any] = {
         ]
     },
     "excitation": {"m": {"equation": "motion", "own_share": 0.5, "noise_share": None}},
+    "noise": {"v": {"std": 0.02, "unit": "m/s", "share": 0.05}},
     "residual_tests": {
         "motion": {
             "relative_rms": 0.04,
@@ -48,6 +49,10 @@ DOCUMENT: dict[str, Any] = {
     },
 }
 REFINEMENT = {
+    "chosen": True,
+    "declined": None,
+    "whiteness": None,
+    "refined": {"m": {"value": 2.0}},
     "by": {"refine": "integral"},
     "reason": "converged",
     "steps": 4,
@@ -123,6 +128,53 @@ def test_a_refinement_stands_beside_what_was_identified():
     left, fits = refined.tables
     assert list(left.rows[0]) == ["v", "0.2", "none", "m/s"]
     assert list(fits.rows[0]) == ["a.csv (fitted): x", "none", "95.0"]
+
+
+def test_refined_values_that_were_not_chosen_stand_behind_the_answer():
+    channel = {"statistic": 12.0, "chi_squared": 1.5, "share": 0.1}
+    refinement = {
+        **REFINEMENT,
+        "by": {"refine": "output-error"},
+        "chosen": False,
+        "declined": "what it leaves of v is not white noise",
+        "refined": {"m": {"value": 1.7}},
+        "whiteness": {
+            "white": False,
+            "vanishing": False,
+            "largest": 12.0,
+            "threshold": 2.0,
+            "channels": {"v": channel},
+        },
+    }
+    page = identification_page({**DOCUMENT, "refinement": refinement})
+    parameters = section(page, "Parameters")
+    assert "physical parameters" in parameters.text[0]
+    table = parameters.tables[0]
+    assert [table.header[1], table.header[-2]] == ["identified", "refined, not the answer"]
+    assert [(row[1], row[-2]) for row in table.rows] == [("2", "1.7"), ("3", "")]
+    assert list(section(page, "Refinement").tables[0].rows[0])[-2:] == ["12", "1.5"]
+
+
+def test_a_motion_that_is_followed_to_a_millionth_leaves_no_noise_to_test():
+    """Of what the arithmetic leaves the statistic is large, and tells of nothing."""
+    channel = {"statistic": 8e3, "chi_squared": 8e3, "share": 4e-8}
+    whiteness = {"white": True, "vanishing": True, "largest": 8e3, "threshold": 2.0}
+    refinement = {
+        **REFINEMENT,
+        "by": {"refine": "output-error"},
+        "whiteness": {**whiteness, "channels": {"v": channel}},
+    }
+    page = identification_page({**DOCUMENT, "refinement": refinement})
+    said = section(page, "Parameters").text[0]
+    assert "follows the motion to 4e-08 of its size" in said
+    assert "white noise" not in said
+
+
+def test_a_refinement_that_was_not_made_says_why():
+    nothing = {**dict.fromkeys(REFINEMENT), "chosen": False, "declined": "it would take 40 s"}
+    page = identification_page({**DOCUMENT, "refinement": nothing})
+    assert section(page, "Parameters").text[0] == "Not refined: it would take 40 s."
+    assert "Refinement" not in {each.heading for each in page.sections}
 
 
 def test_what_was_not_made_has_no_section(page):

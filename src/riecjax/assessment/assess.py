@@ -2,30 +2,31 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.assessment.asked import Asked
-from riecjax.criteria.criterion import RIEC, AbstractCriterion
-from riecjax.criteria.windows import DEFAULT_BAND
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.suited import suited
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import DataError, ModelError, require
-from riecjax.estimation.check import check, raise_if_refused, read_of
+from riecjax.estimation.check import check, raise_if_refused, read_of, refusal_by
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.leaves import on_host
 from riecjax.models.model import as_model
+from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
-from riecjax.records.recording import Recording, as_recordings
+from riecjax.records.recording import Recording
 from riecjax.studies.sweep import WindowSweep, sweep_edges, window_sweep
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.task import WRITE_CRITERION
+from riecjax.summaries.task import WRITE_CRITERION, ready
 from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
 
 if TYPE_CHECKING:
@@ -43,8 +44,10 @@ def assess(
     known: Mapping[str, float | Array] | None = None,
     per_record: Sequence[str] = (),
     intervals: AbstractIntervals | None = None,
-    refine: "AbstractObjective | None" = None,
+    noise: GivenNoise = "auto",
+    refine: "AbstractObjective | Literal['auto'] | None" = "auto",
     bounds: "Mapping[str, Bounds] | None" = None,
+    horizon: float | None = None,
     hold_out: float | None = None,
     validate_on: Records = (),
     sweep: bool = True,
@@ -53,20 +56,24 @@ def assess(
 ) -> "Assessment":
     """Identify a model's parameters from recordings, and find out how far to trust them.
 
-    What `riecjax identify` does: [`check`][], [`identify`][], [`refine`][] if asked for, a sweep
-    over window lengths, tests of what is left, and validation by simulation. All but the tests,
-    the simulations and the refinement is made from one pass over the samples. Not under jit.
+    What `riecjax identify` does: [`check`][], [`identify`][], [`refine`][] where that is warranted
+    or asked for, a sweep over window lengths, tests of what is left, and validation by simulation:
+    all that needs no simulation from one pass over the samples. Not under jit.
 
     **Arguments:** as for [`identify`][], and
 
     - `recordings`: from [`read_recording`][], or bare records.
-    - `refine`: what a refinement makes small, such as `rx.OutputError()`, or `None` for no
-      refinement. An `rx.IntegralError()` without a criterion takes the estimate's.
+    - `refine`: `"auto"` refines by output error and keeps that as the answer only if what it leaves
+      is white noise; what a refinement makes small, such as `rx.OutputError()`, makes its values
+      the answer (an `rx.IntegralError()` takes the estimate's criterion); `None` for none.
     - `bounds`: of the refinement, (lower, upper) by name, `None` where there is none.
+    - `horizon`: seconds after which simulations start anew from what was recorded, in validation
+      and in the refinement of `"auto"`; by default where the motion is unstable.
     - `hold_out`: keep this share at the end of each recording for validation by simulation.
     - `validate_on`: further recordings to simulate the identified model on.
     - `sweep`: whether to estimate against window length, which shows an inexact model.
-    - `on_estimate`: called with the estimate as soon as it is there, before all that is slow.
+    - `on_estimate`: called with the estimate as soon as it is there, before all that is slow; not
+      with one that means nothing, where only refinement answers.
     - `progress`: called with the sum of squares after each step of the refinement.
 
     **Returns:** an [`Assessment`][].
@@ -77,10 +84,13 @@ def assess(
     """
     model = as_model(model)
     procedure = model.build_procedure()
-    criterion = RIEC.of_band(model.band or DEFAULT_BAND) if criterion is None else criterion
+    recordings = ready(procedure, recordings, noise)
+    if criterion is None:
+        criterion = suited(procedure, model.band, [each.record for each in recordings])
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.2, a share")
-    _require_sense(refine, bounds, per_record, validate_on)
+    require("horizon", 1.0 if horizon is None else horizon, Real, "horizon=2.0, in seconds")
+    _require_sense(refine, bounds, horizon, per_record, validate_on)
     fitted = _concerned(procedure, recordings, criterion)
     halves = [(each, None) if hold_out is None else each.split(hold_out) for each in fitted]
     asked = Asked(
@@ -89,19 +99,26 @@ def assess(
         criterion,
         [first for first, _ in halves],
         [last for _, last in halves if last is not None],
-        _concerned(procedure, validate_on, criterion) if validate_on else [],
+        _concerned(procedure, ready(procedure, validate_on), criterion) if validate_on else [],
         key,
         {"known": known, "per_record": per_record},
         BlockBootstrap() if intervals is None else intervals,
     )
-    return _assessed(asked, refine, bounds, sweep, on_estimate, progress)
+    return _assessed(asked, (refine, bounds, horizon, progress), sweep, on_estimate)
 
 
 def _require_sense(
-    refine: object, bounds: object, per_record: Sequence[str], validate_on: Records
+    refine: object,
+    bounds: object,
+    horizon: float | None,
+    per_record: Sequence[str],
+    validate_on: Records,
 ) -> None:
-    if refine is not None and not hasattr(type(refine), "specify"):
-        require("refine", refine, (), "refine=rx.OutputError()")
+    asked_for = refine is not None and not (isinstance(refine, str) and refine == "auto")
+    if asked_for and not hasattr(type(refine), "specify"):
+        require("refine", refine, (), "refine=rx.OutputError(), 'auto' or None")
+    if horizon is not None and not horizon > 0:
+        raise ModelError(f"horizon is a positive number of seconds; got {horizon:g}.")
     if bounds and refine is None:
         raise ModelError("bounds belong to a refinement: give refine=rx.OutputError() with them.")
     if per_record and validate_on:
@@ -113,11 +130,9 @@ def _require_sense(
 
 def _assessed(
     asked: Asked,
-    refine: "AbstractObjective | None",
-    bounds: "Mapping[str, Bounds] | None",
+    refining_by: tuple[Any, ...],
     sweep: bool,
     on_estimate: Callable[[Estimate], None] | None,
-    progress: Callable[[float], None] | None,
 ) -> "Assessment":
     procedure, records, criterion = asked.procedure, asked.records, asked.criterion
     # What is refused without arithmetic is refused before a sample is read.
@@ -127,12 +142,15 @@ def _assessed(
     summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
     estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
     excited = excitations(summary, plan)
-    raise_if_refused(excited)
-    if on_estimate is not None:
+    # What windows cannot tell from noise, output error may: it needs no derivative.
+    doubted = refusal_by(excited)
+    if doubted is None or doubted.code != "unidentifiable" or refining_by[0] != "auto":
+        raise_if_refused(excited)
+    if on_estimate is not None and doubted is None:
         on_estimate(estimate)
 
     # Not earlier: to import all that simulates takes seconds.
-    from riecjax.assessment import trust
+    from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
 
     checked = check(
@@ -144,9 +162,9 @@ def _assessed(
         summary=summary,
         excited=excited,
     )
-    refined = trust.refined(asked, estimate, refine, bounds, progress)
-    values = estimate.values if refined is None else refined.values
-    validations, failed = trust.validated(asked.model, values, trust.unseen(asked))
+    refinement, validations, failed = refining.answered(asked, estimate, *refining_by)
+    if refinement is None or not refinement.chosen:
+        raise_if_refused(excited)
     residuals, choice, untested = trust.what_is_left(procedure, records, estimate)
     return Assessment(
         model=asked.model,
@@ -160,20 +178,17 @@ def _assessed(
         choice=choice,
         seeds=trust.seeds(asked),
         validations=validations,
-        refinement=trust.before_after(asked, estimate, refined, validations),
+        refinement=refinement,
         failures=[*failed, *untested],
         key=asked.key,
     )
 
 
 def _concerned(
-    procedure: Procedure, recordings: Records, criterion: AbstractCriterion
+    procedure: Procedure, recordings: list[Recording], criterion: AbstractCriterion
 ) -> list[Recording]:
     """The recordings with what is said of signals that the criterion reads."""
-    return [
-        recording.concerning(read_of(procedure, recording, criterion))
-        for recording in as_recordings(recordings)
-    ]
+    return [each.concerning(read_of(procedure, each, criterion)) for each in recordings]
 
 
 def _bins(

@@ -9,6 +9,7 @@ from jaxtyping import Array, Key
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
@@ -18,6 +19,7 @@ from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
+from riecjax.validation.whiteness import Whiteness
 
 
 class ValidationRun(NamedTuple):
@@ -47,20 +49,33 @@ def _worst(held: HeldOut) -> float:
     return min((fit for fit in fits if fit == fit), default=-float("inf"))
 
 
-@dataclass(frozen=True)
-class Refinement:
-    """A refinement, and what it did to predictions.
+class Refinement(NamedTuple):
+    """A refinement, whether its values are the answer, and what it did to predictions.
 
-    **Fields:** `refined`; `simulations`, before and after, on held-out parts and further
-    recordings, or if there are none on those that were fitted (`on_fitted`).
+    **Fields:**
+
+    - `refined`; `None` where `refine="auto"` found nothing that could be one.
+    - `declined`: why its values are not the answer, of `refine="auto"`; empty where they are.
+    - `whiteness` of what is left, of output error over windows that do not overlap.
+    - `simulations`, before and after, on held-out parts and further recordings, or if there are
+      none, and the refinement was asked for, on those that were fitted (`on_fitted`).
     """
 
-    refined: Refined
-    simulations: Sequence[BeforeAfter]
-    on_fitted: bool
+    refined: Refined | None = None
+    declined: str = ""
+    whiteness: Whiteness | None = None
+    simulations: Sequence[BeforeAfter] = ()
+    on_fitted: bool = False
+
+    @property
+    def chosen(self) -> bool:
+        """Whether the refined values are the answer."""
+        return self.refined is not None and not self.declined
 
     def findings(self) -> list[Finding]:
-        """What a user should know."""
+        """What a user should know of refined values that are the answer."""
+        if self.refined is None or self.declined:
+            return []
         findings = self.refined.findings()
         for run in self.simulations:
             before, after = run.worst_fits
@@ -92,7 +107,8 @@ class Assessment:
     - `residuals`: tests of what is left, if they can be made.
     - `choice` of windows, for a criterion that has some.
     - `seeds`: scatter over seeds of random windows, for a criterion that draws some.
-    - `validations`: simulations, of the refined model if there is a `refinement`.
+    - `refinement`, if one was asked for or `refine="auto"` tried one.
+    - `validations`: simulations with the values of `answer`.
     - `failures`: findings on what could not be tested or simulated.
     - `key` of the windows.
     """
@@ -112,10 +128,21 @@ class Assessment:
     failures: Sequence[Finding]
     key: Key[Array, ""] | None
 
+    @property
+    def answer(self) -> AbstractEstimate:
+        """The refined values where those were asked for or chosen, else the linear estimate."""
+        refinement = self.refinement
+        if refinement is None or refinement.refined is None or refinement.declined:
+            return self.estimate
+        return refinement.refined
+
     def findings(self) -> list[Finding]:
         """What a user should know, each thing once."""
         read = [f for r in (*self.recordings, *self.validated_on) for f in r.findings]
         before = [*read, *self.failures, *self.checked.findings]
+        if self.answer is not self.estimate:
+            # Said of windows, and not of what was chosen: a refused estimate leaves no other.
+            before = [finding for finding in before if finding.code != "unidentifiable"]
         codes = {finding.code for finding in before}
         after = [
             f for f in self.estimate.findings() if f.code != "short_record" or f.code not in codes
@@ -130,8 +157,10 @@ class Assessment:
         return [*before, *after]
 
     def __str__(self) -> str:
-        found = self.estimate if self.refinement is None else self.refinement.refined
-        lines = [line for line in str(found).splitlines() if not line.startswith("warning [")]
+        said = str(self.answer).splitlines()
+        lines = [line for line in said if not line.startswith("warning [")]
+        if self.refinement is not None and self.refinement.declined:
+            lines.append(f"not refined: {self.refinement.declined}")
         lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in self.validations]
         lines += [f"warning [{finding.code}] {finding.message}" for finding in self.findings()]
         return "\n".join(lines)

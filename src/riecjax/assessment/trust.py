@@ -1,68 +1,31 @@
-"""How far to trust an estimate: refinement, what is left, and simulations of what was identified.
+"""How far to trust an estimate: what is left, and simulations of what was identified.
 
 Imported by [`assess`][riecjax.assess] once the estimate is there: to import all that simulates
 takes seconds, and a reader at a terminal should not wait for it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from jaxtyping import Array
 
 from riecjax.assessment.asked import Asked
-from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
+from riecjax.assessment.assessment import ValidationRun
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.parameters import values_of_record
 from riecjax.findings import Finding
-from riecjax.leaves import on_host
 from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.refinement.coordinates import Bounds
-from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.objective import AbstractObjective
-from riecjax.refinement.refine import refine
-from riecjax.refinement.refined import Refined
+from riecjax.simulation.instability import growth
+from riecjax.simulation.system import AbstractSystem
 from riecjax.studies.choice import WindowChoice, window_choice
 from riecjax.studies.monte_carlo import SeedScatter, seed_scatter
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.held_out import validate_held_out
 from riecjax.validation.residuals import ResidualTests, residual_tests
-
-MOST_STEPS = 200
-"""Steps that a refinement may take."""
-
-
-def refined(
-    asked: Asked,
-    estimate: Estimate,
-    by: AbstractObjective | None,
-    bounds: Mapping[str, Bounds] | None,
-    progress: Callable[[float], None] | None,
-) -> Refined | None:
-    """The refinement from an estimate, over the estimate's windows if no others are asked for.
-
-    **Raises:** as `refine`.
-    """
-    if by is None:
-        return None
-    if isinstance(by, IntegralError) and by.criterion is None:
-        by = IntegralError(estimate.criterion)
-    return on_host(
-        refine(
-            asked.model,
-            asked.records,
-            estimate,
-            by,
-            per_record=asked.settings["per_record"],
-            key=asked.key,
-            intervals=asked.intervals,
-            bounds=bounds,
-            max_steps=MOST_STEPS,
-            progress=progress,
-        )
-    )
 
 
 def seeds(asked: Asked) -> SeedScatter | None:
@@ -93,48 +56,59 @@ Numbered = Sequence[tuple[int | None, Recording]]
 """Recordings, each with the number of the one whose own parameters it takes, if it has some."""
 
 
+def seen(asked: Asked) -> Numbered:
+    """What the model was fitted to."""
+    return list(enumerate(asked.fitted))
+
+
 def unseen(asked: Asked) -> Numbered:
     """What the model was not fitted to: last parts that were held out, and further recordings."""
     return [*enumerate(asked.held), *((None, recording) for recording in asked.further)]
 
 
+def horizons(
+    asked: Asked, estimate: AbstractEstimate, recordings: Numbered, given: float | None
+) -> list[float | None]:
+    """Seconds over which to simulate each recording; `None` for all of it.
+
+    Those given, or where the motion is unstable those in which differences grow by e^2.5.
+    """
+    if given is not None:
+        return [given] * len(recordings)
+    found: list[float | None] = []
+    for number, recording in recordings:
+        try:
+            grows = growth(
+                _system(asked.model, estimate.values, number, recording), recording.record
+            )
+        except RiecjaxError:
+            grows = None  # what cannot be simulated is said where it is
+        found.append(None if grows is None else grows.horizon)
+    return found
+
+
 def validated(
-    model: Model, values: Mapping[str, Array], recordings: Numbered
+    model: Model,
+    values: Mapping[str, Array],
+    recordings: Numbered,
+    windows: Sequence[float | None],
 ) -> tuple[list[ValidationRun], list[Finding]]:
     """Simulations with these values that could be made, and why the others could not."""
-    names = model.build_procedure().parameters
     runs, failed = [], []
-    for number, recording in recordings:
-        own = dict(values) if number is None else values_of_record(values, number)
+    for (number, recording), horizon in zip(recordings, windows):
         # A fit is not lost because its model cannot be simulated.
         try:
-            system = model.identified_system({n: own[n] for n in names}, recording.record)
-            runs.append(ValidationRun(recording, validate_held_out(system, recording.record)))
+            system = _system(model, values, number, recording)
+            held = validate_held_out(system, recording.record, horizon=horizon)
+            runs.append(ValidationRun(recording, held))
         except RiecjaxError as error:
             failed.append(Finding("not_validated", f"{recording.name}: {error}"))
     return runs, failed
 
 
-def before_after(
-    asked: Asked, estimate: Estimate, refined: Refined | None, after: list[ValidationRun]
-) -> Refinement | None:
-    """Predictions with the start of the refinement and with its result.
-
-    Without recordings to validate on, of those that were fitted.
-    """
-    if refined is None:
-        return None
-    recordings = unseen(asked)
-    on_fitted = not recordings
-    if on_fitted:
-        recordings = list(enumerate(asked.fitted))
-        after, _ = validated(asked.model, refined.values, recordings)
-    before, _ = validated(asked.model, estimate.values, recordings)
-    # By recording, not by name: files in different folders may share one.
-    earlier = {id(run.recording): run.held for run in before}
-    pairs = [
-        BeforeAfter(run.recording, earlier[id(run.recording)], run.held)
-        for run in after
-        if id(run.recording) in earlier
-    ]
-    return Refinement(refined, pairs, on_fitted)
+def _system(
+    model: Model, values: Mapping[str, Array], number: int | None, recording: Recording
+) -> AbstractSystem:
+    own = dict(values) if number is None else values_of_record(values, number)
+    names = model.build_procedure().parameters
+    return model.identified_system({name: own[name] for name in names}, recording.record)

@@ -33,30 +33,31 @@ def command(
     """Say whether recordings can answer what a model asks, before any fit.
 
     Looks at sensors (missing samples, clipping, stuck or spiking signals), sampling, length, and
-    how each parameter is excited. The exit status is 1 if some parameter cannot be found.
+    how each parameter is excited; where noise leaves windows no answer, whether refinement has one.
+    The exit status is 1 if some parameter cannot be found.
     """
     criteria.require_sense()
     start_jax(once=are_small(recordings.files), keep_compiled=True)
     import jax
 
-    from riecjax.estimation.check import check
+    from riecjax.assessment.answering import check_answering
     from riecjax.models.catalogue import find_model
     from riecjax.reporting.checking import check_document, print_check
     from riecjax.reporting.output import emit
     from riecjax.reporting.page import Page
 
     model = find_model(model_name)
-    criterion = criteria.build(model)
     read = recordings.read(recordings.files, model)
+    criterion = criteria.build(model, read)
     key = jax.random.key(seed)
-    checked = check(model, read, criterion, key=key, known=known, per_record=per_record)
+    found = check_answering(model, read, criterion, key=key, known=known, per_record=per_record)
     emit(
-        check_document(checked, model.name, criterion, read),
+        check_document(found.checked, model.name, criterion, read, found.by_refinement),
         as_json=as_json,
         out=None,
         show=print_check,
         charts=dict,
         page=lambda _: Page("", "", ()),
     )
-    if not checked.answerable:
+    if not found.answerable:
         click.get_current_context().exit(1)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from riecjax.criteria.criterion import AbstractCriterion
     from riecjax.criteria.test_functions import AbstractTestFunction
     from riecjax.models.model import Model
+    from riecjax.records.recording import Recording
 
 TEST_FUNCTION_NAMES = ("boxcar", "hat", "bump")
 """As in `criteria.plain_data`, whose import takes JAX; the first is the default."""
@@ -39,14 +41,16 @@ class WindowCount(click.ParamType):
 class TestFunction(click.ParamType):
     """The name of a test function, or a class of the user's own in a file."""
 
-    name = "|".join((*TEST_FUNCTION_NAMES, "FILE.py:CLASS"))
+    name = "|".join(("auto", *TEST_FUNCTION_NAMES, "FILE.py:CLASS"))
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> str:
         name = str(value)
-        if name not in TEST_FUNCTION_NAMES and not name.rpartition(":")[0].endswith(".py"):
-            listed = ", ".join(f"'{known}'" for known in TEST_FUNCTION_NAMES)
+        if name not in ("auto", *TEST_FUNCTION_NAMES) and not name.rpartition(":")[0].endswith(
+            ".py"
+        ):
+            listed = ", ".join(f"'{one}'" for one in ("auto", *TEST_FUNCTION_NAMES))
             self.fail(f"'{name}' is not one of {listed}, nor FILE.py:CLASS.", param, ctx)
         return name
 
@@ -64,7 +68,7 @@ CRITERION_OPTIONS = (
         type=(POSITIVE, POSITIVE),
         metavar="LOW HIGH",
         help="Frequencies in Hz that the model should explain; windows are half their periods "
-        "long. [default: the model's, else 1 10]",
+        "long, bumps longer. [default: the model's, else 1 10]",
     ),
     click.option(
         "--alpha", type=POSITIVE, help="Shortest window in s. [default: half a period of HIGH]"
@@ -83,13 +87,13 @@ CRITERION_OPTIONS = (
         type=TestFunction(),
         metavar=TestFunction.name,
         help="Weight inside a window, or a class of your own; hat and bump need no velocities. "
-        "[default: boxcar]",
+        "[default: auto, the boxcar, or the bump where no sensor measured a velocity]",
     ),
     click.option(
         "--quadrature",
         type=click.Choice(["2", "4", "6", "8"]),
         help="Order of the integrals in the time step, for test functions that have one. "
-        "[default: 2, trapezoids]",
+        "[default: 4; 2, trapezoids, for random windows between samples]",
     ),
 )
 
@@ -122,29 +126,30 @@ class CriterionOptions:
                 "--band sets the same lengths as --alpha and --beta: leave out one of them."
             )
 
-    def build(self, model: "Model") -> "AbstractCriterion":
+    def build(self, model: "Model", recordings: "Sequence[Recording]" = ()) -> "AbstractCriterion":
         """The criterion, for a model's band unless another is asked for.
 
         Raises `click.UsageError` for a quadrature where the test function has none.
         """
         from riecjax.criteria.criterion import DOLS, RIEC
-        from riecjax.criteria.windows import (
-            DEFAULT_BAND,
-            AllWindows,
-            RandomWindows,
-            half_periods,
-        )
+        from riecjax.criteria.suited import suited
+        from riecjax.criteria.windows import DEFAULT_BAND, RandomWindows
 
         if self.criterion == "dols":
             return DOLS()
-        shortest, longest = half_periods(self.band or model.band or DEFAULT_BAND)
-        alpha = shortest if self.alpha is None else self.alpha
-        beta = longest if self.beta is None else self.beta
-        if isinstance(self.count, int):
-            windows = RandomWindows(alpha, beta, self.count)
+        band = self.band or model.band or DEFAULT_BAND
+        # Bumps have no quadrature: to ask for one is to ask for boxcars.
+        if self.test_function in (None, "auto") and self.quadrature is None:
+            records = [recording.record for recording in recordings]
+            found = suited(model.build_procedure(), band, records)
         else:
-            windows = AllWindows(alpha, beta)
-        return RIEC(windows, self._build_test_function())
+            found = RIEC.of_band(band, self._build_test_function())
+        own: Any = (found.windows.alpha, found.windows.beta)
+        asked = self.alpha, self.beta
+        alpha, beta = (b if a is None else a for a, b in zip(asked, own))
+        if isinstance(self.count, int):
+            return RIEC(RandomWindows(alpha, beta, self.count), found.test_function, found.why)
+        return found.between(alpha, beta)
 
     def _build_test_function(self) -> "AbstractTestFunction":
         import numpy as np
@@ -155,7 +160,8 @@ class CriterionOptions:
         from riecjax.models.catalogue import object_of_file
 
         weights = {name: kind() for name, kind in TEST_FUNCTIONS.items()}
-        name = self.test_function or TEST_FUNCTION_NAMES[0]
+        given = self.test_function in (None, "auto")
+        name = TEST_FUNCTION_NAMES[0] if given else str(self.test_function)
         if name in weights:
             weight: Any = weights[name]
         else:
@@ -175,7 +181,7 @@ class CriterionOptions:
         if self.quadrature is None:
             return weight
         if not hasattr(weight, "quadrature"):
-            having = [f"the {name}" for name in weights if hasattr(weights[name], "quadrature")]
+            having = [f"the {n}" for n, one in weights.items() if hasattr(one, "quadrature")]
             raise click.UsageError(f"--quadrature belongs to {' and '.join(having)}.")
         return dataclasses.replace(weight, quadrature=int(self.quadrature))
 

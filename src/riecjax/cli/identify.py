@@ -91,7 +91,7 @@ def command(
             "the two."
         )
     criteria.require_sense()
-    refining.require_sense()
+    refining.require_sense(validates=hold_out is not None or bool(validation_files))
     start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
     import jax
     from rich.console import Console
@@ -106,38 +106,43 @@ def command(
         require_folder(out)
     model = find_model(model_name)
     # What is asked for first is shown first: all that follows is about how far to trust it.
-    at_once = not as_json and refining.refine == "none"
+    at_once = not as_json and refining.refine in ("auto", "none")
+
+    shown = []
 
     def show(estimate: "Estimate") -> None:
         print_estimate(estimate_entries(model.name, estimate), Console())
+        shown.append(estimate)
 
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
+    read = recordings.read(recordings.files, model)
     with refining.progress() as progress:
         assessment = assess(
             model,
-            recordings.read(recordings.files, model),
-            criteria.build(model),
+            read,
+            criteria.build(model, read),
             key=jax.random.key(seed),
             known=known,
             per_record=per_record,
             intervals=kinds[intervals],
             refine=refining.objective(),
             bounds=dict(refining.bounds),
+            horizon=refining.validation_horizon,
             hold_out=hold_out,
             validate_on=recordings.read(validation_files, model),
             sweep=sweep,
             on_estimate=show if at_once else None,
             progress=progress,
         )
-    _emit(assessment, as_json, out, shown=at_once)
+    _emit(assessment, as_json, out, shown=bool(shown))
 
 
 def _emit(assessment: "Assessment", as_json: bool, out: Path | None, *, shown: bool) -> None:
     """Write and print all but the estimate if that was `shown` before."""
     from riecjax.reporting.identification import (
         identification_document,
+        print_after_estimate,
         print_identification,
-        print_judgement,
     )
     from riecjax.reporting.identification_figures import identification_figures
     from riecjax.reporting.identification_page import identification_page
@@ -147,7 +152,7 @@ def _emit(assessment: "Assessment", as_json: bool, out: Path | None, *, shown: b
         identification_document(assessment),
         as_json=as_json,
         out=out,
-        show=print_judgement if shown else print_identification,
+        show=print_after_estimate if shown else print_identification,
         charts=lambda: identification_figures(assessment),
         page=identification_page,
     )

@@ -3,15 +3,44 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from riecjax.cli.options import FINITE, POSITIVE, assignments, collecting
+from riecjax.cli.options import FINITE, POSITIVE, Assignment, assignments, collecting, pairs_to_dict
 
 if TYPE_CHECKING:
     from riecjax.models.model import Model
     from riecjax.records.recording import Recording
+
+
+class NoiseType(Assignment):
+    """`auto`, `none`, or the standard deviation of one signal's noise."""
+
+    def __init__(self):
+        super().__init__(float, "auto|none|SIGNAL=SD")
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, Any]:
+        if value in ("auto", "none"):
+            return value, None
+        name, level = super().convert(value, param, ctx)
+        if level < 0:
+            self.fail(f"'{value}' is negative; give a standard deviation from 0 on.", param, ctx)
+        return name, level
+
+
+def _noise(
+    ctx: click.Context, param: click.Parameter, value: tuple[tuple[str, Any], ...]
+) -> str | dict[str, float]:
+    words = [name for name, level in value if level is None]
+    if words and len(value) > 1:
+        raise click.BadParameter(
+            f"'{words[0]}' is for all signals; give it alone, or SIGNAL=SD for some.", ctx, param
+        )
+    return words[0] if words else pairs_to_dict(ctx, param, value) or "auto"
+
 
 RECORD_OPTIONS = (
     click.argument(
@@ -40,6 +69,15 @@ RECORD_OPTIONS = (
         "--decimal",
         type=click.Choice([".", ","]),
         help="Decimal sign of a text file. [default: detected]",
+    ),
+    click.option(
+        "--noise",
+        type=NoiseType(),
+        metavar="auto|none|SIGNAL=SD",
+        multiple=True,
+        callback=_noise,
+        help="Standard deviation of the noise on a signal as measured, in SI units, 0 for none; "
+        "the others are judged from their samples. Repeatable. [default: auto]",
     ),
     click.option(
         "--from",
@@ -111,6 +149,7 @@ class RecordingOptions:
     resample: float | None
     delimiter: str | None
     decimal: str | None
+    noise: str | Mapping[str, float]
     start: float | None
     stop: float | None
     offsets: tuple[str, ...]

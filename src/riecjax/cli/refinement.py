@@ -4,7 +4,7 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -42,22 +42,30 @@ class RefinementOptions:
     channels: tuple[str, ...]
     bounds: tuple[tuple[str, tuple[float | None, float | None]], ...]
 
-    def require_sense(self) -> None:
+    def require_sense(self, *, validates: bool) -> None:
         """**Raises:** `click.UsageError` for options that nothing would come of."""
-        given = {
-            "--horizon": self.horizon is not None,
-            "--channel": bool(self.channels),
-        }
-        for option, there in given.items():
-            if there and self.refine != "output-error":
-                raise click.UsageError(f"{option} goes with --refine output-error.")
+        if self.channels and self.refine != "output-error":
+            raise click.UsageError("--channel goes with --refine output-error.")
+        simulates = validates or self.refine in ("auto", "output-error")
+        if self.horizon is not None and not simulates:
+            raise click.UsageError(
+                "--horizon goes with --refine auto or output-error, or with --hold-out or "
+                "--validate: nothing else is simulated."
+            )
         if self.bounds and self.refine == "none":
-            raise click.UsageError("--bound goes with --refine integral or output-error.")
+            raise click.UsageError("--bound goes with --refine auto, integral or output-error.")
 
-    def objective(self) -> "AbstractObjective | None":
+    @property
+    def validation_horizon(self) -> float | None:
+        """Seconds after which simulations start anew; None for as the motion asks."""
+        return None if self.refine == "output-error" else self.horizon
+
+    def objective(self) -> "AbstractObjective | Literal['auto'] | None":
         """What is to be made small; `None` for no refinement."""
         if self.refine == "none":
             return None
+        if self.refine == "auto":
+            return "auto"
         from riecjax.refinement.integral_error import IntegralError
         from riecjax.refinement.output_error import OutputError
         from riecjax.refinement.shots import Tiles, WholeRecord
@@ -86,17 +94,18 @@ refinement_options: Callable[[Callable[..., Any]], Callable[..., Any]] = collect
     [
         click.option(
             "--refine",
-            type=click.Choice(["none", "integral", "output-error"]),
-            default="none",
+            type=click.Choice(["auto", "none", "integral", "output-error"]),
+            default="auto",
             show_default=True,
             help="Refine the linear estimate: all equations at once over the same windows, or by "
-            "simulation.",
+            "simulation; auto does the latter where it leaves only white noise.",
         ),
         click.option(
             "--horizon",
             type=POSITIVE,
             metavar="SECONDS",
-            help="Simulate over windows so long; by default over whole recordings.",
+            help="Simulate over windows so long; by default over whole recordings, unless the "
+            "motion is unstable.",
         ),
         click.option(
             "--channel",

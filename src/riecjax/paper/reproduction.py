@@ -9,7 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from riecjax import DOLS, RIEC, AllWindows, FixedStep, RandomWindows, Record, simulate, staged
+from riecjax import (
+    DOLS,
+    RIEC,
+    AllWindows,
+    Boxcar,
+    FixedStep,
+    RandomWindows,
+    Record,
+    simulate,
+    staged,
+)
 from riecjax.estimation import solve
 from riecjax.models.quarter_car.identification import (
     QuarterCar,
@@ -306,6 +316,6 @@ def estimates_over_lengths(
     longest = round(max(LENGTHS) * TABLE_2.rate) + 1
 
     def estimate(pair: tuple[Array, Array]) -> Float[Array, " parameters"]:
-        return by_body(record, RIEC(AllWindows(*pair, longest_samples=longest)))
+        return by_body(record, RIEC(AllWindows(*pair, longest_samples=longest), Boxcar(2)))
 
     return jax.lax.map(estimate, (alpha, beta))

@@ -19,7 +19,8 @@ from riecjax.equations.expressions import both_present
 from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import DataError, ModelError, users_code
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record
+from riecjax.records.signals import Signals
 from riecjax.refinement.parametric import AbstractParametric, ByFields, Values
 
 Levels = dict[int, Float[Array, " n"]]

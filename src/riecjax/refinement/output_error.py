@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
@@ -23,7 +22,9 @@ from riecjax.refinement.shots import (
     Shots,
     WholeRecord,
     cut_records,
+    over_windows,
 )
+from riecjax.simulation.intersample import Intersample, require_intersample
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
@@ -40,7 +41,8 @@ class OutputError(AbstractObjective):
 
     - `shooting`: [`WholeRecord`][], [`Tiles`][] or [`RandomShots`][].
     - `channels`: signals to compare: states, their derivatives `d<state>`, outputs. By default the
-      recorded states, or if there are none, every output that the record holds.
+      recorded states, or if there are none, every output that the record holds; but not what was
+      computed from others that are compared, such as a velocity differentiated from a position.
     - `sigma`: standard deviation of each channel's error, in its unit, by which it is weighed; by
       default the channel's own standard deviation, so that relative errors count alike.
     - `initial_states` of each window. `"estimated"`, with the recorded one for a first
@@ -49,6 +51,9 @@ class OutputError(AbstractObjective):
     - `method`: as for [`simulate`][]. By default Runge-Kutta with steps that resolve the model's
       fastest motion along the recording (see [`suitable_steps`][]), made shorter for as long as
       halving them at the optimum changes the answer, up to 64 between samples; 8 under jit.
+    - `intersample`: what inputs are between samples. `"smooth"`, cubics wherever they neither jump
+      nor turn a corner, or straight `"lines"`, as of a command that is known to be, or of what
+      [`simulate`][] made.
     - `every`: compare one of so many samples. Of a record that was upsampled, the others would tell
       the same again.
     """
@@ -59,6 +64,7 @@ class OutputError(AbstractObjective):
     initial_states: Literal["estimated", "measured"] | Mapping[str, float | Array] = "estimated"
     method: AbstractMethod | None = None
     every: int = eqx.field(static=True, default=1)
+    intersample: Intersample = eqx.field(static=True, default="smooth")
 
     def __check_init__(self):
         write = "rx.OutputError(rx.refinement.Tiles(0.5)), or without windows rx.OutputError()"
@@ -74,6 +80,7 @@ class OutputError(AbstractObjective):
             raise ModelError(
                 f"initial_states are 'estimated', 'measured' or values by name; got '{given}'."
             )
+        require_intersample(self.intersample)
         if self.every < 1:
             raise ModelError(f"every must be 1 or more; got {self.every}.")
         adjoint = getattr(self.method, "adjoint", None)
@@ -114,7 +121,8 @@ class OutputError(AbstractObjective):
             self.shooting.shots(record, unbroken, key, joined=joined)
             for record, unbroken, key in zip(specified.records, inputs, specified.keys)
         ]
-        cut = (channels, dict(given), self.every, joined, self.shooting.overlap)
+        smooth = self.intersample == "smooth"
+        cut = (channels, dict(given), self.every, joined, self.shooting.overlap, smooth)
         recorded, along = cut_records(system, specified.records, shots, *cut)
         method, simulated = _method(system, specified.records, recorded, along, self.method)
         units = dict(system.states) | dict(system.outputs)
@@ -173,7 +181,23 @@ def _channels(
             f"the records hold nothing that is simulated, so there is nothing to compare; needed "
             f"is one of: {', '.join(available)}."
         )
-    return tuple(chosen)
+    computed = [_computed(record, chosen) for record in records]
+    return tuple(name for name in chosen if not all(name in of for of in computed))
+
+
+def _computed(record: Record, names: Sequence[str]) -> set[str]:
+    """Signals that were made of others among these: their noise is the others', sample by sample.
+
+    They tell nothing new, and compared as if they did would have noise that hangs together in time.
+    """
+
+    def sensor(source: str) -> str:
+        # Of a thinned record, a sensor's noise is split up into sources `sensor#phase`.
+        return source if source in record.arrays else source.rpartition("#")[0]
+
+    sources = {n: {sensor(source) for source in record.noise.kernels.get(n, {})} for n in names}
+    sensed = {n for n in names if n in sources[n]}
+    return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
 
 
 def _require_sigma(sigma: Mapping[str, Any], channels: tuple[str, ...]) -> None:
@@ -255,8 +279,10 @@ def _trajectories(
     system: AbstractSystem, recorded: Sequence[Recorded], method: AbstractMethod
 ) -> tuple[list[Float[Array, "windows longest states"]], list[Bool[Array, ""]]]:
     """Of each window of each recording, and whether all kept their solution."""
-    along = jax.vmap(method.trajectory, in_axes=(None, 0, None, 0))
-    runs = [along(system, part.levels, part.time_step, part.initial) for part in recorded]
+    runs = [
+        over_windows(lambda first, own: own.trajectory(method, system, first), part.initial, part)
+        for part in recorded
+    ]
     kept = [jnp.all(status == SimulationStatus.successful) for _, status, _ in runs]
     return [states for states, _, _ in runs], kept
 

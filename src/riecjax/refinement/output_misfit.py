@@ -20,7 +20,8 @@ that includes what is not known of initial states.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -34,7 +35,7 @@ from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled
 from riecjax.refinement.objective import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
-from riecjax.refinement.shots import Recorded
+from riecjax.refinement.shots import Recorded, over_windows
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem
 from riecjax.summaries.blocks import ShortBlocks
@@ -60,8 +61,9 @@ class _Profiling(NamedTuple):
 class OutputMisfit(AbstractMisfit):
     """Simulated minus recorded channels, in units of `sigma`, over all windows of all records.
 
-    `labels` are the channels. `longest_window` is 0 unless windows overlap: no residual then counts
-    twice. `most_steps` between samples may be taken of a method that the user left open, else 0.
+    `labels` are the channels.
+    `longest_window` is 0 unless windows overlap: no residual then counts twice. `most_steps`
+    between samples may be taken of a method that the user left open, else 0.
     """
 
     system: AbstractParametric
@@ -146,7 +148,7 @@ class OutputMisfit(AbstractMisfit):
             def of_window(initial: Array, window: Recorded, i: int = i) -> Array:
                 return jnp.sum(self._error(theta, initial, window, i) ** 2, axis=0)
 
-            found = found + jnp.sum(_over_windows(of_window, own, part), axis=0)
+            found = found + jnp.sum(over_windows(of_window, own, part), axis=0)
         return found
 
     def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
@@ -160,10 +162,34 @@ class OutputMisfit(AbstractMisfit):
                 cut = _in_pieces(columns, window.piece)
                 return jnp.einsum("prci,prcj->pij", cut, cut), jnp.sum(level**2, axis=0)
 
-            moments, squares = _over_windows(of_window, own, part)
+            moments, squares = over_windows(of_window, own, part)
             pieces.append(moments)
             energy = energy + jnp.sum(squares, axis=0)
         return Expansion(pieces, energy)
+
+    @eqx.filter_jit
+    def residuals(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+    ) -> list[Float[Array, "windows compared channels"]]:
+        """Simulated minus recorded in units of sigma; 0 where nothing is compared."""
+        return self._by_window(partial(self._error, theta), initial)
+
+    @eqx.filter_jit
+    def slopes_by_initial(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+    ) -> list[Float[Array, "windows compared channels s"]]:
+        """Derivatives of `residuals` by the initial states of their window."""
+        return self._by_window(jax.jacfwd(partial(self._error, theta)), initial)
+
+    def _by_window(
+        self, of: Callable[[Array, Recorded, int], Array], initial: Float[Array, "windows s"]
+    ) -> list[Array]:
+        """What is made of each window's initial state, the window and its record's number."""
+        parts = enumerate(zip(self.recorded, self._of_records(initial)))
+        return [
+            over_windows(lambda at, window, i=i: of(at, window, i), own, part)
+            for i, (part, own) in parts
+        ]
 
     def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
         """Of simulated minus recorded."""
@@ -204,7 +230,7 @@ class OutputMisfit(AbstractMisfit):
         first = window.initial
         if self.estimated:
             first = first.at[np.array(self.estimated)].set(initial)
-        states, status, _ = self.method.trajectory(system, window.levels, window.time_step, first)
+        states, status, _ = window.trajectory(self.method, system, first)
         found = observed(
             system, states[:: window.every], window.levels[:: window.every], self.labels
         )
@@ -257,19 +283,6 @@ def observed(
             flow = jax.vmap(system.derivative)(states, levels) if flow is None else flow
             columns.append(flow[:, rates[channel]])
     return jnp.stack(columns, axis=-1)
-
-
-def _over_windows(
-    function: Callable[[Array, Recorded], Any], initial: Array, part: Recorded
-) -> Any:
-    """A function of each window's initial state and recording."""
-    batched = eqx.tree_at(
-        lambda r: (r.levels, r.measured, r.present, r.initial, r.position),
-        jax.tree.map(lambda _: None, part),
-        (0, 0, 0, 0, 0),
-        is_leaf=lambda leaf: leaf is None,
-    )
-    return jax.vmap(function, in_axes=(0, batched))(initial, part)
 
 
 def _in_pieces(values: Array, length: int, axis: int = 0) -> Array:

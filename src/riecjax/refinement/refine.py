@@ -73,6 +73,26 @@ def refine(
     that cannot be simulated; `DataError` for missing signals or records that are too short. A
     search that fails raises nothing: see `status` of the result.
     """
+    given = (known, bounds, priors, per_record, key, intervals, solver, max_steps, progress)
+    return refine_with_misfit(model, records, start, by, *given)[0]
+
+
+def refine_with_misfit(
+    model: Any,
+    records: Records,
+    start: AbstractEstimate | Mapping[str, float | Array],
+    by: AbstractObjective | None = None,
+    known: Mapping[str, float | Array] | None = None,
+    bounds: Mapping[str, Bounds] | None = None,
+    priors: Mapping[str, Prior] | None = None,
+    per_record: Sequence[str] = (),
+    key: Key[Array, ""] | None = None,
+    intervals: AbstractIntervals | None = None,
+    solver: Solver | None = None,
+    max_steps: int = 100,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Refined, AbstractMisfit]:
+    """As [`refine`][], with the misfit of the last search, which knows what is left."""
     recordings = as_records(records)
     require_settings(key, known, per_record)
     _require_kinds(model, start, by, intervals, solver)
@@ -107,7 +127,7 @@ def _refined(
     specified: Specification,
     constraints: Constraints,
     settings: tuple[Any, ...],
-) -> Refined:
+) -> tuple[Refined, AbstractMisfit]:
     """Searches, in ever shorter steps for as long as these change the answer.
 
     With priors each search is followed by others. The variance that priors are weighed against is
@@ -127,7 +147,7 @@ def _refined(
         if finer is None:
             break
         misfit, (begun, rms) = finer, _begin(finer, theta, first)
-    return Refined(
+    refined = Refined(
         theta=reached.theta,
         uncertainty=optimum.uncertainty,
         known={name: jnp.asarray(value) for name, value in specified.fixed.items()},
@@ -152,6 +172,7 @@ def _refined(
         initial_state_names=misfit.initial_state_names,
         by=tuple(objective.describe().items()),
     )
+    return refined, misfit
 
 
 @eqx.filter_jit

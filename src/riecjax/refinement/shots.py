@@ -9,10 +9,11 @@ Windows between the two (multiple shooting) bound that by their length, at the p
 states to estimate.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
@@ -22,7 +23,9 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
+from riecjax.simulation.intersample import bends_of
 from riecjax.simulation.linearisation import spread_points
+from riecjax.simulation.method import AbstractMethod, Trajectory
 from riecjax.simulation.system import AbstractSystem, measured_states
 
 SHORTEST = 2
@@ -228,7 +231,8 @@ class Recorded(eqx.Module):
 
     **Fields:**
 
-    - `levels`: inputs in each window, shape `(windows, longest, inputs)`.
+    - `levels`: inputs in each window, shape `(windows, longest, inputs)`; `bends`, their curvature
+      by time steps, `None` where they are straight lines between samples.
     - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
     - `present`: which of these count.
     - `initial`: initial state of each window as it was recorded, `(windows, states)`.
@@ -238,6 +242,7 @@ class Recorded(eqx.Module):
     """
 
     levels: Float[Array, "windows longest inputs"]
+    bends: Float[Array, "windows longest inputs"] | None
     measured: Float[Array, "windows compared channels"]
     present: Array
     initial: Float[Array, "windows states"]
@@ -251,6 +256,25 @@ class Recorded(eqx.Module):
     def windows(self) -> int:
         """Number of windows."""
         return self.initial.shape[0]
+
+    def trajectory(
+        self, method: AbstractMethod, system: AbstractSystem, initial: Float[Array, " states"]
+    ) -> Trajectory:
+        """Along the inputs of one window: of a recording that is mapped over its windows."""
+        # A method of one's own need not know of bends that are not asked for.
+        bends = () if self.bends is None else (self.bends,)
+        return method.trajectory(system, self.levels, self.time_step, initial, *bends)
+
+
+def over_windows(function: Callable[[Any, Recorded], Any], initial: Array, part: Recorded) -> Any:
+    """A function of each window's initial state and recording."""
+    batched = eqx.tree_at(
+        lambda r: (r.levels, r.bends, r.measured, r.present, r.initial, r.position),
+        jax.tree.map(lambda _: None, part),
+        (0, 0, 0, 0, 0, 0),
+        is_leaf=lambda leaf: leaf is None,
+    )
+    return jax.vmap(function, in_axes=(0, batched))(initial, part)
 
 
 Along = tuple[Leaf, Leaf]
@@ -267,13 +291,14 @@ def cut_records(
     every: int,
     joined: bool,
     overlap: bool,
+    smooth: bool,
 ) -> tuple[list[Recorded], list[Along]]:
     """What each recording holds in its windows, and states and inputs at points spread over them.
 
     **Arguments:** `given` values of initial states; the others as of [`OutputError`][],
-    `AbstractShooting.shots` and `AbstractShooting.overlap`.
+    `AbstractShooting.shots` and `AbstractShooting.overlap`; whether inputs are `smooth`.
     """
-    settings = (channels, given, every, joined, overlap)
+    settings = (channels, given, every, joined, overlap, smooth)
     recorded = [_recorded(system, *cut, *settings) for cut in zip(records, shots)]
     along = []
     for record, cut in zip(records, shots):
@@ -290,6 +315,14 @@ def _levels(system: AbstractSystem, record: Record, samples: Array) -> Float[Arr
     return jnp.stack(inputs, axis=-1) if inputs else none
 
 
+def _bends(
+    system: AbstractSystem, record: Record, samples: Array
+) -> Float[Array, "windows longest inputs"]:
+    """Of the whole record: a window's neighbours tell what its inputs do at its ends."""
+    everywhere = _levels(system, record, jnp.arange(record.sample_count))
+    return bends_of(everywhere, record.present(system.input_names))[samples]
+
+
 def _recorded(
     system: AbstractSystem,
     record: Record,
@@ -299,6 +332,7 @@ def _recorded(
     every: int,
     joined: bool,
     overlap: bool,
+    smooth: bool,
 ) -> Recorded:
     compared = shots.samples[:, ::every]
     initial = measured_states(system, record)[shots.first]
@@ -316,6 +350,7 @@ def _recorded(
     block = -(-record.sample_count // SHORT_BLOCKS_OF_ROWS)
     return Recorded(
         _levels(system, record, shots.samples),
+        _bends(system, record, shots.samples) if smooth and system.input_names else None,
         jnp.stack([record[name][compared] for name in channels], axis=-1),
         jnp.stack(present, axis=-1) & counts[:, :, None],
         initial,

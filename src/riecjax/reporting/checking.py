@@ -1,6 +1,6 @@
 """Results of a check before a fit: JSON document and tables on a terminal."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -11,6 +11,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.estimation.check import Check
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
+from riecjax.reporting.noise import noise_entries, noise_in_words
 
 
 def check_document(
@@ -18,16 +19,18 @@ def check_document(
     model: str,
     criterion: AbstractCriterion,
     recordings: Sequence[Recording],
+    by_refinement: Mapping[str, float] | None = None,
 ) -> Document:
     """The document that `riecjax check --json` prints, with an `error` if that exits with 1."""
-    refusal = checked.refusal
+    refusal = checked.refusal if by_refinement is None else None
     error = {} if refusal is None else {"code": refusal.code, "message": refusal.message}
     return {
         "schema": SCHEMA,
         **({"error": error} if error else {}),
         "model": model,
         "criterion": criterion.describe(),
-        "answerable": checked.answerable,
+        "answerable": refusal is None,
+        "by_refinement": by_refinement,
         "records": [
             {
                 "file": recording.source,
@@ -40,6 +43,7 @@ def check_document(
         ],
         "signals": list(checked.signals),
         "excitation": excitation_entries(checked),
+        "noise": noise_entries(recordings, checked.signals),
         "warnings": [finding._asdict() for finding in checked.findings],
         "provenance": {
             "start_times": start_times(recordings),
@@ -80,6 +84,8 @@ def print_check(document: Document, console: Console) -> None:
         )
     for step in document["provenance"]["preparation"]:
         console.print(f"prepared: {step}", highlight=False, markup=False)
+    if document["noise"]:
+        console.print(noise_in_words(document["noise"]), highlight=False, markup=False)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for column in ("parameter", "equation", "own share", "noise"):
         table.add_column(column, justify="right" if column in ("own share", "noise") else "left")
@@ -100,12 +106,19 @@ def print_check(document: Document, console: Console) -> None:
     doubts = len(document["warnings"])
     if not document["answerable"]:
         verdict = "these recordings cannot answer what the model asks; see the warnings."
+    elif document["by_refinement"] is not None:
+        errors = document["by_refinement"].items()
+        verdict = (
+            "windows cannot tell these parameters from noise, and identify refines them by itself: "
+            + ", ".join(f"{name} to about {number(100 * share, 2)} %" for name, share in errors)
+            + "."
+        )
     elif doubts:
         noun = "warning" if doubts == 1 else "warnings"
         verdict = f"these recordings can answer what the model asks, with {doubts} {noun}."
     else:
         verdict = "these recordings can answer what the model asks."
-    console.print(verdict, highlight=False)
+    console.print(verdict, highlight=False, markup=False)
 
 
 def _percent(share: float | None) -> float | None:

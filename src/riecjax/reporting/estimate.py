@@ -83,7 +83,7 @@ def print_estimate(document: Document, console: Console) -> None:
     settings = ", ".join(f"{k} {v}" for k, v in criterion.items() if k != "name")
     heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
     console.print(heading, highlight=False, markup=False)
-    console.print(_parameter_table(document))
+    console.print(parameter_table(document))
     for line in _residuals_in_words(document["residual"]):
         console.print(line, highlight=False, markup=False)
 
@@ -107,25 +107,36 @@ def several(stage: Document) -> list[str]:
     return stage["equations"] if len(stage["equations"]) > 1 else []
 
 
-def _parameter_table(document: Document) -> Table:
-    identified = (document.get("refinement") or {}).get("identified", {})
-    before = ["identified"] if identified else []
+def parameter_table(document: Document) -> Table:
+    """The answer; if a refinement was made, identified and refined values side by side.
+
+    Standard errors and intervals are of the answer.
+    """
+    refinement = document.get("refinement") or {}
+    refined, chosen = refinement.get("refined"), refinement.get("chosen")
+    other = refinement["identified"] if chosen else refined
+    beside = [] if other is None else ["identified" if chosen else "refined"]
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for column in ("parameter", *before, "value", "std error", "95 % interval", "unit"):
+    header = ("value", "std error", "95 % interval", "unit")
+    before, after = (beside, []) if chosen else ([], beside)
+    for column in ("parameter", *before, *header[:3], *after, header[3]):
         table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
     for name, entry in document["parameters"].items():
-        start = [number(identified[name]["value"]) for _ in before]
+        beside_it = [number(other[name]["value"])] if other is not None else []
         table.add_row(
             Text(name),
-            *start,
+            *(beside_it if chosen else []),
             number(entry["value"]),
             number(entry["std_error"], 2),
             " .. ".join(number(end) for end in entry["interval95"]),
+            *([] if chosen else beside_it),
             Text(entry["unit"]),
         )
     for name, entry in document["known"].items():
-        value = number(entry["value"])
-        table.add_row(Text(name), *("" for _ in before), value, "", "known", Text(entry["unit"]))
+        known = (number(entry["value"]), "", "known")
+        table.add_row(
+            Text(name), *("" for _ in before), *known, *("" for _ in after), Text(entry["unit"])
+        )
     return table
 
 

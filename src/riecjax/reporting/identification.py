@@ -9,34 +9,44 @@ import numpy as np
 from jaxtyping import Array, Key
 from rich.console import Console
 
-from riecjax.assessment.assessment import Assessment, Refinement
+from riecjax.assessment.assessment import Assessment
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.recording import common_steps
 from riecjax.reporting.checking import excitation_entries, start_times
 from riecjax.reporting.document import Document, finite, number, versions
-from riecjax.reporting.estimate import estimate_entries, parameter_entries, print_estimate
+from riecjax.reporting.estimate import (
+    estimate_entries,
+    parameter_entries,
+    parameter_table,
+    print_estimate,
+)
+from riecjax.reporting.noise import noise_entries, noise_in_words
+from riecjax.reporting.refinement import (
+    choice_in_words,
+    refinement_entries,
+    refinement_in_words,
+)
 from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.studies.sweep import WindowSweep
 
 
 def identification_document(result: Assessment) -> Document:
     """The document that `--json` prints and results.json holds."""
-    estimate = result.estimate
+    estimate, refinement = result.estimate, result.refinement
     found = estimate_entries(result.model.name, estimate)
     identified = found["parameters"]
-    if result.refinement is not None:
-        found["parameters"] = parameter_entries(result.refinement.refined)
+    if refinement is not None and refinement.chosen:
+        found["parameters"] = parameter_entries(result.answer)
     return {
         **found,
         "excitation": excitation_entries(result.checked),
+        "noise": noise_entries(result.recordings, result.checked.signals),
         "correlation": _correlation(estimate),
         "residual_tests": None if result.residuals is None else result.residuals.describe(),
         "window_choice": None if result.choice is None else result.choice.describe(),
         "seed_scatter": None if result.seeds is None else _seed_entries(result.seeds),
         "window_sweep": None if result.sweep is None else _sweep_entries(result.sweep),
-        "refinement": None
-        if result.refinement is None
-        else refinement_entries(result.refinement, identified),
+        "refinement": None if refinement is None else refinement_entries(refinement, identified),
         "validation": [
             {"on": run.recording.name, **run.held.describe()} for run in result.validations
         ],
@@ -106,88 +116,30 @@ def _sweep_entries(sweep: WindowSweep) -> dict[str, Any]:
     }
 
 
-def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Document:
-    """The part of the document about the refinement."""
-    refined = refinement.refined
-    return {
-        "by": dict(refined.by),
-        "converged": bool(refined.converged),
-        "reason": refined.reason,
-        "steps": int(refined.steps),
-        "identified": identified,
-        "basis": refined.basis,
-        "left": {
-            name: {"before": finite(float(before)), "after": finite(float(after)), "unit": unit}
-            for name, before, after, unit in zip(
-                refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
-            )
-        },
-        "intervals": {
-            "method": refined.uncertainty.label,
-            "blocks": int(refined.block_count),
-            "block_seconds": float(refined.block_length),
-        },
-        "at_bound": [n for n, there in zip(refined.parameters, refined.at_bound) if bool(there)],
-        "simulations": [
-            {
-                "on": run.recording.name,
-                "fitted": refinement.on_fitted,
-                "before": run.before.describe(),
-                "after": run.after.describe(),
-            }
-            for run in refinement.simulations
-        ],
-    }
-
-
-def refinement_in_words(entries: Document) -> Iterator[str]:
-    """What was refined, what it left, and what became of predictions."""
-    kind = {"integral": "impulses of the equation error", "output-error": "the output error"}
-    yield (
-        f"refined by {kind[entries['by']['refine']]}: {entries['reason']} "
-        f"({entries['steps']} steps)"
-    )
-    yield f"left before and after, of {entries['basis']}:"
-    for name, left in entries["left"].items():
-        yield (
-            f"{name}: {_number(left['before'])} before, {_number(left['after'])} {left['unit']} "
-            f"r.m.s. after"
-        )
-    for run in entries["simulations"]:
-        where = f"{run['on']} (fitted)" if run["fitted"] else run["on"]
-        fits = ", ".join(
-            f"{name} {_fit(run['before'], name)} -> {_fit(run['after'], name)} %"
-            for name in run["after"]["signals"]
-        )
-        yield f"simulated on {where}, fit before -> after: {fits} (from the state as recorded)"
-    intervals = entries["intervals"]
-    yield (
-        f"refined intervals: {intervals['method']}, {intervals['blocks']} blocks of "
-        f"{intervals['block_seconds']:.3g} s; of what was identified:"
-    )
-
-
-def _fit(described: Document, name: str) -> str:
-    signal = described["signals"].get(name)
-    return (
-        "?" if signal is None or signal["fit_percent"] is None else f"{signal['fit_percent']:.4g}"
-    )
-
-
-def _number(value: float | None) -> str:
-    return "?" if value is None else number(value, 4)
-
-
 def print_identification(document: Document, console: Console) -> None:
     """Tables for a reader."""
     print_estimate(document, console)
     print_judgement(document, console)
 
 
-def print_judgement(document: Document, console: Console) -> None:
+def print_after_estimate(document: Document, console: Console) -> None:
+    """What there is to say once the linear estimate was printed: first, whether it is the answer.
+
+    If refined values are, they follow in a table beside those above.
+    """
+    refinement = document["refinement"]
+    if refinement is not None and refinement["chosen"]:
+        console.print(choice_in_words(refinement), highlight=False, markup=False)
+        console.print(parameter_table(document))
+    print_judgement(document, console, chosen_said=True)
+
+
+def print_judgement(document: Document, console: Console, *, chosen_said: bool = False) -> None:
     """What was done with the estimate, and what it rests on."""
-    if document["refinement"] is not None:
-        for line in refinement_in_words(document["refinement"]):
+    refinement = document["refinement"]
+    if refinement is not None:
+        words = [] if chosen_said and refinement["chosen"] else [choice_in_words(refinement)]
+        for line in (*words, *refinement_in_words(refinement)):
             console.print(line, highlight=False, markup=False)
     for line in windows_in_words(document):
         console.print(line, highlight=False, markup=False)
@@ -199,7 +151,7 @@ def print_judgement(document: Document, console: Console) -> None:
 
 
 def windows_in_words(document: Document) -> Iterator[str]:
-    """Where intervals come from, what the windows see, and which lengths would serve best."""
+    """Where intervals come from, what windows see and which would serve best, and the noise."""
     intervals = document["provenance"]["intervals"]
     yield (
         f"intervals: {intervals['method']}, {intervals['blocks']} blocks of "
@@ -219,3 +171,5 @@ def windows_in_words(document: Document) -> Iterator[str]:
             f"windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s: half periods of "
             f"{high:.3g} to {low:.3g} Hz. {choice['reason']}"
         )
+    if document["noise"]:
+        yield noise_in_words(document["noise"])

@@ -7,14 +7,11 @@ from typing import Any
 from riecjax.assessment.assessment import Assessment
 from riecjax.reporting.document import Document, number
 from riecjax.reporting.estimate import several
-from riecjax.reporting.identification import (
-    identification_document,
-    refinement_in_words,
-    windows_in_words,
-)
+from riecjax.reporting.identification import identification_document, windows_in_words
 from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import require_folder, write_folder
 from riecjax.reporting.page import Page, Section, Table
+from riecjax.reporting.refinement import choice_in_words, search_in_words
 
 
 def identification_page(document: Document) -> Page:
@@ -42,8 +39,10 @@ def identification_page(document: Document) -> Page:
 
 
 def _parameters(document: Document) -> Section:
-    identified = (document["refinement"] or {}).get("identified")
-    first = "refined" if identified else "value"
+    refinement = document["refinement"] or {}
+    chosen, refined = refinement.get("chosen"), refinement.get("refined")
+    beside = refinement["identified"] if chosen else refined
+    first = "value" if beside is None else "refined" if chosen else "identified"
     header = ["parameter", first, "standard error", "95 % interval", "unit"]
     rows = [
         [
@@ -59,13 +58,15 @@ def _parameters(document: Document) -> Section:
         [name, number(entry["value"]), "", "known", entry["unit"]]
         for name, entry in document["known"].items()
     ]
-    if identified:
-        header.insert(1, "identified")
+    if beside is not None:
+        place = 1 if chosen else len(header) - 1
+        header.insert(place, "identified" if chosen else "refined, not the answer")
         for row in rows:
-            row.insert(1, number(identified[row[0]]["value"]) if row[0] in identified else "")
+            row.insert(place, number(beside[row[0]]["value"]) if row[0] in beside else "")
+    said = [choice_in_words(refinement)] if refinement else []
     return Section(
         "Parameters",
-        text=[_sentence(line) for line in windows_in_words(document)],
+        text=[_sentence(line) for line in (*said, *windows_in_words(document))],
         tables=[Table(header, rows), _excitation(document["excitation"])],
         charts=("correlation",),
     )
@@ -89,11 +90,18 @@ def _excitation(entries: Mapping[str, Any]) -> Table:
 
 
 def _refinement(entries: Document | None) -> Section | None:
-    if entries is None:
+    if entries is None or entries["refined"] is None:
         return None
-    by, *_, intervals = refinement_in_words(entries)
+    by, *_, intervals = search_in_words(entries)
+    header, channels = ["left, r.m.s.", "before", "after", "unit"], {}
+    if entries["whiteness"] is not None:
+        header += ["whiteness", "chi-squared"]
+        channels = entries["whiteness"]["channels"]
     left = [
-        (name, number(one["before"], 4), number(one["after"], 4), one["unit"])
+        (
+            *(name, number(one["before"], 4), number(one["after"], 4), one["unit"]),
+            *(number(channels[name][key], 3) for key in ("statistic", "chi_squared") if channels),
+        )
         for name, one in entries["left"].items()
     ]
     fits = [
@@ -101,7 +109,7 @@ def _refinement(entries: Document | None) -> Section | None:
         for run in entries["simulations"]
         for name in run["after"]["signals"]
     ]
-    tables = [Table(("left, r.m.s.", "before", "after", "unit"), left)]
+    tables = [Table(header, left, _about(entries["whiteness"]))]
     if fits:
         tables.append(Table(("simulated, fit", "before / %", "after / %"), fits))
     at_bound = entries["at_bound"]
@@ -115,6 +123,15 @@ def _refinement(entries: Document | None) -> Section | None:
             _sentence(intervals.split("; ")[0]),
         ],
         tables=tables,
+    )
+
+
+def _about(left: Document | None) -> str:
+    if left is None:
+        return ""
+    return (
+        f"Whiteness: Ljung-Box over 20 lags, 1 of white noise, which stays below "
+        f"{left['threshold']:.2g}. Chi-squared: what is left in units of the sensor's noise power"
     )
 
 

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import RatioLaw
+from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
@@ -82,7 +83,7 @@ class Prediction(eqx.Module):
 
     def values(self, training: Record, windows: AllWindows) -> dict[str, Array]:
         """Parameters identified on the training record, by name."""
-        stages = stage_normal_equations(self.procedure, training, RIEC(windows), None)
+        stages = stage_normal_equations(self.procedure, training, RIEC(windows, Boxcar(2)), None)
         known = dict(self.known)
         return found_values(solve_stages(stages, known), known)
 

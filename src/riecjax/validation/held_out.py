@@ -25,9 +25,8 @@ from riecjax.validation.goodness_of_fit import (
     SignalFit,
     signal_fit,
 )
+from riecjax.validation.stretches import unbroken_stretches
 
-SHORTEST_STRETCH = 20
-"""Samples of an unbroken stretch below which it is skipped: it would be all transient."""
 FREE_POINTS = 16
 """Measured points at which a state is tested for having no influence on the motion."""
 
@@ -48,6 +47,7 @@ class HeldOut(eqx.Module):
     - `started_from`: for each state `measured`, `differences` (of its recorded integral), `given`
       or `zero`.
     - `drifting`: positions that are off while their velocity is predicted: free integrals.
+    - `horizon`: seconds after which the simulation started anew; `None` if it did not.
     """
 
     signals: dict[str, SignalFit]
@@ -60,6 +60,7 @@ class HeldOut(eqx.Module):
     stretches: tuple[tuple[int, int], ...] = eqx.field(static=True)
     started_from: tuple[tuple[str, str], ...] = eqx.field(static=True)
     drifting: tuple[str, ...] = eqx.field(static=True)
+    horizon: float | None = eqx.field(static=True, default=None)
 
     def describe(self) -> dict[str, Any]:
         """Everything but the record, as plain data for JSON; fits in percent, `None` if unknown."""
@@ -84,6 +85,7 @@ class HeldOut(eqx.Module):
             "samples_simulated": sum(stop - start for start, stop in self.stretches),
             "started_from": dict(self.started_from),
             "drifting": list(self.drifting),
+            "horizon_s": self.horizon,
             "rule": {
                 "well_from_fit_percent": PREDICTS_WELL,
                 "roughly_from_fit_percent": PREDICTS_ROUGHLY,
@@ -107,6 +109,7 @@ def validate_held_out(
     signals: Sequence[str] | None = None,
     method: AbstractMethod | None = None,
     initial_state: Mapping[str, Array | float] | None = None,
+    horizon: float | None = None,
 ) -> HeldOut:
     """Simulate along the measured inputs from the measured state, and compare.
 
@@ -122,6 +125,8 @@ def validate_held_out(
     - `method`: as for `simulate`.
     - `initial_state`: state name to value at the start; at later stretches only of those states
       that are not recorded.
+    - `horizon`: start anew from what was recorded after so many seconds, at least 20 samples: of an
+      unstable motion the rest shows no more than how its first error grew.
 
     **Raises:** `DataError` if an input or one of `signals` is not in the record, if nothing can be
     compared, or if no stretch has 20 samples; `ModelError` for an unknown state.
@@ -133,7 +138,7 @@ def validate_held_out(
     sources = state_sources(system, measured) | dict.fromkeys(given, "given")
     driven, inputs = _driven(system, measured)
     runs: list[_Run] = []
-    for start, stop in _stretches(system, measured, recorded, sources):
+    for start, stop in unbroken_stretches(system, measured, recorded, sources, horizon):
         # What the caller gives holds at the start; further on the record knows better.
         held = {n: v for n, v in given.items() if not runs or n not in recorded}
         first = _initial_state(system, measured, start, sources, held)
@@ -159,10 +164,13 @@ def validate_held_out(
         not reason,
         reason,
         predicts,
-        _verdict(reason, predicts, {n: fits[n] for n in judged}, drifting, system, sources),
+        _verdict(
+            reason, predicts, {n: fits[n] for n in judged}, drifting, system, sources, horizon
+        ),
         tuple((run.start, run.stop) for run in runs),
         tuple(sources.items()),
         drifting,
+        horizon,
     )
 
 
@@ -187,29 +195,6 @@ def _compared(
             )
         measured.signals[name]
     return tuple(signals)
-
-
-def _stretches(
-    system: AbstractSystem, measured: Record, recorded: Sequence[str], sources: Mapping[str, str]
-) -> list[tuple[int, int]]:
-    """Unbroken stretches of the inputs, each from where the state is known."""
-    present = measured.present(recorded)
-    known = np.ones(measured.sample_count, bool) if present is None else np.asarray(present)
-    if "differences" in sources.values():
-        known = known & np.roll(known, -1) & np.roll(known, -2)
-    # Without inputs a pause still breaks the motion: every recorded signal misses its sample there.
-    names = system.input_names or tuple(recorded) or tuple(measured.arrays)
-    found = []
-    for part in measured.segments(names):
-        starts = np.flatnonzero(known[part])
-        if starts.size and part.stop - part.start - starts[0] >= SHORTEST_STRETCH:
-            found.append((part.start + int(starts[0]), part.stop))
-    if not found:
-        raise DataError(
-            f"no unbroken stretch of {SHORTEST_STRETCH} samples is left in which "
-            f"{', '.join(names)} are recorded."
-        )
-    return found
 
 
 def _initial_state(
@@ -348,6 +333,7 @@ def _verdict(
     drifting: Sequence[str],
     system: AbstractSystem,
     sources: Mapping[str, str],
+    horizon: float | None,
 ) -> str:
     if reason:
         return f"It did not run: {reason}"
@@ -374,7 +360,8 @@ def _verdict(
         if names := [name for name, source in sources.items() if source == start]:
             parts.append(f"{_are(names)} not recorded and started from {start}")
     head = "predicts the record" if predicts else "does not predict the record"
-    return f"It ran {'and' if predicts else 'but'} {head}: {'; '.join(parts)}."
+    anew = "" if horizon is None else f", anew from the recording every {horizon:.3g} s,"
+    return f"It ran{anew} {'and' if predicts else 'but'} {head}: {'; '.join(parts)}."
 
 
 def _are(names: Sequence[str]) -> str:

@@ -1,0 +1,183 @@
+"""Is what a refined model leaves of the motion no more than sensors' white noise?
+
+White noise of n samples has autocorrelations r_k of variance 1 / n_k, n_k the pairs that lie k
+samples apart, so that (Ljung and Box, 1978; pairs that a gap parts are not counted)
+
+    Q = (n + 2) / n sum_{k=1}^{20} n_k r_k^2
+
+is chi-square with 20 degrees of freedom. It asks no noise level. A model that leaves out a mode
+leaves that mode's ringing, which is far from white wherever it stands out of the noise.
+
+**Initial states.** Where a window is short, its estimated initial state takes a part of the noise
+with it: r = (1 - H) e, correlated though e is white. Its innovations are not: what each residual
+adds to a regression on the slopes by the initial state over the residuals before it,
+
+    z_i = (r_i - h_i d) / sqrt(1 + h_i P h_i'),
+
+are uncorrelated if e is, and the same of r as of e, which differ by a multiple of the slopes. The
+first few of a window determine d and are left out.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from riecjax import tails
+from riecjax.records.noise_judgement import judged
+from riecjax.records.record import Record
+from riecjax.refinement.output_misfit import OutputMisfit
+from riecjax.validation.time_series import autocorrelation
+
+LAGS = 20
+LEVEL = 0.01
+"""Share of right models that are told to leave more than white noise."""
+VANISHING = 1e-6
+"""Residual as a share of its signal below which it is the arithmetic's, and no test is made."""
+DIFFUSE = 1e6
+"""Initial state that is allowed for before any residual was seen, in units of what moves one by its
+size."""
+DETERMINING = 1e4
+"""Variance of a residual, in units of its noise's, from which it rather determines that state."""
+FEWEST_RESIDUALS = 3 * LAGS
+MANY_SAMPLES = 2000
+"""Samples of a window in which an initial state takes nothing that shows."""
+
+
+class Whiteness(NamedTuple):
+    """What the residuals of a refinement by output error look like beside white noise.
+
+    **Fields:**
+
+    - `statistics`: Q / 20 of each channel, the largest of all recordings, about 1 of white noise.
+    - `threshold`: value that the largest of them exceeds with a probability of 1 %.
+    - `chi_squared`: mean square of each channel's residuals in units of its sensor's noise, as the
+      recording tells it; NaN where it tells of none.
+    - `shares`: root mean square of each channel's residuals as a share of the channel's deviation.
+    """
+
+    statistics: Mapping[str, float]
+    threshold: float
+    chi_squared: Mapping[str, float]
+    shares: Mapping[str, float]
+
+    @property
+    def largest(self) -> float:
+        """The largest statistic; NaN if there are too few residuals for any."""
+        found = [value for value in self.statistics.values() if value == value]
+        return max(found, default=float("nan"))
+
+    @property
+    def vanishing(self) -> bool:
+        """Whether the model follows every channel to a millionth."""
+        return all(share < VANISHING for share in self.shares.values())
+
+    @property
+    def white(self) -> bool:
+        """Whether the residuals are as white as noise, or vanish."""
+        return self.vanishing or self.largest <= self.threshold
+
+
+def whiteness(
+    misfit: OutputMisfit,
+    theta: Float[Array, " p"],
+    initial: Float[Array, "windows s"],
+    records: list[Record],
+) -> Whiteness | None:
+    """Tests what parameters and initial states leave (not under jit).
+
+    **Returns:** `None` where windows overlap, and the same noise is left more than once, or where
+    a simulation was lost.
+    """
+    if float(misfit.longest_window) > 0:
+        return None
+    left = [np.asarray(part) for part in misfit.residuals(theta, initial)]
+    masks = [np.asarray(part.present) for part in misfit.recorded]
+    if not all(np.isfinite(part).all() for part in left):
+        return None
+    size = np.sqrt(_mean_squares(left, masks))
+    series = left
+    if any(part.windows > 1 and part.measured.shape[1] < MANY_SAMPLES for part in misfit.recorded):
+        weight = 1 / np.where(size > 0, size, 1.0)
+        slopes = [np.asarray(part) for part in misfit.slopes_by_initial(theta, initial)]
+        series, masks = zip(
+            *(
+                innovations(one * weight, by * weight[:, None], there)
+                for one, by, there in zip(left, slopes, masks)
+            )
+        )
+    sigma = np.asarray(misfit.sigma)
+    statistics, chi_squared, shares = {}, {}, {}
+    for j, name in enumerate(misfit.labels):
+        tests = [
+            ljung_box(*_in_time(one[..., j], there[..., j], part.position, part.every))
+            for one, there, part in zip(series, masks, misfit.recorded)
+        ]
+        statistics[name] = max((t for t in tests if t == t), default=float("nan")) / LAGS
+        noise = [float(judged(record, "auto", name).noise.std(name)) for record in records]
+        level = float(np.sqrt(np.mean(np.square(noise))))
+        rms = float(size[j] * sigma[j])
+        chi_squared[name] = (rms / level) ** 2 if level > 0 else float("nan")
+        spread = float(np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records])))
+        shares[name] = rms / spread if spread > 0 else float("nan")
+    tests = len(misfit.labels) * len(misfit.recorded)
+    threshold = tails.chi_square(LEVEL / tests, LAGS) / LAGS
+    return Whiteness(statistics, threshold, chi_squared, shares)
+
+
+def _mean_squares(
+    left: list[Float[np.ndarray, "w n c"]], masks: list[Bool[np.ndarray, "w n c"]]
+) -> Float[np.ndarray, " c"]:
+    squares = sum(np.sum(one**2, axis=(0, 1)) for one in left)
+    return squares / np.maximum(sum(np.sum(one, axis=(0, 1)) for one in masks), 1)
+
+
+def ljung_box(values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"]) -> float:
+    """Q over 20 lags; NaN of fewer than 60 values, or of values that do not vary."""
+    count = int(present.sum())
+    if count < FEWEST_RESIDUALS or not np.ptp(values[present]) > 0:
+        return float("nan")
+    found = autocorrelation(values, present, LAGS, 1.0).values[1:]
+    pairs = np.array([np.sum(present[k:] & present[:-k]) for k in range(1, LAGS + 1)])
+    return float((count + 2) / count * np.sum(pairs * found**2))
+
+
+def _in_time(
+    values: Float[np.ndarray, "w n"], present: Bool[np.ndarray, "w n"], position: Array, every: int
+) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
+    """The values of all windows where they stand in the recording."""
+    place = np.asarray(position)[present] // every
+    size = int(place.max(initial=0)) + 1
+    series, there = np.zeros(size), np.zeros(size, bool)
+    series[place], there[place] = values[present], True
+    return series, there
+
+
+def innovations(
+    left: Float[np.ndarray, "w n c"],
+    slopes: Float[np.ndarray, "w n c s"],
+    present: Bool[np.ndarray, "w n c"],
+) -> tuple[Float[np.ndarray, "w n c"], Bool[np.ndarray, "w n c"]]:
+    """Residuals less what those before them in their window tell of the initial state; see above.
+
+    **Returns:** these in units of their own deviation, and a mask without those that determine it.
+    """
+    windows, samples, channels, states = slopes.shape
+    largest = np.max(np.abs(slopes), axis=(1, 2), initial=0.0)
+    slopes = slopes / np.where(largest > 0, largest, 1.0)[:, None, None, :]
+    found, kept = np.zeros_like(left), present.copy()
+    spread = np.broadcast_to(DIFFUSE**2 * np.eye(states), (windows, states, states)).copy()
+    state = np.zeros((windows, states))
+    for i in range(samples):
+        for j in range(channels):
+            h, here = slopes[:, i, j], present[:, i, j]
+            gain = np.einsum("wst,wt->ws", spread, h)
+            variance = 1 + np.einsum("ws,ws->w", h, gain)
+            error = left[:, i, j] - np.einsum("ws,ws->w", h, state)
+            found[:, i, j] = error / np.sqrt(variance)
+            kept[:, i, j] = here & (variance < DETERMINING)
+            gain = np.where(here, 1 / variance, 0.0)[:, None] * gain
+            state = state + gain * error[:, None]
+            spread = spread - gain[:, :, None] * np.einsum("wst,wt->ws", spread, h)[:, None, :]
+    return found, kept
