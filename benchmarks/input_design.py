@@ -142,7 +142,9 @@ def estimated(key: Key[Array, ""], quiet: Record, case: Case) -> tuple[Array, Ar
     for name, own in zip(case.channels, keys):
         error = case.sigma[name] * jax.random.normal(own, (case.sample_count,))
         arrays[name] = quiet[name] + error
-    by = OutputError(channels=case.channels, sigma=case.sigma, method=case.method)
+    by = OutputError(
+        channels=case.channels, sigma=case.sigma, method=case.method, intersample="lines"
+    )
     start = {name: 1.1 * value for name, value in case.truth.items()}
     fit = refine(case.system, Record(arrays, case.time_step), start, by)
     return fit[case.parameter], fit.converged

@@ -28,6 +28,7 @@ no equation but only what is free: W and B then are two starts of one search.
 import argparse
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,13 +80,16 @@ PLACES: dict[str, float] = dict(zip(VELOCITIES, BREAK_POINTS))
 # The reduced model's fastest motion, 14 Hz, is resolved to 1e-5 by 4 steps of 1.25 ms.
 METHOD = FixedStep(4)
 REST: dict[str, float | Array] = dict.fromkeys(VALIDATED_STATES, 0.0)
-WHOLE = OutputError(channels=VALIDATED_STATES, initial_states=REST, method=METHOD)
-WITH_FORCE = OutputError(channels=(*VALIDATED_STATES, "F_t"), initial_states=REST, method=METHOD)
+# The source model was driven by roads that are straight lines between samples.
+FROM_REST = partial(OutputError, initial_states=REST, method=METHOD, intersample="lines")
+WHOLE = FROM_REST(channels=VALIDATED_STATES)
+WITH_FORCE = FROM_REST(channels=(*VALIDATED_STATES, "F_t"))
 TILED = OutputError(
     Tiles(samples=round(TABLE_2.rate)),
     channels=VALIDATED_STATES,
     initial_states="measured",
     method=METHOD,
+    intersample="lines",
 )
 INTEGRAL = IntegralError(RIEC(AllWindows(TABLE_2.alpha, TABLE_2.beta, longest_samples=128)))
 # Each sample that crosses a break point is a kink of the sum of squares: its gradient never falls

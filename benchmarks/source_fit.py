@@ -18,6 +18,7 @@ import argparse
 import itertools
 import json
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,7 +58,9 @@ COMBINATIONS = 16
 SEARCHES = {4: 1, 7: 4}
 """Searches for each seed of noise, by how many parameters are free."""
 FINE, COARSE = FixedStep(32), FixedStep(8)
-TILED = OutputError(Tiles(samples=25), channels=CHANNELS, initial_states="measured", method=COARSE)
+# The roads that were simulated are straight lines between samples.
+BY = partial(OutputError, channels=CHANNELS, method=COARSE, intersample="lines")
+TILED = BY(Tiles(samples=25), initial_states="measured")
 WARM_UP = 30
 OUT = Path(__file__).parent / "source_fit.json"
 
@@ -96,7 +99,7 @@ def fit(record: Record, start: dict[str, Array], starts: str) -> Fit:
 
 
 def compared(starts: str) -> OutputError:
-    return OutputError(channels=CHANNELS, initial_states=STARTS[starts], method=COARSE)
+    return BY(initial_states=STARTS[starts])
 
 
 def _values(found: Refined) -> dict[str, Array]:

@@ -26,10 +26,14 @@ def duration(seconds: float) -> str:
 
 def page() -> str:
     """docs/speed.md with the table of what is recorded."""
-    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    return filled_in(PAGE, BEGIN, table(json.loads((FOLDER / "results.json").read_text())))
+
+
+def filled_in(page: Path, begin: str, text: str) -> str:
+    """A page of the documentation with this text between a mark and the next end."""
+    before, rest = page.read_text(encoding="utf-8").split(begin)
     after = rest.split(END)[1]
-    recorded = json.loads((FOLDER / "results.json").read_text())
-    return f"{before}{BEGIN}\n{table(recorded)}\n{END}{after}"
+    return f"{before}{begin}\n{text}\n{END}{after}"
 
 
 if __name__ == "__main__":
