@@ -111,7 +111,7 @@ def test_a_hundred_recordings_of_any_length_compile_four_functions_at_most():
 
     def work():
         for record in records:
-            summarise(equation, record, ALL, noise={"x": 1e-3, "u": 0.5})
+            summarise(equation, record, ALL, noise={"x": 1e-3, "v": 1e-3, "u": 0.5})
 
     names = functions_compiled(work)
     assert 1 <= sum("of_all_windows" in name for name in names) <= 4
