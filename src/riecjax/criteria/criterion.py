@@ -22,7 +22,7 @@ from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks, in_chunks
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.length_bins import each_bin
-from riecjax.criteria.noise_moments import NoiseMoments, noise_moments
+from riecjax.criteria.noise_moments import NoiseMoments, in_closed_form, noise_moments
 from riecjax.criteria.rows import Rows
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import AbstractWindows, AllWindows, Count, RandomWindows, WindowSet
@@ -187,13 +187,16 @@ class AbstractCriterion(eqx.Module):
         if not noisy.moves:
             return None
 
-        def of_law(law: LagBins) -> NoiseMoments:
+        def weighed(law: LagBins) -> list[Array] | None:
             weights = self.test_function.noise_weights(noisy.columns, law, blocks)
-            return noise_moments(
-                noisy, noise, weights, lambda of: self.moments_of(of, law, blocks, reach)[0], blocks
-            )
+            return in_closed_form(noisy, weights, blocks)
 
-        return each_bin(of_law, lags._replace(edges=None))
+        return noise_moments(
+            noisy,
+            noise,
+            lambda: each_bin(weighed, lags._replace(edges=None)),
+            lambda columns: self.moments_of(columns, lags, blocks, reach)[0],
+        )
 
     def noise_of_rows(
         self,
@@ -207,7 +210,7 @@ class AbstractCriterion(eqx.Module):
         if not noisy.moves:
             return None
         weights = self.test_function.noise_weights(noisy.columns, drawn, blocks)
-        return noise_moments(noisy, noise, weights, products, blocks)
+        return noise_moments(noisy, noise, lambda: in_closed_form(noisy, weights, blocks), products)
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""

@@ -22,7 +22,7 @@ linear M(k) comes out as well where these weights are written as integrals of 1 
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -301,3 +301,18 @@ def _require_weights(weights: Leaf) -> None:
         raise ModelError(
             "a law of window lengths needs weights of zero or more, not all zero, and finite."
         )
+
+
+def sum_over_lengths(
+    of_length: Callable[[Leaf, Leaf], Any], lengths: tuple[Leaf, Leaf], nothing: Any
+) -> Any:
+    """Sum of arrays that are made of each length and its weight, one after the other.
+
+    **Arguments:** `nothing`, the sum of none; a length of weight zero adds that, and takes no time.
+    """
+
+    def add(total: Any, which: tuple[Array, Array]) -> tuple[Any, None]:
+        added = jax.lax.cond(which[1] != 0, of_length, lambda *_: nothing, *which)
+        return jax.tree.map(jnp.add, total, added), None
+
+    return jax.lax.scan(add, nothing, lengths)[0]

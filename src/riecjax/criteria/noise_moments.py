@@ -44,32 +44,45 @@ class NoiseMoments(eqx.Module):
 def noise_moments(
     noisy: NoisyColumns,
     noise: Noise,
-    weights: NoiseWeights | None,
-    products: Callable[[Columns], Float[Array, "blocks columns columns"]],
-    blocks: StartBlocks,
+    white: Callable[[], list[Array] | None],
+    products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]],
 ) -> NoiseMoments:
     """What noise adds to the moments of an equation.
 
-    **Arguments:** `weights` of white noise at each sample, `None` where there is no closed form;
-    `products`, sums of outer products of the rows that columns make, for the blocks.
+    **Arguments:** `white` gives what [`in_closed_form`][] does; `products`, sums of outer products
+    of the rows that columns make, for blocks of starts.
     """
-    size = noisy.columns.values.shape[1]
     found: dict[str, Array] = {}
-    for source, movement in noisy.white.items():
-        if weights is None:
+    closed = white() if noisy.white or noisy.shift.values else None
+    if closed is not None:
+        found = dict(zip(noisy.white, closed))
+    else:
+        for source, movement in noisy.white.items():
             taps = {source: {source: jnp.ones(1)}}
             found[source] = _probed({source: movement}, taps, source, noisy.columns, products)
-        else:
-            found[source] = _weighted(movement, weights, blocks, size)
     kernels = _coloured_kernels(noise, list(noisy.coloured))
     for source in sorted({source for taps in kernels.values() for source in taps}):
         found[source] = _probed(noisy.coloured, kernels, source, noisy.columns, products)
-    nothing = jnp.zeros((blocks.number, size, size), noisy.columns.values.dtype)
+    nothing = jnp.zeros_like(next(iter(found.values())))
     total = sum(found.values(), start=nothing)
-    if weights is not None and noisy.shift.values:
-        total = total - 2 * _weighted(noisy.shift, weights, blocks, size)
-    each = [jnp.sum(found.get(source, nothing), axis=0) for source in noise.sources]
-    return NoiseMoments(total, jnp.stack(each))
+    if closed is not None:
+        total = total - 2 * closed[-1]
+    each = [jnp.sum(found.get(source, nothing), axis=-3) for source in noise.sources]
+    return NoiseMoments(total, jnp.stack(each, axis=-3))
+
+
+def in_closed_form(
+    noisy: NoisyColumns, weights: NoiseWeights | None, blocks: StartBlocks
+) -> list[Float[Array, "blocks columns columns"]] | None:
+    """What each white source adds, and at last what columns that are curved are shifted by.
+
+    **Arguments:** `weights` of white noise at each sample; without them there is no closed form.
+    """
+    if weights is None:
+        return None
+    size = noisy.columns.values.shape[1]
+    movements = [*noisy.white.values(), noisy.shift]
+    return [_weighted(movement, weights, blocks, size) for movement in movements]
 
 
 def _coloured_kernels(noise: Noise, read: list[str]) -> dict[str, dict[str, Array]]:
@@ -142,8 +155,8 @@ def _probed(
     kernels: dict[str, dict[str, Array]],
     source: str,
     like: Columns,
-    products: Callable[[Columns], Float[Array, "blocks columns columns"]],
-) -> Float[Array, "blocks columns columns"]:
+    products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]],
+) -> Float[Array, "*bins blocks columns columns"]:
     """Mean of the products of rows of what a source's noise, sent through, makes of columns."""
     n = like.sample_count
     own = {name: taps[source] for name, taps in kernels.items() if source in taps}

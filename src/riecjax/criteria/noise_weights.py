@@ -25,7 +25,7 @@ A sample's noise is counted where the sample lies, a window's row where the wind
 both add up to the same.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -34,7 +34,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.criteria.chunks import StartBlocks
-from riecjax.criteria.laws import LagBins
+from riecjax.criteria.laws import LagBins, sum_over_lengths
 from riecjax.criteria.quadrature import interval_weights
 from riecjax.leaves import Leaf
 
@@ -208,10 +208,26 @@ def _knot_pattern(quadrature: int) -> dict[int, float]:
     return {j - 2 * (reach - 1): float(p) for j, p in enumerate(np.asarray(quotient))}
 
 
-def correlated_with_starts(
-    starts: Float[Leaf, " n"], products: Float[Array, "orders orders n"]
+def noise_weights_of_lengths(
+    of_length: Callable[[Leaf, Leaf], tuple[Float[Array, " n"], Float[Array, "orders n"]]],
+    lengths: tuple[Leaf, Leaf],
 ) -> NoiseWeights:
-    """sum over t of starts[t] products[u - t], by Fourier transform."""
-    n = starts.shape[0]
-    spectrum = jnp.fft.rfft(starts, 2 * n)[None, None] * jnp.fft.rfft(products, 2 * n, axis=-1)
-    return jnp.fft.irfft(spectrum, 2 * n, axis=-1)[..., :n]
+    """W_kl[u] = sum over lengths and t of starts[t] w_k[u - t] w_l[u - t], by Fourier transform.
+
+    **Arguments:** `of_length`, of a window's length and its weight in the law, how much windows
+    weigh that start at each sample, and the weights w_k inside of them; `lengths` and their weight.
+    """
+    starts, weights = jax.eval_shape(of_length, *(leaf[0] for leaf in lengths))
+    orders, n = weights.shape
+    one, other = np.triu_indices(orders)
+
+    def products(length: Leaf, weight: Leaf) -> Array:
+        at, inside = of_length(length, weight)
+        spectrum = jnp.fft.rfft(inside[one] * inside[other], 2 * n, axis=-1)
+        return jnp.fft.rfft(at, 2 * n)[None] * spectrum
+
+    none = jnp.zeros((one.size, n + 1), jnp.result_type(starts.dtype, jnp.complex64))
+    found = jnp.fft.irfft(sum_over_lengths(products, lengths, none), 2 * n, axis=-1)[:, :n]
+    place = np.zeros((orders, orders), int)
+    place[one, other] = place[other, one] = np.arange(one.size)
+    return found[place]

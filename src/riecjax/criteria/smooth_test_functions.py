@@ -33,9 +33,9 @@ from jaxtyping import Array, Bool, Float, Int
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.gains import fourier_size
-from riecjax.criteria.laws import LagBins
+from riecjax.criteria.laws import LagBins, sum_over_lengths
 from riecjax.criteria.length_bins import each_bin
-from riecjax.criteria.noise_weights import NoiseWeights, correlated_with_starts
+from riecjax.criteria.noise_weights import NoiseWeights, noise_weights_of_lengths
 from riecjax.criteria.quadrature import unpadded_mean
 from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, valid_windows
 from riecjax.criteria.windows import AllWindows, WindowSet, half_periods
@@ -131,9 +131,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             return jnp.where(valid[None, :], everywhere(length), 0.0), valid
 
         def law_moments(law: LagBins) -> Moments:
-            return moments_of_rows(
-                rows_of_length, law.first, law.weight, blocks, skip_empty=lags.first.ndim == 2
-            )
+            return moments_of_rows(rows_of_length, law.first, law.weight, blocks)
 
         return each_bin(law_moments, lags._replace(edges=None))
 
@@ -146,17 +144,12 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         start = jnp.arange(columns.sample_count)
         within = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
 
-        def of_length(length: Leaf, weight: Leaf) -> NoiseWeights:
-            at = weight * jnp.where(within & self._whole(columns, length, blocks), 1.0, 0.0)
-            weights = self._weights(length, columns)
-            products = weights[:, None] * weights[None, :]
-            return correlated_with_starts(at, products)
+        def of_length(length: Leaf, weight: Leaf) -> tuple[Array, Array]:
+            at = jnp.where(within & self._whole(columns, length, blocks), weight, 0.0)
+            return at, self._weights(length, columns)
 
-        def add(total: NoiseWeights, which: tuple[Leaf, Leaf]) -> tuple[NoiseWeights, None]:
-            return total + of_length(*which), None
-
-        none = jnp.zeros((3, 3, columns.sample_count), columns.values.dtype)
-        return jax.lax.scan(add, none, (jnp.asarray(windows.first), windows.weight))[0]
+        lengths = jnp.asarray(windows.first), jnp.asarray(windows.weight)
+        return noise_weights_of_lengths(of_length, lengths)
 
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
         """Where a window of this length may start: inside, with no sample missing."""
@@ -275,14 +268,11 @@ def moments_of_rows(
     lengths: Int[Leaf, " lengths"],
     weights: Float[Leaf, " lengths"],
     blocks: StartBlocks,
-    *,
-    skip_empty: bool = False,
 ) -> Moments:
     """Moments of rows that start at every sample, summed over some window lengths.
 
     **Arguments:** `rows_of_length` gives rows at every start, zero where there is no valid window,
-    and where there is one; `weights` of the lengths. With `skip_empty`, lengths of weight zero,
-    which come last, take no time, and reverse-mode derivatives are impossible.
+    and where there is one; `weights` of the lengths, of which those of weight zero take no time.
     """
     columns = jax.eval_shape(rows_of_length, jnp.asarray(lengths)[0])[0]
     count, room = blocks.number, columns.shape[1]
@@ -300,18 +290,13 @@ def moments_of_rows(
         part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * size, axis=1)
         return part.reshape(values.shape[0], count, size)
 
-    def added(total: tuple[Array, Array], length: Leaf, weight: Leaf) -> tuple[Array, Array]:
+    def of_length(length: Leaf, weight: Leaf) -> tuple[Array, Array]:
         rows, valid = rows_of_length(length)
         parts = in_blocks(rows)
         number = jnp.sum(in_blocks(valid[None].astype(rows.dtype))[0], axis=1)
         moments = jnp.einsum("ibs,jbs->bij", parts, parts)
-        return total[0] + weight * moments, total[1] + weight * number
+        return jnp.asarray(weight) * moments, jnp.asarray(weight) * number
 
     empty = jnp.zeros((count, columns.shape[0], columns.shape[0]), columns.dtype)
     none = (empty, jnp.zeros(count, columns.dtype))
-    if skip_empty:
-        used = jnp.sum(weights > 0)
-        return jax.lax.fori_loop(
-            0, used, lambda i, total: added(total, lengths[i], weights[i]), none
-        )
-    return jax.lax.scan(lambda t, which: (added(t, *which), None), none, (lengths, weights))[0]
+    return sum_over_lengths(of_length, (jnp.asarray(lengths), jnp.asarray(weights)), none)
