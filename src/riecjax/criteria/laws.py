@@ -315,4 +315,5 @@ def sum_over_lengths(
         added = jax.lax.cond(which[1] != 0, of_length, lambda *_: nothing, *which)
         return jax.tree.map(jnp.add, total, added), None
 
-    return jax.lax.scan(add, nothing, lengths)[0]
+    length, weight = lengths
+    return jax.lax.scan(add, nothing, (jnp.asarray(length), jnp.asarray(weight)))[0]

@@ -148,8 +148,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             at = jnp.where(within & self._whole(columns, length, blocks), weight, 0.0)
             return at, self._weights(length, columns)
 
-        lengths = jnp.asarray(windows.first), jnp.asarray(windows.weight)
-        return noise_weights_of_lengths(of_length, lengths)
+        return noise_weights_of_lengths(of_length, (windows.first, windows.weight))
 
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
         """Where a window of this length may start: inside, with no sample missing."""
@@ -299,4 +298,4 @@ def moments_of_rows(
 
     empty = jnp.zeros((count, columns.shape[0], columns.shape[0]), columns.dtype)
     none = (empty, jnp.zeros(count, columns.dtype))
-    return sum_over_lengths(of_length, (jnp.asarray(lengths), jnp.asarray(weights)), none)
+    return sum_over_lengths(of_length, (lengths, weights), none)
