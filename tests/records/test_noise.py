@@ -38,6 +38,15 @@ def test_white_noise_on_a_smooth_signal(share):
     assert np.std(found) / level == pytest.approx(scatter, rel=0.35)
 
 
+@pytest.mark.parametrize("count", [700, 1000, 1500])
+def test_white_noise_is_always_found(count):
+    """The last tenth of a short spectrum falls by chance; one in 400 was said to have no noise."""
+    motion = SMOOTH[:count]
+    for seed in range(400):
+        found = std(judged(Record({"x": motion + white(0.05, seed, count)}, STEP)), "x")
+        assert 0.038 < found < 0.062
+
+
 def test_a_floor_of_the_spectrum_sees_past_motion_that_differences_take_for_noise():
     quick = 0.1 * np.sin(2 * np.pi * 22.0 * TIME)
     record = Record({"x": SMOOTH + quick + white(0.01)}, STEP)

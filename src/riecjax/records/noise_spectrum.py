@@ -156,7 +156,9 @@ def floor(of: Spectra) -> Floor:
         return Floor(np.sqrt(np.mean(found[edge:-1], keepdims=True)), np.asarray(share * whole))
     # What still falls at the end, as a position does that a random force moves, has none.
     sooner, later = (np.mean(half) for half in np.array_split(found[int((1 - TOP) * size) : -1], 2))
-    if sooner > LEVELLED * later:
+    # The logarithm of a mean square of n degrees of freedom scatters by sqrt(2 / n).
+    by_chance = np.exp(CERTAIN * np.sqrt(4 / max(TOP / 2 * whole, 1.0)))
+    if sooner > max(LEVELLED, by_chance) * later:
         return Floor(np.zeros(1), np.asarray(np.inf))
     least = min(np.mean(tenth) for tenth in np.array_split(found[:-1], round(1 / TOP)))
     return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * whole), flat=False)

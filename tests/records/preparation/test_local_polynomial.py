@@ -56,6 +56,14 @@ def test_smoothing_errs_by_little_of_the_noise_that_is_left(level):
     assert dict(record.units)["v"] == "m/s"
 
 
+@pytest.mark.parametrize("count", [1000, 4000])
+def test_noise_that_stands_out_by_chance_is_not_taken_for_motion(count):
+    """Of a thousand frequencies one is likely to; the polynomial then was 3 samples wide."""
+    recordings = (noisy(0.05, seed).part(0, count) for seed in range(150))
+    widths = [with_local_derivative(one, "x", "v")[1] for one in recordings]
+    assert min(widths) > 0.7 * np.median(widths)
+
+
 def test_without_noise_it_is_as_narrow_as_can_be():
     record = Record({"x": MOTION}, STEP).with_noise(Noise({"x": {}}))
     assert with_local_derivative(record, "x", "v")[1] == pytest.approx(3 * STEP)

@@ -1,6 +1,7 @@
 """Derivatives by local polynomials, which smooth noise as widely as the motion allows."""
 
 import numpy as np
+import scipy.special
 from jaxtyping import Float
 
 from riecjax.errors import DataError
@@ -22,9 +23,11 @@ LONGEST = 2**16
 """Samples whose spectrum is looked at."""
 SMOOTHED = 31
 """Frequencies over which a spectrum is averaged to tell motion from noise."""
-STANDS_OUT = 2.5
-"""Times the noise's density past which such a mean is not of noise alone: this mean of 31
-neighbours, of which a third are independent, passes it once in 2000 times."""
+INDEPENDENT = 1 / 3
+"""Share of neighbouring frequencies, through the window, that say something of their own."""
+BY_CHANCE = 1e-6
+"""Probability that noise alone makes such a mean stand out; there are thousands of means, and one
+of them far above the motion would make the polynomial as narrow as can be."""
 
 
 def with_local_derivative(
@@ -126,7 +129,9 @@ def _above(samples: np.ndarray, noise: np.ndarray) -> np.ndarray:
     window = blackmanharris(samples.size)
     density = np.abs(np.fft.rfft(window * detrend(samples))) ** 2 / np.sum(window**2)
     around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
-    near, usual = (np.convolve(d, around, "same") for d in (density, noise))
-    out = np.flatnonzero(near > STANDS_OUT * usual)
+    summed = (density, noise, np.ones(density.size))
+    near, usual, number = (np.convolve(each, around, "same") for each in summed)
+    freedom = 2 * np.maximum(INDEPENDENT * number, 1.0)
+    out = np.flatnonzero(near > scipy.special.chdtri(freedom, BY_CHANCE) / freedom * usual)
     last = out[-1] if out.size else 0
     return np.where(np.arange(density.size) <= last, 2 * (density - noise) / samples.size, 0.0)
