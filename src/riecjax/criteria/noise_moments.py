@@ -52,37 +52,48 @@ def noise_moments(
     **Arguments:** `white` gives what [`in_closed_form`][] does; `products`, sums of outer products
     of the rows that columns make, for blocks of starts.
     """
-    found: dict[str, Array] = {}
-    closed = white() if noisy.white or noisy.shift.values else None
-    if closed is not None:
-        found = dict(zip(noisy.white, closed))
+    closed = white() if noisy.white or noisy.curved else None
+    if closed is None:
+        *each, curved = _by_probes(noisy, products)
     else:
-        for source, movement in noisy.white.items():
-            taps = {source: {source: jnp.ones(1)}}
-            found[source] = _probed({source: movement}, taps, source, noisy.columns, products)
+        *each, curved = closed
+    found = dict(zip(noisy.white, each))
     kernels = _coloured_kernels(noise, list(noisy.coloured))
     for source in sorted({source for taps in kernels.values() for source in taps}):
         found[source] = _probed(noisy.coloured, kernels, source, noisy.columns, products)
     nothing = jnp.zeros_like(next(iter(found.values())))
-    total = sum(found.values(), start=nothing)
-    if closed is not None:
-        total = total - 2 * closed[-1]
-    each = [jnp.sum(found.get(source, nothing), axis=-3) for source in noise.sources]
-    return NoiseMoments(total, jnp.stack(each, axis=-3))
+    of_source = [jnp.sum(found.get(source, nothing), axis=-3) for source in noise.sources]
+    return NoiseMoments(sum(found.values(), start=curved), jnp.stack(of_source, axis=-3))
 
 
 def in_closed_form(
     noisy: NoisyColumns, weights: NoiseWeights | None, blocks: StartBlocks
 ) -> list[Float[Array, "blocks columns columns"]] | None:
-    """What each white source adds, and at last what columns that are curved are shifted by.
+    """What each white source adds, and at last what is added where columns are curved.
 
     **Arguments:** `weights` of white noise at each sample; without them there is no closed form.
     """
     if weights is None:
         return None
     size = noisy.columns.values.shape[1]
-    movements = [*noisy.white.values(), noisy.shift]
-    return [_weighted(movement, weights, blocks, size) for movement in movements]
+    found = [_weighted(movement, weights, blocks, size) for movement in noisy.white.values()]
+    nothing = jnp.zeros((blocks.number, size, size), noisy.columns.values.dtype)
+    curved = (times * _weighted(m, weights, blocks, size) for times, m in noisy.curved)
+    return [*found, sum(curved, start=nothing)]
+
+
+def _by_probes(
+    noisy: NoisyColumns, products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]]
+) -> list[Float[Array, "*bins blocks columns columns"]]:
+    """The same without a closed form."""
+    taps = {"": {"": jnp.ones(1)}}
+
+    def probed(movement: Movement) -> Array:
+        return _probed({"": movement}, taps, "", noisy.columns, products)
+
+    found = [probed(movement) for movement in noisy.white.values()]
+    curved = [times * probed(movement) for times, movement in noisy.curved]
+    return [*found, sum(curved, start=jnp.zeros(()))]
 
 
 def _coloured_kernels(noise: Noise, read: list[str]) -> dict[str, dict[str, Array]]:

@@ -2,31 +2,33 @@
 
 **Shift.** A column g(z) of noisy signals z = s + e has the mean g(s) + sigma^2 g''/2 + ..., which
 no averaging removes: in a curved column it is ten times what the scatter adds to a Gram matrix.
-With noise along one direction d of the signals, of unit variance,
+Let e be normal along one direction of the signals, and let K_b g be the mean of g at z +- b sigma.
+In powers of D = sigma^2 d^2/dz^2 / 2 the mean over e is exp(D) g, and K_b - 1 = b^2 D + b^4 D^2 / 6
++ ..., so that
 
-    shift = (g(z + d) + g(z - d)) / 2 - g(z)
+    L = c_1 (K_b1 - 1) + c_2 (K_b2 - 1),    c_1 b_1^2 + c_2 b_2^2 = 1,   c_1 b_1^4 + c_2 b_2^4 = -3
 
-is that mean shift to fourth order in d, exactly so for cubics; and under a kink, where g'' is a
-pulse, its area is the exact one, so that it is right on average over a spread of z. Columns are
-corrected by it, g_c = g - shift.
+is 1 - exp(-D) to second order. The corrected column g_c = g - L g therefore has the mean g(s):
+exactly for polynomials of fifth degree, and where g has a kink or a jump on average over a spread
+of z, since L takes only values of g.
 
-**Scatter.** To first order a corrected column moves by g_c' with the noise, and its density of
-noise products with another column h_c is, with the shifts of the two,
+**Scatter.** The Gram matrix of columns is of products g h, and these are functions of z as well. So
+g h - L(g h) has the mean g(s) h(s), and what noise adds to the product of two corrected columns is,
+with the half difference a_b and the bend s_b = K_b g - g of either,
 
-    q = g_c' h_c' - 2 shift_g shift_h
+    q = g_c h_c - (g h - L(g h)) = L g L h + sum_b c_b (a_b a_b' + s_b s_b')
 
-which is sigma^2 g' h' + sigma^4 g'' h'' / 2 in expectation: the second product takes off what noise
-adds to the derivatives' own product. Derivatives of g_c come from JAX at z and z +- d.
+which is sigma^2 g' h' to first order. Two samples whose noise is correlated share only the first
+order, r r' with the rise r = c_1 b_1 a_1 + c_2 b_2 a_2, sigma g' to third order. So columns move by
+r with each source, and what is left at one sample is a sum of three squares,
 
-**Jumps**, as of friction at a reversal, JAX does not see. What its derivatives leave of the rise
-(g(z + d) - g(z - d)) / 2 is a pulse of height J / 2 over two d, whose area is that of the jump's
-covariance with the noise; and what they leave of the shift, (J / 2) sign(z) there, is the jump's.
-The corrected jump is sign(z) (J / 2) (1 + [|z| < d]), whose variance adds up to 7.05 d (J / 2)^2
-over z: that of the pulse, 2 d, and 2.5 times that of the shift. `curved` shifts alone are taken
-off twice.
+    q - r r' = c_1 c_2 (b_2 a_1 - b_1 a_2)^2 + c_1 (1 + c_1) (s_1 + t s_2)^2
+               + c_2 (1 + c_2 / (1 + c_1)) s_2^2,    t = c_2 / (1 + c_1)
+
+(squares for products of two columns), all of them zero where a column is straight.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -43,13 +45,21 @@ from riecjax.leaves import Leaf
 from riecjax.records.noise import Noise
 from riecjax.records.record import Record
 
+Key = tuple[str, str]
 Direction = dict[str, Leaf]
 """Signals that noise moves together, and by how much for one standard deviation of its source."""
-STEPS = (0.0, 1.0, -1.0)
-AT_JUMPS = ""
-"""In place of a source's name: what scatters at jumps beyond first order."""
-JUMPS = 2.5**0.5
-"""Of a corrected jump's scatter, see the module."""
+STEPS = (1.5, 3.0)
+"""b_1 and b_2, standard deviations by which a column's arguments are moved to either side."""
+
+
+def _shares() -> tuple[float, float]:
+    """c_1 and c_2."""
+    one, two = np.square(STEPS)
+    second = (-3 - one) / (two * (two - one))
+    return (1 - second * two) / one, second
+
+
+SHARES = _shares()
 
 
 class Movement(eqx.Module):
@@ -94,15 +104,15 @@ class Movement(eqx.Module):
 class NoisyColumns(NamedTuple):
     """An equation's columns, and what noise on the signals does to them.
 
-    **Fields:** `columns`, less the shift of their mean; `shift` itself, where columns are curved;
-    `white`, how columns move with each source that is white in all signals of the equation;
-    `coloured`, how they move with each signal that has other noise.
+    **Fields:** `columns`, less the shift of their mean; `white`, how columns move with each source
+    that is white in all signals of the equation; `coloured`, how they move with each signal that
+    has other noise; `curved`, what they scatter at one sample beyond that: squares, and how often.
     """
 
     columns: Columns
-    shift: Movement
     white: dict[str, Movement]
     coloured: dict[str, Movement]
+    curved: tuple[tuple[float, Movement], ...]
 
     @property
     def moves(self) -> bool:
@@ -112,15 +122,15 @@ class NoisyColumns(NamedTuple):
 
 def without_noise(columns: Columns) -> NoisyColumns:
     """Columns of which nothing is known."""
-    return NoisyColumns(columns, Movement((), columns.parameters), {}, {})
+    return NoisyColumns(columns, {}, {}, ())
 
 
-class _Scatter(NamedTuple):
-    """Derivative of corrected columns, and the shift of their mean by curvature and at jumps."""
+class _Curved(NamedTuple):
+    """Of a function along a direction: the shift of its mean, its rise, and squares beyond that."""
 
-    slope: Float[Array, "columns samples"]
-    curved: Float[Array, "columns samples"]
-    jump: Float[Array, "columns samples"]
+    shift: Float[Array, "columns samples"]
+    rise: Float[Array, "columns samples"]
+    squares: tuple[tuple[float, Float[Array, "columns samples"]], ...]
 
 
 class _Part(NamedTuple):
@@ -136,35 +146,32 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
 
     **Raises:** `DataError` for a missing signal or derivative.
     """
-    terms = list(equation.terms)
-    above = [max(term.derivative - smoothness, 0) for term in terms]
-    orders = [min(term.derivative, smoothness) for term in terms]
-    sampled = [term.samples(record, order) for term, order in zip(terms, above)]
     directions = noise_directions(record.noise, equation.terms_read(record, smoothness))
-    moves: dict[tuple[str, str], list[_Part]] = {key: [] for key in directions}
-    shifts, jumps, clean = [], [], []
-    for term, order, higher, found in zip(terms, orders, above, sampled):
-        moved, shift = _term_noise(term, record, higher, directions)
-        for key, values in moved.items():
-            moves[key].append(_Part(term, order, values))
-        values = found.values
-        if shift is not None:
-            curved, jump = shift
-            shifts.append(_Part(term, order, curved))
-            jumps.append(_Part(term, order, JUMPS * jump))
-            values = values - curved - jump
-        clean.append(Sampled(values, found.present))
+    moves: dict[Key, list[_Part]] = {key: [] for key in directions}
+    bends: dict[tuple[Key, ...], list[tuple[_Part, ...]]] = {}
+    clean, weights = [], []
+    for term in equation.terms:
+        above, order = max(term.derivative - smoothness, 0), min(term.derivative, smoothness)
+        values, present = term.samples(record, above)
+        rises, curved = _term_noise(term, record, above, directions)
+        for key, rise in rises.items():
+            moves[key].append(_Part(term, order, rise))
+        for keys, of in curved.items():
+            values = values - of.shift
+            weights, squares = zip(*of.squares)
+            bends.setdefault(keys, []).append(tuple(_Part(term, order, v) for v in squares))
+        clean.append(Sampled(values, present))
     names = equation.parameters
-    columns = columns_of_terms(equation, record, smoothness, clean)
     movements = {key: Movement(parts, names) for key, parts in moves.items() if parts}
-    white = {name: m for (kind, name), m in movements.items() if kind == "white"}
-    if jumps:
-        white[AT_JUMPS] = Movement(jumps, names)
     return NoisyColumns(
-        columns,
-        Movement(shifts, names),
-        white,
+        columns_of_terms(equation, record, smoothness, clean),
+        {name: m for (kind, name), m in movements.items() if kind == "white"},
         {name: m for (kind, name), m in movements.items() if kind == "coloured"},
+        tuple(
+            (weight, Movement(parts, names))
+            for of_terms in bends.values()
+            for weight, parts in zip(weights, zip(*of_terms))
+        ),
     )
 
 
@@ -174,9 +181,9 @@ def is_white(noise: Noise, source: str, read: Iterable[str]) -> bool:
     return all(taps is None or taps.shape[-1] == 1 for taps in kernels)
 
 
-def noise_directions(noise: Noise, read: Iterable[str]) -> dict[tuple[str, str], Direction]:
+def noise_directions(noise: Noise, read: Iterable[str]) -> dict[Key, Direction]:
     """Along which signals move together: ("white", source) or ("coloured", signal)."""
-    found: dict[tuple[str, str], Direction] = {}
+    found: dict[Key, Direction] = {}
     variances: Direction = {}
     for name in sorted(read):
         for source, taps in noise.kernels.get(name, {}).items():
@@ -190,10 +197,9 @@ def noise_directions(noise: Noise, read: Iterable[str]) -> dict[tuple[str, str],
 
 
 def _term_noise(
-    term: AbstractTerm, record: Record, order: int, directions: dict[tuple[str, str], Direction]
-) -> tuple[dict[tuple[str, str], Array], tuple[Array, Array] | None]:
-    """How a term's columns move along each direction, and by how much their mean is shifted, by
-    curvature and at jumps."""
+    term: AbstractTerm, record: Record, order: int, directions: dict[Key, Direction]
+) -> tuple[dict[Key, Array], dict[tuple[Key, ...], _Curved]]:
+    """How a term's columns move along each direction, and what bends in them along which."""
     signals = record.signals
     expression = term.expression(record, order)
     read_expression(expression, signals)
@@ -206,56 +212,53 @@ def _term_noise(
         return _basis_noise(term, record, touching)
     if isinstance(term, Term) and isinstance(expression, str):
         number = jnp.asarray(term.number)
-        moved = {k: (number * d[expression]).reshape(1, 1) for k, d in touching.items()}
-        return moved, None
-    moved, curved, jump = {}, jnp.zeros(()), jnp.zeros(())
-    for key, direction in touching.items():
-
-        def along(step: Array, direction: Direction = direction) -> Array:
-            return term.samples(_moved(record, direction, step), order).values
-
-        found = _scatter_and_shift(along, jnp.ones(()))
-        moved[key] = found.slope
-        curved, jump = curved + found.curved, jump + found.jump
-    return moved, (curved, jump) if touching else None
+        return {k: (number * d[expression]).reshape(1, 1) for k, d in touching.items()}, {}
+    found = {
+        (key,): _curved(lambda step, d=d: term.samples(_moved(record, d, step), order).values)
+        for key, d in touching.items()
+    }
+    return {key: of.rise for (key,), of in found.items()}, found
 
 
 def _basis_noise(
-    term: Terms, record: Record, touching: dict[tuple[str, str], Direction]
-) -> tuple[dict[tuple[str, str], Array], tuple[Array, Array] | None]:
+    term: Terms, record: Record, touching: dict[Key, Direction]
+) -> tuple[dict[Key, Array], dict[tuple[Key, ...], _Curved]]:
     """Of functions of one argument, whose noise is that of all directions together."""
     if not touching:
-        return {}, None
+        return {}, {}
 
     def argument(direction: Direction, step: Array) -> Array:
         return evaluate(term.of, _moved(record, direction, step))[0]
 
     zero = jnp.zeros(())
-    one = jnp.ones(())
     at = argument({}, zero)
     slopes = {
-        key: jax.jvp(lambda h, d=direction: argument(d, h), (zero,), (one,))[1]
+        key: jax.jvp(lambda h, d=direction: argument(d, h), (zero,), (jnp.ones(()),))[1]
         for key, direction in touching.items()
     }
     spread = jnp.sqrt(sum(slope**2 for slope in slopes.values()))
     size = jnp.where(spread > 0, spread, 1.0)
-
-    def along(step: Array) -> Array:
-        return jnp.asarray(term.sign) * term.basis(at + step * spread)
-
-    found = _scatter_and_shift(along, one)
-    moved = {key: found.slope * (own / size)[None, :] for key, own in slopes.items()}
-    return moved, (found.curved, found.jump)
+    found = _curved(lambda step: jnp.asarray(term.sign) * term.basis(at + step * spread))
+    rises = {key: found.rise * (own / size)[None, :] for key, own in slopes.items()}
+    return rises, {tuple(touching): found}
 
 
-def _scatter_and_shift(along, one: Array) -> "_Scatter":
-    """What noise along a direction does to functions g."""
-    steps = jnp.asarray(STEPS, one.dtype)
-    values, slopes = jax.vmap(lambda step: jax.jvp(along, (step,), (one,)))(steps)
-    risen = 0.5 * (values[1] - values[2]) - (4 * slopes[0] + slopes[1] + slopes[2]) / 6
-    curved = 0.25 * (slopes[1] - slopes[2])
-    jump = 0.5 * (values[1] + values[2]) - values[0] - curved
-    return _Scatter(2 * slopes[0] - 0.5 * (slopes[1] + slopes[2]) + risen, curved, jump)
+def _curved(along: Callable[[Array], Float[Array, "columns samples"]]) -> _Curved:
+    """What noise of unit size along a direction does to functions."""
+    (one, two), (first, second) = STEPS, SHARES
+    values = jax.vmap(along)(jnp.asarray([0.0, one, -one, two, -two]))
+    apart = [0.5 * (values[i] - values[i + 1]) for i in (1, 3)]
+    bends = [0.5 * (values[i] + values[i + 1]) - values[0] for i in (1, 3)]
+    mixed = second / (1 + first)
+    return _Curved(
+        first * bends[0] + second * bends[1],
+        first * one * apart[0] + second * two * apart[1],
+        (
+            (first * second, two * apart[0] - one * apart[1]),
+            (first * (1 + first), bends[0] + mixed * bends[1]),
+            (second * (1 + mixed), bends[1]),
+        ),
+    )
 
 
 def _moved(record: Record, direction: Direction, step: Array) -> Record:
