@@ -5,8 +5,9 @@ import pytest
 import scipy.linalg
 
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
-from riecjax.criteria.windows import RandomWindows
+from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
@@ -171,6 +172,18 @@ def test_windows_of_few_samples_and_short_records_are_told():
     found = check(equation("a", "b"), record, RIEC(RandomWindows(0.02, 0.5, 500)), key=KEY)
     codes = [f.code for f in found.findings]
     assert {"short_windows", "short_record"} <= set(codes)
+
+
+@pytest.mark.parametrize(("samples", "told"), [(6, True), (14, False)])
+def test_a_bump_needs_more_samples_than_a_boxcar(samples, told):
+    """Of 6 samples its second derivative is 11 % off for a parabola."""
+    windows = AllWindows(samples * 0.01, 1.0)
+    time = 0.01 * np.arange(4000)
+    record = record_of(x=np.sin(7 * time) + np.sin(3 * time), u=np.cos(10 * time))
+    oscillator = Equation(Term("m", "x", derivative=2), Term("k", "x"), -Term(1.0, "u"))
+    for criterion, expected in ((RIEC(windows, Bump()), told), (RIEC(windows, Hat()), False)):
+        codes = [f.code for f in check(oscillator, record, criterion).findings]
+        assert ("short_windows" in codes) == expected
 
 
 def test_only_what_is_read_is_looked_at():

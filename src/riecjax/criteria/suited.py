@@ -21,8 +21,6 @@ from riecjax.records.record import Record
 
 LENGTHS = 8
 """Of bumps, evenly spaced: their rows change slowly with the length."""
-FEWEST_SAMPLES = 12
-"""To the shortest bump."""
 LONGEST = 0.2
 """Share of a record that a bump lasts at most."""
 MOST = 2
@@ -45,7 +43,7 @@ def suited(
     alpha, beta = bump.windows.alpha, bump.windows.beta
     steps = [record.time_step for record in records]
     xp = namespace(alpha, beta, steps)
-    shortest = FEWEST_SAMPLES * functools.reduce(xp.maximum, steps)
+    shortest = bump.test_function.fewest_samples * functools.reduce(xp.maximum, steps)
     longest = functools.reduce(xp.minimum, [LONGEST * record.duration for record in records])
     beta = xp.maximum(xp.minimum(beta, longest), 2 * shortest)
     alpha = xp.maximum(xp.minimum(alpha, 0.5 * beta), shortest)

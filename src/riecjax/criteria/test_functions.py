@@ -71,6 +71,8 @@ class AbstractTestFunction(eqx.Module):
     """How many time derivatives it takes off the motion, by integration by parts."""
     length_multiple: ClassVar[int] = 1
     """Window lengths are whole multiples of so many samples."""
+    fewest_samples: ClassVar[int] = 4
+    """Samples that the shortest window should span, or it is hardly an integral."""
     row_seconds: ClassVar[int] = 1
     """Power of the second by which a row's unit differs from the equation's: 1 where the weight has
     no unit, 2 for a weight in seconds."""

@@ -26,8 +26,6 @@ from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import Survey
 from riecjax.summaries.task import ready, signals_read, task
 
-FEWEST_SAMPLES = 4
-"""Samples that the shortest window should span."""
 FEWEST_STRETCHES = 10
 """Stretches of twice the longest window that the records should hold."""
 QUADRATURE_ERROR = 0.01
@@ -186,12 +184,13 @@ def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Findin
     findings = []
     alpha, beta = float(windows.alpha), float(windows.beta)
     coarsest = max(float(record.time_step) for record in records)
-    if alpha < (FEWEST_SAMPLES - 0.5) * coarsest:
+    fewest = criterion.test_function.fewest_samples
+    if alpha < (fewest - 0.5) * coarsest:
         findings.append(
             Finding(
                 "short_windows",
                 f"the shortest window, {alpha:g} s, spans {alpha / coarsest:.1f} samples of "
-                f"{coarsest:g} s; below {FEWEST_SAMPLES} it is hardly an integral. Choose a larger "
+                f"{coarsest:g} s; below {fewest} it is hardly an integral. Choose a larger "
                 f"alpha, or sample faster.",
             )
         )
