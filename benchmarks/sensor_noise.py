@@ -2,9 +2,9 @@
 
     python -m benchmarks.sensor_noise [problem ...] [--seeds N] [--noise none] [--check]
 
-`drag`, `quarter-car`, `coulomb` and `duffing` are noisy recordings whose truth is known; `ways` are
-batches and files of the first; `clean` is what the correction for noise does where there is none;
-`cost` its seconds; `figure` a picture.
+`drag`, `quarter-car`, `coulomb` and `duffing` are noisy recordings whose truth is known; `ways`
+are batches and files of the first; `choice` is the default test function against others; `clean`
+what the correction for noise does where there is none; `cost` its seconds; `figure` a picture.
 Every recording is identified by itself, as a user would, with nothing said but the model.
 
 Each figure stands beside what is asked of it and whether that is met, with its Monte Carlo standard
@@ -192,6 +192,58 @@ def duffing(run: Run) -> dict[str, Any]:
     return report
 
 
+def choice(run: Run) -> dict[str, Any]:
+    """Error of what `--test-function auto` takes for a missing velocity, over that of choices made
+    by hand: hats and bumps of several lengths."""
+    made = {
+        f"{function.name}, {alpha:g} to {beta:g} s": rx.RIEC(rx.AllWindows(alpha, beta), function)
+        for function in (rx.Hat(), rx.Bump(lengths=8))
+        for alpha, beta in ((0.06, 0.5), (0.25, 1.0), (0.25, 2.0), (0.5, 2.0), (1.0, 4.0))
+    }
+    drag, report = rx.find_model("drag-oscillator"), {}
+    for label, model, truth, signals, step, levels in (
+        (
+            "drag",
+            drag,
+            drag_problem.TRUTH,
+            problems.drag_signals(None, 0.0, velocity=False),
+            1 / drag_problem.RATE,
+            (0.001, 0.01, 0.05, 0.2),
+        ),
+        ("linear", *problems.linear_motion(), (0.001, 0.01, 0.05, 0.2)),
+        (
+            "friction",
+            problems.DRY_BY_BASIS,
+            problems.DRY,
+            problems.dry_motion(),
+            problems.DRY_STEP,
+            (0.01,),
+        ),
+    ):
+        for noise in levels:
+            given = partial(
+                problems.recordings, model, signals, {"x": noise}, step, run.final_seeds
+            )
+
+            def error(fit: Callable[[Any], Any], given: Any = given, truth: Any = truth) -> float:
+                """Root mean square of relative errors, the geometric mean of all parameters."""
+                found = fit_all(given(), fit)
+                if found.refused:
+                    return np.inf
+                off = found.theta / [truth[name] for name in found.names] - 1
+                return float(np.exp(np.mean(np.log(np.mean(off**2, axis=0)) / 2)))
+
+            by_hand = {n: error(identified(model, run, criterion=c)) for n, c in made.items()}
+            best = min(by_hand, key=lambda name: by_hand[name])
+            own = error(identified(model, run))
+            report[f"{label}, {100 * noise:g} %"] = {
+                "best": best,
+                "over_best": judged(own / by_hand[best], 1.3),
+                "by_hand": {name: e / by_hand[best] for name, e in by_hand.items()},
+            }
+    return report
+
+
 def clean(run: Run) -> dict[str, Any]:
     """Without noise: what the correction and what finer integrals change, in standard errors."""
     uncorrected = Run(run.seeds, "none")
@@ -273,6 +325,7 @@ PROBLEMS: dict[str, Callable[[Run], dict[str, Any]]] = {
     "quarter-car": quarter_car,
     "coulomb": coulomb,
     "duffing": duffing,
+    "choice": choice,
     "clean": clean,
     "cost": cost,
     "figure": noise_picture.draw,
