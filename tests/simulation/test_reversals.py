@@ -61,7 +61,12 @@ def test_a_mass_slides_to_a_stop_and_stays_until_it_is_pushed():
     # It is let go at the beginning of a step, late by one of them at most.
     np.testing.assert_allclose(record["x"], x, atol=1e-5)
     np.testing.assert_allclose(record["dx"], v, atol=1e-4)
-    assert (np.asarray(record["dx"])[(t > 1.01) & (t < 2.7)] == 0).all()
+    stuck = (t > 1.01) & (t < 2.7)
+    assert (np.asarray(record["dx"])[stuck] == 0).all()
+    # An accelerometer sees nothing of the force that friction holds.
+    assert (np.asarray(record["ddx"])[stuck] == 0).all()
+    sliding = t < 0.99
+    np.testing.assert_allclose(np.asarray(record["ddx"])[sliding], -3.0, atol=1e-9)
 
 
 def reference_of(t, values=VALUES):

@@ -30,6 +30,7 @@ from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.signals import Signals
 from riecjax.simulation.motions import Structure, derivative_name, label_of, read_structure
+from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Quantities
 
 
@@ -80,9 +81,25 @@ class EquationSystem(AbstractSystem):
     def output(
         self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
     ) -> Mapping[str, Float[Array, ""]]:
-        """Leading derivatives under their recorded names, and what static equations determine."""
-        signals = self._solved(self._known_signals(state, inputs))
-        return {name: signals[name][0] for name, _ in self.outputs}
+        """Leading derivatives under their recorded names, and what static equations determine.
+
+        At rest under dry friction, which does not name a force, a mass that sticks has none of the
+        first, and one that is let go has that of the side it leaves on.
+        """
+        if not self.reversing:
+            signals = self._solved(self._known_signals(state, inputs))
+            return {name: signals[name][0] for name, _ in self.outputs}
+        regime = regime_at(self, state, inputs)
+        signals = self._solved(self._known_signals(regime.seen(state), inputs))
+        held = {
+            following: regime.stuck[self.state_names.index(name)]
+            for motion in self.structure.motions
+            for name, following in zip(motion.names, motion.names[1:])
+        }
+        return {
+            name: jnp.where(held.get(name, False), 0.0, signals[name][0])
+            for name, _ in self.outputs
+        }
 
     @eqx.filter_jit
     def probed(

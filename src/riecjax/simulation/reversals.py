@@ -28,6 +28,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.expressions import Expression
 from riecjax.records.signals import Signals
+from riecjax.simulation.system import AbstractSystem
 
 NEWTON_STEPS = 5
 """From the secant's root to that of a cubic which is nearly straight."""
@@ -63,12 +64,8 @@ def cut_step(
     move: Moves, rise: Rises, state: Float[Array, " states"], reversing: Sequence[bool]
 ) -> Float[Array, " states"]:
     """A step of a system, cut where the first of the velocities that matter reverses."""
-    ours, nowhere = np.array(reversing), jnp.zeros(state.shape, bool)
-    resting = jnp.asarray(ours) & (state == 0)
-    free = Regime(jnp.zeros_like(state), nowhere)
-    leaving = jnp.where(resting, rise(free, state, 0.0), state)
-    sides = jnp.where(ours, jnp.sign(leaving), 0.0)
-    before = _sticking(rise, state, sides, resting, 0.0)
+    before = regime_of(rise, state, reversing)
+    sides = before.sides
     whole = move(before, state, 0.0, 1.0)
     reversed_ = sides * whole < 0
 
@@ -83,6 +80,33 @@ def cut_step(
         return move(after, middle, first, 1 - first)
 
     return jax.lax.cond(jnp.any(reversed_), cut, lambda: whole)
+
+
+def regime_of(rise: Rises, state: Float[Array, " states"], reversing: Sequence[bool]) -> Regime:
+    """Of a state at the beginning of a step: the side on which velocities at rest leave, if any."""
+    ours = np.array(reversing)
+    resting = jnp.asarray(ours) & (state == 0)
+    free = Regime(jnp.zeros_like(state), jnp.zeros(state.shape, bool))
+    leaving = jnp.where(resting, rise(free, state, 0.0), state)
+    sides = jnp.where(ours, jnp.sign(leaving), 0.0)
+    return _sticking(rise, state, sides, resting, 0.0)
+
+
+def regime_at(system: AbstractSystem, state: Array, inputs: Array) -> Regime:
+    """The same of a system at a sample."""
+
+    def rise(regime: Regime, state: Array, at: float | Array) -> Array:
+        return system.derivative(regime.seen(state), inputs)
+
+    return regime_of(rise, state, [name in system.reversing for name in system.state_names])
+
+
+def derivative_at(system: AbstractSystem, state: Array, inputs: Array) -> Float[Array, " states"]:
+    """Time derivative of the state, that of a velocity which sticks being zero."""
+    if not system.reversing:
+        return system.derivative(state, inputs)
+    regime = regime_at(system, state, inputs)
+    return jnp.where(regime.stuck, 0.0, system.derivative(regime.seen(state), inputs))
 
 
 def _sticking(

@@ -1,6 +1,7 @@
 """Simulation of a system along a record of its inputs."""
 
 from collections.abc import Mapping
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -11,6 +12,7 @@ from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
 from riecjax.simulation.intersample import Intersample, bends_of, require_intersample
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
+from riecjax.simulation.reversals import derivative_at
 from riecjax.simulation.system import AbstractSystem
 
 
@@ -114,7 +116,7 @@ def _simulate(
     states, status, reached = method.trajectory(
         system, levels, inputs.time_step, initial_state, *bends
     )
-    derivatives = jax.vmap(system.derivative)(states, levels)
+    derivatives = jax.vmap(partial(derivative_at, system))(states, levels)
     outputs = jax.vmap(system.output)(states, levels)
     signals = {
         **{f"d{name}": derivatives[:, i] for i, name in enumerate(system.state_names)},
