@@ -40,7 +40,7 @@ def test_a_velocity_that_no_sensor_measured_is_left_out(made):
         record = differentiate(record, "x", "v")
     found = chosen(OSCILLATOR, record)
     assert isinstance(found.test_function, rx.Bump)
-    assert "no sensor measured v" in found.describe()["because"]
+    assert "no sensor measured v" in found.why
     assert float(found.windows.alpha) == pytest.approx(0.5)
     assert float(found.windows.beta) == pytest.approx(2.0)
 
