@@ -12,6 +12,7 @@ products do, and adds to an estimate's variance a `PROBES`-th of what these add.
 """
 
 from collections.abc import Callable
+from itertools import combinations_with_replacement
 
 import equinox as eqx
 import jax
@@ -111,11 +112,12 @@ def _weighted(
 ) -> Float[Array, "blocks columns columns"]:
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
     total = jnp.zeros((blocks.number, size, size), weights.dtype)
-    for k, left in movement.values.items():
-        for m, right in movement.values.items():
-            rows, columns = jnp.array(movement.rows[k]), jnp.array(movement.rows[m])
-            part = _sums_in_blocks(left, weights[k, m], right, blocks)
-            total = total.at[:, rows[:, None], columns[None, :]].add(part)
+    for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
+        rows, columns = np.array(movement.rows[k]), np.array(movement.rows[m])
+        part = _sums_in_blocks(left, weights[k, m], right, blocks)
+        total = total.at[:, rows[:, None], columns[None, :]].add(part)
+        if k != m:
+            total = total.at[:, columns[:, None], rows[None, :]].add(jnp.swapaxes(part, 1, 2))
     return total
 
 

@@ -58,11 +58,13 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, or an impossible noise.
     """
     known = record.noise.joined(given_noise(given, record.arrays))
-    found = Noise()
-    for name in names or record.arrays:
-        if name not in known.kernels and name in record.arrays:
-            found = found.joined(_noise_of(record, name))
-    return record.with_noise(known.joined(found))
+    unknown = [n for n in names or record.arrays if n not in known.kernels and n in record.arrays]
+    kernels, freedom = {}, {}
+    for name in unknown:
+        found = _noise_of(record, name)
+        kernels |= found.kernels
+        freedom |= found.freedom
+    return record.with_noise(known.joined(Noise(kernels, freedom)))
 
 
 def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:

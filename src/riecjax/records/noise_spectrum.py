@@ -56,17 +56,13 @@ number of independent segments, 0.06 of 2000 samples."""
 class Spectra(NamedTuple):
     """Spectra of a signal's segments.
 
-    **Fields:** `transforms`, of which the mean square is the power density, that of white noise
+    **Fields:** `transforms`, of which the mean square is the power `density`, that of white noise
     being its variance, up to half the rate; `freedom` of all of the band together.
     """
 
     transforms: Complex[np.ndarray, "segments frequencies"]
+    density: Float[np.ndarray, " frequencies"]
     freedom: float
-
-    @property
-    def density(self) -> Float[np.ndarray, " frequencies"]:
-        """Mean over the segments."""
-        return np.mean(np.abs(self.transforms) ** 2, axis=0)
 
 
 class Floor(NamedTuple):
@@ -105,7 +101,8 @@ def spectra(pieces: list[np.ndarray]) -> Spectra | None:
     gain = (2 * np.sin(np.pi * np.arange(SEGMENT // 2 + 1) / SEGMENT)) ** 2
     found = np.fft.rfft(np.concatenate(rows) * window, axis=1)[:, 1:]
     independent = sum(p.size - TAPERED * SEGMENT for p in pieces if p.size >= SEGMENT + 2)
-    return Spectra(found / gain[1:] / np.sqrt(np.sum(window**2)), independent)
+    transforms = found / gain[1:] / np.sqrt(np.sum(window**2))
+    return Spectra(transforms, np.mean(np.abs(transforms) ** 2, axis=0), independent)
 
 
 def _near(density: np.ndarray) -> np.ndarray:
@@ -172,12 +169,16 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     """
     found = of.density
     near, size = _near(found), found.size
+    at_end = np.mean(found[int((1 - TOP) * size) : -1])
+    # A shelf is as wide as a floor, and the end of the band far below all of it.
+    if np.mean(near > at_end / EMPTY / LEVELLED) < NARROWEST:
+        return None
     lower, upper = _widest_shelf(near)
     band = slice(lower + CLOSE - 1, upper)
     if band.stop < max(OCTAVE * band.start, band.start + NARROWEST * size):
         return None
     density = float(np.mean(found[band]))
-    empty = np.mean(found[int((1 - TOP) * size) : -1]) < EMPTY * density
+    empty = at_end < EMPTY * density
     if not (empty and _level(found[band]) and density < BELOW_MOTION * np.max(near[:lower])):
         return None
     own = of.transforms[:, band]
