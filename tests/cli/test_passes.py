@@ -98,10 +98,10 @@ def executions(capsys, model: str, **recordings: float) -> Counter[tuple[str, in
 def test_one_command_sums_a_recording_once(capsys):
     assert executions(capsys, "cart", one=recording("one.csv", SAMPLES, seed=0)) == {
         # The one pass: moments, bins of the sweep, averaged rows, activity and the check's survey.
-        # In it values, slopes along the noise, and what noise adds to averaged and surveyed rows.
+        # In it values, twice, and what noise adds to averaged and surveyed rows.
         ("one", FILLED): 4,
-        # A step of noise to either side, for curvature; and the two sorts of rows with noise.
-        ("with noise", FILLED): 4,
+        # Two steps of noise to either side, for curvature; and the two sorts of rows with noise.
+        ("with noise", FILLED): 6,
         # What is left sample by sample, which residual tests and the choice of windows share.
         ("one", SAMPLES): 1,
     }
@@ -113,7 +113,7 @@ def test_each_of_two_recordings_is_summed_once(capsys):
         # As for one recording.
         ("one", FILLED): 4,
         ("two", FILLED): 4,
-        ("with noise", FILLED): 8,
+        ("with noise", FILLED): 12,
         ("one", SAMPLES): 1,
         ("two", OTHER_SAMPLES): 1,
     }

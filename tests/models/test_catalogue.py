@@ -1,5 +1,6 @@
 """One registry, every contract: what each built-in model promises."""
 
+import dataclasses
 import subprocess
 import sys
 
@@ -211,8 +212,11 @@ def recordings() -> dict[str, Record]:
 
 @pytest.mark.parametrize("name", ROUND_TRIPS)
 def test_dols_with_exact_derivatives_returns_what_was_simulated(name, recordings):
-    model = MODELS[name]
-    estimate = identify(model.build_procedure(), recordings[name], DOLS())
+    model, record = MODELS[name], recordings[name]
+    if name.startswith("emps"):
+        # At rest dry friction balances whatever it can, of which sign(0) = 0 knows nothing.
+        record = dataclasses.replace(record, missing={"dq": record["dq"] == 0})
+    estimate = identify(model.build_procedure(), record, DOLS())
     for parameter, value in truth(model).items():
         np.testing.assert_allclose(estimate[parameter], value, rtol=1e-8, err_msg=parameter)
 
