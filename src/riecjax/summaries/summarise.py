@@ -14,7 +14,7 @@ from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import OnePass
-from riecjax.summaries.sensor_choice import with_less_noise
+from riecjax.summaries.reading import with_less_noise
 from riecjax.summaries.stage_sums import traced_sums
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import RecordingSums

@@ -8,7 +8,7 @@ from benchmarks import drag_problem
 import riecjax as rx
 from riecjax.equations.procedure import as_procedure
 from riecjax.records.preparation import differentiate
-from riecjax.summaries.sensor_choice import with_less_noise
+from riecjax.summaries.reading import with_less_noise
 
 STEP = 0.01
 TIME = STEP * np.arange(3000)
