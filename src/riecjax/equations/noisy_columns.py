@@ -153,7 +153,7 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
     for term in equation.terms:
         above, order = max(term.derivative - smoothness, 0), min(term.derivative, smoothness)
         values, present = term.samples(record, above)
-        rises, curved = _term_noise(term, record, above, directions)
+        rises, curved = _term_noise(term, record, above, values, directions)
         for key, rise in rises.items():
             moves[key].append(_Part(term, order, rise))
         for keys, of in curved.items():
@@ -197,9 +197,14 @@ def noise_directions(noise: Noise, read: Iterable[str]) -> dict[Key, Direction]:
 
 
 def _term_noise(
-    term: AbstractTerm, record: Record, order: int, directions: dict[Key, Direction]
+    term: AbstractTerm,
+    record: Record,
+    order: int,
+    values: Float[Array, "columns samples"],
+    directions: dict[Key, Direction],
 ) -> tuple[dict[Key, Array], dict[tuple[Key, ...], _Curved]]:
-    """How a term's columns move along each direction, and what bends in them along which."""
+    """How a term's columns of these values move along each direction, and what bends in them along
+    which."""
     signals = record.signals
     expression = term.expression(record, order)
     read_expression(expression, signals)
@@ -209,19 +214,24 @@ def _term_noise(
     }
     touching = {key: direction for key, direction in touching.items() if direction}
     if isinstance(term, Terms):
-        return _basis_noise(term, record, touching)
+        return _basis_noise(term, record, values, touching)
     if isinstance(term, Term) and isinstance(expression, str):
         number = jnp.asarray(term.number)
         return {k: (number * d[expression]).reshape(1, 1) for k, d in touching.items()}, {}
     found = {
-        (key,): _curved(lambda step, d=d: term.samples(_moved(record, d, step), order).values)
+        (key,): _curved(
+            values, lambda step, d=d: term.samples(_moved(record, d, step), order).values
+        )
         for key, d in touching.items()
     }
     return {key: of.rise for (key,), of in found.items()}, found
 
 
 def _basis_noise(
-    term: Terms, record: Record, touching: dict[Key, Direction]
+    term: Terms,
+    record: Record,
+    values: Float[Array, "columns samples"],
+    touching: dict[Key, Direction],
 ) -> tuple[dict[Key, Array], dict[tuple[Key, ...], _Curved]]:
     """Of functions of one argument, whose noise is that of all directions together."""
     if not touching:
@@ -238,17 +248,20 @@ def _basis_noise(
     }
     spread = jnp.sqrt(sum(slope**2 for slope in slopes.values()))
     size = jnp.where(spread > 0, spread, 1.0)
-    found = _curved(lambda step: jnp.asarray(term.sign) * term.basis(at + step * spread))
+    found = _curved(values, lambda step: jnp.asarray(term.sign) * term.basis(at + step * spread))
     rises = {key: found.rise * (own / size)[None, :] for key, own in slopes.items()}
     return rises, {tuple(touching): found}
 
 
-def _curved(along: Callable[[Array], Float[Array, "columns samples"]]) -> _Curved:
-    """What noise of unit size along a direction does to functions."""
+def _curved(
+    values: Float[Array, "columns samples"],
+    along: Callable[[Array], Float[Array, "columns samples"]],
+) -> _Curved:
+    """What noise of unit size along a direction does to functions of these values."""
     (one, two), (first, second) = STEPS, SHARES
-    values = jax.vmap(along)(jnp.asarray([0.0, one, -one, two, -two]))
-    apart = [0.5 * (values[i] - values[i + 1]) for i in (1, 3)]
-    bends = [0.5 * (values[i] + values[i + 1]) - values[0] for i in (1, 3)]
+    moved = jax.vmap(along)(jnp.asarray([one, -one, two, -two]))
+    apart = [0.5 * (moved[i] - moved[i + 1]) for i in (0, 2)]
+    bends = [0.5 * (moved[i] + moved[i + 1]) - values for i in (0, 2)]
     mixed = second / (1 + first)
     return _Curved(
         first * bends[0] + second * bends[1],
