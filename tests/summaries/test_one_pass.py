@@ -38,9 +38,9 @@ def record_of(count, seed=0, gaps=()):
 
 def agree(record, criterion, key=None, rtol=1e-12):
     """The same moments in the same blocks as of the record that is not filled up."""
-    asked = task(EQUATION, record, criterion, key)
+    asked = task(EQUATION, record, criterion, key, "none")
     plain = traced_sums(asked.procedure, record, asked.criterion, key)
-    found = summarise(EQUATION, record, criterion, key=key).recordings[0]
+    found = summarise(EQUATION, record, criterion, key=key, noise="none").recordings[0]
     assert int(found.blocks) == int(plain.blocks)
     assert float(found.block_seconds) == pytest.approx(float(plain.block_seconds))
     ours, theirs = found.stages[0][0], plain.stages[0][0]

@@ -116,6 +116,22 @@ class Term(AbstractTerm):
         if known is not None and not named:
             raise ModelError("a known value belongs to a named coefficient.")
 
+    def of_its_derivative(self) -> "Term":
+        """The same term, of the recorded derivative that `measured` names first."""
+        bare = Term(
+            self.name or 1.0,
+            self.measured[0],
+            derivative=self.derivative - 1,
+            measured=self.measured[1:],
+            unit=self.unit,
+        )
+        return eqx.tree_at(
+            lambda term: (term.number, term.known),
+            bare,
+            (self.number, self.known),
+            is_leaf=lambda leaf: leaf is None,
+        )
+
     @property
     def parameters(self) -> tuple[str, ...]:
         """The coefficient's name, if it has one."""

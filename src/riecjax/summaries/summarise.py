@@ -14,6 +14,7 @@ from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import OnePass
+from riecjax.summaries.sensor_choice import with_less_noise
 from riecjax.summaries.stage_sums import traced_sums
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import RecordingSums
@@ -62,9 +63,10 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
+        read = with_less_noise(procedure, record, criterion)
         if traced:
-            return traced_sums(procedure, record, criterion, key)
-        return OnePass(procedure, record, criterion, key, kept_apart, survey).sums()
+            return traced_sums(read, record, criterion, key)
+        return OnePass(read, record, criterion, key, kept_apart, survey).sums()
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)

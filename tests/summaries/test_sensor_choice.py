@@ -1,0 +1,110 @@
+"""Which of two sensors a damping term reads."""
+
+import jax
+import numpy as np
+import pytest
+from benchmarks import drag_problem
+
+import riecjax as rx
+from riecjax.equations.procedure import as_procedure
+from riecjax.records.preparation import differentiate
+from riecjax.summaries.sensor_choice import with_less_noise
+
+STEP = 0.01
+TIME = STEP * np.arange(3000)
+MOTION = {"x": np.sin(3 * TIME) + np.sin(7 * TIME), "u": np.cos(TIME)}
+MOTION["v"] = 3 * np.cos(3 * TIME) + 7 * np.cos(7 * TIME)
+MOTION["u"] = 2 * np.gradient(MOTION["v"], STEP) + 5 * MOTION["v"] + 90 * MOTION["x"]
+BOXCAR = rx.RIEC.of_band((1.0, 10.0))
+
+
+def equation(damping):
+    return rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
+        damping,
+        rx.Term("k", "x"),
+        -rx.Term(1.0, "u"),
+        name="rig",
+        unit="N",
+    )
+
+
+BY_POSITION = equation(-rx.Term("c", "x", derivative=1, measured=("v", "a"), unit="N s/m", known=5))
+BY_VELOCITY = equation(-rx.Term("c", "v", measured=("a",), unit="N s/m", known=5))
+
+
+def read(noise, criterion=BOXCAR, record=None):
+    record = rx.Record(MOTION, STEP) if record is None else record
+    record = record.with_noise(rx.Noise.given(noise)) if isinstance(noise, dict) else record
+    return with_less_noise(as_procedure(BY_POSITION), record, criterion)
+
+
+@pytest.mark.parametrize(
+    ("noise", "criterion", "expected"),
+    [
+        ({"x": 0.1, "v": 0.1, "u": 0.0}, BOXCAR, BY_VELOCITY),
+        # 2 x 0.01 against 0.275 s x 0.01 s x 9.
+        ({"x": 0.1, "v": 3.0, "u": 0.0}, BOXCAR, BY_POSITION),
+        ({"x": 0.1, "v": 0.0, "u": 0.0}, BOXCAR, BY_VELOCITY),
+        # One per cent of the position's standard deviation is not noticed.
+        ({"x": 0.01, "v": 0.01, "u": 0.0}, BOXCAR, BY_POSITION),
+        ({"x": 0.1, "v": 0.1, "u": 0.0}, rx.RIEC.of_band((1.0, 10.0), rx.Hat()), BY_POSITION),
+        ({"x": 0.1, "v": 0.1, "u": 0.0}, rx.DOLS(), BY_POSITION),
+        ({"x": 0.0, "v": 0.0, "u": 0.0}, BOXCAR, BY_POSITION),
+        (None, BOXCAR, BY_POSITION),
+    ],
+)
+def test_boxcars_read_the_sensor_that_adds_less(noise, criterion, expected):
+    found, wanted = read(noise, criterion), as_procedure(expected)
+    assert jax.tree.structure(found) == jax.tree.structure(wanted)
+    np.testing.assert_array_equal(jax.tree.leaves(found), jax.tree.leaves(wanted))
+
+
+def test_a_velocity_that_is_made_of_the_position_is_not_read():
+    record = rx.Record({name: MOTION[name] for name in ("x", "u")}, STEP)
+    record = record.with_noise(rx.Noise.given({"x": 0.1, "u": 0.0}))
+    found = read(None, record=differentiate(record, "x", "v"))
+    assert jax.tree.structure(found) == jax.tree.structure(as_procedure(BY_POSITION))
+
+
+def test_damping_beside_drag_scatters_less():
+    """Of noise of a fifth of each signal, that of the position would drown what tells r from r2."""
+    drag = rx.Term("r2", lambda s: s["dx"] * abs(s["dx"]))
+    rest = rx.Term("k", "x"), -rx.Term(1.0, "u")
+    inertia = rx.Term("m", "x", derivative=2, measured=("dx",))
+    found = {}
+    for measured in (("dx",), ()):
+        model = rx.Equation(
+            inertia, rx.Term("r", "x", derivative=1, measured=measured), drag, *rest
+        )
+        fits = []
+        for seed in range(25):
+            record = rx.Record.from_samples(drag_problem.signals(seed, 0.2), time_step=STEP)
+            fits.append(float(rx.identify(model, record, intervals=rx.Naive())["r"]))
+        found[measured] = np.array(fits) - drag_problem.TRUTH["r"]
+    assert np.std(found["dx",]) < 0.8 * np.std(found[()])
+    assert abs(np.mean(found["dx",])) < 3 * np.std(found["dx",]) / 5
+
+
+def test_summaries_of_either_sensor_are_of_the_same_equations():
+    clean, noisy = (
+        rx.summarise(BY_POSITION, rx.Record(MOTION, STEP), BOXCAR, noise=noise)
+        for noise in ("none", {"x": 0.01, "v": 0.01, "u": 0.0})
+    )
+    assert clean.outline.is_of(noisy.outline)
+    both = clean.merge(noisy)
+    assert float(rx.estimate(BY_POSITION, both)["m"]) == pytest.approx(2, rel=1e-2)
+
+
+@pytest.mark.parametrize("sizes", [(0.1, 0.1), (0.1, 3.0), (0.01, 0.01)])
+def test_the_same_sensor_is_read_under_jit(sizes):
+    noise = dict(zip("xvu", (*sizes, 0.0)))
+    rng = np.random.default_rng(3)
+    moved = {name: MOTION[name] + noise[name] * rng.standard_normal(3000) for name in MOTION}
+    record = rx.Record(moved, STEP)
+    model = equation(-rx.Term("c", "x", derivative=1, measured=("v",)))
+
+    def fit(record):
+        return rx.identify(model, record, BOXCAR, noise=noise, intervals=rx.Naive()).theta
+
+    np.testing.assert_allclose(jax.jit(fit)(record), fit(record), rtol=1e-8)
