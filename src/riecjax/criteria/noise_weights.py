@@ -86,8 +86,12 @@ def points_of_windows(
     def add(total: Points, bin_: LagBins) -> tuple[Points, None]:
         return jax.tree.map(jnp.add, total, of_bin(bin_)), None
 
-    none = jnp.zeros(samples, jnp.result_type(float))
-    return jax.lax.scan(add, Points(none, none, none, none), lags._replace(edges=None))[0]
+    each = lags._replace(edges=None)
+    # A loop would be run for each equation; what stands without one is computed once for all.
+    total = of_bin(jax.tree.map(lambda values: values[0], each))
+    if each.first.shape[0] == 1:
+        return total
+    return jax.lax.scan(add, total, jax.tree.map(lambda values: values[1:], each))[0]
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:

@@ -145,7 +145,6 @@ def _by_values(
     if known.size <= DIFFERENCE_ORDER or not np.isfinite(known).all():
         return None
     rounding = rounding_of(known)
-    quantum = resolution_of(levels_of(known, rounding)[0])
     bends = np.abs(np.diff(values, 2))
     bends = bends[~np.isnan(bends)]
     if not bends.size or np.mean(bends <= rounding) > HELD:
@@ -162,11 +161,21 @@ def _by_values(
         scatter = SCATTER / np.sqrt(2 * (freedom if flat.flat else flat.freedom))
         room = 1 + scatter if flat.flat else 1 - scatter
         found = flat if flat.level < level * room else found
-    moved = float(np.sqrt(np.nanmean(np.diff(values) ** 2)))
-    rounded = quantum / np.sqrt(12) if moved > MOVES * quantum else 0.0
+    rounded = _rounded(values, known, rounding, found.level)
     if rounded > found.level:
         return Floor(np.full(1, rounded), np.asarray(np.inf))
     return found if found.level > 0 else None
+
+
+def _rounded(values: np.ndarray, known: np.ndarray, rounding: float, level: float) -> float:
+    """A converter's rounding where it is white and larger than a level; 0 elsewhere."""
+    moves = np.abs(np.diff(values))
+    least = np.min(moves, where=moves > rounding, initial=np.inf)
+    # The quantum is at most 1.5 times the smallest step: mostly there is no need to sort.
+    if 1.5 * least / np.sqrt(12) <= level:
+        return 0.0
+    quantum = resolution_of(levels_of(known, rounding)[0])
+    return quantum / np.sqrt(12) if np.sqrt(np.nanmean(moves**2)) > MOVES * quantum else 0.0
 
 
 def _unbroken(rows: np.ndarray) -> list[np.ndarray]:

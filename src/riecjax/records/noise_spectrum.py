@@ -5,6 +5,7 @@ between the motion and the filter's edge; a band-limited excitation makes a shel
 which other signals then have in common, while noise of sensors is coherent with nothing.
 """
 
+import functools
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -88,9 +89,7 @@ def spectra(pieces: list[np.ndarray]) -> Spectra | None:
     Of second differences, divided by their gain: a motion 1000 times the noise then stays below
     the side lobes of a Blackman-Harris window.
     """
-    from scipy.signal.windows import blackmanharris
-
-    window, hop = blackmanharris(SEGMENT, sym=False), SEGMENT // 4
+    window, hop = _window(), SEGMENT // 4
     rows = [
         np.lib.stride_tricks.sliding_window_view(np.diff(piece, 2), SEGMENT)[::hop]
         for piece in pieces
@@ -103,6 +102,13 @@ def spectra(pieces: list[np.ndarray]) -> Spectra | None:
     independent = sum(p.size - TAPERED * SEGMENT for p in pieces if p.size >= SEGMENT + 2)
     transforms = found / gain[1:] / np.sqrt(np.sum(window**2))
     return Spectra(transforms, np.mean(np.abs(transforms) ** 2, axis=0), independent)
+
+
+@functools.cache
+def _window() -> Float[np.ndarray, " samples"]:
+    from scipy.signal.windows import blackmanharris
+
+    return blackmanharris(SEGMENT, sym=False)
 
 
 def _near(density: np.ndarray) -> np.ndarray:
@@ -199,14 +205,13 @@ def _level(density: np.ndarray) -> bool:
 
 def _widest_shelf(near: np.ndarray) -> tuple[int, int]:
     """First and end of the widest stretch in which means of neighbours are about the same."""
-    best = 0, 0
-    for lower in range(LOWEST, near.size // 2):
-        rest = near[lower:]
-        alike = np.maximum.accumulate(rest) < LEVELLED * np.minimum.accumulate(rest)
-        length = int(np.argmin(alike)) if not alike.all() else alike.size
-        if length > best[1] - best[0]:
-            best = lower, lower + length
-    return best
+    # From each lower end on, in a row of its own; behind the band there is nothing to be alike.
+    behind = np.pad(near, (0, near.size), constant_values=np.nan)
+    rows = np.lib.stride_tricks.sliding_window_view(behind, near.size)[LOWEST : near.size // 2]
+    alike = np.maximum.accumulate(rows, 1) < LEVELLED * np.minimum.accumulate(rows, 1)
+    lengths = np.argmin(np.pad(alike, [(0, 0), (0, 1)]), axis=1)
+    widest = int(np.argmax(lengths))
+    return LOWEST + widest, LOWEST + widest + int(lengths[widest])
 
 
 def _coherence(one: np.ndarray, other: np.ndarray) -> float:
