@@ -156,7 +156,9 @@ def _estimated(
     sharing, given, _ = plan
     equations, short = summary.equations(), summary.short_blocks
     window = jnp.asarray(summary.criterion.block_length)
-    settings = (given, window, short, sharing, BlockBootstrap() if intervals is None else intervals)
+    # Draws are an argument: compiled in, every seed would be compiled anew.
+    drawn = (intervals or BlockBootstrap()).drawn(short.number.shape[0])
+    settings = (given, window, short, sharing, drawn)
     sources, freedom = summary.noise_by_source(), summary.noise_freedom
     settings = (sources, freedom, *settings)
     fit = _solve(equations, *settings, None)

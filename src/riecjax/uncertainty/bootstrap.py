@@ -9,6 +9,8 @@
 # errors are correlated within a block (Kunsch, 1989). A replicate costs a weighted sum of a few
 # dozen small matrices and an elimination; no row is seen again.
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,6 +68,7 @@ def studentized_replicates(
     return jax.lax.map(replicate, draws, batch_size=AT_ONCE)
 
 
+@functools.lru_cache(maxsize=4)
 def uniform_draws(seed: int, replicates: int, records: int) -> np.ndarray:
     """Numbers from 0 to 1, one for each block that each replicate draws of each record.
 

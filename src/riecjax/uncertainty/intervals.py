@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax import tails
 from riecjax.errors import ModelError
+from riecjax.leaves import Leaf
 from riecjax.summaries.blocks import MOST_BLOCKS, ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.block_statistics import BlockStatistics, block_statistics
@@ -107,6 +108,13 @@ class AbstractIntervals(eqx.Module):
         """Covariance of the estimates, and what intervals need besides."""
         raise NotImplementedError
 
+    def drawn(self, records: int) -> "AbstractIntervals":
+        """The same for so many records, with what it draws at random drawn.
+
+        What is compiled then holds no draws, and serves every seed.
+        """
+        return self
+
 
 class BlockBootstrap(AbstractIntervals):
     """Studentized bootstrap over blocks of time (the default).
@@ -117,7 +125,7 @@ class BlockBootstrap(AbstractIntervals):
     jackknife's: each block is left out once, and everything solved again.
 
     **Arguments:** `replicates`; `seed` of the draw, which moves the ends of an interval by a
-    percent or two of its width.
+    percent or two of its width. (`draws` are what is drawn, see [`uniform_draws`][].)
 
     **Raises:** `ModelError` for fewer than 100 replicates.
 
@@ -127,6 +135,7 @@ class BlockBootstrap(AbstractIntervals):
 
     replicates: int = eqx.field(static=True, default=2000)
     seed: int = eqx.field(static=True, default=0)
+    draws: Float[Leaf, "replicates records blocks_of_record"] | None = None
 
     def __check_init__(self):
         if self.replicates < 100:
@@ -145,8 +154,14 @@ class BlockBootstrap(AbstractIntervals):
 
     def studentized(self, statistics: BlockStatistics) -> Float[Array, "replicates p"]:
         """The replicates, see [`studentized_replicates`][]."""
-        draws = uniform_draws(self.seed, self.replicates, statistics.used.shape[0])
-        return studentized_replicates(statistics, jnp.asarray(draws))
+        records = statistics.used.shape[0]
+        drawn = self.drawn(records) if self.draws is None else self
+        return studentized_replicates(statistics, jnp.asarray(drawn.draws))
+
+    def drawn(self, records: int) -> "BlockBootstrap":
+        """With the blocks of each replicate drawn, see [`uniform_draws`][]."""
+        draws = uniform_draws(self.seed, self.replicates, records)
+        return BlockBootstrap(self.replicates, 0, draws)
 
 
 class Sandwich(AbstractIntervals):
