@@ -279,7 +279,7 @@ def cost(run: Run, repeats: int = 41) -> dict[str, Any]:
     """Warm seconds to identify, medians, with the correction and without in turn."""
     report: dict[str, Any] = {}
     ways = ("none", "auto") if CORRECTS else ("none",)
-    for count, times in ((8000, repeats), (1_000_000, 7)):
+    for count, times in ((8000, repeats), (1_000_000, 11), (10_000_000, 3)):
         for name, record in long_records(count).items():
             model, seconds = rx.find_model(name), {way: [] for way in ways}
             fits = {way: identified(model, Run(run.seeds, way)) for way in ways}

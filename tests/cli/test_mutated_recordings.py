@@ -13,6 +13,9 @@ from benchmarks.fuzz import judged, outcome
 from benchmarks.mutations import NAMES, TRUTH, WRITERS, Case, mutated, rigs
 
 RIGS = rigs()
+NIGHTLY = pytest.mark.slow
+"""For what a refinement adds, which compiles anew for each number of samples."""
+LINEAR = ("--refine", "none")
 
 
 @pytest.fixture(autouse=True)
@@ -22,12 +25,13 @@ def here(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("rig", RIGS, ids=("velocity recorded", "position only"))
 @pytest.mark.parametrize("file", WRITERS)
-def test_sound_recordings_are_answered_to_half_a_percent_without_a_warning(capsys, rig, file):
+@pytest.mark.parametrize("options", [LINEAR, pytest.param((), marks=NIGHTLY)])
+def test_sound_recordings_are_answered_to_half_a_percent(capsys, rig, file, options):
     # A tenth of what is asked of a damaged one, so that what is found there is the damage's.
     from riecjax.cli.main import run
 
     Path(file).write_bytes(WRITERS[file](list(rig.columns.items())))
-    assert run(["identify", file, *rig.options]) == 0
+    assert run(["identify", file, *rig.options, *options]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["warnings"] == []
     for name, value in TRUTH.items():
@@ -35,10 +39,11 @@ def test_sound_recordings_are_answered_to_half_a_percent_without_a_warning(capsy
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "clean"])
-def test_no_wrong_number_without_a_warning(name):
+@pytest.mark.parametrize("options", [LINEAR, pytest.param((), marks=NIGHTLY)])
+def test_no_wrong_number_without_a_warning(name, options):
     for number in range(1):
         case = mutated(name, RIGS, np.random.default_rng([20240501, NAMES.index(name), number]))
-        found = outcome(case)
+        found = outcome(case, options)
         assert found.verdict != "WRONG", f"case {number}, {case.file}: {found.why}"
 
 
