@@ -61,7 +61,7 @@ def silverbox_fits() -> Fits:
     fine = upsample(rx.records.judged(train), silverbox.FACTOR)
     windows = rx.AllWindows(0.006, 0.026)
 
-    def fit(order: int, noise: str) -> rx.Estimate:
+    def fit(order: int, noise: rx.records.GivenNoise) -> rx.Estimate:
         return rx.identify(duffing_equation(), fine, rx.RIEC(windows, rx.Hat(order)), noise=noise)
 
     return {
