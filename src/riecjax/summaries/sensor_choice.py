@@ -60,6 +60,8 @@ def _has_both(term: Term, record: Record) -> bool:
     return own and velocity in record.arrays and term.of in record.arrays
 
 
+# What overflows is for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore")
 def _adds_less(
     velocity: str, position: str, record: Record, criterion: AbstractCriterion
 ) -> Bool[Array, ""] | np.bool_:
