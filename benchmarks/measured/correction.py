@@ -75,17 +75,14 @@ def table(name: str, fits: Fits) -> str:
     """In Markdown, a line for each parameter."""
     lines = []
     for parameter in next(iter(fits.values())).parameters:
-        cells = []
-        for step in STEPS:
-            if step not in fits:
-                cells.append("-")
-                continue
-            value, error = (
-                float(of(parameter)) for of in (fits[step].__getitem__, fits[step].standard_error)
-            )
-            cells.append(f"{value:.5g} +- {error:.2g}")
+        cells = [_cell(fits[step], parameter) if step in fits else "-" for step in STEPS]
         lines.append(f"| {name} {parameter} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _cell(estimate: rx.Estimate, parameter: str) -> str:
+    error = float(estimate.standard_error(parameter))
+    return f"{float(estimate[parameter]):.5g} +- {error:.2g}"
 
 
 if __name__ == "__main__":

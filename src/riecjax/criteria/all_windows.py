@@ -62,7 +62,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.chunks import StartBlocks
-from riecjax.criteria.laws import LagBins
+from riecjax.criteria.laws import LagBins, sum_over_bins
 from riecjax.criteria.length_bins import each_bin
 from riecjax.criteria.quadrature import Primitives, running_sum, sum_between
 from riecjax.errors import ModelError
@@ -235,7 +235,7 @@ def unbroken_boxcar_moments(
     own, beyond = phi[:, :, :block], phi[:, :, block:]
 
     def law_moments(law: LagBins) -> Moments:
-        total = _over_bins(law, bin_sums)
+        total = sum_over_bins(law, bin_sums)
         weight = 0.5 * (total.number + total.squares[None, :block])
         half = _products(own, weight[None] * own - total.inner)
         half = half + _products(beyond, 0.5 * total.squares[None, None, block:] * beyond)
@@ -338,23 +338,9 @@ def _moments(
     def weighted(bin_: LagBins) -> _Sums:
         return jax.tree.map(lambda leaf: bin_.weight * leaf, bin_sums(bin_.first, bin_.last))
 
-    total = _over_bins(bins, weighted)
+    total = sum_over_bins(bins, weighted)
     cross = phi @ total.inner.T
     return (phi * total.squares[None, :]) @ phi.T + cross + cross.T, total.number
-
-
-def _over_bins(bins: LagBins, bin_sums: Callable[[LagBins], _Sums]) -> _Sums:
-    """The sums of all bins, added up."""
-
-    def add(total: _Sums, bin_: LagBins) -> tuple[_Sums, None]:
-        return jax.tree.map(jnp.add, total, bin_sums(bin_)), None
-
-    total = bin_sums(jax.tree.map(lambda values: values[0], bins))
-    if bins.first.shape[0] == 1:
-        return total
-    # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
-    rest = jax.tree.map(lambda values: values[1:], bins)
-    return jax.lax.scan(jax.checkpoint(add), total, rest)[0]
 
 
 def _places(

@@ -22,7 +22,7 @@ linear M(k) comes out as well where these weights are written as integrals of 1 
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -33,6 +33,8 @@ from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
+
+Sums = TypeVar("Sums")
 
 
 class Edges(NamedTuple):
@@ -301,6 +303,24 @@ def _require_weights(weights: Leaf) -> None:
         raise ModelError(
             "a law of window lengths needs weights of zero or more, not all zero, and finite."
         )
+
+
+def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:
+    """What all bins of a law add up to.
+
+    Of a single bin without a loop, which would be run for each equation: what several equations
+    have in common is then computed once.
+    """
+
+    def add(total: Sums, bin_: LagBins) -> tuple[Sums, None]:
+        return jax.tree.map(jnp.add, total, of_bin(bin_)), None
+
+    total = of_bin(jax.tree.map(lambda values: values[0], bins))
+    if bins.first.shape[0] == 1:
+        return total
+    # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
+    rest = jax.tree.map(lambda values: values[1:], bins)
+    return jax.lax.scan(jax.checkpoint(add), total, rest)[0]
 
 
 def sum_over_lengths(

@@ -34,7 +34,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.criteria.chunks import StartBlocks
-from riecjax.criteria.laws import LagBins, sum_over_lengths
+from riecjax.criteria.laws import LagBins, sum_over_bins, sum_over_lengths
 from riecjax.criteria.quadrature import interval_weights
 from riecjax.leaves import Leaf
 
@@ -83,15 +83,7 @@ def points_of_windows(
         counts = Points(jnp.where(begins, start, 0), middle, by_half, jnp.where(here, end, 0))
         return jax.tree.map(lambda leaf: bin_.weight * leaf, counts)
 
-    def add(total: Points, bin_: LagBins) -> tuple[Points, None]:
-        return jax.tree.map(jnp.add, total, of_bin(bin_)), None
-
-    each = lags._replace(edges=None)
-    # A loop would be run for each equation; what stands without one is computed once for all.
-    total = of_bin(jax.tree.map(lambda values: values[0], each))
-    if each.first.shape[0] == 1:
-        return total
-    return jax.lax.scan(add, total, jax.tree.map(lambda values: values[1:], each))[0]
+    return sum_over_bins(lags._replace(edges=None), of_bin)
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:

@@ -78,14 +78,14 @@ class Term(AbstractTerm):
 
     def __init__(
         self,
-        coefficient: str | float | Array,
+        coefficient: str | float | Leaf,
         of: Expression,
         *,
         derivative: int = 0,
         measured: tuple[str, ...] = (),
         unit: str = "",
-        known: float | Array | None = None,
-        sign: float | Array = 1.0,
+        known: float | Leaf | None = None,
+        sign: float | Leaf = 1.0,
     ):
         require(
             "a term's coefficient",
@@ -118,18 +118,14 @@ class Term(AbstractTerm):
 
     def of_its_derivative(self) -> "Term":
         """The same term, of the recorded derivative that `measured` names first."""
-        bare = Term(
-            self.name or 1.0,
+        return Term(
+            self.number if self.name is None else self.name,
             self.measured[0],
             derivative=self.derivative - 1,
             measured=self.measured[1:],
             unit=self.unit,
-        )
-        return eqx.tree_at(
-            lambda term: (term.number, term.known),
-            bare,
-            (self.number, self.known),
-            is_leaf=lambda leaf: leaf is None,
+            known=self.known,
+            sign=1.0 if self.name is None else self.number,
         )
 
     @property

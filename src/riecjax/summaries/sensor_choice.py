@@ -6,6 +6,8 @@ second the velocity's times the window's length times a time step: a hundredth o
 the same share of noise and the window holds some dozens of samples.
 """
 
+from typing import TypeGuard
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -35,7 +37,7 @@ def with_less_noise(
         return procedure
 
     def read(term: AbstractTerm) -> list[AbstractTerm]:
-        if not isinstance(term, Term) or not _has_both(term, record):
+        if not _has_both(term, record):
             return [term]
         chosen = _adds_less(term.measured[0], str(term.of), record, criterion)
         by_velocity = term.of_its_derivative()
@@ -45,15 +47,19 @@ def with_less_noise(
         return [_scaled(term, 1 - share), _scaled(by_velocity, share)]
 
     def of(equation: Equation) -> Equation:
+        if not any(_has_both(term, record) for term in equation.terms):
+            return equation
         terms = [each for term in equation.terms for each in read(term)]
         return Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
 
     return Procedure(tuple(tuple(map(of, stage)) for stage in procedure.stages))
 
 
-def _has_both(term: Term, record: Record) -> bool:
+def _has_both(term: AbstractTerm, record: Record) -> TypeGuard[Term]:
     """Whether the record holds a signal and its derivative by a sensor whose noise is known."""
-    if term.derivative != 1 or not term.measured or not isinstance(term.of, str):
+    if not (isinstance(term, Term) and term.derivative == 1 and term.measured):
+        return False
+    if not isinstance(term.of, str):
         return False
     velocity, noise = term.measured[0], record.noise
     own = velocity in noise.kernels and not noise.is_made_of(velocity, term.of)

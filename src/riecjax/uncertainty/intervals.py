@@ -154,12 +154,13 @@ class BlockBootstrap(AbstractIntervals):
 
     def studentized(self, statistics: BlockStatistics) -> Float[Array, "replicates p"]:
         """The replicates, see [`studentized_replicates`][]."""
-        records = statistics.used.shape[0]
-        drawn = self.drawn(records) if self.draws is None else self
+        drawn = self.drawn(statistics.used.shape[0])
         return studentized_replicates(statistics, jnp.asarray(drawn.draws))
 
     def drawn(self, records: int) -> "BlockBootstrap":
         """With the blocks of each replicate drawn, see [`uniform_draws`][]."""
+        if self.draws is not None:
+            return self
         draws = uniform_draws(self.seed, self.replicates, records)
         return BlockBootstrap(self.replicates, 0, draws)
 
