@@ -199,8 +199,8 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         start = jnp.minimum(windows.start, sample_count - 1 - length)
         return WindowSet(start, start + length), lengths
 
-    def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "3 n"]:
-        """h psi_k at the samples of a window of `length` samples, k = 0, 1, 2."""
+    def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "1+s n"]:
+        """h psi_k at the samples of a window of `length` samples, k from 0 to the smoothness s."""
         sample = jnp.arange(columns.sample_count)
         # By whole numbers: at the window's end |tau| is 1 but for rounding, and a compiler may
         # evaluate |tau| < 1 twice, once with fused multiply-adds, so that the masks differ.
@@ -212,12 +212,14 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         def phi(at: Array) -> Array:
             return self.weight(at, seconds)
 
-        def derivative(at: Array) -> Array:
-            return jax.jvp(phi, (at,), (one,))[1]
+        def along(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+            return lambda at: jax.jvp(function, (at,), (one,))[1]
 
-        second = jax.jvp(derivative, (tau,), (one,))[1]
-        weights = jnp.stack([phi(tau), -slope * derivative(tau), slope**2 * second])
-        return jnp.where(inside[None, :], weights, 0.0) * columns.time_step
+        rows, by_tau = [phi(tau)], phi
+        for order in range(1, self.smoothness + 1):
+            by_tau = along(by_tau)
+            rows.append((-slope) ** order * by_tau(tau))
+        return jnp.where(inside[None, :], jnp.stack(rows), 0.0) * columns.time_step
 
 
 class Bump(AbstractSmoothTestFunction):

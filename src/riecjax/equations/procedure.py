@@ -11,15 +11,47 @@ from typing import Protocol
 import equinox as eqx
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.hidden_modes import Expanded, HiddenMode
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 
 
 class Procedure(eqx.Module):
-    """Stages of equations; see [`staged`][] and [`simultaneous`][]."""
+    """Stages of equations; see [`staged`][] and [`simultaneous`][].
+
+    `modes` are hidden in every equation that accelerates their bodies, see
+    [`Procedure.with_modes`][].
+    """
 
     stages: tuple[tuple[Equation, ...], ...]
+    modes: tuple[HiddenMode, ...] = ()
+
+    def with_modes(self, *modes: HiddenMode) -> "Procedure":
+        """The same equations with oscillators that they leave out.
+
+        **Raises:** `ModelError` for a mode on a signal whose derivative no equation holds.
+        """
+        for mode in modes:
+            require("a mode", mode, HiddenMode, "rx.HiddenMode(on='x4')")
+            if not any(mode.inertia(e) is not None for stage in self.stages for e in stage):
+                raise ModelError(
+                    f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
+                    f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
+                )
+        return Procedure(self.stages, (*self.modes, *modes))
+
+    @property
+    def expanded(self) -> tuple[tuple[Expanded, ...], ...]:
+        """Each equation with its modes, linear in more columns than it has parameters."""
+        return tuple(tuple(Expanded.of(e, self.modes) for e in stage) for stage in self.stages)
+
+    @property
+    def linear(self) -> "Procedure":
+        """Equations without modes, whose sums tell of these with any: itself if there are none."""
+        if not self.modes:
+            return self
+        return Procedure(tuple(tuple(e.equation for e in stage) for stage in self.expanded))
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -29,10 +61,11 @@ class Procedure(eqx.Module):
     @property
     def stage_parameters(self) -> list[tuple[str, ...]]:
         """Names of the coefficients of each stage, in order of first appearance."""
-        return [
-            tuple(dict.fromkeys(name for equation in stage for name in equation.parameters))
-            for stage in self.stages
-        ]
+        if not self.modes:
+            every = [[e.parameters for e in stage] for stage in self.stages]
+        else:
+            every = [[e.all_parameters for e in stage] for stage in self.expanded]
+        return [tuple(dict.fromkeys(name for of in stage for name in of)) for stage in every]
 
     @property
     def equation_names(self) -> list[tuple[str, ...]]:
@@ -47,6 +80,8 @@ class Procedure(eqx.Module):
         for stage in self.stages:
             for equation in stage:
                 units |= {k: v for k, v in equation.units.items() if v or k not in units}
+        for number, mode in enumerate(self.modes):
+            units |= mode.units(number, [e for stage in self.stages for e in stage])
         return units
 
     @property

@@ -57,6 +57,8 @@ def summarise(
 def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = False) -> Summary:
     """The Summary of a task; see [`summarise`][]."""
     procedure, records, criterion, keys = asked
+    # With modes, sums are of more columns than there are parameters.
+    procedure = procedure.linear
     outline = Outline.of(procedure)
     traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
     kept_apart = None if bins is None else _bins(criterion, bins, traced)

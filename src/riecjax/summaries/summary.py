@@ -265,7 +265,7 @@ class Summary(eqx.Module):
 
     def require_model(self, procedure: Procedure) -> None:
         """Raise `ModelError` unless these are sums of the procedure's equations."""
-        if not self.outline.is_of(Outline.of(procedure)):
+        if not self.outline.is_of(Outline.of(procedure.linear)):
             held = self.outline.stages
             named = "; ".join(" + ".join(name for name, _ in stage) for stage in held)
             raise ModelError(

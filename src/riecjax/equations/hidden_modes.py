@@ -1,0 +1,244 @@
+"""Oscillators that an equation leaves out, and what they make of its terms.
+
+A mass M on a spring K and a damper B, carried by a body with velocity v, adds to the body's
+equation of motion the force that moves the mass,
+
+    M (1 + q s) / D v',    D = 1 + q s + p s^2,    q = B / K,  p = M / K,
+
+s standing for d/dt. The state of the mass is not recorded. Multiplied by D the equation is linear
+again in the coefficients theta, of known target y and columns a,
+
+    D y = sum_j theta_j D a_j + M (1 + q s) a_v,
+
+with every term at derivatives 0 to 2 higher, which a smooth test function takes off. Its columns for
+any mode are combinations of the same few, so that one Gram matrix holds all of them. With several
+modes D is the product of theirs, and each mode's own column has those of the others in front.
+
+D is 1 at rest, so that the equation keeps its unit, and for a stiff mode it is the equation as it
+was: M then joins the body's mass.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.equations.bases import AbstractBasis
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.errors import ModelError, require
+from riecjax.leaves import is_number
+
+TARGET = "target"
+"""What a known term is called once it is differentiated."""
+
+
+class HiddenMode(eqx.Module):
+    """An oscillator that a model leaves out, on the body whose velocity is named.
+
+    Its mass `M_mode`, stiffness `K_mode` and damping `B_mode` are parameters of every equation that
+    holds the derivative of that velocity; a further mode's end in `_2`, `_3`.
+
+    **Arguments:** `on`, the signal: a velocity of which a term holds the first derivative, or a
+    position of which one holds the second; `hz`, near which frequency in hertz to look, everywhere
+    if it is not given.
+
+    **Raises:** `ModelError` for a frequency that is not positive.
+    """
+
+    on: str = eqx.field(static=True)
+    hz: float | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        require("what a hidden mode is on", self.on, str, "rx.HiddenMode(on='x4'), a signal")
+        if self.hz is not None and not (
+            is_number(self.hz) and np.isfinite(self.hz) and self.hz > 0
+        ):
+            raise ModelError(f"a mode's frequency is a positive number of hertz; got {self.hz}.")
+
+    def inertia(self, equation: Equation) -> Term | None:
+        """The term of an equation that accelerates the body, if it has one."""
+        for term in equation.terms:
+            if not (isinstance(term, Term) and isinstance(term.of, str)):
+                continue
+            velocity = term.measured[0] if term.measured else f"d{term.of}"
+            if (term.derivative == 1 and term.of == self.on) or (
+                term.derivative == 2 and self.on in (term.of, velocity)
+            ):
+                return term
+        return None
+
+    def units(self, number: int, equations: Sequence[Equation]) -> dict[str, str]:
+        """Units of the parameters of the mode with this number, by the body's own."""
+        terms = [term for e in equations if (term := self.inertia(e)) is not None]
+        mass = next((term.unit for term in terms if term.unit), "")
+        known = {"kg": ("N/m", "N s/m"), "kg m^2": ("N m/rad", "N m s/rad"), "": ("", "")}
+        others = known.get(mass, (f"{mass}/s^2", f"{mass}/s"))
+        return dict(zip(ModeParameters.of(number), (mass, *others)))
+
+
+class ModeParameters(NamedTuple):
+    """Names of a mode's mass, stiffness and damping."""
+
+    mass: str
+    stiffness: str
+    damping: str
+
+    @classmethod
+    def of(cls, number: int) -> "ModeParameters":
+        """Of the mode with this number, from 0."""
+        ending = "" if number == 0 else f"_{number + 1}"
+        return cls(f"M_mode{ending}", f"K_mode{ending}", f"B_mode{ending}")
+
+
+Values = Mapping[str, Array]
+
+
+class Shape(NamedTuple):
+    """D = 1 + q s + p s^2 of a mode: p = M / K in s^2, q = B / K in s."""
+
+    p: Array
+    q: Array
+
+
+class Expanded(eqx.Module):
+    """An equation with modes, as one that is linear in more columns than it has parameters.
+
+    **Fields:** `equation`, linear, whose terms are those of the equation differentiated 0 to `most`
+    times; `parameters` of the equation without its modes; `modes`, of each mode in it its
+    parameters and the column of its body's acceleration among `columns`, the equation's own, which
+    begin with the target.
+    """
+
+    equation: Equation
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    columns: tuple[str, ...] = eqx.field(static=True)
+    modes: tuple[tuple[ModeParameters, str], ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, equation: Equation, modes: Sequence[HiddenMode]) -> "Expanded":
+        """An equation with those of some modes whose bodies it accelerates."""
+        terms, carried = list(equation.terms), []
+        for number, mode in enumerate(modes):
+            inertia = mode.inertia(equation)
+            if inertia is None:
+                continue
+            column = inertia.name
+            if column is None:
+                # A known mass is part of the target: the acceleration needs a column of its own.
+                column = f"acceleration of {mode.on}"
+                terms.append(_unit_inertia(inertia, column))
+            carried.append((ModeParameters.of(number), column))
+        own = Equation(*terms, name=equation.name)
+        columns = (TARGET, *own.parameters) if own.has_target else own.parameters
+        raised = [_raised(t, k) for k in range(1, 2 * len(carried) + 1) for t in terms]
+        linear = Equation(
+            *terms, *raised, name=equation.name, unit=equation.unit, where=equation.where
+        )
+        return cls(linear, equation.parameters, columns, tuple(carried))
+
+    @property
+    def most(self) -> int:
+        """Derivatives that modes put in front of every term."""
+        return 2 * len(self.modes)
+
+    @property
+    def all_parameters(self) -> tuple[str, ...]:
+        """Parameters of the equation and then of its modes."""
+        return (*self.parameters, *(name for names, _ in self.modes for name in names))
+
+    @staticmethod
+    def shape(values: Values, names: ModeParameters) -> Shape:
+        """p and q of a mode with these parameters."""
+        mass, stiffness, damping = (values[name] for name in names)
+        return Shape(mass / stiffness, damping / stiffness)
+
+    def residual(self, values: Values, shapes: Sequence[Shape]) -> Float[Array, " columns"]:
+        """The residual as a combination of the linear equation's columns, the target first.
+
+        It is affine in the coefficients and in the modes' masses, for modes of given shapes.
+
+        **Arguments:** `values` of the equation's coefficients and of the modes' masses.
+        """
+        each = [jnp.stack([jnp.ones_like(s.p), s.q, s.p]) for s in shapes]
+        whole = jnp.ones(1)
+        for one in each:
+            whole = jnp.convolve(whole, one)
+        weights = {name: -jnp.asarray(values[name]) * whole for name in self.parameters}
+        weights[TARGET] = whole
+        for i, (names, column) in enumerate(self.modes):
+            own = values[names.mass] * each[i].at[2].set(0.0)
+            for other in (*each[:i], *each[i + 1 :]):
+                own = jnp.convolve(own, other)
+            weights[column] = weights.get(column, jnp.zeros_like(whole)) - own
+        place = {name: i for i, name in enumerate(("", *self.equation.parameters))}
+        found = jnp.zeros(len(place), jnp.result_type(whole))
+        for name in self.columns:
+            found = found.at[place["" if name == TARGET else name]].add(weights[name][0])
+            for order in range(1, self.most + 1):
+                # A known term that is differentiated has not changed sides.
+                side = -1 if name == TARGET else 1
+                found = found.at[place[name + "'" * order]].add(side * weights[name][order])
+        return found
+
+    def linearised(self, values: Values) -> Float[Array, "1+p columns"]:
+        """Target and regressors of the equation linearised about these values, as combinations.
+
+        The residual r is homogeneous in each mode's three parameters, of degree one through its
+        mass: their regressors -dr/dtheta, each times its parameter, add up to the mode's own term.
+        So the target r - sum theta dr/dtheta is D y, and values that are held fixed join it as in
+        any equation.
+        """
+        names = self.all_parameters
+        at = {name: jnp.asarray(values[name], jnp.result_type(float)) for name in names}
+
+        def residual(values: Values) -> Array:
+            return self.residual(values, [self.shape(values, names) for names, _ in self.modes])
+
+        slopes = jax.jacfwd(residual)(at)
+        target = residual(at) - sum(at[name] * slopes[name] for name in names)
+        return jnp.stack([target, *(-slopes[name] for name in names)])
+
+
+def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]:
+    """Natural frequency in hertz and damping ratio of a mode on a body at rest."""
+    mass, stiffness, damping = (values[name] for name in names)
+    root = jnp.sqrt(jnp.abs(stiffness / mass))
+    return root / (2 * np.pi), damping / (2 * mass * root)
+
+
+def _unit_inertia(term: Term, name: str) -> Term:
+    sign = jnp.sign(jnp.asarray(term.number))
+    return Term(name, term.of, derivative=term.derivative, measured=term.measured, sign=sign)
+
+
+def _raised(term: AbstractTerm, by: int) -> AbstractTerm:
+    """A term differentiated `by` times, under a name of its own."""
+    changes: dict[str, object] = {"derivative": term.derivative + by}
+    if isinstance(term, Terms):
+        changes["basis"] = _Labelled(term.basis, "'" * by)
+    else:
+        assert isinstance(term, Term)
+        changes |= {"name": (term.name or TARGET) + "'" * by, "known": None}
+    raised = object.__new__(type(term))
+    for field in type(term).__dataclass_fields__:
+        object.__setattr__(raised, field, changes.get(field, getattr(term, field)))
+    return raised
+
+
+class _Labelled(AbstractBasis):
+    """A basis whose labels end in something more."""
+
+    basis: AbstractBasis
+    ending: str = eqx.field(static=True)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(label + self.ending for label in self.basis.labels)
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
+        return self.basis(x)
