@@ -8,9 +8,11 @@ derivatives off the position instead, and the velocity appears in no window.
 import functools
 from collections.abc import Sequence
 
+import numpy as np
+
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.windows import DEFAULT_BAND
+from riecjax.criteria.smooth_test_functions import Bump, GradedBump
+from riecjax.criteria.windows import DEFAULT_BAND, AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term
@@ -23,6 +25,12 @@ LENGTHS = 8
 """Of bumps, evenly spaced: their rows change slowly with the length."""
 LONGEST = 0.2
 """Share of a record that a bump lasts at most."""
+PERIODS = 1.3
+"""Periods of a mode that a bump lasts in which it shows best."""
+FASTER = 5
+"""Times the band's highest frequency that modes are looked for up to."""
+RATIO = 2**0.5
+"""Of neighbouring lengths of bumps where modes are hidden."""
 MOST = 2
 """Time derivatives that a test function takes off at most."""
 
@@ -34,6 +42,8 @@ def suited(
 
     **Arguments:** `band` in hertz that the model should explain, 1 to 10 if there is none.
     """
+    if procedure.modes:
+        return _with_modes(procedure, band or DEFAULT_BAND, list(records))
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
     equations = [equation for stage in procedure.stages for equation in stage]
     lacking = [name for e in equations for record in records for name in unmeasured(e, record)]
@@ -49,6 +59,25 @@ def suited(
     alpha = xp.maximum(xp.minimum(alpha, 0.5 * beta), shortest)
     why = f"no sensor measured {lacking[0]}; smooth windows take both derivatives off the position"
     return RIEC(bump.windows.between(alpha, beta), bump.test_function, why)
+
+
+def _with_modes(procedure: Procedure, band: tuple[float, float], records: Sequence[Record]) -> RIEC:
+    """Bumps of lengths from what shows the fastest mode to what the slowest motion asks for.
+
+    A mode shows best in windows of 1.3 of its periods. The shortest serve modes up to `FASTER`
+    times the band, or a given one; no window has fewer samples than its derivatives need.
+    """
+    orders = [t.derivative for stage in procedure.linear.stages for e in stage for t in e.terms]
+    fastest = max([FASTER * band[1], *(1.5 * mode.hz for mode in procedure.modes if mode.hz)])
+    steps = np.array([float(record.time_step) for record in records])
+    durations = np.array([float(record.duration) for record in records])
+    half, _ = GradedBump().lengths_of_band(band)
+    alpha = max(PERIODS / fastest, GradedBump.fewest_samples * steps.max())
+    beta = max(min(2 * float(half), LONGEST * durations.min()), RATIO * alpha)
+    count = 1 + int(np.ceil(np.log(beta / alpha) / np.log(RATIO) - 1e-9))
+    weight = GradedBump(p=max(8, max(orders) + 5), lengths=count, derivatives=max(orders))
+    why = "hidden modes put derivatives in front of every term, which smooth windows take off"
+    return RIEC(AllWindows(alpha, beta), weight, why)
 
 
 def unmeasured(equation: Equation, record: Record) -> list[str]:

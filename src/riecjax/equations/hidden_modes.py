@@ -10,8 +10,8 @@ again in the coefficients theta, of known target y and columns a,
 
     D y = sum_j theta_j D a_j + M (1 + q s) a_v,
 
-with every term at derivatives 0 to 2 higher, which a smooth test function takes off. Its columns for
-any mode are combinations of the same few, so that one Gram matrix holds all of them. With several
+with every term at derivatives 0 to 2 higher, which a smooth test function takes off. Its columns
+for any mode are combinations of the same few, so that one Gram matrix holds all. With several
 modes D is the product of theirs, and each mode's own column has those of the others in front.
 
 D is 1 at rest, so that the equation keeps its unit, and for a stiff mode it is the equation as it
@@ -165,25 +165,25 @@ class Expanded(eqx.Module):
         **Arguments:** `values` of the equation's coefficients and of the modes' masses.
         """
         each = [jnp.stack([jnp.ones_like(s.p), s.q, s.p]) for s in shapes]
-        whole = jnp.ones(1)
-        for one in each:
-            whole = jnp.convolve(whole, one)
-        weights = {name: -jnp.asarray(values[name]) * whole for name in self.parameters}
-        weights[TARGET] = whole
+        whole = _product(each)
+        weights = [1.0 if name == TARGET else -values.get(name, 0.0) for name in self.columns]
+        powers = jnp.stack([jnp.asarray(w, whole.dtype) for w in weights])[:, None] * whole
         for i, (names, column) in enumerate(self.modes):
-            own = values[names.mass] * each[i].at[2].set(0.0)
-            for other in (*each[:i], *each[i + 1 :]):
-                own = jnp.convolve(own, other)
-            weights[column] = weights.get(column, jnp.zeros_like(whole)) - own
-        place = {name: i for i, name in enumerate(("", *self.equation.parameters))}
-        found = jnp.zeros(len(place), jnp.result_type(whole))
-        for name in self.columns:
-            found = found.at[place["" if name == TARGET else name]].add(weights[name][0])
-            for order in range(1, self.most + 1):
+            own = _product([each[i].at[2].set(0.0), *each[:i], *each[i + 1 :]])
+            powers = powers.at[self.columns.index(column)].add(-values[names.mass] * own)
+        return self._places @ powers.ravel()
+
+    @property
+    def _places(self) -> Float[np.ndarray, "linear_columns columns_and_orders"]:
+        """Which column of the linear equation each derivative of a column is."""
+        names = ("", *self.equation.parameters)
+        found = np.zeros((len(names), len(self.columns), self.most + 1))
+        for i, name in enumerate(self.columns):
+            for order in range(self.most + 1):
+                own = "" if (name, order) == (TARGET, 0) else name + "'" * order
                 # A known term that is differentiated has not changed sides.
-                side = -1 if name == TARGET else 1
-                found = found.at[place[name + "'" * order]].add(side * weights[name][order])
-        return found
+                found[names.index(own), i, order] = -1.0 if name == TARGET and order else 1.0
+        return found.reshape(len(names), -1)
 
     def linearised(self, values: Values) -> Float[Array, "1+p columns"]:
         """Target and regressors of the equation linearised about these values, as combinations.
@@ -202,6 +202,14 @@ class Expanded(eqx.Module):
         slopes = jax.jacfwd(residual)(at)
         target = residual(at) - sum(at[name] * slopes[name] for name in names)
         return jnp.stack([target, *(-slopes[name] for name in names)])
+
+
+def _product(polynomials: Sequence[Float[Array, "3"]]) -> Float[Array, " powers"]:
+    """Coefficients of a product of polynomials; 1 of none."""
+    found = jnp.ones(1)
+    for number, one in enumerate(polynomials):
+        found = one if number == 0 else jnp.convolve(found, one)
+    return found
 
 
 def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, IdentifiabilityError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
+from riecjax.estimation.hidden_modes import Contraction, find_modes
 from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
 from riecjax.estimation.stages import (
@@ -154,18 +155,26 @@ def _estimated(
     intervals: AbstractIntervals | None,
 ) -> Estimate:
     sharing, given, _ = plan
-    equations, short = summary.equations(), summary.short_blocks
+    equations, sources = summary.equations(), summary.noise_by_source()
+    modes, short = None, summary.short_blocks
+    if procedure.modes:
+        modes = find_modes(procedure, summary, given)
+        for i, band in enumerate(modes.bands):
+            if band is not None:
+                equations[i] = summary.equations(band)[i]
+                sources[i] = summary.noise_by_source(band)[i]
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = (intervals or BlockBootstrap()).drawn(short.number.shape[0])
     settings = (given, window, short, sharing, drawn)
-    sources, freedom = summary.noise_by_source(), summary.noise_freedom
-    settings = (sources, freedom, *settings)
+    contraction = None if modes is None else modes.contraction
+    settings = (contraction, sources, summary.noise_freedom, *settings)
     fit = _solve(equations, *settings, None)
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
         # Sums that were made under jit have no averages to tell a constant target by.
-        if all(one.stages[0][0].averages is not None for one in summary.recordings):
+        averaged = all(one.stages[0][0].averages is not None for one in summary.recordings)
+        if averaged and modes is None:
             for finding in constant_targets(procedure, sharing, summary.recordings, given):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
@@ -173,7 +182,8 @@ def _estimated(
         if condition > gram_condition_limit(window.dtype) and (rows := _rows(summary, equations)):
             fit = _solve(equations, *settings, rows)
         _raise_if_unidentifiable(fit.stages, plan)
-        fit = fit._replace(stages=_with_sizes_in_bursts(fit, procedure, plan, summary))
+        if modes is None:
+            fit = fit._replace(stages=_with_sizes_in_bursts(fit, procedure, plan, summary))
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
     offered = offered if summary.band == summary.in_law else np.nan
@@ -214,6 +224,7 @@ class _Fit(NamedTuple):
 @eqx.filter_jit
 def _solve(
     equations: list[list[NormalEquations]],
+    contraction: Contraction | None,
     sources: list[list[NormalEquations]],
     freedom: Float[Leaf, "records sources"],
     known: Mapping[str, Array],
@@ -223,6 +234,8 @@ def _solve(
     intervals: AbstractIntervals,
     rows: list[list[list[Rows]]] | None,
 ) -> _Fit:
+    if contraction is not None:
+        equations, sources = contraction(equations, sources, known)
     both = [[borne_out(*pair) for pair in zip(*stage)] for stage in zip(equations, sources)]
     equations = [[e for e, _ in stage] for stage in both]
     stages, shared = stages_over_records(equations, sharing)

@@ -222,10 +222,11 @@ class Summary(eqx.Module):
             for i, stage in enumerate(self.outline.stages)
         ]
 
-    def noise_by_source(self) -> list[list[NormalEquations]]:
+    def noise_by_source(self, band: tuple[int, int] | None = None) -> list[list[NormalEquations]]:
         """Of each equation of each stage, what each source of noise adds, with axes
-        `(recordings, sources)`; empty ones follow where a recording has fewer."""
-        first, last = self.band
+        `(recordings, sources)`; empty ones follow where a recording has fewer. Of the bins in use,
+        or of others."""
+        first, last = self.band if band is None else band
 
         def of(one: RecordingSums, equation: EquationSums) -> NormalEquations:
             size, each = len(one.noise.sources), equation.noise_of_source

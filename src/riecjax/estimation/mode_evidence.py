@@ -1,0 +1,161 @@
+"""Whether recordings carry a hidden mode: what it explains of blocks of time it was not found from.
+
+The record is cut into folds. Of each, the mode is found from all others, and what it leaves of the
+fold is compared with what the equation leaves without it, both multiplied by the same D and less
+noise. A mode that is not there explains nothing of a fold but by chance, wherever the search has
+put it.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.equations.equation import Equation
+from riecjax.equations.hidden_modes import Expanded, ModeParameters
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.errors import ModelError
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.hidden_modes import (
+    ModeMap,
+    ModeStage,
+    Values,
+    find_modes,
+    mode_map,
+    polished,
+    search_band,
+)
+from riecjax.findings import Finding
+from riecjax.leaves import Leaf, on_host
+from riecjax.summaries.normal_equations import NormalEquations
+
+FOLDS = 10
+"""Stretches of time that are left out in turn."""
+CERTAIN = 3.0
+"""Standard errors by which a mode must explain more than nothing: of ten folds, one in 130."""
+LITTLE = 0.5
+"""Share of what is left without a mode that a true one explains at the least."""
+
+
+class ModeEvidence(NamedTuple):
+    """What speaks for the last hidden mode of a stage.
+
+    **Fields:** `parameters` of the mode, and of the `stage` its name; `map`, what a mode of any
+    frequency leaves, see [`ModeMap`][riecjax.estimation.ModeMap]; `unexplained` share of the
+    target on time left out, with and `without` the mode, means over folds; `gain`, their
+    difference, and its standard error; `lengths` of the windows in seconds.
+    """
+
+    parameters: ModeParameters
+    stage: str
+    map: ModeMap
+    unexplained: Float[Leaf, ""]
+    without: Float[Leaf, ""]
+    gain: Float[Leaf, ""]
+    gain_error: Float[Leaf, ""]
+    lengths: tuple[float, float]
+
+    @property
+    def explained(self) -> float:
+        """Share that the mode explains of what is left without it, on time left out."""
+        without = float(self.without)
+        return float(self.gain) / without if without > 0 else 0.0
+
+    @property
+    def carried(self) -> bool:
+        """Whether the recordings carry the mode: it explains more than chance would, and much."""
+        sure = float(self.gain) > CERTAIN * float(self.gain_error)
+        return sure and self.explained > LITTLE
+
+    def findings(self) -> list[Finding]:
+        """A warning if nothing speaks for the mode, or little."""
+        if self.carried:
+            return []
+        names = self.parameters
+        return [
+            Finding(
+                "mode_not_carried",
+                f"{self.stage}: of what is left without the hidden mode it explains "
+                f"{100 * max(self.explained, 0.0):.2g} % on time that it was not found from "
+                f"({100 * float(self.without):.2g} % of the signal is left without it and "
+                f"{100 * float(self.unexplained):.2g} % with it, difference "
+                f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %): the "
+                f"recordings do not carry this mode. Leave it out; something else is missing, "
+                f"such as friction or a delay, or nothing.",
+                parameters=tuple(names),
+            )
+        ]
+
+
+def mode_evidence(
+    model: Equation | Procedure | HasProcedure, estimate: Estimate
+) -> list[ModeEvidence]:
+    """What speaks for the hidden modes of an estimate, stage by stage (not under jit).
+
+    **Raises:** `ModelError` for an estimate without a Summary or a model without modes.
+    """
+    procedure, summary = as_procedure(model), estimate.summary
+    if summary is None or not procedure.modes:
+        raise ModelError("evidence is of an estimate, made outside jax.jit, of hidden modes.")
+    values = {**estimate.known, **{name: estimate[name] for name in estimate.parameters}}
+    given = {name: jnp.asarray(value) for name, value in estimate.known.items()}
+    found = find_modes(procedure, summary, given)
+    evidence = []
+    known = dict(given)
+    for i, equations in enumerate(procedure.expanded):
+        own = ModeStage.of(equations, summary.equations()[i], known).sought
+        if own:
+            sums = summary.equations(found.bands[i])[i]
+            band = search_band(procedure, summary, own[-1])
+            raw = on_host(_evidence(equations, sums, known, found.contraction.start[i], band))
+            label = procedure.plan(set(known))[i][0]
+            lengths = found.lengths[i] or summary.lengths_of(summary.band)
+            evidence.append(ModeEvidence(own[-1], label, *raw, lengths))
+        known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}
+    return evidence
+
+
+@eqx.filter_jit
+def _evidence(
+    equations: tuple[Expanded, ...],
+    sums: list[NormalEquations],
+    known: Values,
+    at: Float[Array, "modes 2"],
+    band: tuple[Leaf, Leaf],
+) -> tuple[ModeMap, Array, Array, Array, Array]:
+    stage = ModeStage.of(equations, sums, known)
+    folds = [_in_folds(one) for one in sums]
+
+    def of_fold(number: Array) -> tuple[Array, Array]:
+        others = [whole - fold[number] for whole, fold in zip(stage.moments, folds)]
+        train = stage._replace(moments=others)
+        there = polished(train, at)
+        fit = train.projected(there)
+        own = [fold[number] for fold in folds]
+        target = stage._replace(moments=own).projected(there).target
+        share = jnp.where(target > 0, target, jnp.inf)
+        left = stage.energy(own, there, fit.theta) / share
+        return left, stage.energy(own, there, fit.without_last().theta) / share
+
+    left, without = jax.vmap(of_fold)(jnp.arange(FOLDS))
+    gain = without - left
+    error = jnp.std(gain, ddof=1) / np.sqrt(FOLDS)
+    return (
+        mode_map(stage, band, at[:-1]),
+        jnp.mean(left),
+        jnp.mean(without),
+        jnp.mean(gain),
+        error,
+    )
+
+
+def _in_folds(sums: NormalEquations) -> Float[Array, "folds columns columns"]:
+    """Clean moments of stretches of time, of all recordings one after the other."""
+    flat = sums.flattened()
+    # By windows rather than by blocks, some of which only fill the array up.
+    before = jnp.cumsum(flat.count) - 0.5 * flat.count
+    place = jnp.clip(FOLDS * before / jnp.sum(flat.count), 0, FOLDS - 1).astype(int)
+    return jax.ops.segment_sum(flat.clean, place, num_segments=FOLDS)
