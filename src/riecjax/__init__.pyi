@@ -24,6 +24,7 @@ from .equations.equation import Equation as Equation
 from .equations.expressions import constant as constant
 from .equations.expressions import difference as difference
 from .equations.expressions import product as product
+from .equations.hidden_modes import HiddenMode as HiddenMode
 from .equations.procedure import simultaneous as simultaneous
 from .equations.procedure import staged as staged
 from .equations.term import Term as Term

@@ -19,7 +19,7 @@ from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.leaves import on_host
-from riecjax.models.model import as_model
+from riecjax.models.model import Model, as_model
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
@@ -82,8 +82,7 @@ def assess(
     `IdentifiabilityError` for what [`Check.answerable`][] denies. What cannot be tested or
     simulated raises nothing: it is a finding.
     """
-    model = as_model(model)
-    procedure = model.build_procedure()
+    model, procedure = _without_modes(model)
     recordings = ready(procedure, recordings, noise)
     if criterion is None:
         criterion = suited(procedure, model.band, [each.record for each in recordings])
@@ -105,6 +104,17 @@ def assess(
         BlockBootstrap() if intervals is None else intervals,
     )
     return _assessed(asked, (refine, bounds, horizon, progress), sweep, on_estimate)
+
+
+def _without_modes(model: Equation | Procedure | HasProcedure) -> tuple[Model, Procedure]:
+    described = as_model(model)
+    procedure = described.build_procedure()
+    if procedure.modes:
+        raise ModelError(
+            "rx.assess knows no hidden modes yet: use rx.identify, and "
+            "rx.estimation.mode_evidence for what speaks for them."
+        )
+    return described, procedure
 
 
 def _require_sense(

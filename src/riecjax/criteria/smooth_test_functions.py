@@ -317,7 +317,7 @@ class GradedBump(Bump):
         return WindowSet(start, start + length), lengths
 
     def edges(self, alpha: float, beta: float) -> Float[np.ndarray, " lengths+1"]:
-        """Edges in seconds of bins that hold one length each."""
+        """Edges in seconds of bins that hold one length each, see the base class."""
         lengths = np.geomspace(alpha, beta, self.lengths)
         return np.concatenate([[alpha], np.sqrt(lengths[1:] * lengths[:-1]), [beta]])
 

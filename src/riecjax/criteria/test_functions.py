@@ -89,6 +89,10 @@ class AbstractTestFunction(eqx.Module):
         """
         return half_periods(band)
 
+    def edges(self, alpha: float, beta: float) -> Float[np.ndarray, " edges"] | None:
+        """Edges in seconds of bins of lengths whose sums it asks to be kept apart, if any."""
+        return None
+
     def integrals(
         self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
     ) -> Integrals:

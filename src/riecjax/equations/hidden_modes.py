@@ -167,11 +167,11 @@ class Expanded(eqx.Module):
         each = [jnp.stack([jnp.ones_like(s.p), s.q, s.p]) for s in shapes]
         whole = _product(each)
         weights = [1.0 if name == TARGET else -values.get(name, 0.0) for name in self.columns]
-        powers = jnp.stack([jnp.asarray(w, whole.dtype) for w in weights])[:, None] * whole
+        powers = jnp.stack([jnp.asarray(w, whole.dtype) for w in weights])[:, None] * whole[None, :]
         for i, (names, column) in enumerate(self.modes):
             own = _product([each[i].at[2].set(0.0), *each[:i], *each[i + 1 :]])
             powers = powers.at[self.columns.index(column)].add(-values[names.mass] * own)
-        return self._places @ powers.ravel()
+        return jnp.asarray(self._places) @ powers.ravel()
 
     @property
     def _places(self) -> Float[np.ndarray, "linear_columns columns_and_orders"]:

@@ -11,7 +11,7 @@ from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import Terms
-from riecjax.errors import IdentifiabilityError, renamed
+from riecjax.errors import IdentifiabilityError, ModelError, renamed
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.parameters import plan_parameters
@@ -99,6 +99,8 @@ def check(
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
+    if as_procedure(model).modes:
+        raise ModelError("rx.check knows no hidden modes yet: check the model without them.")
     recordings = ready(as_procedure(model), records, noise)
     asked = task(model, recordings, criterion, key)
     procedure, plain, criterion, _ = asked

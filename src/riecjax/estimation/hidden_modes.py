@@ -7,8 +7,8 @@ Gauss-Newton step from there stays there, and everything that is said of a linea
 blocks and replicates, is said of this one.
 
 What is made small is the residual's energy less what noise adds. Multiplied by D a residual is
-small where D is, whatever the mode's mass: shapes are therefore compared by the share of the target D y
-that they leave, and only the last steps, from the best of them, are of the energy itself.
+small where D is, whatever the mode's mass: shapes are therefore compared by the share of the
+target D y that they leave, and only the last steps, from the best of them, are of the energy.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from riecjax.equations.hidden_modes import Expanded, ModeParameters, Shape
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.stage_sums import sum_of_equations
@@ -84,7 +84,7 @@ class ModeStage(NamedTuple):
         slopes = jax.jacfwd(lambda theta: self.residuals(at, theta))(zero)
         gram = jnp.zeros((1 + zero.size,) * 2, at.dtype)
         for rest, slope, moments in zip(none, slopes, self.moments):
-            mix = jnp.concatenate([rest[None], -slope.T])
+            mix = jnp.concatenate([rest[None, :], -slope.T])
             gram = gram + mix @ moments @ mix.T
         return Projected.of(gram)
 
@@ -236,7 +236,7 @@ def polished(stage: ModeStage, start: Float[Array, "modes 2"]) -> Float[Array, "
         size = jnp.maximum(jnp.abs(values), 1e-9 * jnp.max(jnp.abs(values)))
         downhill = -vectors @ ((vectors.T @ slope) / jnp.where(size > 0, size, 1.0))
         downhill = downhill * jnp.minimum(1.0, FARTHEST / jnp.max(jnp.abs(downhill)))
-        tried = at + jnp.asarray(SHORTENED)[:, None] * downhill
+        tried = at[None, :] + jnp.asarray(SHORTENED)[:, None] * downhill[None, :]
         energies = jax.vmap(lambda x: stage.projected(x.reshape(start.shape)).energy)(tried)
         return tried[jnp.argmin(jnp.where(jnp.isfinite(energies), energies, jnp.inf))]
 
@@ -312,6 +312,8 @@ def _tried(
     bands: tuple[tuple[Leaf, Leaf], ...],
 ) -> Tried:
     """The modes that one stage's equations ask for, from its sums over some windows."""
+    # The search is not differentiated: what it finds has the minimum's own derivative.
+    sums, known, bands = held_still((sums, dict(known), bands))
     stage = ModeStage.of(equations, sums, known)
     at = search(stage, bands)
     fit, values = stage.projected(at), stage.values(at)
@@ -326,7 +328,9 @@ def _tried(
     doubt = jnp.sum(variance / size**2)
     good = jnp.all(size > 0) & jnp.all(at[:, 1] > 0) & jnp.isfinite(doubt) & (fit.target > 0)
     target = jnp.where(fit.target > 0, fit.target, 1.0)
-    return Tried(at, jnp.where(good, doubt, jnp.inf), fit.energy / target, fit.without_last().energy / target)
+    return Tried(
+        at, jnp.where(good, doubt, jnp.inf), fit.energy / target, fit.without_last().energy / target
+    )
 
 
 class FoundModes(NamedTuple):

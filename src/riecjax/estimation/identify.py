@@ -14,7 +14,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import DataError, IdentifiabilityError, renamed, require
+from riecjax.errors import DataError, IdentifiabilityError, ModelError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
 from riecjax.estimation.hidden_modes import Contraction, find_modes
@@ -158,6 +158,8 @@ def _estimated(
     equations, sources = summary.equations(), summary.noise_by_source()
     modes, short = None, summary.short_blocks
     if procedure.modes:
+        if sharing.own:
+            raise ModelError("per_record has no meaning yet for a model with hidden modes.")
         modes = find_modes(procedure, summary, given)
         for i, band in enumerate(modes.bands):
             if band is not None:

@@ -36,6 +36,10 @@ FOLDS = 10
 """Stretches of time that are left out in turn."""
 CERTAIN = 3.0
 """Standard errors by which a mode must explain more than nothing: of ten folds, one in 130."""
+LEAST = 1e-5
+"""Share of the target that is left of any equation by integration between samples."""
+UNSURE = 0.2
+"""Share of the noise's own energy that may be left because its size was judged wrongly."""
 LITTLE = 0.5
 """Share of what is left without a mode that a true one explains at the least."""
 
@@ -43,17 +47,21 @@ LITTLE = 0.5
 class ModeEvidence(NamedTuple):
     """What speaks for the last hidden mode of a stage.
 
-    **Fields:** `parameters` of the mode, and of the `stage` its name; `map`, what a mode of any
+    **Fields:** `parameters` of the mode, and of the `stage` its name; `oscillates`, whether mass,
+    stiffness and damping are positive and the damping less than critical; `map`, what a mode of any
     frequency leaves, see [`ModeMap`][riecjax.estimation.ModeMap]; `unexplained` share of the
     target on time left out, with and `without` the mode, means over folds; `gain`, their
-    difference, and its standard error; `lengths` of the windows in seconds.
+    difference, and its standard error; `noise`, share of the target that noise was in the residual,
+    and that was taken off; `lengths` of the windows in seconds.
     """
 
     parameters: ModeParameters
     stage: str
+    oscillates: bool
     map: ModeMap
     unexplained: Float[Leaf, ""]
     without: Float[Leaf, ""]
+    noise: Float[Leaf, ""]
     gain: Float[Leaf, ""]
     gain_error: Float[Leaf, ""]
     lengths: tuple[float, float]
@@ -67,14 +75,25 @@ class ModeEvidence(NamedTuple):
     @property
     def carried(self) -> bool:
         """Whether the recordings carry the mode: it explains more than chance would, and much."""
-        sure = float(self.gain) > CERTAIN * float(self.gain_error)
-        return sure and self.explained > LITTLE
+        least = max(CERTAIN * float(self.gain_error), LEAST, UNSURE * float(self.noise))
+        much = float(self.gain) > least and self.explained > LITTLE
+        return much and self.oscillates
 
     def findings(self) -> list[Finding]:
         """A warning if nothing speaks for the mode, or little."""
         if self.carried:
             return []
         names = self.parameters
+        if not self.oscillates and self.explained > LITTLE:
+            return [
+                Finding(
+                    "mode_not_carried",
+                    f"{self.stage}: what fits best in place of a hidden mode is no oscillator: its "
+                    f"mass, stiffness or damping is negative, or its damping more than critical. "
+                    f"Leave it out; something else is missing, such as a delay of one signal.",
+                    parameters=tuple(names),
+                )
+            ]
         return [
             Finding(
                 "mode_not_carried",
@@ -113,7 +132,10 @@ def mode_evidence(
             raw = on_host(_evidence(equations, sums, known, found.contraction.start[i], band))
             label = procedure.plan(set(known))[i][0]
             lengths = found.lengths[i] or summary.lengths_of(summary.band)
-            evidence.append(ModeEvidence(own[-1], label, *raw, lengths))
+            mass, stiffness, damping = (float(values[name]) for name in own[-1])
+            positive = min(mass, stiffness, damping) > 0
+            oscillates = positive and damping**2 < 4 * mass * stiffness
+            evidence.append(ModeEvidence(own[-1], label, oscillates, *raw, lengths))
         known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}
     return evidence
 
@@ -125,7 +147,7 @@ def _evidence(
     known: Values,
     at: Float[Array, "modes 2"],
     band: tuple[Leaf, Leaf],
-) -> tuple[ModeMap, Array, Array, Array, Array]:
+) -> tuple[ModeMap, Array, Array, Array, Array, Array]:
     stage = ModeStage.of(equations, sums, known)
     folds = [_in_folds(one) for one in sums]
 
@@ -140,6 +162,12 @@ def _evidence(
         left = stage.energy(own, there, fit.theta) / share
         return left, stage.energy(own, there, fit.without_last().theta) / share
 
+    fit = stage.projected(at)
+    added = [jnp.zeros_like(m) for m in stage.moments]
+    if sums[0].noise is not None:
+        added = [one.with_noise(None).flattened().total().moments for one in sums]
+        added = [both - clean for both, clean in zip(added, stage.moments)]
+    noise = stage.energy(added, at, fit.theta) / jnp.where(fit.target > 0, fit.target, jnp.inf)
     left, without = jax.vmap(of_fold)(jnp.arange(FOLDS))
     gain = without - left
     error = jnp.std(gain, ddof=1) / np.sqrt(FOLDS)
@@ -147,6 +175,7 @@ def _evidence(
         mode_map(stage, band, at[:-1]),
         jnp.mean(left),
         jnp.mean(without),
+        noise,
         jnp.mean(gain),
         error,
     )

@@ -6,7 +6,6 @@ from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.length_bins import LengthBins
-from riecjax.criteria.smooth_test_functions import GradedBump
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import ModelError
@@ -62,9 +61,8 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
     procedure = procedure.linear
     outline = Outline.of(procedure)
     traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
-    graded = isinstance(criterion.test_function, GradedBump) and criterion.in_closed_form
-    if bins is None and graded and not traced:
-        windows = criterion.windows
+    windows = criterion.windows
+    if bins is None and windows is not None and criterion.in_closed_form and not traced:
         bins = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
     kept_apart = None if bins is None else _bins(criterion, bins, traced)
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart

@@ -52,6 +52,7 @@ def task(
         of_records = [recording.record for recording in recordings]
         criterion = suited(procedure, getattr(model, "band", None), of_records)
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
+    _require_derivatives(procedure, criterion)
     require_key(key)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
@@ -60,6 +61,19 @@ def task(
             criterion.check(recording.record)
     plain = [recording.record for recording in recordings]
     return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
+
+
+def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> None:
+    """Raise `ModelError` unless a criterion takes off what hidden modes put in front of terms."""
+    if not procedure.modes:
+        return
+    most = max(t.derivative for stage in procedure.linear.stages for e in stage for t in e.terms)
+    if criterion.smoothness < most or not criterion.in_closed_form:
+        raise ModelError(
+            f"hidden modes need all windows of a test function that takes {most} derivatives off: "
+            f"leave the criterion out, or rx.RIEC(rx.AllWindows(alpha, beta), "
+            f"rx.criteria.GradedBump(derivatives={most}))."
+        )
 
 
 def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") -> list[Recording]:

@@ -1,0 +1,168 @@
+"""Hidden modes: systems with an oscillator that the model does not know, solved by SciPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+
+import riecjax as rx
+from riecjax.equations.hidden_modes import Expanded
+from riecjax.estimation import mode_evidence
+from riecjax.uncertainty.intervals import Sandwich
+
+STEP, FINER = 0.005, 8
+TRUTH = {"m": 20.0, "c": 60.0, "k": 4000.0, "M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
+BODY = rx.Equation(
+    rx.Term("m", "v", derivative=1, unit="kg"),
+    rx.Term("c", "v", unit="N s/m"),
+    rx.Term("k", "x", unit="N/m"),
+    -rx.Term(1.0, "F"),
+    name="body",
+)
+
+
+def motion(mode: bool, count: int = 6000) -> dict[str, np.ndarray]:
+    """Position, velocity and force of the body, whose force is band-limited noise."""
+    m, c, k, heavy, stiff, loss = TRUTH.values()
+    if not mode:
+        heavy, stiff, loss = 1.0, 0.0, 0.0
+    a = np.array(
+        [
+            [0, 1, 0, 0],
+            [-(k + stiff) / m, -(c + loss) / m, stiff / m, loss / m],
+            [0, 0, 0, 1],
+            [stiff / heavy, loss / heavy, -stiff / heavy, -loss / heavy],
+        ]
+    )
+    b = np.array([[0], [1 / m], [0], [0]])
+    rng = np.random.default_rng(3)
+    sharp = scipy.signal.butter(6, 40.0, fs=FINER / STEP, output="sos")
+    force = 300 * np.asarray(scipy.signal.sosfilt(sharp, rng.standard_normal(count * FINER)))
+    times = np.arange(force.size) * STEP / FINER
+    _, states, _ = scipy.signal.lsim((a, b, np.eye(4), np.zeros((4, 1))), force, times)
+    return {"x": states[::FINER, 0], "v": states[::FINER, 1], "F": force[::FINER]}
+
+
+@pytest.fixture(scope="module")
+def with_mode() -> rx.Record:
+    return rx.Record(motion(True), STEP)
+
+
+MODEL = rx.staged(BODY).with_modes(rx.HiddenMode("v"))
+
+
+def test_a_hidden_mode_is_found(with_mode):
+    estimate = rx.identify(MODEL, with_mode)
+    for name, value in TRUTH.items():
+        assert float(estimate[name]) == pytest.approx(value, rel=2e-3), name
+    assert dict(estimate.units)["K_mode"] == "N/m"
+    evidence = mode_evidence(MODEL, estimate)[0]
+    assert evidence.carried
+    assert evidence.findings() == []
+    # The map is lowest near the mode: 9.4 Hz.
+    best = float(evidence.map.frequency[int(np.argmin(evidence.map.unexplained))])
+    assert best == pytest.approx(np.sqrt(21000 / 6) / (2 * np.pi), rel=0.1)
+
+
+def test_noise_is_taken_off(with_mode):
+    rng = np.random.default_rng(5)
+    noisy = {
+        name: np.asarray(x) + 0.02 * np.std(x) * rng.standard_normal(x.shape)
+        for name, x in with_mode.arrays.items()
+    }
+    estimate = rx.identify(MODEL, rx.Record(noisy, STEP))
+    for name in ("m", "M_mode", "K_mode"):
+        assert float(estimate[name]) == pytest.approx(TRUTH[name], rel=0.03), name
+        low, high = estimate.interval(name)
+        assert high - low < 0.15 * TRUTH[name]
+
+
+def test_a_right_model_carries_no_mode():
+    rng = np.random.default_rng(6)
+    clean = motion(False)
+    noisy = {n: x + 0.01 * x.std() * rng.standard_normal(x.shape) for n, x in clean.items()}
+    estimate = rx.identify(MODEL, rx.Record(noisy, STEP))
+    evidence = mode_evidence(MODEL, estimate)[0]
+    assert not evidence.carried
+    assert [finding.code for finding in evidence.findings()] == ["mode_not_carried"]
+
+
+def test_a_late_velocity_is_no_oscillator():
+    late = motion(False)
+    late["v"] = np.concatenate([late["v"][:1], late["v"][:-1]])
+    estimate = rx.identify(MODEL, rx.Record(late, STEP))
+    evidence = mode_evidence(MODEL, estimate)[0]
+    assert not evidence.carried
+    assert "delay" in evidence.findings()[0].message
+
+
+def test_a_known_mode_is_no_unknown(with_mode):
+    known = {name: TRUTH[name] for name in ("M_mode", "K_mode", "B_mode")}
+    estimate = rx.identify(MODEL, with_mode, known=known)
+    assert estimate.parameters == ("m", "c", "k")
+    assert float(estimate["m"]) == pytest.approx(20.0, rel=1e-3)
+
+
+def test_linearised_equations_leave_the_residual_itself():
+    # By Euler's theorem: a mode's three regressors, times its parameters, are its own term.
+    modes = [rx.HiddenMode("v"), rx.HiddenMode("v")]
+    expanded = Expanded.of(BODY, modes)
+    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
+    values |= {"M_mode_2": jnp.asarray(2.0), "K_mode_2": jnp.asarray(9e4)}
+    values |= {"B_mode_2": jnp.asarray(50.0)}
+    mix = expanded.linearised(values)
+    theta = jnp.stack([jnp.asarray(1.0), *(-values[n] for n in expanded.all_parameters)])
+    shapes = [expanded.shape(values, names) for names, _ in expanded.modes]
+    np.testing.assert_allclose(theta @ mix, expanded.residual(values, shapes), rtol=1e-12)
+
+
+def test_gradients_and_batches(with_mode):
+    weight = rx.criteria.GradedBump(lengths=1)
+    criterion = rx.RIEC(rx.AllWindows(0.16, 0.17), weight)
+    force = with_mode["F"]
+
+    def stiffness(scale: jax.Array) -> jax.Array:
+        record = with_mode.with_signals({"F": scale * force}, missing=with_mode.missing)
+        found = rx.identify(MODEL, record, criterion, intervals=Sandwich(), noise="none")
+        return found["K_mode"]
+
+    # Every stiffness is proportional to the force that moves the same way.
+    value, slope = jax.jit(jax.value_and_grad(stiffness))(jnp.asarray(1.0))
+    assert float(value) == pytest.approx(21000.0, rel=5e-3)
+    assert float(slope) == pytest.approx(float(value), rel=1e-6)
+
+
+def test_what_cannot_be_asked(with_mode):
+    with pytest.raises(rx.ModelError, match="no equation has one"):
+        rx.staged(BODY).with_modes(rx.HiddenMode("F"))
+    with pytest.raises(rx.ModelError, match="positive number of hertz"):
+        rx.HiddenMode("v", hz=-1.0)
+    with pytest.raises(rx.ModelError, match="all of M_mode, K_mode, B_mode are known or none"):
+        rx.identify(MODEL, with_mode, known={"M_mode": 6.0})
+    with pytest.raises(rx.ModelError, match="takes 3 derivatives off"):
+        rx.identify(MODEL, with_mode, rx.RIEC(rx.AllWindows(0.05, 0.5)))
+    with pytest.raises(rx.ModelError, match="per_record"):
+        rx.identify(MODEL, [with_mode, with_mode], per_record=["c"])
+    with pytest.raises(rx.ModelError, match="hidden modes"):
+        rx.assess(MODEL, with_mode)
+    with pytest.raises(rx.ModelError, match="hidden modes"):
+        rx.check(MODEL, with_mode)
+
+
+def test_rows_of_third_derivatives():
+    # The third derivative of t^3 is 6: its row is that of the constant 6.
+    t = STEP * (np.arange(80) - 40)
+    equation = rx.Equation(rx.Term("a", "cube"), -rx.Term(1.0, "six"))
+    cube = Expanded.of(
+        rx.Equation(rx.Term("a", "cube", derivative=1), -rx.Term(1.0, "six")),
+        [rx.HiddenMode("cube")],
+    ).equation
+    record = rx.Record({"cube": t**3, "six": np.full(80, 6.0)}, STEP)
+    weight = rx.criteria.GradedBump(lengths=1)
+    criterion = rx.RIEC(rx.RandomWindows(0.2, 0.21, 20), weight)
+    key = jax.random.key(0)
+    third = criterion.rows(cube, record, key)
+    constant = criterion.rows(equation, record, key)
+    column = third.columns[1 + third.parameters.index("a''")]
+    np.testing.assert_allclose(column, constant.columns[0], rtol=2e-4)
