@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from riecjax.errors import ModelError, users_code
@@ -13,9 +14,11 @@ if TYPE_CHECKING:
     from jaxtyping import Array
 
     from riecjax.equations.equation import Equation
+    from riecjax.equations.hidden_modes import HiddenMode
     from riecjax.equations.procedure import HasProcedure, Procedure
     from riecjax.records.record import Record
     from riecjax.refinement.parametric import AbstractParametric
+    from riecjax.simulation.attached_modes import Attachment
     from riecjax.simulation.system import AbstractSystem
 
 
@@ -47,6 +50,7 @@ class Model:
       its periods long (eq. 26) unless other lengths are asked for.
     - `written`: signals that a simulated recording holds; all by default.
     - `note`: something a user should know before using it.
+    - `modes`: oscillators that the equations leave out, see `with_modes`.
     """
 
     name: str
@@ -61,11 +65,36 @@ class Model:
     band: tuple[float, float] | None = None
     written: tuple[str, ...] = ()
     note: str = ""
+    modes: tuple[HiddenMode, ...] = ()
 
     @property
     def simulation_parameters(self) -> tuple[Quantity, ...]:
         """Parameters of the simulated system, with defaults."""
         return self.own_simulation_parameters or self.parameters
+
+    def with_modes(self, *modes: HiddenMode) -> Model:
+        """The same model with oscillators that its equations leave out.
+
+        Their parameters join the model's. Its own system carries them where that is exact: where
+        its equations say that the body's acceleration is coupled to no other.
+
+        **Raises:** `ModelError` for a mode on a signal whose derivative no equation holds.
+        """
+        from riecjax.equations.hidden_modes import ModeParameters
+
+        carrying = replace(self, modes=(*self.modes, *modes))
+        procedure = carrying.build_procedure()
+        added: list[Quantity] = []
+        for number, mode in enumerate(modes, len(procedure.modes) - len(modes)):
+            for part, name in ModeParameters.of(number)._asdict().items():
+                unit = procedure.units[name]
+                added.append(Quantity(name, unit, f"{part} of the hidden mode on {mode.on}"))
+        own = self.own_simulation_parameters
+        if {q.name for q in own} == {q.name for q in self.parameters}:
+            own = (*own, *added)
+        return replace(
+            carrying, parameters=(*self.parameters, *added), own_simulation_parameters=own
+        )
 
     def build_procedure(self) -> Procedure:
         """The equations to identify.
@@ -81,13 +110,14 @@ class Model:
             built = _resolve(self.procedure)()
         if not isinstance(built, Equation | Procedure):
             raise ModelError(f"{self.name}: its procedure must build an Equation or a Procedure.")
-        return staged(built) if isinstance(built, Equation) else built
+        procedure = staged(built) if isinstance(built, Equation) else built
+        return procedure.with_modes(*self.modes) if self.modes else procedure
 
     def build_system(self, settings: Mapping[str, float]) -> AbstractSystem:
         """The system to simulate, with its defaults replaced by `settings`.
 
-        **Raises:** `ModelError` if this model is only for identification, or for a setting that
-        is unknown or has neither value nor default.
+        **Raises:** `ModelError` if this model is only for identification, or its system cannot
+        carry its modes; for a setting that is unknown or has neither value nor default.
         """
         import jax.numpy as jnp
 
@@ -104,7 +134,13 @@ class Model:
             raise ModelError(
                 f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
             )
-        return _resolve(self.system)({name: jnp.asarray(v, float) for name, v in values.items()})
+        if self._carries and self._attachments is None:
+            raise ModelError(
+                f"the system of {self.name} cannot carry a hidden mode, whose body's velocity it "
+                f"does not have or accelerates together with others: simulate its equations, "
+                f"rx.equation_system(model.build_procedure(), values)."
+            )
+        return self._built({name: jnp.asarray(v, float) for name, v in values.items()})
 
     def identified_system(self, values: Mapping[str, Array], record: Record) -> AbstractSystem:
         """The system to validate identified values with on a record.
@@ -136,15 +172,45 @@ class Model:
             return ByCoefficients.of(self.build_procedure())
         assert self.system is not None
         return ByFunction(
-            _resolve(self.system),
+            self._built if self._carries else _resolve(self.system),
             tuple(parameter.name for parameter in parameters),
             tuple((parameter.name, parameter.unit) for parameter in parameters),
             {p.name: p.default for p in parameters if p.default is not None},
         )
 
     def _drives(self, record: Record) -> bool:
-        """Whether a record holds the inputs of the model's own system."""
-        return self.system is not None and all(q.name in record.signals for q in self.inputs)
+        """Whether a record holds the inputs of the model's own system, with its modes."""
+        held = self.system is not None and all(q.name in record.signals for q in self.inputs)
+        return held and not (self._carries and self._attachments is None)
+
+    @property
+    def _carries(self) -> bool:
+        """Whether modes are among what the model's own system is simulated with."""
+        return bool(self.modes) and self.simulation_parameters[-1:] == self.parameters[-1:]
+
+    @cached_property
+    def _attachments(self) -> tuple[Attachment, ...] | None:
+        """How modes are attached to the model's own system, if they can be."""
+        import jax.numpy as jnp
+
+        from riecjax.simulation.attached_modes import attachments
+
+        values = {q.name: 1.0 if q.default is None else q.default for q in self.parameters}
+        assert self.system is not None
+        inner = _resolve(self.system)({name: jnp.asarray(v) for name, v in values.items()})
+        return attachments(self.build_procedure(), inner)
+
+    def _built(self, values: Mapping[str, Any]) -> AbstractSystem:
+        """The model's own system with these values, carrying its modes."""
+        from riecjax.simulation.attached_modes import WithModes
+
+        assert self.system is not None
+        if not self._carries:
+            return _resolve(self.system)(values)
+        added = self._attachments or ()
+        own = {name for one in added for name in one.states.parameters}
+        inner = _resolve(self.system)({n: v for n, v in values.items() if n not in own})
+        return WithModes(inner, tuple(one.attached(values) for one in added))
 
 
 def as_model(model: Equation | Procedure | HasProcedure, name: str = "") -> Model:

@@ -137,9 +137,10 @@ class ByCoefficients(AbstractParametric):
         **Raises:** `ModelError` if the equations cannot be simulated.
         """
         procedure = Procedure(((model,),)) if isinstance(model, Equation) else model
-        ones = dict.fromkeys(procedure.parameters, 1.0)
+        # In general position: of two equal inertias, coupled by a third, ones would be singular.
+        generic = np.random.default_rng(0).uniform(0.5, 1.5, len(procedure.parameters))
         known = {name: jnp.asarray(value) for name, value in procedure.known.items()}
-        system = equation_system(procedure, {**ones, **known})
+        system = equation_system(procedure, {**dict(zip(procedure.parameters, generic)), **known})
         return cls(system, tuple(procedure.units.items()), tuple(procedure.known))
 
     @property

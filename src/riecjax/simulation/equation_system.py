@@ -23,12 +23,13 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.procedure import Procedure, as_procedure
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.signals import Signals
+from riecjax.simulation.hidden_modes import carried_states, with_forces
 from riecjax.simulation.motions import Structure, derivative_name, label_of, read_structure
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Quantities
@@ -47,7 +48,7 @@ class EquationSystem(AbstractSystem):
 
     @property
     def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Each state signal, with its first derivative where the second one leads."""
+        """Each state signal, with its first derivative where the second leads; of modes, two."""
         return self._with_units(self.structure.states)
 
     @property
@@ -65,6 +66,11 @@ class EquationSystem(AbstractSystem):
     def reversing(self) -> tuple[str, ...]:
         """States at whose zero the equations jump: velocities with dry friction."""
         return self.structure.reversing
+
+    @property
+    def carried(self) -> Mapping[str, str]:
+        """States of hidden modes."""
+        return carried_states(self.structure.modes)
 
     @property
     def velocity_of(self) -> Mapping[str, str]:
@@ -189,6 +195,8 @@ class EquationSystem(AbstractSystem):
                 if isinstance(expression, str)
                 else jnp.atleast_1d(jnp.asarray(expression(Signals(signals))))
             )
+        for mode in self.structure.modes:
+            flow |= mode.rates(signals, self.values)
         return flow
 
     def _with_units(self, names: Sequence[str]) -> Quantities:
@@ -216,6 +224,9 @@ def equation_system(
     with a number for coefficient, as `Term(1.0, "F_t")` in F_t = K_t x1. `where` of an equation
     says which samples to identify from and means nothing here.
 
+    A hidden mode has two further states, `mode_deflection` (body minus mass) and `mode_velocity`,
+    of a second one `mode_2_deflection` and `mode_2_velocity`.
+
     **Arguments:**
 
     - `values`: value of every coefficient, scalars; for those with a `known` value it may be left
@@ -231,30 +242,25 @@ def equation_system(
     third order or of an expression of inputs; or, with values that can be looked at, if the
     leading coefficient is zero or the unknowns do not enter linearly.
     """
-    equations = _equations(model)
+    procedure = as_procedure(model)
+    equations = tuple(equation for stage in procedure.stages for equation in stage)
     label = " + ".join(equation.name for equation in equations)
-    numbers = _numbers(label, equations, values)
-    structure = read_structure(label, equations, rates or {}, frozenset(inputs))
-    system = EquationSystem(equations, numbers, structure, tuple(sorted((units or {}).items())))
+    numbers = _numbers(label, procedure, values)
+    equations, modes = with_forces(equations, procedure.modes)
+    structure = read_structure(label, equations, rates or {}, frozenset(inputs), modes)
+    own = {k: v for m in modes for k, v in zip((m.deflection, m.velocity), m.units)}
+    named = tuple(sorted((own | dict(units or {})).items()))
+    system = EquationSystem(equations, numbers, structure, named)
     if is_concrete(equations, numbers):
         _check_solvable(label, system)
     return system
 
 
-def _equations(model: Equation | Procedure) -> tuple[Equation, ...]:
-    if isinstance(model, Equation):
-        return (model,)
-    return tuple(equation for stage in model.stages for equation in stage)
-
-
 def _numbers(
-    label: str, equations: tuple[Equation, ...], values: Mapping[str, Array | float]
+    label: str, procedure: Procedure, values: Mapping[str, Array | float]
 ) -> dict[str, Array]:
-    known: dict[str, Any] = {}
-    for equation in equations:
-        known |= equation.known
-    known |= values
-    names = dict.fromkeys(name for equation in equations for name in equation.parameters)
+    known: dict[str, Any] = {**procedure.known, **values}
+    names = procedure.parameters
     if missing := [name for name in names if name not in known]:
         raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
     numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
@@ -270,6 +276,9 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
     At a point in general position, where an accidental zero is all but impossible. J is scaled by
     columns and rows first: its rank must not depend on the units of unknowns and equations.
     """
+    for mode in system.structure.modes:
+        if float(system.values[mode.parameters.mass]) == 0:
+            raise ModelError(f"{label} cannot be simulated: {mode.parameters.mass} is zero.")
     state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
     level = jnp.asarray(np.linspace(0.3, 0.7, len(system.structure.inputs)))
     unknowns = system.structure.unknowns

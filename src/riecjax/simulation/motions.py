@@ -23,6 +23,7 @@ from riecjax.equations.expressions import Expression
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, users_code
 from riecjax.records.signals import Signals
+from riecjax.simulation.hidden_modes import ModeStates
 from riecjax.simulation.reversals import reversing_states
 
 
@@ -38,7 +39,7 @@ class Structure(NamedTuple):
 
     **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
     `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
-    zero the equations jump.
+    zero the equations jump; `modes` that are hidden, each two further states.
     """
 
     motions: tuple[Motion, ...]
@@ -46,12 +47,14 @@ class Structure(NamedTuple):
     determined: tuple[str, ...]
     inputs: tuple[str, ...]
     reversing: tuple[str, ...] = ()
+    modes: tuple[ModeStates, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Each signal and its derivatives below the leading one, then those with a rate."""
+        """Each signal and its derivatives below the leading one, those with a rate, and modes'."""
         lower = (name for motion in self.motions for name in motion.names[:-1])
-        return (*lower, *(name for name, _ in self.rates))
+        hidden = (name for mode in self.modes for name in (mode.deflection, mode.velocity))
+        return (*lower, *(name for name, _ in self.rates), *hidden)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -64,8 +67,9 @@ def read_structure(
     equations: tuple[Equation, ...],
     rates: Mapping[str, Expression],
     inputs: frozenset[str],
+    modes: tuple[ModeStates, ...] = (),
 ) -> Structure:
-    """The structure of equations that are to be simulated.
+    """The structure of equations that are to be simulated, the forces of their modes among them.
 
     **Raises:** `ModelError` if they cannot be, whatever their coefficients; see
     [`equation_system`][].
@@ -76,7 +80,7 @@ def read_structure(
         for equation in equations
         if not _is_dynamic(equation, motions)
     )
-    structure = Structure(motions, tuple(rates.items()), determined, ())
+    structure = Structure(motions, tuple(rates.items()), determined, (), modes=modes)
     _check_count(label, equations, structure.unknowns)
     settled = {*structure.states, *structure.unknowns}
     reads = dict.fromkeys(

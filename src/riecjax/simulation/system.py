@@ -75,6 +75,14 @@ class AbstractSystem(eqx.Module):
         names = self.state_names
         return {name: f"d{name}" for name in names if f"d{name}" in names}
 
+    @property
+    def carried(self) -> Mapping[str, str]:
+        """State of a hidden mode to the signal that it starts from where nothing tells it.
+
+        A mass that is carried along has its body's velocity; of a deflection, empty for zero.
+        """
+        return {}
+
 
 def state_sources(system: AbstractSystem, record: Record) -> dict[str, str]:
     """Source of each state: `measured`, `differences` of its recorded integral, or `zero`."""
@@ -90,7 +98,7 @@ def state_sources(system: AbstractSystem, record: Record) -> dict[str, str]:
 
 
 def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n states"]:
-    """Each state at each sample; zero where nothing tells it."""
+    """Each state at each sample; zero where nothing tells it, the body's of one carried along."""
     integral = {velocity: state for state, velocity in system.velocity_of.items()}
     columns = []
     for name, source in state_sources(system, record).items():
@@ -100,6 +108,10 @@ def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n s
             columns.append(_differences(record[integral[name]], record.time_step))
         else:
             columns.append(jnp.zeros(record.sample_count, record.time_step.dtype))
+    known = dict(record.arrays) | dict(zip(system.state_names, columns))
+    for name, body in system.carried.items():
+        if name not in record.arrays and body in known:
+            columns[system.state_names.index(name)] = known[body]
     return jnp.stack(columns, axis=-1)
 
 

@@ -44,8 +44,8 @@ class HeldOut(eqx.Module):
     - `record`: inputs and everything simulated, on the time of the measured record; samples that
       were not simulated are marked missing.
     - `stretches`: (first, past last) sample of each simulated stretch.
-    - `started_from`: for each state `measured`, `differences` (of its recorded integral), `given`
-      or `zero`.
+    - `started_from`: for each state `measured`, `differences` (of its recorded integral), `given`,
+      `zero`, or of a hidden mode that moves along with its body `carried`.
     - `drifting`: positions that are off while their velocity is predicted: free integrals.
     - `horizon`: seconds after which the simulation started anew; `None` if it did not.
     """
@@ -116,7 +116,7 @@ def validate_held_out(
     Every stretch in which all inputs have their samples is simulated from the state measured at its
     start; stretches under 20 samples are skipped. A state that is not recorded starts from
     one-sided differences if it is the velocity of a recorded state, otherwise from zero, and the
-    verdict says so. Not under jit.
+    verdict says so. Hidden modes start moving along with their bodies. Not under jit.
 
     **Arguments:**
 
@@ -135,7 +135,7 @@ def validate_held_out(
     system.require_states(given)
     recorded = [name for name in system.state_names if name in measured.arrays]
     compared = _compared(system, measured, signals)
-    sources = state_sources(system, measured) | dict.fromkeys(given, "given")
+    sources = _sources(system, measured) | dict.fromkeys(given, "given")
     driven, inputs = _driven(system, measured)
     runs: list[_Run] = []
     for start, stop in unbroken_stretches(system, measured, recorded, sources, horizon):
@@ -197,6 +197,11 @@ def _compared(
     return tuple(signals)
 
 
+def _sources(system: AbstractSystem, measured: Record) -> dict[str, str]:
+    sources = state_sources(system, measured)
+    return sources | {name: "carried" for name in system.carried if sources[name] == "zero"}
+
+
 def _initial_state(
     system: AbstractSystem,
     measured: Record,
@@ -215,6 +220,11 @@ def _initial_state(
             q = measured[integral[name]]
             rise = -3 * q[start] + 4 * q[start + 1] - q[start + 2]
             values[name] = rise / (2 * measured.time_step)
+    for name, body in system.carried.items():
+        if name not in values and body in values:
+            values[name] = values[body]
+        elif name not in values and body in measured.arrays:
+            values[name] = measured[body][start]
     return values
 
 

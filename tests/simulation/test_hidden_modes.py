@@ -1,0 +1,275 @@
+"""Systems with hidden modes, against matrices written by hand, SciPy, and differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import riecjax as rx
+from riecjax.equations.expressions import difference
+from riecjax.equations.procedure import Procedure
+from riecjax.models.model import Model, Quantity, as_model
+from riecjax.refinement.parametric import ByCoefficients, ByFunction
+from riecjax.simulation.attached_modes import WithModes
+from riecjax.simulation.equation_system import EquationSystem
+from riecjax.simulation.linearisation import linearise
+
+VALUES = {"m": 2.0, "c": 0.7, "k": 90.0, "M_mode": 0.5, "K_mode": 60.0, "B_mode": 0.8}
+SECOND = {"M_mode_2": 0.2, "K_mode_2": 75.0, "B_mode_2": 0.1}
+
+
+def oscillator(sign: float = 1.0) -> rx.Equation:
+    """m x'' + c x' + k x = u, the velocity recorded as v and the acceleration as a."""
+    return rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("v", "a"), unit="kg", sign=sign),
+        rx.Term("c", "v", sign=sign),
+        rx.Term("k", "x", sign=sign),
+        rx.Term(-sign, "u"),
+        name="oscillator",
+    )
+
+
+def matrix(m: float, c: float, k: float, *modes: tuple[float, float, float]) -> np.ndarray:
+    """State matrix of x, v and then d, w of each mode, from Newton's law for each mass."""
+    size = 2 + 2 * len(modes)
+    found = np.zeros((size, size))
+    found[0, 1] = 1.0
+    found[1, :2] = -k / m, -c / m
+    for i, (mass, stiffness, damping) in enumerate(modes):
+        d, w = 2 + 2 * i, 3 + 2 * i
+        found[1, [d, 1, w]] += np.array([-stiffness, -damping, damping]) / m
+        found[d, [1, w]] = 1.0, -1.0
+        found[w, [d, 1, w]] = np.array([stiffness, damping, -damping]) / mass
+    return found
+
+
+@pytest.mark.parametrize("on", ["x", "v"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_body_and_mass_move_as_newton_says(on, sign):
+    made = rx.equation_system(rx.staged(oscillator(sign)).with_modes(rx.HiddenMode(on)), VALUES)
+    assert made.state_names == ("x", "v", "mode_deflection", "mode_velocity")
+    assert dict(made.states)["mode_deflection"] == "m"
+    expected = matrix(2.0, 0.7, 90.0, (0.5, 60.0, 0.8))
+    state, inputs = linearise(made)
+    np.testing.assert_allclose(state, expected, atol=1e-12)
+    np.testing.assert_allclose(inputs, [[0], [0.5], [0], [0]], atol=1e-12)
+    time = np.arange(301) * 0.01
+    push = np.array([0, 0.5, 0, 0])
+    start = [0.1, -0.2, 0.03, 0.4]
+    truth = solve_ivp(
+        lambda t, s: expected @ s + push * (3 * t - 1),
+        (0, 3),
+        start,
+        t_eval=time,
+        rtol=1e-10,
+        atol=1e-12,
+    ).y
+    record = rx.Record({"u": 3 * time - 1}, 0.01)
+    found = rx.simulate(made, record, initial_state=dict(zip(made.state_names, start))).record
+    for name, samples in zip(made.state_names, truth):
+        np.testing.assert_allclose(found[name], samples, atol=1e-7)
+    np.testing.assert_allclose(found["a"], (expected @ truth)[1] + (3 * time - 1) / 2, atol=1e-5)
+
+
+def test_two_modes_on_one_body():
+    modes = rx.HiddenMode("x"), rx.HiddenMode("v")
+    made = rx.equation_system(rx.staged(oscillator()).with_modes(*modes), VALUES | SECOND)
+    assert made.state_names[4:] == ("mode_2_deflection", "mode_2_velocity")
+    expected = matrix(2.0, 0.7, 90.0, (0.5, 60.0, 0.8), (0.2, 75.0, 0.1))
+    np.testing.assert_allclose(linearise(made)[0], expected, atol=1e-12)
+
+
+def test_a_known_mass_of_any_sign_carries_a_mode():
+    equation = rx.Equation(
+        rx.Term("k", "x"), rx.Term(-2.0, "x", derivative=2), rx.Term(1.0, "u"), name="known"
+    )
+    procedure = rx.staged(equation).with_modes(rx.HiddenMode("x"))
+    made = rx.equation_system(procedure, {**VALUES, "k": -90.0})
+    expected = matrix(2.0, 0.0, 90.0, (0.5, 60.0, 0.8))
+    np.testing.assert_allclose(linearise(made)[0], expected, atol=1e-12)
+
+
+def test_a_mode_moves_every_equation_that_holds_its_body():
+    """As the same system written out: the mass an equation of its own, M w' in both others."""
+    first = rx.Equation(
+        rx.Term("p", "a", derivative=1), rx.Term("q", "b", derivative=1), -rx.Term(1.0, "u")
+    )
+    second = rx.Equation(rx.Term("q", "b", derivative=1), rx.Term("c", "b"), rx.Term("e", "a"))
+    values = {**VALUES, "p": 3.0, "q": 2.0, "e": 0.4}
+    modes = rx.staged(first, second).with_modes(rx.HiddenMode("b"))
+    mass = rx.Term("M_mode", "w", derivative=1)
+    stretching = difference("b", "w")
+    written = rx.staged(
+        rx.Equation(*first.terms, mass),
+        rx.Equation(*second.terms, mass),
+        rx.Equation(mass, -rx.Term("K_mode", "d"), -rx.Term("B_mode", stretching)),
+    )
+    made = rx.equation_system(modes, values)
+    truth = rx.equation_system(written, values, rates={"d": stretching})
+    assert made.state_names == ("a", "b", "mode_deflection", "mode_velocity")
+    order = np.array([truth.state_names.index(name) for name in ("a", "b", "d", "w")])
+    for found, expected in zip(linearise(made), linearise(truth)):
+        expected = expected[order]
+        expected = expected[:, order] if expected.shape[1] == 4 else expected
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_slope_by_the_stiffness_is_that_of_a_difference():
+    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    record = rx.Record({"u": np.sin(np.arange(200) * 0.05)}, 0.01)
+
+    def last(stiffness):
+        system = rx.equation_system(procedure, {**VALUES, "K_mode": stiffness})
+        return rx.simulate(system, record).record["x"][-1]
+
+    slope = jax.jacfwd(last)(jnp.asarray(60.0))
+    rise = (last(60.01) - last(59.99)) / 0.02
+    assert abs(float(rise)) > 1e-6
+    np.testing.assert_allclose(slope, rise, rtol=1e-5)
+
+
+def test_values_of_a_mode_are_needed():
+    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    known = {name: value for name, value in VALUES.items() if name != "B_mode"}
+    with pytest.raises(rx.ModelError, match="no value is given for B_mode"):
+        rx.equation_system(procedure, known)
+    with pytest.raises(rx.ModelError, match="M_mode is zero"):
+        rx.equation_system(procedure, {**VALUES, "M_mode": 0.0})
+
+
+QUARTER_CAR = {"K_t": 178e3, "M_us": 25.0, "M_s": 200.0, "K_s": 20e3}
+DAMPER = {f"F_{i}": 1500.0 * v for i, v in enumerate((-0.8, -0.3, 0.3, 0.8), 1)}
+MOUNT = {"M_mode": 100.0, "K_mode": 300e3, "B_mode": 4000.0}
+
+
+def quarter_car() -> np.ndarray:
+    """State matrix of x1 ... x4, d, w with a linear damper."""
+    k_t, m_u, m_s, k_s = QUARTER_CAR.values()
+    mass, k, b = MOUNT.values()
+    c = 1500.0
+    return np.array(
+        [
+            [0, 0, -1, 0, 0, 0],
+            [0, 0, 1, -1, 0, 0],
+            [k_t / m_u, -k_s / m_u, -c / m_u, c / m_u, 0, 0],
+            [0, k_s / m_s, c / m_s, -(c + b) / m_s, -k / m_s, b / m_s],
+            [0, 0, 0, 1, 0, -1],
+            [0, 0, 0, b / mass, k / mass, -b / mass],
+        ]
+    )
+
+
+@pytest.mark.parametrize("name", ["quarter-car", "quarter-car-wheel"])
+def test_quarter_car_carries_an_engine(name):
+    model = rx.find_model(name).with_modes(rx.HiddenMode("x4"))
+    assert [(q.name, q.unit) for q in model.parameters[-3:]] == [
+        ("M_mode", "kg"),
+        ("K_mode", "N/m"),
+        ("B_mode", "N s/m"),
+    ]
+    assert {q.name for q in model.parameters} == set(model.build_procedure().parameters)
+    values = {k: jnp.asarray(v) for k, v in {**QUARTER_CAR, **DAMPER, **MOUNT}.items()}
+    road = rx.Record({"v_r": np.zeros(50)}, 0.005)
+    driven = model.identified_system(values, road)
+    assert isinstance(driven, WithModes)
+    assert driven.state_names == ("x1", "x2", "x3", "x4", "mode_deflection", "mode_velocity")
+    state, inputs = linearise(driven)
+    np.testing.assert_allclose(state, quarter_car(), rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(inputs, np.eye(6)[:, :1], atol=1e-12)
+    every = model.parametric_system(road)
+    assert isinstance(every, ByFunction)
+    assert jax.tree.structure(every.build(values)) == jax.tree.structure(driven)
+    forced = model.identified_system(values, rx.Record({"x1": np.zeros(9), "x2": np.zeros(9)}, 0.1))
+    assert isinstance(forced, EquationSystem)
+    state, inputs = linearise(forced)
+    np.testing.assert_allclose(state, quarter_car()[2:, 2:], rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(inputs, quarter_car()[2:, :2], rtol=1e-10, atol=1e-9)
+
+
+def test_dry_friction_sticks_with_a_mode_attached_as_in_equations():
+    model = rx.find_model("emps").with_modes(rx.HiddenMode("dq"))
+    values = {"M": 95.0, "Fv": 200.0, "Fc": 20.0, "offset": 0.0}
+    values = {k: jnp.asarray(v) for k, v in {**values, **MOUNT, "M_mode": 30.0}.items()}
+    drive = rx.Record({"force": 60 * np.sin(np.arange(300) * 0.03)}, 0.005)
+    attached = model.identified_system(values, drive)
+    written = rx.equation_system(model.build_procedure(), values)
+    assert isinstance(attached, WithModes)
+    assert attached.reversing == written.reversing == ("dq",)
+    by_hand = rx.simulate(attached, drive).checked().record
+    found = rx.simulate(written, drive).checked().record
+    assert np.any(np.asarray(found["dq"]) == 0)
+    for name in ("q", "dq", "mode_velocity"):
+        np.testing.assert_allclose(found[name], by_hand[name], atol=1e-10)
+
+
+def coupled() -> Procedure:
+    """A pendulum on a cart, in its linear form: the accelerations are coupled."""
+    cart = rx.Equation(
+        rx.Term("m", "v", derivative=1), rx.Term("J", "r", derivative=1), -rx.Term(1.0, "u")
+    )
+    rod = rx.Equation(
+        rx.Term("J", "v", derivative=1), rx.Term("I", "r", derivative=1), rx.Term("c", "r")
+    )
+    return rx.staged(cart, rod)
+
+
+def test_coupled_accelerations_are_simulated_by_their_equations():
+    class Free(rx.simulation.AbstractSystem):
+        states = (("v", ""), ("r", ""))
+        inputs = (("u", ""),)
+
+    plain = as_model(coupled())
+    model = Model(
+        "cart",
+        "",
+        procedure=coupled,
+        parameters=plain.parameters,
+        system=lambda values: Free(),
+        inputs=(Quantity("u", "N", ""),),
+    ).with_modes(rx.HiddenMode("v"))
+    record = rx.Record({"u": np.zeros(20)}, 0.1)
+    values = dict.fromkeys(model.build_procedure().parameters, jnp.asarray(2.0))
+    values["J"] = jnp.asarray(0.5)
+    assert isinstance(model.identified_system(values, record), EquationSystem)
+    assert isinstance(model.parametric_system(record), ByCoefficients)
+    with pytest.raises(rx.ModelError, match="cannot carry a hidden mode"):
+        model.build_system({name: 1.0 for name in values})
+
+
+def recorded(seconds: float) -> rx.Record:
+    """The oscillator with its mode under a random force, of which x and v are recorded."""
+    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    force = 20 * np.random.default_rng(0).normal(size=round(seconds / 0.02))
+    inputs = rx.Record({"u": force}, 0.02)
+    start = {"x": 0.1, "v": 1.0, "mode_velocity": 1.0}
+    made = rx.simulate(rx.equation_system(procedure, VALUES), inputs, initial_state=start)
+    return made.record.select("u", "x", "v")
+
+
+def test_validation_starts_a_mode_carried_along():
+    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    held = rx.validation.validate_held_out(rx.equation_system(procedure, VALUES), recorded(5.0))
+    assert dict(held.started_from) == {
+        "x": "measured",
+        "v": "measured",
+        "mode_deflection": "carried",
+        "mode_velocity": "carried",
+    }
+    assert held.predicts
+    assert float(held.signals["x"].fit) > 99.99
+    assert "mode" not in held.verdict
+    plain = rx.validation.validate_held_out(rx.equation_system(oscillator(), VALUES), recorded(5.0))
+    assert float(plain.signals["x"].fit) < 60
+
+
+@pytest.mark.slow
+def test_refinement_finds_the_mode_again():
+    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    start = {name: 1.1 * value for name, value in VALUES.items()}
+    by = rx.OutputError(intersample="lines")
+    refined = rx.refine(procedure, recorded(5.0), start, by)
+    assert refined.initial_state_names == ("x", "v", "mode_deflection", "mode_velocity")
+    for name, value in VALUES.items():
+        np.testing.assert_allclose(refined.values[name], value, rtol=1e-4)
+    assert dict(refined.units)["K_mode"] == "N/m"
