@@ -17,9 +17,11 @@ from riecjax.estimation.check import check, raise_if_refused, read_of, refusal_b
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
+from riecjax.estimation.linearised import linearised
+from riecjax.estimation.mode_evidence import mode_evidence
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.leaves import on_host
-from riecjax.models.model import Model, as_model
+from riecjax.models.model import as_model
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
@@ -71,7 +73,8 @@ def assess(
       and in the refinement of `"auto"`; by default where the motion is unstable.
     - `hold_out`: keep this share at the end of each recording for validation by simulation.
     - `validate_on`: further recordings to simulate the identified model on.
-    - `sweep`: whether to estimate against window length, which shows an inexact model.
+    - `sweep`: whether to estimate against window length, which shows an inexact model. Not of a
+      model with hidden modes, which one length is chosen for.
     - `on_estimate`: called with the estimate as soon as it is there, before all that is slow; not
       with one that means nothing, where only refinement answers.
     - `progress`: called with the sum of squares after each step of the refinement.
@@ -82,7 +85,8 @@ def assess(
     `IdentifiabilityError` for what [`Check.answerable`][] denies. What cannot be tested or
     simulated raises nothing: it is a finding.
     """
-    model, procedure = _without_modes(model)
+    model = as_model(model)
+    procedure = model.build_procedure()
     recordings = ready(procedure, recordings, noise)
     if criterion is None:
         criterion = suited(procedure, model.band, [each.record for each in recordings])
@@ -104,17 +108,6 @@ def assess(
         BlockBootstrap() if intervals is None else intervals,
     )
     return _assessed(asked, (refine, bounds, horizon, progress), sweep, on_estimate)
-
-
-def _without_modes(model: Equation | Procedure | HasProcedure) -> tuple[Model, Procedure]:
-    described = as_model(model)
-    procedure = described.build_procedure()
-    if procedure.modes:
-        raise ModelError(
-            "rx.assess knows no hidden modes yet: use rx.identify, and "
-            "rx.estimation.mode_evidence for what speaks for them."
-        )
-    return described, procedure
 
 
 def _require_sense(
@@ -148,10 +141,13 @@ def _assessed(
     # What is refused without arithmetic is refused before a sample is read.
     plan = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
+    sweep = sweep and not procedure.modes
     bins = _bins(records, criterion) if sweep else None
     summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
     estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
-    excited = excitations(summary, plan)
+    evidence = mode_evidence(procedure, estimate) if procedure.modes else []
+    ordinary = linearised(procedure, summary, plan.given)
+    excited = excitations(ordinary, plan)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     doubted = refusal_by(excited)
     if doubted is None or doubted.code != "unidentifiable" or refining_by[0] != "auto":
@@ -169,7 +165,7 @@ def _assessed(
         criterion,
         key=asked.key,
         **asked.settings,
-        summary=summary,
+        summary=ordinary,
         excited=excited,
     )
     refinement, validations, failed = refining.answered(asked, estimate, *refining_by)
@@ -183,6 +179,8 @@ def _assessed(
         validated_on=asked.further,
         checked=checked,
         estimate=estimate,
+        summary=ordinary,
+        modes=evidence,
         sweep=_sweep(procedure, records, summary, asked.settings) if sweep else None,
         residuals=residuals,
         choice=choice,

@@ -10,6 +10,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
@@ -17,6 +18,7 @@ from riecjax.refinement.refined import Refined
 from riecjax.studies.choice import WindowChoice
 from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.studies.sweep import WindowSweep
+from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.whiteness import Whiteness
@@ -102,7 +104,8 @@ class Assessment:
     - `recordings` that were estimated from, and those that it was only `validated_on`: with the
       steps and findings that concern signals which the criterion reads.
     - `checked`: what was looked at before the fit.
-    - `estimate`.
+    - `estimate`, and the `summary` that its regressors are in, see `linearised`.
+    - `modes`: what speaks for each stage's last hidden mode.
     - `sweep`: estimates against window length, if asked for and possible.
     - `residuals`: tests of what is left, if they can be made.
     - `choice` of windows, for a criterion that has some.
@@ -119,6 +122,8 @@ class Assessment:
     validated_on: Sequence[Recording]
     checked: Check
     estimate: Estimate
+    summary: Summary
+    modes: Sequence[ModeEvidence]
     sweep: WindowSweep | None
     residuals: ResidualTests | None
     choice: WindowChoice | None
@@ -147,7 +152,7 @@ class Assessment:
         after = [
             f for f in self.estimate.findings() if f.code != "short_record" or f.code not in codes
         ]
-        for result in (self.sweep, self.residuals, self.refinement):
+        for result in (*self.modes, self.sweep, self.residuals, self.refinement):
             after += [] if result is None else result.findings()
         after += [
             Finding("does_not_predict", f"{run.recording.name}: {run.held.verdict}")

@@ -9,6 +9,7 @@ from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
     SHARE,
     json_option,
+    mode_option,
     out_option,
     per_record_option,
     seed_option,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     required=True,
     help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
 )
+@mode_option
 @criterion_options
 @refinement_options
 @set_option
@@ -68,6 +70,7 @@ if TYPE_CHECKING:
 def command(
     recordings: RecordingOptions,
     model_name: str,
+    modes: tuple[tuple[str, float | None], ...],
     criteria: CriterionOptions,
     refining: RefinementOptions,
     known: dict[str, float],
@@ -97,6 +100,7 @@ def command(
     from rich.console import Console
 
     from riecjax.assessment.assess import assess
+    from riecjax.equations.hidden_modes import HiddenMode
     from riecjax.models.catalogue import find_model
     from riecjax.reporting.estimate import estimate_entries, print_estimate
     from riecjax.reporting.output import require_folder
@@ -104,7 +108,7 @@ def command(
 
     if out is not None:
         require_folder(out)
-    model = find_model(model_name)
+    model = find_model(model_name).with_modes(*(HiddenMode(*each) for each in modes))
     # What is asked for first is shown first: all that follows is about how far to trust it.
     at_once = not as_json and refining.refine in ("auto", "none")
 

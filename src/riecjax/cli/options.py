@@ -59,8 +59,31 @@ def assignments(
     )
 
 
+class HiddenModeOf(click.ParamType):
+    """`SIGNAL` or `SIGNAL=HZ`, as a signal and a frequency or `None`."""
+
+    name = "SIGNAL[=HZ]"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, float | None]:
+        name, equals, text = str(value).partition("=")
+        if not name.strip() or (equals and not text.strip()):
+            self.fail(f"'{value}' is not of the form {self.name}.", param, ctx)
+        return name.strip(), POSITIVE.convert(text, param, ctx) if equals else None
+
+
 set_option = assignments(
     "--set", float, "NAME=VALUE", "Hold a parameter at a known value (SI units).", "known"
+)
+mode_option = click.option(
+    "--add-mode",
+    "modes",
+    type=HiddenModeOf(),
+    metavar="SIGNAL[=HZ]",
+    multiple=True,
+    help="Find an oscillator that the model leaves out, on the body with this velocity, everywhere "
+    "or near a frequency. Repeatable.",
 )
 seed_option = click.option(
     "--seed",

@@ -31,7 +31,7 @@ from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, require
-from riecjax.leaves import is_number
+from riecjax.leaves import Leaf, is_number
 
 TARGET = "target"
 """What a known term is called once it is differentiated."""
@@ -219,8 +219,16 @@ def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]
     return root / (2 * np.pi), damping / (2 * mass * root)
 
 
+def inertia_sign(inertia: Term) -> Leaf:
+    """What a mode's mass is multiplied by beside this inertia."""
+    number = inertia.number
+    if inertia.name is not None:
+        return number
+    return np.sign(number) if isinstance(number, np.ndarray) else jnp.sign(number)
+
+
 def _unit_inertia(term: Term, name: str) -> Term:
-    sign = jnp.sign(jnp.asarray(term.number))
+    sign = inertia_sign(term)
     return Term(name, term.of, derivative=term.derivative, measured=term.measured, sign=sign)
 
 

@@ -11,7 +11,7 @@ from typing import Protocol
 import equinox as eqx
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_modes import Expanded, HiddenMode
+from riecjax.equations.hidden_modes import Expanded, HiddenMode, ModeParameters
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
@@ -40,6 +40,11 @@ class Procedure(eqx.Module):
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
         return Procedure(self.stages, (*self.modes, *modes))
+
+    def mode_named(self, names: ModeParameters) -> HiddenMode:
+        """The mode whose parameters these are."""
+        number = [ModeParameters.of(i) for i, _ in enumerate(self.modes)].index(names)
+        return self.modes[number]
 
     @property
     def expanded(self) -> tuple[tuple[Expanded, ...], ...]:

@@ -11,10 +11,11 @@ from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import Terms
-from riecjax.errors import IdentifiabilityError, ModelError, renamed
+from riecjax.errors import IdentifiabilityError, renamed
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.excitation import Excitation, excitations
-from riecjax.estimation.parameters import plan_parameters
+from riecjax.estimation.linearised import linearised
+from riecjax.estimation.parameters import ParameterPlan, plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.noise_judgement import GivenNoise
@@ -92,21 +93,21 @@ def check(
 ) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
-    Nothing is estimated, and nothing that is found here stops a fit; see [`Check.answerable`][].
+    Nothing is estimated but hidden modes, whose shapes the regressors depend on, and nothing that
+    is found here stops a fit; see [`Check.answerable`][].
     What a [`Recording`][riecjax.Recording] says of signals that are read comes first.
     `summary` is what [`summarise`][] made of the same with a survey, and `excited` what
     [`excitations`][] says of it, if they were asked.
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    if as_procedure(model).modes:
-        raise ModelError("rx.check knows no hidden modes yet: check the model without them.")
     recordings = ready(as_procedure(model), records, noise)
     asked = task(model, recordings, criterion, key)
     procedure, plain, criterion, _ = asked
     read = [read_of(procedure, recording, criterion) for recording in recordings]
     plan = plan_parameters(procedure, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
+    summary = linearised(procedure, summary, plan.given)
     excited = excitations(summary, plan) if excited is None else excited
     findings = [
         *(f for one, names in zip(recordings, read) for f in one.concerning(names).findings),
@@ -114,10 +115,14 @@ def check(
         *_windows(plain, criterion),
         *_quadrature(summary),
         *_break_points(procedure, summary),
-        *constant_targets(procedure, plan.sharing, summary.recordings, plan.given),
+        *(() if procedure.modes else _constant(procedure, plan, summary)),
         *(finding for stage in excited for finding in stage.findings()),
     ]
     return Check(findings, excited, tuple(dict.fromkeys(n for names in read for n in names)))
+
+
+def _constant(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
+    yield from constant_targets(procedure, plan.sharing, summary.recordings, plan.given)
 
 
 def read_of(
@@ -214,7 +219,8 @@ def _quadrature(summary: Summary) -> list[Finding]:
     """Compare the integrals with those of the highest order: how far the sampling carries."""
     sums: dict[str, Float[np.ndarray, "2"]] = {}
     for survey, names in _surveys(summary):
-        for name, both in zip((KNOWN_TERMS, *names), survey.quadrature.T):
+        energies = np.diagonal(survey.quadrature, axis1=1, axis2=2)
+        for name, both in zip((KNOWN_TERMS, *names), energies.T):
             sums[name] = sums.get(name, 0.0) + np.asarray(both)
     # Terms that are not finite are for the fit to refuse.
     shares = {

@@ -272,22 +272,33 @@ class Contraction(eqx.Module):
         known: Values,
     ) -> tuple[list[list[NormalEquations]], list[list[NormalEquations]]]:
         """Both, linearised about the solution of all stages, which are solved in turn."""
-        values = dict(known)
-        contracted, of_sources = [], []
-        for expanded, sums, noise, start in zip(self.stages, equations, sources, self.start):
+        mixes = self.mixes(equations, known)
+        return self._mixed(mixes, equations), self._mixed(mixes, sources)
+
+    def mixes(
+        self, equations: list[list[NormalEquations]], known: Values
+    ) -> list[list[Float[Array, "1+p columns"]]]:
+        """Of each equation, target and regressors as combinations of its expanded columns."""
+        values, mixes = dict(known), []
+        for expanded, sums, start in zip(self.stages, equations, self.start):
             stage = ModeStage.of(expanded, sums, values)
             at = differentiable(stage, start) if stage.sought else start
             values |= stage.values(at)
-            mixes = [e.linearised(values) for e in expanded]
-            contracted.append([_mixed(*each) for each in zip(expanded, mixes, sums)])
-            of_sources.append([_mixed(*each) for each in zip(expanded, mixes, noise)])
-        return contracted, of_sources
+            mixes.append([e.linearised(values) for e in expanded])
+        return mixes
 
-
-def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquations:
-    if not expanded.modes:
-        return sums
-    return sums.each(lambda m: mix @ m @ mix.T, parameters=expanded.all_parameters)
+    def _mixed(
+        self, mixes: list[list[Array]], sums: list[list[NormalEquations]]
+    ) -> list[list[NormalEquations]]:
+        return [
+            [
+                own.each(lambda m, v=v: v @ m @ v.T, parameters=e.all_parameters)
+                if e.modes
+                else own
+                for e, v, own in zip(*stage)
+            ]
+            for stage in zip(self.stages, mixes, sums)
+        ]
 
 
 class Tried(NamedTuple):
@@ -377,8 +388,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundMo
 
 def search_band(procedure: Procedure, summary: Summary, names: ModeParameters) -> tuple[Leaf, Leaf]:
     """Hertz between which to look for a mode."""
-    number = [ModeParameters.of(i) for i, _ in enumerate(procedure.modes)].index(names)
-    hz = procedure.modes[number].hz
+    hz = procedure.mode_named(names).hz
     if hz is not None:
         return np.asarray(hz / 1.5), np.asarray(hz * 1.5)
     windows = summary.criterion.windows

@@ -181,14 +181,18 @@ def _estimated(
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
-        if condition > gram_condition_limit(window.dtype) and (rows := _rows(summary, equations)):
+        poor = modes is None and condition > gram_condition_limit(window.dtype)
+        if poor and (rows := _rows(summary, equations)):
             fit = _solve(equations, *settings, rows)
         _raise_if_unidentifiable(fit.stages, plan)
         if modes is None:
             fit = fit._replace(stages=_with_sizes_in_bursts(fit, procedure, plan, summary))
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
-    offered = offered if summary.band == summary.in_law else np.nan
+    whole = [summary.band == summary.in_law] * len(procedure.stages)
+    if modes is not None:
+        whole = [band is None and all_of_law for band, all_of_law in zip(modes.bands, whole)]
+    each = [len(of) if known else np.nan for of, known in zip(procedure.stages, whole)]
     return Estimate(
         theta=fit.theta,
         uncertainty=fit.uncertainty,
@@ -203,7 +207,7 @@ def _estimated(
         equation_names=tuple(procedure.equation_names[stage.stage] for stage in fit.stages),
         block_count=fit.block_count,
         block_length=fit.block_length,
-        rows_offered=offered * np.array([len(procedure.stages[s.stage]) for s in fit.stages]),
+        rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
         summary=summary if is_concrete(fit.stages, summary) else None,
     )
 

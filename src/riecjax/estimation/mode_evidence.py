@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_modes import Expanded, ModeParameters
+from riecjax.equations.hidden_modes import Expanded, ModeParameters, mode_frequency
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
@@ -47,7 +47,9 @@ LITTLE = 0.5
 class ModeEvidence(NamedTuple):
     """What speaks for the last hidden mode of a stage.
 
-    **Fields:** `parameters` of the mode, and of the `stage` its name; `oscillates`, whether mass,
+    **Fields:** `parameters` of the mode, of the `stage` its name, and the signal that it is `on`;
+    natural `frequency` in hertz of the mass on a body at rest, and `damping_ratio`, each with its
+    standard error; `oscillates`, whether mass,
     stiffness and damping are positive and the damping less than critical; `map`, what a mode of any
     frequency leaves, see [`ModeMap`][riecjax.estimation.ModeMap]; `unexplained` share of the
     target on time left out, with and `without` the mode, means over folds; `gain`, their
@@ -57,6 +59,9 @@ class ModeEvidence(NamedTuple):
 
     parameters: ModeParameters
     stage: str
+    on: str
+    frequency: tuple[float, float]
+    damping_ratio: tuple[float, float]
     oscillates: bool
     map: ModeMap
     unexplained: Float[Leaf, ""]
@@ -135,9 +140,29 @@ def mode_evidence(
             mass, stiffness, damping = (float(values[name]) for name in own[-1])
             positive = min(mass, stiffness, damping) > 0
             oscillates = positive and damping**2 < 4 * mass * stiffness
-            evidence.append(ModeEvidence(own[-1], label, oscillates, *raw, lengths))
+            on = procedure.mode_named(own[-1]).on
+            shape = _shape(own[-1], estimate)
+            evidence.append(ModeEvidence(own[-1], label, on, *shape, oscillates, *raw, lengths))
         known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}
     return evidence
+
+
+def _shape(
+    names: ModeParameters, estimate: Estimate
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Frequency and damping ratio, with errors that their logarithms' slopes make of those found.
+
+    log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
+    """
+    values = {name: jnp.asarray(estimate[name]) for name in names}
+    found = mode_frequency(values, names)
+    at = [estimate.parameters.index(name) for name in names]
+    size = np.array([float(values[name]) for name in names])
+    relative = np.asarray(estimate.covariance)[np.ix_(at, at)] / np.outer(size, size)
+    slopes = np.array([[-0.5, 0.5, 0.0], [-0.5, -0.5, 1.0]])
+    errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, relative, slopes))
+    frequency, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in zip(found, errors))
+    return frequency, ratio
 
 
 @eqx.filter_jit

@@ -20,6 +20,7 @@ from riecjax.reporting.estimate import (
     parameter_table,
     print_estimate,
 )
+from riecjax.reporting.hidden_modes import mode_entries, modes_in_words
 from riecjax.reporting.noise import noise_entries, noise_in_words
 from riecjax.reporting.refinement import (
     choice_in_words,
@@ -39,6 +40,7 @@ def identification_document(result: Assessment) -> Document:
         found["parameters"] = parameter_entries(result.answer)
     return {
         **found,
+        "modes": mode_entries(result.modes),
         "excitation": excitation_entries(result.checked),
         "noise": noise_entries(result.recordings, result.checked.signals),
         "correlation": _correlation(estimate),
@@ -137,6 +139,8 @@ def print_after_estimate(document: Document, console: Console) -> None:
 def print_judgement(document: Document, console: Console, *, chosen_said: bool = False) -> None:
     """What was done with the estimate, and what it rests on."""
     refinement = document["refinement"]
+    for line in modes_in_words(document["modes"]):
+        console.print(line, highlight=False, markup=False)
     if refinement is not None:
         words = [] if chosen_said and refinement["chosen"] else [choice_in_words(refinement)]
         for line in (*words, *refinement_in_words(refinement)):

@@ -25,6 +25,7 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
+from riecjax.reporting.hidden_modes import mode_map_figure
 from riecjax.reporting.residual_figures import residual_figures, window_choice_figures
 from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.sums import Survey
@@ -34,11 +35,14 @@ MOST_COLUMNS = 3
 
 
 def identification_figures(result: Assessment) -> dict[str, Chart]:
-    """`fit`; `curves` if the model has some; `window_sweep`; `correlation` of the parameters;
-    `residual_1`, ... of each equation; `window_choice`; `validation_1`, ... for each."""
+    """`fit`; `curves` and `mode_map` if the model has some; `window_sweep`; `correlation` of the
+    parameters; `residual_1`, ... of each equation; `window_choice`; `validation_1`, ... for each.
+    """
     figures = {"fit": _fit_figure(result)}
     if curves := identified_curves(result):
         figures["curves"] = curves_figure(curves)
+    if result.modes:
+        figures["mode_map"] = mode_map_figure(result.modes)
     if result.sweep is not None:
         figures["window_sweep"] = sweep_figure(result.sweep, result.estimate)
     figures["correlation"] = correlation_figure(result.estimate)
@@ -181,8 +185,7 @@ def _fit_figure(result: Assessment) -> Chart:
 
 def _fits(result: Assessment) -> Iterator[tuple[int, _Fit]]:
     """Some rows of each equation on each record, with the place of its stage."""
-    estimate, summary = result.estimate, result.estimate.summary
-    assert summary is not None
+    estimate, summary = result.estimate, result.summary
     given = {name: float(value) for name, value in estimate.known.items()}
     found = {name: float(estimate[name]) for name in estimate.parameters}
     for i, recording in enumerate(summary.recordings):

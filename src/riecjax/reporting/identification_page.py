@@ -7,6 +7,7 @@ from typing import Any
 from riecjax.assessment.assessment import Assessment
 from riecjax.reporting.document import Document, number
 from riecjax.reporting.estimate import several
+from riecjax.reporting.hidden_modes import modes_in_words
 from riecjax.reporting.identification import identification_document, windows_in_words
 from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import require_folder, write_folder
@@ -25,6 +26,7 @@ def identification_page(document: Document) -> Page:
         _refinement(document["refinement"]),
         _fit(document),
         Section("Curves", charts=("curves",)),
+        _modes(document["modes"]),
         _validation(document["validation"]),
         _residuals(document["residual_tests"] or {}),
         Section("Estimates by window length", charts=("window_sweep",)),
@@ -70,6 +72,13 @@ def _parameters(document: Document) -> Section:
         tables=[Table(header, rows), _excitation(document["excitation"])],
         charts=("correlation",),
     )
+
+
+def _modes(modes: list[Document]) -> Section | None:
+    if not modes:
+        return None
+    text = [_sentence(line) for line in modes_in_words(modes)]
+    return Section("Hidden modes", text=text, charts=("mode_map",))
 
 
 def _excitation(entries: Mapping[str, Any]) -> Table:

@@ -12,12 +12,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import difference
-from riecjax.equations.hidden_modes import HiddenMode, ModeParameters
+from riecjax.equations.hidden_modes import HiddenMode, ModeParameters, inertia_sign
 from riecjax.equations.term import Term
 from riecjax.leaves import Leaf
 
@@ -71,14 +70,6 @@ def body_velocity(mode: HiddenMode, equations: Sequence[Equation]) -> str:
     return next(named, f"d{inertia.of}")
 
 
-def mode_sign(inertia: Term) -> Leaf:
-    """What a mode's force is multiplied by beside this inertia."""
-    number = inertia.number
-    if inertia.name is not None:
-        return number
-    return np.sign(number) if isinstance(number, np.ndarray) else jnp.sign(number)
-
-
 def with_forces(
     equations: tuple[Equation, ...], modes: Sequence[HiddenMode]
 ) -> tuple[tuple[Equation, ...], tuple[ModeStates, ...]]:
@@ -89,7 +80,7 @@ def with_forces(
         terms = list(equation.terms)
         for mode, own in zip(modes, states):
             if (inertia := mode.inertia(equation)) is not None:
-                terms += own.force(mode_sign(inertia))
+                terms += own.force(inertia_sign(inertia))
         carrying.append(
             Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
             if len(terms) > len(equation.terms)

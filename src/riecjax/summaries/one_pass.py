@@ -350,7 +350,7 @@ def _survey(parts: Sequence[Surveyed], skipped: float) -> Survey:
     start = skipped + np.concatenate([p.start.ravel() for p in parts])
     shown = valid[np.linspace(0, max(valid.size - 1, 0), min(valid.size, SHOWN)).astype(int)]
     shown = shown[np.argsort(start[shown], kind="stable")]
-    quadrature = np.stack([np.sum((rows - finer) ** 2, 0), np.sum(finer**2, 0)])
+    quadrature = np.stack([each.T @ each for each in (rows - finer, finer)])
     ends = {name: np.concatenate([p.reach[name] for p in parts]) for name in parts[0].reach}
     reach: dict[str, Leaf] = {
         name: np.array([own[:, 0].min(), own[:, 1].max()]) for name, own in ends.items()

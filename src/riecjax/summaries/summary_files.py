@@ -32,7 +32,7 @@ DOCUMENT = "summary"
 EDGES = "edges"
 """Name of the array of the bins' edges."""
 FORMAT = "riecjax.Summary"
-SCHEMA = 2
+SCHEMA = 3
 """Of what a Summary holds; another one is refused."""
 LARGEST = 2**31
 """Bytes that a file may unpack to: it is refused by what it declares, before it is read."""

@@ -57,15 +57,15 @@ class Survey(eqx.Module):
 
     - `noise`: mean outer product of what the signals' noise adds to a row, shape
       `(1 + p, 1 + p)`.
-    - `quadrature`: energy of the difference from rows integrated with the highest order, and of
-      these, shape `(2, 1 + p)`; zero where there is no higher order.
+    - `quadrature`: outer products, summed, of the differences from rows integrated with the highest
+      order, and of these, shape `(2, 1 + p, 1 + p)`; zero where there is no higher order.
     - `rows`: some of the rows, shape `(rows, 1 + p)`, and `start`, seconds from the recording's
       first sample to their windows, shape `(rows,)`.
     - `reach`: for each term with a basis, its prefix, least and largest argument.
     """
 
     noise: Float[Leaf, "columns columns"]
-    quadrature: Float[Leaf, "2 columns"]
+    quadrature: Float[Leaf, "2 columns columns"]
     rows: Float[Leaf, "rows columns"]
     start: Float[Leaf, " rows"]
     reach: dict[str, Float[Leaf, "2"]]

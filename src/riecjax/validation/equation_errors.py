@@ -22,6 +22,7 @@ from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.hidden_motion import with_hidden_motion
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_of_record
@@ -91,17 +92,19 @@ def equation_error(
     """The equation error of every equation of a model, in the order of its stages.
 
     Works under `jax.jit` and `jax.vmap`. Integrals inside a window are of the highest order, so
-    that what is left is the model's error, not the quadrature's.
+    that what is left is the model's error, not the quadrature's. Hidden masses move as their
+    bodies make them; what they did before the record is given time to decay.
 
     **Arguments:** `values`: parameter name to value, such as an estimate's `values`.
 
     **Raises:** `ModelError` for a parameter without a value, `DataError` for a missing signal or
     a record of fewer than three samples.
     """
+    procedure = as_procedure(model)
+    given = {name: _value(values, name) for name in procedure.parameters}
+    procedure, record = with_hidden_motion(procedure, record, given)
     return tuple(
-        _error_of(equation, record, values)
-        for stage in as_procedure(model).stages
-        for equation in stage
+        _error_of(equation, record, given) for stage in procedure.stages for equation in stage
     )
 
 

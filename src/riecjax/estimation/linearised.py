@@ -1,0 +1,100 @@
+"""Sums of a model's own parameters, where hidden modes make it depend on some of them nonlinearly.
+
+About its solution such a model is linear, with a regressor for each parameter of its modes. Their
+sums are combinations of the expanded columns' sums, so that whatever asks how regressors are
+excited, drowned in noise or integrated need not know of modes.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.equations.hidden_modes import Expanded
+from riecjax.equations.procedure import Procedure
+from riecjax.estimation.hidden_modes import Contraction, Values, find_modes
+from riecjax.leaves import on_host
+from riecjax.summaries.digest import Outline
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.sums import EquationSums, Survey
+
+Band = tuple[int, int]
+"""Bins of window lengths, first and one beyond the last."""
+
+
+def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary:
+    """Sums of regressors about the modes that these sums say (not under jit).
+
+    Of a model without modes, and of sums that are linearised already, the Summary itself.
+
+    **Returns:** a Summary of all windows together, each stage's of those it is solved from; without
+    averages and activity, which tell of no combination of columns.
+    """
+    if not procedure.modes or summary.outline.is_of(_outline(procedure)):
+        return summary
+    found = find_modes(procedure, summary, known)
+    equations = [summary.equations(band)[i] for i, band in enumerate(found.bands)]
+    mixes = on_host(_mixes(found.contraction, equations, dict(known)))
+    recordings = [
+        dataclasses.replace(
+            one,
+            stages=tuple(
+                tuple(_mixed(e, mix, sums, band or summary.band) for e, mix, sums in zip(*parts))
+                for *parts, band in zip(procedure.expanded, mixes, one.stages, found.bands)
+            ),
+        )
+        for one in summary.recordings
+    ]
+    return dataclasses.replace(
+        summary,
+        recordings=tuple(recordings),
+        outline=_outline(procedure),
+        edges=None,
+        in_law=(0, 1),
+        band=(0, 1),
+    )
+
+
+def _outline(procedure: Procedure) -> Outline:
+    stages = tuple(
+        tuple((e.equation.name, e.all_parameters) for e in stage) for stage in procedure.expanded
+    )
+    return Outline(stages, tuple(procedure.units.items()), "")
+
+
+@eqx.filter_jit
+def _mixes(
+    contraction: Contraction, equations: list[list[NormalEquations]], known: Values
+) -> list[list[Float[Array, "1+p columns"]]]:
+    return contraction.mixes(equations, known)
+
+
+def _mixed(
+    expanded: Expanded, mix: Float[np.ndarray, "1+p columns"], sums: EquationSums, band: Band
+) -> EquationSums:
+    """The sums of some bins, of combinations of their columns."""
+
+    def of(moments: Any) -> Any:
+        return None if moments is None else mix @ np.asarray(moments) @ mix.T
+
+    def together(bins: Any) -> Any:
+        return None if bins is None else bins[slice(*band)].sum(0, keepdims=True)
+
+    survey = sums.survey
+    if survey is not None:
+        noise, quadrature = of(survey.noise), of(survey.quadrature)
+        survey = Survey(noise, quadrature, survey.rows @ mix.T, survey.start, survey.reach)
+    return EquationSums(
+        of(together(sums.moments)),
+        together(sums.count),
+        averages=None,
+        activity=None,
+        survey=survey,
+        factor=None,
+        parameters=expanded.all_parameters,
+        noise=of(together(sums.noise)),
+        noise_of_source=of(together(sums.noise_of_source)),
+    )

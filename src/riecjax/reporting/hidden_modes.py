@@ -1,0 +1,86 @@
+"""Hidden modes: what speaks for them in plain data, in words and as a map."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from riecjax.estimation.mode_evidence import ModeEvidence
+from riecjax.reporting.charts.chart import BLUE, GREY, RUST, Axis, Chart, Level, Line, Panel
+from riecjax.reporting.document import Document, finite, number
+
+
+def mode_entries(modes: Sequence[ModeEvidence]) -> list[Document]:
+    """The part of the document about hidden modes, the last one of each stage."""
+    return [
+        {
+            "on": mode.on,
+            "equation": mode.stage,
+            "parameters": list(mode.parameters),
+            "frequency_hz": finite(mode.frequency[0]),
+            "frequency_std_error_hz": finite(mode.frequency[1]),
+            "damping_ratio": finite(mode.damping_ratio[0]),
+            "damping_ratio_std_error": finite(mode.damping_ratio[1]),
+            "window_s": list(mode.lengths),
+            "carried": mode.carried,
+            "oscillates": mode.oscillates,
+            "explained": finite(mode.explained),
+            "held_out": {
+                "with": finite(mode.unexplained),
+                "without": finite(mode.without),
+                "gain": finite(mode.gain),
+                "gain_std_error": finite(mode.gain_error),
+            },
+            "map": {
+                "frequency_hz": finite(mode.map.frequency),
+                "unexplained": finite(mode.map.unexplained),
+                "without": finite(mode.map.without),
+                "damping_ratio": finite(mode.map.damping),
+            },
+        }
+        for mode in modes
+    ]
+
+
+def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
+    """Where each mode is, what it explains, and the windows that it was found in."""
+    for mode in modes:
+        low, high = mode["window_s"]
+        lengths = f"{low:.3g} s" if low == high else f"{low:.3g} to {high:.3g} s"
+        held = mode["held_out"]
+        yield (
+            f"hidden mode on {mode['on']}: {number(mode['frequency_hz'], 4)} "
+            f"+- {number(mode['frequency_std_error_hz'], 2)} Hz, damping ratio "
+            f"{number(mode['damping_ratio'], 3)} +- {number(mode['damping_ratio_std_error'], 2)}, "
+            f"in windows of {lengths}, which tell most of it. On time that it was not found from "
+            f"{100 * held['with']:.2g} % of {mode['equation']} is left with it and "
+            f"{100 * held['without']:.2g} % without."
+        )
+
+
+def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
+    """What a mode at each frequency leaves of its equation, and what is left without one."""
+    rows = []
+    for mode in modes:
+        frequency = np.asarray(mode.map.frequency)
+        left = np.asarray(mode.map.unexplained)
+        marks = [
+            Line(frequency, np.asarray(mode.map.without), "without a mode", GREY),
+            Line(
+                frequency,
+                np.where(np.isfinite(left), left, np.nan),
+                "with a mode there",
+                RUST,
+                markers=True,
+            ),
+            Level(mode.frequency[0], "x", "the mode found", BLUE, "dashed"),
+        ]
+        share = Axis(f"share of {mode.stage} unexplained", log=True)
+        rows.append([Panel(marks, Axis("frequency of the mode / Hz", log=True), share)])
+    return Chart(
+        rows,
+        "The mode map: of each frequency that a hidden mode could have, what the equation then "
+        "leaves unexplained, at the best damping and mass. Gaps are frequencies at which only a "
+        "negative mass would fit.",
+        (7, 3.2 * len(rows) + 0.6),
+        legend=True,
+    )
