@@ -312,6 +312,7 @@ def check_schema(document: dict) -> None:
         "condition_number",
         "rank",
         "residual",
+        "modes",
         "excitation",
         "noise",
         "correlation",
@@ -364,6 +365,25 @@ def test_document(from_file, drive_file, criterion):
     assert document["provenance"]["records"] == [
         {"file": str(drive_file), "samples": 4000, "time_step": pytest.approx(0.005)}
     ]
+
+
+def test_a_hidden_mode_is_added_and_shown(capsys, drive_file):
+    result = call(
+        capsys, "identify", drive_file, "--model", "quarter-car", "--add-mode", "x4=10", *PLAIN
+    )
+    assert result.status == 0
+    table = " ".join(result.out.split())
+    assert "hidden mode on x4: 1" in table
+    assert "M_mode" in table
+    found = float(table.split("M_us")[1].split()[0])
+    assert found == pytest.approx(30.0, rel=0.01)
+
+
+@pytest.mark.parametrize("wrong", ["=3", "x4=", "x4=-1", "x4=fast"])
+def test_a_mode_is_a_signal_and_perhaps_a_frequency(capsys, drive_file, wrong):
+    result = call(capsys, "identify", drive_file, "--model", "quarter-car", "--add-mode", wrong)
+    assert result.status == 2
+    assert "--add-mode" in result.err
 
 
 def test_table_on_a_terminal(capsys, drive_file):

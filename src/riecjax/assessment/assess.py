@@ -13,7 +13,13 @@ from riecjax.criteria.suited import suited
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
 from riecjax.errors import DataError, ModelError, require
-from riecjax.estimation.check import check, raise_if_refused, read_of, refusal_by
+from riecjax.estimation.check import (
+    check,
+    raise_if_not_carried,
+    raise_if_refused,
+    read_of,
+    refusal_by,
+)
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
@@ -73,8 +79,8 @@ def assess(
       and in the refinement of `"auto"`; by default where the motion is unstable.
     - `hold_out`: keep this share at the end of each recording for validation by simulation.
     - `validate_on`: further recordings to simulate the identified model on.
-    - `sweep`: whether to estimate against window length, which shows an inexact model. Not of a
-      model with hidden modes, which one length is chosen for.
+    - `sweep`: whether to estimate against window length, which shows an inexact model, not of
+      hidden modes.
     - `on_estimate`: called with the estimate as soon as it is there, before all that is slow; not
       with one that means nothing, where only refinement answers.
     - `progress`: called with the sum of squares after each step of the refinement.
@@ -91,9 +97,7 @@ def assess(
     if criterion is None:
         criterion = suited(procedure, model.band, [each.record for each in recordings])
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.2, a share")
-    require("horizon", 1.0 if horizon is None else horizon, Real, "horizon=2.0, in seconds")
-    _require_sense(refine, bounds, horizon, per_record, validate_on)
+    _require_sense(hold_out, refine, bounds, horizon, per_record, validate_on)
     fitted = _concerned(procedure, recordings, criterion)
     halves = [(each, None) if hold_out is None else each.split(hold_out) for each in fitted]
     asked = Asked(
@@ -111,12 +115,15 @@ def assess(
 
 
 def _require_sense(
+    hold_out: float | None,
     refine: object,
     bounds: object,
     horizon: float | None,
     per_record: Sequence[str],
     validate_on: Records,
 ) -> None:
+    require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.2, a share")
+    require("horizon", 1.0 if horizon is None else horizon, Real, "horizon=2.0, in seconds")
     asked_for = refine is not None and not (isinstance(refine, str) and refine == "auto")
     if asked_for and not hasattr(type(refine), "specify"):
         require("refine", refine, (), "refine=rx.OutputError(), 'auto' or None")
@@ -149,6 +156,7 @@ def _assessed(
     ordinary = linearised(procedure, summary, plan.given)
     excited = excitations(ordinary, plan)
     # What windows cannot tell from noise, output error may: it needs no derivative.
+    raise_if_not_carried(evidence, excited)
     doubted = refusal_by(excited)
     if doubted is None or doubted.code != "unidentifiable" or refining_by[0] != "auto":
         raise_if_refused(excited)

@@ -3,7 +3,14 @@
 import click
 
 from riecjax.cli.criteria import CriterionOptions, criterion_options
-from riecjax.cli.options import json_option, per_record_option, seed_option, set_option
+from riecjax.cli.options import (
+    json_option,
+    mode_option,
+    model_with_modes,
+    per_record_option,
+    seed_option,
+    set_option,
+)
 from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.runtime import start_jax
 
@@ -16,6 +23,7 @@ from riecjax.runtime import start_jax
     required=True,
     help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
 )
+@mode_option
 @criterion_options
 @set_option
 @per_record_option
@@ -24,6 +32,7 @@ from riecjax.runtime import start_jax
 def command(
     recordings: RecordingOptions,
     model_name: str,
+    modes: tuple[tuple[str, float | None], ...],
     criteria: CriterionOptions,
     known: dict[str, float],
     per_record: tuple[str, ...],
@@ -41,12 +50,11 @@ def command(
     import jax
 
     from riecjax.assessment.answering import check_answering
-    from riecjax.models.catalogue import find_model
     from riecjax.reporting.checking import check_document, print_check
     from riecjax.reporting.output import emit
     from riecjax.reporting.page import Page
 
-    model = find_model(model_name)
+    model = model_with_modes(model_name, modes)
     read = recordings.read(recordings.files, model)
     criterion = criteria.build(model, read)
     key = jax.random.key(seed)

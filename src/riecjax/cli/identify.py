@@ -10,6 +10,7 @@ from riecjax.cli.options import (
     SHARE,
     json_option,
     mode_option,
+    model_with_modes,
     out_option,
     per_record_option,
     seed_option,
@@ -100,15 +101,13 @@ def command(
     from rich.console import Console
 
     from riecjax.assessment.assess import assess
-    from riecjax.equations.hidden_modes import HiddenMode
-    from riecjax.models.catalogue import find_model
     from riecjax.reporting.estimate import estimate_entries, print_estimate
     from riecjax.reporting.output import require_folder
     from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich
 
     if out is not None:
         require_folder(out)
-    model = find_model(model_name).with_modes(*(HiddenMode(*each) for each in modes))
+    model = model_with_modes(model_name, modes)
     # What is asked for first is shown first: all that follows is about how far to trust it.
     at_once = not as_json and refining.refine in ("auto", "none")
 

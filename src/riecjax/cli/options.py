@@ -4,9 +4,12 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from riecjax.models.model import Model
 
 
 class Assignment(click.ParamType):
@@ -71,6 +74,14 @@ class HiddenModeOf(click.ParamType):
         if not name.strip() or (equals and not text.strip()):
             self.fail(f"'{value}' is not of the form {self.name}.", param, ctx)
         return name.strip(), POSITIVE.convert(text, param, ctx) if equals else None
+
+
+def model_with_modes(name: str, modes: Sequence[tuple[str, float | None]]) -> "Model":
+    """The model of this name, with the modes that `--add-mode` asks for."""
+    from riecjax.equations.hidden_modes import HiddenMode
+    from riecjax.models.catalogue import find_model
+
+    return find_model(name).with_modes(*(HiddenMode(*each) for each in modes))
 
 
 set_option = assignments(

@@ -15,6 +15,7 @@ from riecjax.errors import IdentifiabilityError, renamed
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.linearised import linearised
+from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.estimation.parameters import ParameterPlan, plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
@@ -66,6 +67,18 @@ def raise_if_refused(excitations: Iterable[Excitation]) -> None:
     refusal = refusal_by(excitations)
     if refusal is not None:
         raise IdentifiabilityError(refusal.message, refusal.code)
+
+
+def raise_if_not_carried(modes: Iterable[ModeEvidence], excitations: Iterable[Excitation]) -> None:
+    """Raise that recordings carry no such mode where that is why nothing tells regressors apart.
+
+    **Raises:** `IdentifiabilityError` with the finding's message and code.
+    """
+    refused = {one.stage_name for one in excitations if _refusal(one.findings()) is not None}
+    for mode in modes:
+        if mode.stage in refused and not mode.carried:
+            (finding,) = mode.findings()
+            raise IdentifiabilityError(finding.message, finding.code)
 
 
 def refusal_by(excitations: Iterable[Excitation]) -> Finding | None:

@@ -84,6 +84,12 @@ class ModeEvidence(NamedTuple):
         much = float(self.gain) > least and self.explained > LITTLE
         return much and self.oscillates
 
+    @property
+    def _or_close(self) -> str:
+        if self.parameters == ModeParameters.of(0):
+            return ""
+        return ", or cannot tell it from another that lies close"
+
     def findings(self) -> list[Finding]:
         """A warning if nothing speaks for the mode, or little."""
         if self.carried:
@@ -107,8 +113,8 @@ class ModeEvidence(NamedTuple):
                 f"({100 * float(self.without):.2g} % of the signal is left without it and "
                 f"{100 * float(self.unexplained):.2g} % with it, difference "
                 f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %): the "
-                f"recordings do not carry this mode. Leave it out; something else is missing, "
-                f"such as friction or a delay, or nothing.",
+                f"recordings do not carry this mode{self._or_close}. Leave it out; something else "
+                f"is missing, such as friction or a delay, or nothing.",
                 parameters=tuple(names),
             )
         ]
