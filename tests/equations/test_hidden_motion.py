@@ -39,7 +39,7 @@ def test_samples_after_a_gap_wait_until_it_is_forgotten():
     missing = np.zeros(2000, bool)
     missing[1000:1010] = True
     samples = np.where(missing, np.nan, smooth(TIMES))
-    record = rx.Record.from_samples({"v": samples}, STEP)
+    record = rx.Record.from_samples({"v": samples}, time_step=STEP)
     shape = Shape(jnp.asarray(6 / 21000), jnp.asarray(120 / 21000))
     _, known = followed(record, "v", shape)
     # 1 % is left after ln(100) 2 p / q = 0.46 s.

@@ -219,6 +219,16 @@ def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]
     return root / (2 * np.pi), damping / (2 * mass * root)
 
 
+def accelerated(equation: Equation) -> tuple[str, ...]:
+    """Signals of bodies on which an equation could hide a mode."""
+    found: dict[str, None] = {}
+    for term in equation.terms:
+        if isinstance(term, Term) and isinstance(term.of, str) and term.derivative:
+            if HiddenMode(term.of).inertia(equation) is not None:
+                found[term.of] = None
+    return tuple(found)
+
+
 def inertia_sign(inertia: Term) -> Leaf:
     """What a mode's mass is multiplied by beside this inertia."""
     number = inertia.number

@@ -15,7 +15,8 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, told_apart
+from riecjax.equations.hidden_modes import accelerated
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, told_apart
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, Records, as_records
@@ -67,6 +68,7 @@ class EquationResidual(NamedTuple):
     - `spectrum`, and its `peak` if there is a genuine one.
     - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
       short for four of the longest.
+    - `bodies`: signals on which the equation could hide a mode: those that it accelerates.
     """
 
     name: str
@@ -80,6 +82,7 @@ class EquationResidual(NamedTuple):
     spectrum: ErrorSpectrum
     peak: Peak | None
     windows: WindowErrors | None
+    bodies: tuple[str, ...] = ()
 
     def findings(self) -> list[Finding]:
         """`unmodelled_mode`, `residual_follows_signal`, `uneven_errors`."""
@@ -93,9 +96,17 @@ class EquationResidual(NamedTuple):
                 f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
                 f"{100 * peak.share:.0f} % of its power up to {self.spectrum.band:.3g} Hz lies "
                 f"from {peak.low:.3g} to {peak.high:.3g} Hz: the model leaves out a mode there, "
-                f"or gets one wrong. Add the mode, or use windows longer than "
+                f"or gets one wrong. {self._add()}, or use windows longer than "
                 f"{1 / peak.frequency:.2g} s, over which it averages out.",
             )
+
+    def _add(self) -> str:
+        if not self.bodies:
+            return "Add the mode"
+        return (
+            f"Find the mode on {' or '.join(self.bodies)} (on the command line: --add-mode "
+            f"{self.bodies[-1]}; rx.HiddenMode('{self.bodies[-1]}'))"
+        )
 
     def _following(self) -> Iterator[Finding]:
         if not self.follows:
@@ -109,7 +120,7 @@ class EquationResidual(NamedTuple):
                 "shift the signal."
                 if self.peak is None
                 else f"as the ringing of a mode near {self.peak.frequency:.3g} Hz does, or of a "
-                f"sensor that is late. Add the mode, or shift the signal."
+                f"sensor that is late. {self._add()}, or shift the signal."
             )
             yield Finding(
                 "residual_follows_signal",
@@ -226,10 +237,14 @@ def residual_tests(
         step = float(recordings[0].time_step)
         wanted = LAGS if windows is None else round(float(windows.beta) / step)
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
+    names = told_apart([of_equation[0].name for of_equation in errors])
+    equations = [equation for stage in as_procedure(model).stages for equation in stage]
     return ResidualTests(
         tuple(
-            _residual(name, of_equation, recordings, windows, lags)
-            for name, of_equation in zip(told_apart([e[0].name for e in errors]), errors)
+            _residual(name, of_equation, recordings, windows, lags)._replace(
+                bodies=accelerated(equation)
+            )
+            for name, of_equation, equation in zip(names, errors, equations, strict=True)
         )
     )
 
