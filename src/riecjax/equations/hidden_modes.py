@@ -221,12 +221,9 @@ def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]
 
 def accelerated(equation: Equation) -> tuple[str, ...]:
     """Signals of bodies on which an equation could hide a mode."""
-    found: dict[str, None] = {}
-    for term in equation.terms:
-        if isinstance(term, Term) and isinstance(term.of, str) and term.derivative:
-            if HiddenMode(term.of).inertia(equation) is not None:
-                found[term.of] = None
-    return tuple(found)
+    moving = (t.of for t in equation.terms if isinstance(t, Term) and t.derivative)
+    signals = dict.fromkeys(of for of in moving if isinstance(of, str))
+    return tuple(of for of in signals if HiddenMode(of).inertia(equation) is not None)
 
 
 def inertia_sign(inertia: Term) -> Leaf:

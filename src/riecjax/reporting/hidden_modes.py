@@ -47,12 +47,18 @@ def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
         low, high = mode["window_s"]
         lengths = f"{low:.3g} s" if low == high else f"{low:.3g} to {high:.3g} s"
         held = mode["held_out"]
+        left = max(held["with"], 0.0)  # less than nothing, where noise was taken off
+        frequency, ratio = (
+            f"{number(mode[key], 4)} +- {number(mode[error], 2)}"
+            for key, error in (
+                ("frequency_hz", "frequency_std_error_hz"),
+                ("damping_ratio", "damping_ratio_std_error"),
+            )
+        )
         yield (
-            f"hidden mode on {mode['on']}: {number(mode['frequency_hz'], 4)} "
-            f"+- {number(mode['frequency_std_error_hz'], 2)} Hz, damping ratio "
-            f"{number(mode['damping_ratio'], 3)} +- {number(mode['damping_ratio_std_error'], 2)}, "
-            f"in windows of {lengths}, which tell most of it. On time that it was not found from "
-            f"{100 * held['with']:.2g} % of {mode['equation']} is left with it and "
+            f"hidden mode on {mode['on']}: {frequency} Hz with the body at rest, damping ratio "
+            f"{ratio}, in windows of {lengths}, which tell most of it. On time that it was not "
+            f"found from {100 * left:.2g} % of {mode['equation']} is left with it and "
             f"{100 * held['without']:.2g} % without."
         )
 
@@ -78,9 +84,9 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
         rows.append([Panel(marks, Axis("frequency of the mode / Hz", log=True), share)])
     return Chart(
         rows,
-        "The mode map: of each frequency that a hidden mode could have, what the equation then "
-        "leaves unexplained, at the best damping and mass. Gaps are frequencies at which only a "
-        "negative mass would fit.",
+        "The mode map: of each frequency that a hidden mode could have, the share of the target's "
+        "energy that the equation then leaves, at the best damping and mass. Gaps are frequencies "
+        "at which only a negative mass would fit, or noise accounts for all.",
         (7, 3.2 * len(rows) + 0.6),
         legend=True,
     )
