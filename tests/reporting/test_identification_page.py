@@ -39,6 +39,7 @@ DOCUMENT: dict[str, Any] = {
         }
     },
     "window_choice": None,
+    "modes": [],
     "seed_scatter": None,
     "refinement": None,
     "validation": [{"on": "a.csv, last part", "verdict": "It ran.", **RUN}],

@@ -187,8 +187,6 @@ def _assessed(
         validated_on=asked.further,
         checked=checked,
         estimate=estimate,
-        summary=ordinary,
-        modes=evidence,
         sweep=_sweep(procedure, records, summary, asked.settings) if sweep else None,
         residuals=residuals,
         choice=choice,
@@ -197,6 +195,7 @@ def _assessed(
         refinement=refinement,
         failures=[*failed, *untested],
         key=asked.key,
+        modes=evidence,
     )
 
 

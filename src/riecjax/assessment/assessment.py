@@ -18,7 +18,6 @@ from riecjax.refinement.refined import Refined
 from riecjax.studies.choice import WindowChoice
 from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.studies.sweep import WindowSweep
-from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.whiteness import Whiteness
@@ -104,8 +103,7 @@ class Assessment:
     - `recordings` that were estimated from, and those that it was only `validated_on`: with the
       steps and findings that concern signals which the criterion reads.
     - `checked`: what was looked at before the fit.
-    - `estimate`, and the `summary` that its regressors are in, see `linearised`.
-    - `modes`: what speaks for each stage's last hidden mode.
+    - `estimate`.
     - `sweep`: estimates against window length, if asked for and possible.
     - `residuals`: tests of what is left, if they can be made.
     - `choice` of windows, for a criterion that has some.
@@ -114,6 +112,7 @@ class Assessment:
     - `validations`: simulations with the values of `answer`.
     - `failures`: findings on what could not be tested or simulated.
     - `key` of the windows.
+    - `modes`: what speaks for each stage's last hidden mode.
     """
 
     model: Model
@@ -122,8 +121,6 @@ class Assessment:
     validated_on: Sequence[Recording]
     checked: Check
     estimate: Estimate
-    summary: Summary
-    modes: Sequence[ModeEvidence]
     sweep: WindowSweep | None
     residuals: ResidualTests | None
     choice: WindowChoice | None
@@ -132,6 +129,7 @@ class Assessment:
     refinement: Refinement | None
     failures: Sequence[Finding]
     key: Key[Array, ""] | None
+    modes: Sequence[ModeEvidence] = ()
 
     @property
     def answer(self) -> AbstractEstimate:

@@ -7,6 +7,7 @@ import numpy as np
 
 from riecjax.assessment.assessment import Assessment, ValidationRun
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.linearised import linearised
 from riecjax.estimation.parameters import values_of_record
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (
@@ -185,7 +186,9 @@ def _fit_figure(result: Assessment) -> Chart:
 
 def _fits(result: Assessment) -> Iterator[tuple[int, _Fit]]:
     """Some rows of each equation on each record, with the place of its stage."""
-    estimate, summary = result.estimate, result.summary
+    estimate = result.estimate
+    assert estimate.summary is not None
+    summary = linearised(result.procedure, estimate.summary, estimate.known)
     given = {name: float(value) for name, value in estimate.known.items()}
     found = {name: float(estimate[name]) for name in estimate.parameters}
     for i, recording in enumerate(summary.recordings):
