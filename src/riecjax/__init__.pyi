@@ -27,6 +27,7 @@ from .equations.expressions import product as product
 from .equations.hidden_modes import HiddenMode as HiddenMode
 from .equations.procedure import simultaneous as simultaneous
 from .equations.procedure import staged as staged
+from .equations.series_springs import SeriesSpring as SeriesSpring
 from .equations.term import Term as Term
 from .equations.term import Terms as Terms
 from .errors import DataError as DataError

@@ -12,6 +12,7 @@ import equinox as eqx
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_modes import Expanded, HiddenMode, ModeParameters
+from riecjax.equations.series_springs import SeriesSpring, stiffness_name
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
@@ -21,11 +22,13 @@ class Procedure(eqx.Module):
     """Stages of equations; see [`staged`][] and [`simultaneous`][].
 
     `modes` are hidden in every equation that accelerates their bodies, see
-    [`Procedure.with_modes`][].
+    [`Procedure.with_modes`][], and `springs` stand in series with force elements, see
+    [`Procedure.with_series_springs`][].
     """
 
     stages: tuple[tuple[Equation, ...], ...]
     modes: tuple[HiddenMode, ...] = ()
+    springs: tuple[SeriesSpring, ...] = ()
 
     def with_modes(self, *modes: HiddenMode) -> "Procedure":
         """The same equations with oscillators that they leave out.
@@ -39,7 +42,21 @@ class Procedure(eqx.Module):
                     f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
-        return Procedure(self.stages, (*self.modes, *modes))
+        return Procedure(self.stages, (*self.modes, *modes), self.springs)
+
+    def with_series_springs(self, *springs: SeriesSpring) -> "Procedure":
+        """The same equations with springs in series with force elements, to refine or simulate.
+
+        **Raises:** `ModelError` for an element that no equation holds.
+        """
+        for spring in springs:
+            require("a spring", spring, SeriesSpring, "rx.SeriesSpring(of='c')")
+            if not any(spring.element(e) is not None for stage in self.stages for e in stage):
+                raise ModelError(
+                    f"no equation has a coefficient '{spring.of}' that a spring could be in series "
+                    f"with; there are: {', '.join(self.parameters)}."
+                )
+        return Procedure(self.stages, self.modes, (*self.springs, *springs))
 
     def mode_named(self, names: ModeParameters) -> HiddenMode:
         """The mode whose parameters these are."""
@@ -70,6 +87,10 @@ class Procedure(eqx.Module):
             every = [[e.parameters for e in stage] for stage in self.stages]
         else:
             every = [[e.all_parameters for e in stage] for stage in self.expanded]
+        for i, spring in enumerate(self.springs):
+            for of, equations in zip(every, self.stages):
+                if any(spring.element(e) is not None for e in equations):
+                    of.append((stiffness_name(i),))
         return [tuple(dict.fromkeys(name for of in stage for name in of)) for stage in every]
 
     @property
@@ -87,6 +108,8 @@ class Procedure(eqx.Module):
                 units |= {k: v for k, v in equation.units.items() if v or k not in units}
         for number, mode in enumerate(self.modes):
             units |= mode.units(number, [e for stage in self.stages for e in stage])
+        for number, spring in enumerate(self.springs):
+            units[stiffness_name(number)] = spring.unit(e for stage in self.stages for e in stage)
         return units
 
     @property

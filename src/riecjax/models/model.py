@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from riecjax.equations.equation import Equation
     from riecjax.equations.hidden_modes import HiddenMode
     from riecjax.equations.procedure import HasProcedure, Procedure
+    from riecjax.equations.series_springs import SeriesSpring
     from riecjax.records.record import Record
     from riecjax.refinement.parametric import AbstractParametric
     from riecjax.simulation.attached_modes import Attachment
@@ -50,7 +51,8 @@ class Model:
       its periods long (eq. 26) unless other lengths are asked for.
     - `written`: signals that a simulated recording holds; all by default.
     - `note`: something a user should know before using it.
-    - `modes`: oscillators that the equations leave out, see `with_modes`.
+    - `modes`: oscillators that the equations leave out, see `with_modes`; `springs` in series with
+      force elements, see `with_series_springs`.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Model:
     written: tuple[str, ...] = ()
     note: str = ""
     modes: tuple[HiddenMode, ...] = ()
+    springs: tuple[SeriesSpring, ...] = ()
 
     @property
     def simulation_parameters(self) -> tuple[Quantity, ...]:
@@ -96,6 +99,21 @@ class Model:
             carrying, parameters=(*self.parameters, *added), own_simulation_parameters=own
         )
 
+    def with_series_springs(self, *springs: SeriesSpring) -> Model:
+        """The same model with springs in series with force elements, see [`SeriesSpring`][].
+
+        It is simulated by its equations: its own system knows of no springs.
+
+        **Raises:** `ModelError` for an element that no equation holds.
+        """
+        from riecjax.equations.series_springs import stiffness_name
+
+        carrying = replace(self, springs=(*self.springs, *springs))
+        units = carrying.build_procedure().units
+        names = [stiffness_name(i) for i in range(len(self.springs), len(carrying.springs))]
+        added = (Quantity(name, units[name], "spring in series") for name in names)
+        return replace(carrying, parameters=(*self.parameters, *added))
+
     def build_procedure(self) -> Procedure:
         """The equations to identify.
 
@@ -111,7 +129,7 @@ class Model:
         if not isinstance(built, Equation | Procedure):
             raise ModelError(f"{self.name}: its procedure must build an Equation or a Procedure.")
         procedure = staged(built) if isinstance(built, Equation) else built
-        return procedure.with_modes(*self.modes) if self.modes else procedure
+        return procedure.with_modes(*self.modes).with_series_springs(*self.springs)
 
     def build_system(self, settings: Mapping[str, float]) -> AbstractSystem:
         """The system to simulate, with its defaults replaced by `settings`.
@@ -133,6 +151,11 @@ class Model:
         if missing := [name for name, value in values.items() if value is None]:
             raise ModelError(
                 f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
+            )
+        if self.springs:
+            raise ModelError(
+                f"the system of {self.name} has no springs in series: simulate its equations, "
+                f"rx.equation_system(model.build_procedure(), values)."
             )
         if self._carries and self._attachments is None:
             raise ModelError(
@@ -181,7 +204,7 @@ class Model:
     def _drives(self, record: Record) -> bool:
         """Whether a record holds the inputs of the model's own system, with its modes."""
         held = self.system is not None and all(q.name in record.signals for q in self.inputs)
-        return held and not (self._carries and self._attachments is None)
+        return held and not self.springs and not (self._carries and self._attachments is None)
 
     @property
     def _carries(self) -> bool:

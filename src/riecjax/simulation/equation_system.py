@@ -32,6 +32,7 @@ from riecjax.records.signals import Signals
 from riecjax.simulation.hidden_modes import carried_states, with_forces
 from riecjax.simulation.motions import Structure, derivative_name, label_of, read_structure
 from riecjax.simulation.reversals import regime_at
+from riecjax.simulation.series_springs import SpringElement, with_springs
 from riecjax.simulation.system import AbstractSystem, Quantities
 
 
@@ -45,10 +46,11 @@ class EquationSystem(AbstractSystem):
     values: dict[str, Array]
     structure: Structure = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    elements: tuple[SpringElement, ...] = ()
 
     @property
     def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Each state signal, with its first derivative where the second leads; of modes, two."""
+        """Signals and first derivatives below leading ones, and those of hidden elements."""
         return self._with_units(self.structure.states)
 
     @property
@@ -69,8 +71,8 @@ class EquationSystem(AbstractSystem):
 
     @property
     def carried(self) -> Mapping[str, str]:
-        """States of hidden modes."""
-        return carried_states(self.structure.modes)
+        """States of hidden modes, and forces of springs."""
+        return carried_states(self.structure.modes) | dict.fromkeys(self.structure.forces, "")
 
     @property
     def velocity_of(self) -> Mapping[str, str]:
@@ -197,6 +199,9 @@ class EquationSystem(AbstractSystem):
             )
         for mode in self.structure.modes:
             flow |= mode.rates(signals, self.values)
+        for one in self.elements:
+            across = self._expression(one.element, dict(signals))
+            flow[one.state] = one.rate(across, signals[one.state], self.values)
         return flow
 
     def _with_units(self, names: Sequence[str]) -> Quantities:
@@ -225,7 +230,8 @@ def equation_system(
     says which samples to identify from and means nothing here.
 
     A hidden mode has two further states, `mode_deflection` (body minus mass) and `mode_velocity`,
-    of a second one `mode_2_deflection` and `mode_2_velocity`.
+    of a second one `mode_2_deflection` and `mode_2_velocity`. An element with a spring in series
+    has its force, `series_force`, of a second one `series_2_force`.
 
     **Arguments:**
 
@@ -246,11 +252,13 @@ def equation_system(
     equations = tuple(equation for stage in procedure.stages for equation in stage)
     label = " + ".join(equation.name for equation in equations)
     numbers = _numbers(label, procedure, values)
+    equations, elements = with_springs(equations, procedure.springs)
     equations, modes = with_forces(equations, procedure.modes)
-    structure = read_structure(label, equations, rates or {}, frozenset(inputs), modes)
+    structure = read_structure(label, equations, rates or {}, frozenset(inputs), modes, elements)
     own = {k: v for m in modes for k, v in zip((m.deflection, m.velocity), m.units)}
+    own |= {one.state: one.unit for one in elements}
     named = tuple(sorted((own | dict(units or {})).items()))
-    system = EquationSystem(equations, numbers, structure, named)
+    system = EquationSystem(equations, numbers, structure, named, elements)
     if is_concrete(equations, numbers):
         _check_solvable(label, system)
     return system
@@ -279,6 +287,10 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
     for mode in system.structure.modes:
         if float(system.values[mode.parameters.mass]) == 0:
             raise ModelError(f"{label} cannot be simulated: {mode.parameters.mass} is zero.")
+    for one in system.elements:
+        if isinstance(one.element, Term) and float(system.values[one.element.parameters[0]]) == 0:
+            which = one.element.parameters[0]
+            raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
     state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
     level = jnp.asarray(np.linspace(0.3, 0.7, len(system.structure.inputs)))
     unknowns = system.structure.unknowns

@@ -11,7 +11,7 @@ input. With as many equations as unknowns the system is square; whether it is re
 the coefficients, and is checked where they are known.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -25,6 +25,7 @@ from riecjax.errors import ModelError, users_code
 from riecjax.records.signals import Signals
 from riecjax.simulation.hidden_modes import ModeStates
 from riecjax.simulation.reversals import reversing_states
+from riecjax.simulation.series_springs import SpringElement
 
 
 class Motion(NamedTuple):
@@ -39,7 +40,8 @@ class Structure(NamedTuple):
 
     **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
     `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
-    zero the equations jump; `modes` that are hidden, each two further states.
+    zero the equations jump; `modes` that are hidden, each two further states; `forces` of elements
+    with a spring in series, each a state.
     """
 
     motions: tuple[Motion, ...]
@@ -48,13 +50,14 @@ class Structure(NamedTuple):
     inputs: tuple[str, ...]
     reversing: tuple[str, ...] = ()
     modes: tuple[ModeStates, ...] = ()
+    forces: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Each signal and its derivatives below the leading one, those with a rate, and modes'."""
+        """Signals and derivatives below the leading one, those with a rate, and hidden ones."""
         lower = (name for motion in self.motions for name in motion.names[:-1])
         hidden = (name for mode in self.modes for name in (mode.deflection, mode.velocity))
-        return (*lower, *(name for name, _ in self.rates), *hidden)
+        return (*lower, *(name for name, _ in self.rates), *hidden, *self.forces)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -68,8 +71,10 @@ def read_structure(
     rates: Mapping[str, Expression],
     inputs: frozenset[str],
     modes: tuple[ModeStates, ...] = (),
+    elements: tuple[SpringElement, ...] = (),
 ) -> Structure:
-    """The structure of equations that are to be simulated, the forces of their modes among them.
+    """The structure of equations that are to be simulated, the forces of their modes among them,
+    and of elements with a spring in series their forces.
 
     **Raises:** `ModelError` if they cannot be, whatever their coefficients; see
     [`equation_system`][].
@@ -80,12 +85,13 @@ def read_structure(
         for equation in equations
         if not _is_dynamic(equation, motions)
     )
-    structure = Structure(motions, tuple(rates.items()), determined, (), modes=modes)
+    forces = tuple(one.state for one in elements)
+    structure = Structure(motions, tuple(rates.items()), determined, (), (), modes, forces)
     _check_count(label, equations, structure.unknowns)
     settled = {*structure.states, *structure.unknowns}
-    reads = dict.fromkeys(
-        name for each in _expressions(equations, motions, rates) for name in signals_read(each)
-    )
+    terms = [(equation.name, term) for equation in equations for term in equation.terms]
+    read = _expressions([*terms, *((label, one.element) for one in elements)], motions)
+    reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
     _check_derivatives(label, equations, structure)
     functions = [
@@ -224,20 +230,19 @@ def _check_count(label: str, equations: tuple[Equation, ...], unknowns: tuple[st
 
 
 def _expressions(
-    equations: tuple[Equation, ...], motions: tuple[Motion, ...], rates: Mapping[str, Expression]
+    terms: Sequence[tuple[str, AbstractTerm]], motions: tuple[Motion, ...]
 ) -> list[Expression]:
+    """What terms read, each with the name of its equation."""
     found: list[Expression] = []
-    for equation in equations:
-        for term in equation.terms:
-            if not isinstance(term, Term | Terms):
-                raise ModelError(
-                    f"{equation.name} cannot be simulated: {type(term).__name__} is a term of an "
-                    f"unknown kind."
-                )
-            found.append(
-                derivative_name(term.of, term, motions) if isinstance(term.of, str) else term.of
+    for name, term in terms:
+        if not isinstance(term, Term | Terms):
+            raise ModelError(
+                f"{name} cannot be simulated: {type(term).__name__} is a term of an unknown kind."
             )
-    return [*found, *rates.values()]
+        found.append(
+            derivative_name(term.of, term, motions) if isinstance(term.of, str) else term.of
+        )
+    return found
 
 
 class _Listening(Signals):

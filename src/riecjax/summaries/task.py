@@ -47,6 +47,7 @@ def task(
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
     procedure = as_procedure(model)
+    require_no_springs(procedure)
     recordings = ready(procedure, records, noise)
     if criterion is None:
         of_records = [recording.record for recording in recordings]
@@ -61,6 +62,17 @@ def task(
             criterion.check(recording.record)
     plain = [recording.record for recording in recordings]
     return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
+
+
+def require_no_springs(procedure: Procedure) -> None:
+    """Raise `ModelError` for springs in series, which no sums tell of."""
+    if procedure.springs:
+        named = ", ".join(f"'{spring.of}'" for spring in procedure.springs)
+        raise ModelError(
+            f"a spring in series with {named} makes the model nonlinear in its parameters: "
+            f"identify it without, and refine it from there: rx.refine(model, record, "
+            f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
+        )
 
 
 def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> None:

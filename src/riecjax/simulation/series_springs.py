@@ -1,0 +1,99 @@
+"""Springs in series with force elements, written out for a simulation: one more state each.
+
+With f the force of both, v the velocity across them and v_in(f) that across the element alone,
+
+    f' = K (v - v_in(f)),
+
+v_in being the inverse of the element's law: f / c of a linear one, and of a piecewise linear map
+through (v_i, F_i) the map through (F_i, v_i). The law must rise; where values tried on the way to
+an answer do not, a least slope stands in for them.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from riecjax.equations.bases import RoofFunctions
+from riecjax.equations.equation import Equation
+from riecjax.equations.series_springs import SeriesSpring, element_sign, stiffness_name
+from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.errors import ModelError
+
+LEAST_SLOPE = 0.01
+"""Of a map, as a share of its mean slope."""
+
+
+class SpringElement(eqx.Module):
+    """A force element with a spring in series.
+
+    **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
+    `stiffness`, the name of the spring's parameter.
+    """
+
+    element: AbstractTerm
+    state: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    stiffness: str = eqx.field(static=True)
+
+    def rate(
+        self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
+    ) -> Float[Array, " 1"]:
+        """Time derivative of the force."""
+        own = jnp.stack([values[name] for name in self.element.parameters])
+        return values[self.stiffness] * (velocity - self._inner(own, force))
+
+    def _inner(self, values: Float[Array, " p"], force: Float[Array, " 1"]) -> Float[Array, " 1"]:
+        if isinstance(self.element, Term):
+            return force / values[0]
+        assert isinstance(self.element, Terms)
+        assert isinstance(self.element.basis, RoofFunctions)
+        points = self.element.basis.break_points
+        return RoofFunctions(_rising(values, points)).interpolate(points, force)
+
+
+def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
+    """The same map where it rises, and one of least slope where it does not."""
+    mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
+    least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
+    rises = jnp.maximum(jnp.diff(forces), least)
+    return forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
+
+
+def with_springs(
+    equations: tuple[Equation, ...], springs: Sequence[SeriesSpring]
+) -> tuple[tuple[Equation, ...], tuple[SpringElement, ...]]:
+    """Equations that hold elements' forces in the elements' places, and these elements.
+
+    **Raises:** `ModelError` for an element whose law has no inverse that is known.
+    """
+    found = tuple(_element(number, spring, equations) for number, spring in enumerate(springs))
+    replaced = []
+    for equation in equations:
+        terms = []
+        for term in equation.terms:
+            name = next((f.state for f, s in zip(found, springs) if s.of in term.parameters), None)
+            terms.append(term if name is None else Term(element_sign(term), name))
+        replaced.append(
+            Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
+        )
+    return tuple(replaced), found
+
+
+def _element(number: int, spring: SeriesSpring, equations: Sequence[Equation]) -> SpringElement:
+    elements = [e for equation in equations if (e := spring.element(equation)) is not None]
+    first = elements[0]
+    if isinstance(first, Terms) and not isinstance(first.basis, RoofFunctions):
+        raise ModelError(
+            f"a spring in series with {first.prefix} needs the inverse of its law, which is known "
+            f"of one coefficient and of roof functions (rx.roof) only."
+        )
+    if any(e.of != first.of or e.derivative != first.derivative for e in elements):
+        raise ModelError(
+            f"{spring.of} is of other signals in one equation than in another, so that it is no "
+            f"one element that a spring could be in series with."
+        )
+    name = "series_force" if number == 0 else f"series_{number + 1}_force"
+    force = next((e.unit for e in equations if spring.element(e) is not None), "")
+    return SpringElement(first, name, force, stiffness_name(number))
