@@ -71,7 +71,8 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
         read = with_less_noise(procedure, record, criterion)
         if traced:
             return traced_sums(read, record, criterion, key)
-        return OnePass(read, record, criterion, key, kept_apart, survey).sums()
+        averaged = not asked.procedure.modes
+        return OnePass(read, record, criterion, key, kept_apart, survey, averaged).sums()
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)
