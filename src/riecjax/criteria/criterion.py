@@ -146,7 +146,9 @@ class AbstractCriterion(eqx.Module):
         """
         return self.sums(equation, record)[0]
 
-    def sums(self, equation: Equation, record: Record) -> tuple[Moments, NoiseMoments | None]:
+    def sums(
+        self, equation: Equation, record: Record, apart: bool = False
+    ) -> tuple[Moments, NoiseMoments | None]:
         """Sums over all rows of their outer products, for blocks of `block_samples` starts.
 
         **Returns:** these and numbers of rows, and what of them the record's noise adds.
@@ -365,10 +367,13 @@ class RIEC(AbstractCriterion):
             self.test_function.length_multiple,
         )
 
-    def sums(self, equation: Equation, record: Record) -> tuple[Moments, NoiseMoments | None]:
+    def sums(
+        self, equation: Equation, record: Record, apart: bool = False
+    ) -> tuple[Moments, NoiseMoments | None]:
         """Sums over all windows of the outer products of rows, for blocks of starts.
 
-        **Returns:** these and numbers of rows, and what of them the record's noise adds.
+        **Returns:** these and numbers of rows, and what of them the record's noise adds; `apart`,
+        of each of the law's lengths along a leading axis.
 
         **Raises:** `DataError` for a missing signal; `ModelError` for random windows.
         """
@@ -376,17 +381,24 @@ class RIEC(AbstractCriterion):
             raise ModelError("random windows have rows, not moments of all of them.")
         windows, n = self.windows.every, record.sample_count
         lags, reach = self.law(record), windows.reach(n)
+        if apart:
+            lags = LagBins(lags.first[:, None], lags.last[:, None], lags.weight[:, None])
+
+        def blocks_first(sums: Any) -> Any:
+            return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), sums) if apart else sums
 
         def of_chunk(part: Record, blocks: StartBlocks) -> Any:
             noisy = self.noisy_columns(equation, part)
             noise = self.noise_of(noisy, part.noise, lags, blocks, reach)
             if noise is not None:
-                noise = (noise.total, noise.of_source[None])
-            return self.moments_of(noisy.columns, lags, blocks, reach), noise
+                noise = (blocks_first(noise.total), noise.of_source[None])
+            return blocks_first(self.moments_of(noisy.columns, lags, blocks, reach)), noise
 
         block, margin = windows.block(n), self.test_function.margin
         moments, noise = in_chunks(record, of_chunk, block=block, reach=reach, margin=margin)
-        return moments, None if noise is None else NoiseMoments(noise[0], noise[1].sum(0))
+        if noise is not None:
+            noise = NoiseMoments(blocks_first(noise[0]), noise[1].sum(0))
+        return blocks_first(moments), noise
 
     def law(self, record: Record) -> LagBins:
         """The law of window lengths on a record."""

@@ -100,8 +100,9 @@ class ModeStage(NamedTuple):
 
         rows, first = tables(at.ravel()), jax.jacfwd(tables)(at.ravel())
         second = jax.jacfwd(jax.jacfwd(tables))(at.ravel())
+        sizes = (at.size, at.size), (at.size, len(self.linear)), (len(self.linear),) * 2
         slope = jnp.zeros(at.size, at.dtype)
-        own, mixed, inner = 0.0, 0.0, 0.0
+        own, mixed, inner = (jnp.zeros(size, at.dtype) for size in sizes)
         for table, by_x, by_xx, moments in zip(rows, first, second, self.moments):
             # Columns last: x moves a row of the table to d_x, a coefficient moves the residual.
             pull = (u @ table) @ moments

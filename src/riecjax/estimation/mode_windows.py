@@ -152,8 +152,10 @@ def _contracted(
     stage = ModeStage.of(expanded, sums, known)
     values = stage.values(at_minimum(stage, at) if stage.sought and moves else at)
     mixes = [e.linearised(values) if e.modes else jnp.zeros((0, 0)) for e in expanded]
-    both = ([_mixed(*each) for each in zip(expanded, mixes, s)] for s in (sums, sources))
-    return (*both, values)
+    equations, added = (
+        [_mixed(*each) for each in zip(expanded, mixes, s)] for s in (sums, sources)
+    )
+    return equations, added, values
 
 
 def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquations:
