@@ -27,7 +27,7 @@ SIGNALS = ("x2", "x3", "x4")
 
 @eqx.filter_jit
 def moments(equation: Equation, record: Record, criterion: RIEC) -> Float[Array, "columns columns"]:
-    return jnp.sum(criterion.moments(equation, record)[0], axis=0)
+    return jnp.sum(criterion.sums(equation, record)[0][0], axis=0)
 
 
 def long_record(size: Size) -> Comparison:
@@ -67,7 +67,7 @@ def identified(
     equation: Equation, record: Record, criterion: RIEC, known: dict[str, float]
 ) -> Float[Array, " p"]:
     """From signals to parameters."""
-    equations = NormalEquations(*criterion.moments(equation, record), equation.parameters)
+    equations = NormalEquations(*criterion.sums(equation, record)[0], equation.parameters)
     return solve(equations.total().fix(known)).theta
 
 

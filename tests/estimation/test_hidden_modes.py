@@ -1,5 +1,9 @@
 """Hidden modes: systems with an oscillator that the model does not know, solved by SciPy."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -99,6 +103,69 @@ def test_gradients_and_batches(with_mode):
     value, slope = jax.jit(jax.value_and_grad(stiffness))(jnp.asarray(1.0))
     assert float(value) == pytest.approx(21000.0, rel=5e-3)
     assert float(slope) == pytest.approx(float(value), rel=1e-6)
+
+
+FEW_LENGTHS = rx.RIEC(rx.AllWindows(0.14, 0.3), rx.criteria.GradedBump(lengths=3))
+
+
+def test_a_batch_is_what_its_records_are_one_by_one():
+    rng, clean, parts = np.random.default_rng(8), motion(True), []
+    for level in (0.001, 0.08, 0.08):
+        parts.append(
+            {n: x + level * x.std() * rng.standard_normal(x.shape) for n, x in clean.items()}
+        )
+    batch = {name: jnp.stack([jnp.asarray(part[name]) for part in parts]) for name in clean}
+    known = {name: 0.04 * x.std() for name, x in clean.items()}
+
+    def of(signals: dict[str, jax.Array]) -> rx.Estimate:
+        record = rx.Record(signals, STEP)
+        return rx.identify(MODEL, record, FEW_LENGTHS, intervals=Sandwich(), noise=known)
+
+    together = jax.vmap(lambda signals: (of(signals).theta, of(signals).standard_errors))(batch)
+    each = [of(part) for part in parts]
+    np.testing.assert_allclose(together[0], [np.asarray(e.theta) for e in each], rtol=1e-8)
+    errors = [np.asarray(e.standard_errors) for e in each]
+    # A record that is looked at is filled up, and its noise cut into blocks a little otherwise.
+    np.testing.assert_allclose(together[1], errors, rtol=1e-3)
+
+
+def test_gradients_are_those_of_differences(with_mode):
+    signals = {name: jnp.asarray(x) for name, x in with_mode.arrays.items()}
+    # Of a change that no parameter undoes: a second motion, added to the position alone.
+    away = jnp.sin(2 * jnp.pi * 3.0 * STEP * jnp.arange(6000)) * jnp.std(signals["x"])
+
+    def found(size: jax.Array) -> jax.Array:
+        record = rx.Record({**signals, "x": signals["x"] + size * away}, STEP)
+        estimate = rx.identify(MODEL, record, FEW_LENGTHS, intervals=Sandwich(), noise="none")
+        return jnp.log(jnp.stack([estimate[name] for name in ("M_mode", "K_mode", "B_mode", "k")]))
+
+    compiled, step = jax.jit(found), 1e-4
+    slope = jax.jit(jax.jacrev(found))(jnp.asarray(0.01))
+    differences = (compiled(0.01 + step) - compiled(0.01 - step)) / (2 * step)
+    np.testing.assert_allclose(slope, differences, rtol=1e-4, atol=1e-4 * np.abs(slope).max())
+
+
+IN_32_BIT = """
+import sys
+import numpy as np
+import riecjax as rx
+from tests.hidden_body import MODEL, STEP, motion
+
+estimate = rx.identify(MODEL, rx.Record(motion(True), STEP))
+assert estimate.theta.dtype == np.float32, estimate.theta.dtype
+print(*(float(estimate[name]) for name in ("m", "M_mode", "K_mode")))
+"""
+
+
+def test_in_32_bit_modes_are_found_to_a_percent():
+    environment = {**os.environ, "JAX_ENABLE_X64": "0"}
+    done = subprocess.run(
+        [sys.executable, "-c", IN_32_BIT], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    found = [float(value) for value in done.stdout.split()]
+    meant = [TRUTH[name] for name in ("m", "M_mode", "K_mode")]
+    np.testing.assert_allclose(found, meant, rtol=1e-2)
 
 
 def test_what_cannot_be_asked(with_mode):

@@ -34,6 +34,7 @@ from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.noise import Noise
 from riecjax.records.record import Record
 
+Sums = tuple[Moments, NoiseMoments | None]
 SHORT_BLOCKS_OF_ROWS = 512
 """Short blocks of start times to a record where single rows are put into them."""
 
@@ -55,7 +56,7 @@ class AbstractCriterion(eqx.Module):
 
     @property
     def in_closed_form(self) -> bool:
-        """Whether all rows are summed at once: there are `moments`, and no single ones."""
+        """Whether all rows are summed at once: there are `sums`, and no single rows."""
         return self.windows is not None and not self.windows.needs_key
 
     @property
@@ -88,9 +89,8 @@ class AbstractCriterion(eqx.Module):
 
     def block_samples(self, record: Record) -> int:
         """Samples to one of the short blocks of start times that have moments of their own."""
-        n = record.sample_count
         # At least two blocks, or nothing could be said of scatter.
-        return min(max(-(-n // SHORT_BLOCKS_OF_ROWS), 1), -(-n // 2))
+        return min(-(-record.sample_count // SHORT_BLOCKS_OF_ROWS), -(-record.sample_count // 2))
 
     def check(self, record: Record) -> None:
         """Raise `DataError` if the record is too short for this criterion (not under jit)."""
@@ -139,14 +139,7 @@ class AbstractCriterion(eqx.Module):
         drawn = self.draw(record, key)
         return self.rows_of(sampled_columns(equation, record, self.smoothness), drawn)
 
-    def moments(self, equation: Equation, record: Record) -> Moments:
-        """Sums over all rows of their outer products, for blocks of `block_samples` starts.
-
-        **Raises:** as [`sums`][].
-        """
-        return self.sums(equation, record)[0]
-
-    def sums(self, equation: Equation, record: Record) -> tuple[Moments, NoiseMoments | None]:
+    def sums(self, equation: Equation, record: Record, apart: bool = False) -> Sums:
         """Sums over all rows of their outer products, for blocks of `block_samples` starts.
 
         **Returns:** these and numbers of rows, and what of them the record's noise adds.
@@ -365,10 +358,11 @@ class RIEC(AbstractCriterion):
             self.test_function.length_multiple,
         )
 
-    def sums(self, equation: Equation, record: Record) -> tuple[Moments, NoiseMoments | None]:
+    def sums(self, equation: Equation, record: Record, apart: bool = False) -> Sums:
         """Sums over all windows of the outer products of rows, for blocks of starts.
 
-        **Returns:** these and numbers of rows, and what of them the record's noise adds.
+        **Returns:** these and numbers of rows, and what of them the record's noise adds; `apart`,
+        of each of the law's lengths along a leading axis.
 
         **Raises:** `DataError` for a missing signal; `ModelError` for random windows.
         """
@@ -376,17 +370,24 @@ class RIEC(AbstractCriterion):
             raise ModelError("random windows have rows, not moments of all of them.")
         windows, n = self.windows.every, record.sample_count
         lags, reach = self.law(record), windows.reach(n)
+        if apart:
+            lags = LagBins(lags.first[:, None], lags.last[:, None], lags.weight[:, None])
+
+        def blocks_first(sums: Any) -> Any:
+            return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), sums) if apart else sums
 
         def of_chunk(part: Record, blocks: StartBlocks) -> Any:
             noisy = self.noisy_columns(equation, part)
             noise = self.noise_of(noisy, part.noise, lags, blocks, reach)
             if noise is not None:
-                noise = (noise.total, noise.of_source[None])
-            return self.moments_of(noisy.columns, lags, blocks, reach), noise
+                noise = (blocks_first(noise.total), noise.of_source[None])
+            return blocks_first(self.moments_of(noisy.columns, lags, blocks, reach)), noise
 
         block, margin = windows.block(n), self.test_function.margin
         moments, noise = in_chunks(record, of_chunk, block=block, reach=reach, margin=margin)
-        return moments, None if noise is None else NoiseMoments(noise[0], noise[1].sum(0))
+        if noise is not None:
+            noise = NoiseMoments(blocks_first(noise[0]), noise[1].sum(0))
+        return blocks_first(moments), noise
 
     def law(self, record: Record) -> LagBins:
         """The law of window lengths on a record."""

@@ -111,6 +111,8 @@ def _weighted(
     movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
 ) -> Float[Array, "blocks columns columns"]:
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
+    if all(values.shape[1] == 1 for values in movement.values.values()):
+        return _weighted_still(movement, weights, blocks, size)
     total = jnp.zeros((blocks.number, size, size), weights.dtype)
     for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
         rows, columns = np.array(movement.rows[k]), np.array(movement.rows[m])
@@ -119,6 +121,26 @@ def _weighted(
         if k != m:
             total = total.at[:, columns[:, None], rows[None, :]].add(jnp.swapaxes(part, 1, 2))
     return total
+
+
+def _weighted_still(
+    movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
+) -> Float[Array, "blocks columns columns"]:
+    """The same of columns that noise moves alike at every sample, as it does linear terms.
+
+    What they move by then stands before the sums, and one product serves all orders.
+    """
+    orders = weights.shape[0]
+    still = jnp.zeros((orders, size), weights.dtype)
+    for order, values in movement.values.items():
+        still = still.at[order, np.array(movement.rows[order])].add(values[:, 0])
+    one, other = np.triu_indices(orders)
+    unit = jnp.ones((1, 1), weights.dtype)
+    pairs = jax.vmap(lambda w: _sums_in_blocks(unit, w, unit, blocks)[:, 0, 0])
+    sums = pairs(weights[one, other])
+    place = np.zeros((orders, orders), int)
+    place[one, other] = place[other, one] = np.arange(one.size)
+    return jnp.einsum("klb,ki,lj->bij", sums[place], still, still)
 
 
 def _sums_in_blocks(

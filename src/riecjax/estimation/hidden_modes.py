@@ -14,21 +14,14 @@ target D y that they leave, and only the last steps, from the best of them, are 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.hidden_modes import Expanded, ModeParameters, Shape
-from riecjax.equations.procedure import Procedure
-from riecjax.errors import ModelError
-from riecjax.leaves import Leaf, held_still
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import sum_of_equations
-from riecjax.summaries.summary import Summary
-from riecjax.uncertainty.block_statistics import block_influence
 
 Values = Mapping[str, Array]
 DAMPINGS = (0.02, 0.06, 0.15, 0.35, 0.8)
@@ -78,33 +71,48 @@ class ModeStage(NamedTuple):
 
     def projected(self, at: Float[Array, "modes 2"]) -> "Projected":
         """The best fit with modes of these shapes, as logarithm of frequency and damping ratio."""
-        zero = jnp.zeros(len(self.linear), at.dtype)
-        none = self.residuals(at, zero)
-        # Residuals are affine in what is solved for: regressors are their slopes, negated.
-        slopes = jax.jacfwd(lambda theta: self.residuals(at, theta))(zero)
-        gram = jnp.zeros((1 + zero.size,) * 2, at.dtype)
-        for rest, slope, moments in zip(none, slopes, self.moments):
-            mix = jnp.concatenate([rest[None, :], -slope.T])
+        sign = jnp.concatenate([jnp.ones(1), -jnp.ones(len(self.linear))]).astype(at.dtype)
+        gram = jnp.zeros((sign.size,) * 2, at.dtype)
+        for rows, moments in zip(self.rows(at), self.moments):
+            mix = sign[:, None] * rows
             gram = gram + mix @ moments @ mix.T
         return Projected.of(gram)
+
+    def rows(self, at: Float[Array, "modes 2"]) -> list[Float[Array, "1+linear columns"]]:
+        """Of each equation the table R of which [1, theta] R is the residual: it is affine."""
+        count = len(self.linear)
+        places = jnp.concatenate([jnp.zeros((1, count)), jnp.eye(count)]).astype(at.dtype)
+        every = jax.vmap(lambda theta: self.residuals(at, theta))(places)
+        return [table.at[1:].add(-table[:1]) for table in every]
 
     def slope_and_bend(
         self, at: Float[Array, "modes 2"]
     ) -> tuple[Float[Array, " 2modes"], Float[Array, "2modes 2modes"]]:
-        """First and second derivatives of the least energy by the shapes.
+        """First and second derivatives of the least energy F by the shapes x.
 
-        Of F(x, theta), least in theta: F_x, and F_xx - F_xt F_tt^-1 F_tx.
+        With r = u R(x), u = [1, theta], F(x, theta) = r M r is least in theta, so that its slope is
+        F_x and its bend F_xx - F_xt F_tt^-1 F_tx. Only the small tables R are differentiated.
         """
-        count = at.size
-        fit = self.projected(at)
+        u = jnp.concatenate([jnp.ones(1, at.dtype), self.projected(at).theta])
 
-        def energy(x: Array) -> Array:
-            return self.energy(self.moments, x[:count].reshape(at.shape), x[count:])
+        def tables(x: Array) -> list[Array]:
+            return self.rows(x.reshape(at.shape))
 
-        x = jnp.concatenate([at.ravel(), fit.theta])
-        slope, bend = jax.grad(energy)(x)[:count], jax.hessian(energy)(x)
-        follow = solve_scaled(bend[count:, count:], bend[count:, :count])
-        return slope, bend[:count, :count] - bend[:count, count:] @ follow
+        rows, first = tables(at.ravel()), jax.jacfwd(tables)(at.ravel())
+        second = jax.jacfwd(jax.jacfwd(tables))(at.ravel())
+        sizes = (at.size, at.size), (at.size, len(self.linear)), (len(self.linear),) * 2
+        slope = jnp.zeros(at.size, at.dtype)
+        own, mixed, inner = (jnp.zeros(size, at.dtype) for size in sizes)
+        for table, by_x, by_xx, moments in zip(rows, first, second, self.moments):
+            # Columns last: x moves a row of the table to d_x, a coefficient moves the residual.
+            pull = (u @ table) @ moments
+            moved = jnp.einsum("i,icx->xc", u, by_x)
+            slope = slope + moved @ pull
+            own = own + moved @ moments @ moved.T + jnp.einsum("i,icxy,c->xy", u, by_xx, pull)
+            mixed = mixed + moved @ moments @ table[1:].T
+            mixed = mixed + jnp.einsum("icx,c->xi", by_x[1:], pull)
+            inner = inner + table[1:] @ moments @ table[1:].T
+        return 2 * slope, 2 * (own - mixed @ solve_scaled(inner, mixed.T))
 
     def energy(
         self,
@@ -241,169 +249,3 @@ def polished(stage: ModeStage, start: Float[Array, "modes 2"]) -> Float[Array, "
         return tried[jnp.argmin(jnp.where(jnp.isfinite(energies), energies, jnp.inf))]
 
     return jax.lax.fori_loop(0, STEPS, step, start.ravel()).reshape(start.shape)
-
-
-def differentiable(stage: ModeStage, at: Float[Array, "modes 2"]) -> Float[Array, "modes 2"]:
-    """The same shapes, with the derivatives of the least energy's place: one more Newton step.
-
-    At the minimum the step is zero, and by the implicit function theorem its derivative is that of
-    the minimum, the bend being held still.
-    """
-    at = jax.lax.stop_gradient(at)
-    slope, bend = stage.slope_and_bend(at)
-    step = solve_scaled(jax.lax.stop_gradient(bend), slope[:, None])[:, 0]
-    # The value is what was found: only derivatives come from the step.
-    return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
-
-
-class Contraction(eqx.Module):
-    """Normal equations of expanded columns, made those of the model's own parameters.
-
-    **Fields:** `stages` of the procedure; `start`, where the modes of each stage were found.
-    """
-
-    stages: tuple[tuple[Expanded, ...], ...]
-    start: tuple[Float[Array, "modes 2"], ...]
-
-    def __call__(
-        self,
-        equations: list[list[NormalEquations]],
-        sources: list[list[NormalEquations]],
-        known: Values,
-    ) -> tuple[list[list[NormalEquations]], list[list[NormalEquations]]]:
-        """Both, linearised about the solution of all stages, which are solved in turn."""
-        mixes = self.mixes(equations, known)
-        return self._mixed(mixes, equations), self._mixed(mixes, sources)
-
-    def mixes(
-        self, equations: list[list[NormalEquations]], known: Values
-    ) -> list[list[Float[Array, "1+p columns"]]]:
-        """Of each equation, target and regressors as combinations of its expanded columns."""
-        values, mixes = dict(known), []
-        for expanded, sums, start in zip(self.stages, equations, self.start):
-            stage = ModeStage.of(expanded, sums, values)
-            at = differentiable(stage, start) if stage.sought else start
-            values |= stage.values(at)
-            mixes.append([e.linearised(values) for e in expanded])
-        return mixes
-
-    def _mixed(
-        self, mixes: list[list[Array]], sums: list[list[NormalEquations]]
-    ) -> list[list[NormalEquations]]:
-        return [
-            [
-                own.each(lambda m, v=v: v @ m @ v.T, parameters=e.all_parameters)
-                if e.modes
-                else own
-                for e, v, own in zip(*stage)
-            ]
-            for stage in zip(self.stages, mixes, sums)
-        ]
-
-
-class Tried(NamedTuple):
-    """What was found in windows of one length, leading axes of a batch left out.
-
-    **Fields:** `at`, the modes' shapes; `doubt`, the sum of squared relative standard errors of
-    masses and stiffnesses, infinite for what is no oscillator; share of the target that modes leave
-    `unexplained`, and that is `without` them.
-    """
-
-    at: Float[Array, "modes 2"]
-    doubt: Float[Array, ""]
-    unexplained: Float[Array, ""]
-    without: Float[Array, ""]
-
-
-@eqx.filter_jit
-def _tried(
-    equations: tuple[Expanded, ...],
-    sums: list[NormalEquations],
-    known: Values,
-    bands: tuple[tuple[Leaf, Leaf], ...],
-) -> Tried:
-    """The modes that one stage's equations ask for, from its sums over some windows."""
-    # The search is not differentiated: what it finds has the minimum's own derivative.
-    sums, known, bands = held_still((sums, dict(known), bands))
-    stage = ModeStage.of(equations, sums, known)
-    at = search(stage, bands)
-    fit, values = stage.projected(at), stage.values(at)
-    contracted, _ = Contraction((equations,), (at,))([sums], [sums], known)
-    names = tuple(dict.fromkeys(name for e in equations for name in e.all_parameters))
-    together = sum_of_equations(contracted[0], names).flattened()
-    influence = block_influence([together], known, values)
-    found = [name for name in names if name not in known]
-    sought = [name for of in stage.sought for name in (of.mass, of.stiffness)]
-    size = jnp.stack([values[name] for name in sought])
-    variance = jnp.sum(influence**2, axis=0)[jnp.array([found.index(name) for name in sought])]
-    doubt = jnp.sum(variance / size**2)
-    good = jnp.all(size > 0) & jnp.all(at[:, 1] > 0) & jnp.isfinite(doubt) & (fit.target > 0)
-    target = jnp.where(fit.target > 0, fit.target, 1.0)
-    return Tried(
-        at, jnp.where(good, doubt, jnp.inf), fit.energy / target, fit.without_last().energy / target
-    )
-
-
-class FoundModes(NamedTuple):
-    """Where modes are, and what they were found from.
-
-    **Fields:** `contraction`; of each stage the bins of window lengths that it is solved from,
-    `None` for all; `lengths` of these in seconds.
-    """
-
-    contraction: Contraction
-    bands: list[tuple[int, int] | None]
-    lengths: list[tuple[float, float] | None]
-
-
-def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundModes:
-    """The modes of each stage, in the windows that tell most of them.
-
-    Short windows show a fast mode and much noise; which of the lengths tells most is seen from the
-    standard errors that each promises. Where lengths were not kept apart all are taken.
-
-    **Raises:** `ModelError` where of a mode something is known, and not all.
-    """
-    _require_whole_modes(procedure, given)
-    known, starts, bands, lengths = dict(given), [], [], []
-    for i, equations in enumerate(procedure.expanded):
-        sought = ModeStage.of(equations, summary.equations()[i], known).sought
-        tried, band = None, None
-        if sought:
-            where = tuple(search_band(procedure, summary, names) for names in sought)
-            first, last = summary.band
-            options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
-            every = [_tried(equations, summary.equations(o)[i], known, where) for o in options]
-            best = 0
-            if len(options) > 1:
-                best = int(np.argmin([float(one.doubt) for one in every]))
-            tried, band = every[best], options[best] if summary.bins else None
-        starts.append(jnp.zeros((0, 2)) if tried is None else jax.lax.stop_gradient(tried.at))
-        bands.append(band)
-        lengths.append(summary.lengths_of(band) if band is not None else None)
-        # What later stages take as known has a name here, and any value.
-        known |= dict.fromkeys((n for e in equations for n in e.all_parameters), jnp.ones(()))
-    return FoundModes(Contraction(procedure.expanded, tuple(starts)), bands, lengths)
-
-
-def search_band(procedure: Procedure, summary: Summary, names: ModeParameters) -> tuple[Leaf, Leaf]:
-    """Hertz between which to look for a mode."""
-    hz = procedure.mode_named(names).hz
-    if hz is not None:
-        return np.asarray(hz / 1.5), np.asarray(hz * 1.5)
-    windows = summary.criterion.windows
-    assert windows is not None
-    step = summary.recordings[0].time_step
-    # From half a period of the longest window to where a period has a dozen samples.
-    return 0.5 / windows.beta, 1 / (8 * step)
-
-
-def _require_whole_modes(procedure: Procedure, known: Mapping[str, object]) -> None:
-    for number, _ in enumerate(procedure.modes):
-        names = ModeParameters.of(number)
-        held = [name for name in names if name in known]
-        if held and len(held) < 3:
-            raise ModelError(
-                f"of a hidden mode all of {', '.join(names)} are known or none; got "
-                f"{', '.join(held)}."
-            )

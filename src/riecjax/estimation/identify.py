@@ -17,7 +17,7 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, IdentifiabilityError, ModelError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
-from riecjax.estimation.hidden_modes import Contraction, find_modes
+from riecjax.estimation.mode_windows import find_modes
 from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
 from riecjax.estimation.stages import (
@@ -161,16 +161,12 @@ def _estimated(
         if sharing.own:
             raise ModelError("per_record has no meaning yet for a model with hidden modes.")
         modes = find_modes(procedure, summary, given)
-        for i, band in enumerate(modes.bands):
-            if band is not None:
-                equations[i] = summary.equations(band)[i]
-                sources[i] = summary.noise_by_source(band)[i]
+        equations, sources = modes.equations, modes.sources
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = (intervals or BlockBootstrap()).drawn(short.number.shape[0])
     settings = (given, window, short, sharing, drawn)
-    contraction = None if modes is None else modes.contraction
-    settings = (contraction, sources, summary.noise_freedom, *settings)
+    settings = (sources, summary.noise_freedom, *settings)
     fit = _solve(equations, *settings, None)
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
@@ -230,7 +226,6 @@ class _Fit(NamedTuple):
 @eqx.filter_jit
 def _solve(
     equations: list[list[NormalEquations]],
-    contraction: Contraction | None,
     sources: list[list[NormalEquations]],
     freedom: Float[Leaf, "records sources"],
     known: Mapping[str, Array],
@@ -240,8 +235,6 @@ def _solve(
     intervals: AbstractIntervals,
     rows: list[list[list[Rows]]] | None,
 ) -> _Fit:
-    if contraction is not None:
-        equations, sources = contraction(equations, sources, known)
     both = [[borne_out(*pair) for pair in zip(*stage)] for stage in zip(equations, sources)]
     equations = [[e for e, _ in stage] for stage in both]
     stages, shared = stages_over_records(equations, sharing)

@@ -9,12 +9,14 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.hidden_modes import Expanded
 from riecjax.equations.procedure import Procedure
-from riecjax.estimation.hidden_modes import Contraction, Values, find_modes
+from riecjax.estimation.hidden_modes import ModeStage, Values
+from riecjax.estimation.mode_windows import find_modes
 from riecjax.leaves import on_host
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import NormalEquations
@@ -36,8 +38,10 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
     if not procedure.modes or summary.outline.is_of(_outline(procedure)):
         return summary
     found = find_modes(procedure, summary, known)
-    equations = [summary.equations(band)[i] for i, band in enumerate(found.bands)]
-    mixes = on_host(_mixes(found.contraction, equations, dict(known)))
+    values, mixes = {name: jnp.asarray(value) for name, value in known.items()}, []
+    for i, (stage, at, band) in enumerate(zip(procedure.expanded, found.at, found.bands)):
+        own, values = _mixes(stage, summary.equations(band)[i], values, at)
+        mixes.append(on_host(own))
     recordings = [
         dataclasses.replace(
             one,
@@ -67,9 +71,14 @@ def _outline(procedure: Procedure) -> Outline:
 
 @eqx.filter_jit
 def _mixes(
-    contraction: Contraction, equations: list[list[NormalEquations]], known: Values
-) -> list[list[Float[Array, "1+p columns"]]]:
-    return contraction.mixes(equations, known)
+    expanded: tuple[Expanded, ...],
+    sums: list[NormalEquations],
+    known: Values,
+    at: Float[Array, "modes 2"],
+) -> tuple[list[Float[Array, "1+p columns"]], dict[str, Array]]:
+    """Of each equation, target and regressors as combinations of its columns; and all values."""
+    values = ModeStage.of(expanded, sums, known).values(at)
+    return [e.linearised(values) for e in expanded], {**known, **values}
 
 
 def _mixed(

@@ -23,11 +23,10 @@ from riecjax.estimation.hidden_modes import (
     ModeMap,
     ModeStage,
     Values,
-    find_modes,
     mode_map,
     polished,
-    search_band,
 )
+from riecjax.estimation.mode_windows import find_modes, search_band
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, on_host
 from riecjax.summaries.normal_equations import NormalEquations
@@ -140,7 +139,7 @@ def mode_evidence(
         if own:
             sums = summary.equations(found.bands[i])[i]
             band = search_band(procedure, summary, own[-1])
-            raw = on_host(_evidence(equations, sums, known, found.contraction.start[i], band))
+            raw = on_host(_evidence(equations, sums, known, found.at[i], band))
             label = procedure.plan(set(known))[i][0]
             lengths = found.lengths[i] or summary.lengths_of(summary.band)
             mass, stiffness, damping = (float(values[name]) for name in own[-1])

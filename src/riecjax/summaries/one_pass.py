@@ -76,7 +76,10 @@ class _Layout(NamedTuple):
 
 
 class OnePass:
-    """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][]."""
+    """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][].
+
+    `averaged`, whether rows averaged by hats are kept, which columns of high derivatives have none.
+    """
 
     def __init__(
         self,
@@ -86,9 +89,10 @@ class OnePass:
         key: Key[Array, ""] | None,
         bins: LengthBins | None,
         survey: bool,
+        averaged: bool = True,
     ):
         self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
-        self.record, self.survey = record, survey
+        self.record, self.survey, self.averaged = record, survey, averaged
         self.step, self.count = float(record.time_step), record.sample_count
         self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
         # Hats of four means to a side at the least.
@@ -205,7 +209,7 @@ class OnePass:
         n = self.count
         longest = windows.reach(n)
         if (block := windows.block(n)) < longest:
-            averaged, surveyed = AVERAGED // 2, self.survey * SURVEYED // 2
+            averaged, surveyed = self.averaged * AVERAGED // 2, self.survey * SURVEYED // 2
             request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
             return _Layout(block, n, _filled(n) if fill else None, request)
         starts = max(PART, 4 * longest)
@@ -217,7 +221,8 @@ class OnePass:
         blocks = -(-starts // longest)
         size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
         averaged, surveyed = (max(k * longest // size, 1) for k in (AVERAGED, SURVEYED))
-        request = Request(longest, blocks, self.thin, averaged, surveyed if self.survey else 0)
+        averaged, surveyed = averaged * self.averaged, surveyed * self.survey
+        request = Request(longest, blocks, self.thin, averaged, surveyed)
         return _Layout(longest, starts, filled, request)
 
     def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
@@ -278,11 +283,13 @@ class OnePass:
         # Some chunks tell of noise; their sum is brought to the number of all rows.
         noise, valid = np.sum([p.noise.sum(0) for p in parts], axis=0), rows[:, 0] > 0
         share = float(np.sum(rows[:, 0])) / noise[0, 0] if noise[0, 0] > 0 else 0.0
-        averages = Averages(
-            factor_of_rows(rows[:, 1:], valid),
-            factor_of_gram(noise * share),
-            np.asarray(self.count / max(2 * self.half, 1)),
-        )
+        averages = None
+        if self.averaged:
+            averages = Averages(
+                factor_of_rows(rows[:, 1:], valid),
+                factor_of_gram(noise * share),
+                np.asarray(self.count / max(2 * self.half, 1)),
+            )
         active = [jax.tree.map(lambda leaf: leaf.sum(0), p.activity) for p in parts]
         surveys = [p.survey for p in parts if p.survey is not None]
         return EquationSums(

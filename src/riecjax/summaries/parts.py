@@ -64,7 +64,8 @@ class Request(NamedTuple):
 
     **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
     longest window, or rows are drawn); `blocks` of an array; in each, rows that are `averaged`, of
-    means of `thin` samples, and those that are `surveyed`, none unless a survey is asked for.
+    means of `thin` samples, none of expanded columns, and those that are `surveyed`, none unless a
+    survey is asked for.
     """
 
     block: Int[Array, ""] | int
@@ -273,6 +274,8 @@ def _part_sums(
     moments: tuple[BlockSums, ...],
 ) -> PartSums:
     thin, each = request.thin, request.averaged
+    size = 2 + len(columns.parameters)
+    nothing = jnp.zeros((blocks.number, size, size), columns.values.dtype)
     start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
     centres = (start + (jnp.arange(each) * blocks.size // each)[None, :] + half).ravel()
 
@@ -288,10 +291,10 @@ def _part_sums(
         added = averaged(noise())
         return jnp.einsum("bri,brj->bij", added, added)
 
-    size = 2 + len(columns.parameters)
-    nothing = jnp.zeros((blocks.number, size, size), columns.values.dtype)
     chunk = jnp.round(record.skipped / record.time_step / ROUND).astype(int)
-    added = jax.lax.cond(chunk % SELDOM == 0, noise_gram, lambda: nothing)
+    added = nothing
+    if each:
+        added = jax.lax.cond(chunk % SELDOM == 0, noise_gram, lambda: nothing)
     at = jnp.arange(columns.sample_count)
     there = (at >= blocks.first) & (at < blocks.first + blocks.size * blocks.number)
     there = there & (at < blocks.unpadded)
@@ -299,7 +302,7 @@ def _part_sums(
     acts = activity(columns, there, bare)
     return PartSums(
         moments,
-        averaged(columns),
+        averaged(columns) if each else nothing[:, :0],
         added,
         jax.tree.map(lambda leaf: leaf[None], acts),
         None,

@@ -59,20 +59,28 @@ def traced_sums(
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
+    apart: bool = False,
 ) -> RecordingSums:
-    """Moments of one record, for code that is traced: shapes are those of the record."""
-    parts = _of_equations_compiled(procedure, record, criterion, key, True)
+    """Moments of one record, for code that is traced: shapes are those of the record.
+
+    `apart`: windows of each length by themselves, where the test function asks for that.
+    """
+    parts = _of_equations_compiled(procedure, record, criterion, key, True, apart)
+
+    def in_bins(leaf: Array) -> Array:
+        return leaf if apart else leaf[None]
+
     stages = tuple(
         tuple(
             EquationSums(
-                e.moments[None],
-                e.count[None],
+                in_bins(e.moments),
+                in_bins(e.count),
                 None,
                 None,
                 None,
                 None,
                 e.parameters,
-                *((None, None) if noise is None else (noise.total[None], noise.of_source[None])),
+                *(map(in_bins, (noise.total, noise.of_source)) if noise else (None, None)),
             )
             for e, noise in stage
         )
@@ -98,6 +106,7 @@ def _of_equations(
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
     blocks: bool,
+    apart: bool = False,
 ) -> list[list[tuple[NormalEquations, NoiseMoments | None]]]:
     samples = criterion.block_samples(record) if blocks else record.sample_count
     count = -(-record.sample_count // samples)
@@ -106,7 +115,7 @@ def _of_equations(
     def of(equation: Equation) -> tuple[NormalEquations, NoiseMoments | None]:
         names = equation.parameters
         if criterion.in_closed_form:
-            (moments, number), noise = criterion.sums(equation, record)
+            (moments, number), noise = criterion.sums(equation, record, apart)
         else:
             drawn = criterion.draw(record, key)
             cut = StartBlocks(0, jnp.asarray(samples), count, record.sample_count)

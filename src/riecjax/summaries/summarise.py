@@ -61,17 +61,20 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
     procedure = procedure.linear
     outline = Outline.of(procedure)
     traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
-    windows = criterion.windows
-    if bins is None and windows is not None and criterion.in_closed_form and not traced:
-        bins = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
+    windows, own = criterion.windows, None
+    if bins is None and windows is not None and criterion.in_closed_form and is_concrete(windows):
+        own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
     kept_apart = None if bins is None else _bins(criterion, bins, traced)
+    if own is not None:
+        kept_apart = LengthBins(own, (0, len(own) - 1))
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
         read = with_less_noise(procedure, record, criterion)
         if traced:
-            return traced_sums(read, record, criterion, key)
-        return OnePass(read, record, criterion, key, kept_apart, survey).sums()
+            return traced_sums(read, record, criterion, key, own is not None)
+        averaged = not asked.procedure.modes
+        return OnePass(read, record, criterion, key, kept_apart, survey, averaged).sums()
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)

@@ -1,0 +1,200 @@
+"""Hidden modes in the windows that tell most of them, and the sums linearised about them.
+
+Windows of every length have sums of their own. In each the modes are searched, and promised a
+standard error; the length that promises the least one is taken. About what is found there the
+stage's equations are linearised, and from then on they are as any others.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.equations.hidden_modes import Expanded, ModeParameters
+from riecjax.equations.procedure import Procedure
+from riecjax.errors import ModelError
+from riecjax.estimation.hidden_modes import ModeStage, Values, search
+from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace
+from riecjax.linear_algebra import solve_scaled
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.stage_sums import sum_of_equations
+from riecjax.summaries.summary import Summary
+from riecjax.uncertainty.block_statistics import block_influence
+
+Stages = list[list[NormalEquations]]
+
+
+class FoundModes(NamedTuple):
+    """Where modes are, what they were found from, and what is left to be solved.
+
+    **Fields:** `equations` of each stage, linearised about the modes, and what each source of noise
+    adds to them, `sources`; `at`, the shapes of each stage's modes; `bands`, of each stage the bins
+    of window lengths that it is solved from, `None` for all or under a trace; `lengths` of these
+    in seconds.
+    """
+
+    equations: Stages
+    sources: Stages
+    at: list[Float[Array, "modes 2"]]
+    bands: list[tuple[int, int] | None]
+    lengths: list[tuple[float, float] | None]
+
+
+def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundModes:
+    """The modes of each stage, in the windows that tell most of them.
+
+    Short windows show a fast mode and much noise; which of the lengths tells most is seen from the
+    standard errors that each promises. Where lengths were not kept apart all are taken.
+
+    **Raises:** `ModelError` where of a mode something is known, and not all.
+    """
+    _require_whole_modes(procedure, given)
+    known = {name: jnp.asarray(value) for name, value in given.items()}
+    found = FoundModes([], [], [], [], [])
+    equations, sources = summary.equations(), summary.noise_by_source()
+    looked_at = is_concrete(equations, known) and not is_under_trace()
+    for i, expanded in enumerate(procedure.expanded):
+        stage = ModeStage.of(expanded, equations[i], known)
+        used, at, band = (equations[i], sources[i]), jnp.zeros((0, 2)), None
+        if stage.sought:
+            where = tuple(search_band(procedure, summary, names) for names in stage.sought)
+            used, at, band = _in_best_windows(expanded, summary, i, known, where)
+        # What no later equation with a mode asks for is left to the fit.
+        later = [e for stage in procedure.expanded[i:] for e in stage if e.modes]
+        if set(stage.linear) & {name for e in later for name in e.all_parameters}:
+            *used, values = _contracted(expanded, *used, known, at, not looked_at)
+            known |= values
+        found.equations.append(used[0])
+        found.sources.append(used[1])
+        found.at.append(at)
+        found.bands.append(band)
+        found.lengths.append(None if band is None else summary.lengths_of(band))
+    return found
+
+
+def _in_best_windows(
+    expanded: tuple[Expanded, ...],
+    summary: Summary,
+    i: int,
+    known: Values,
+    where: tuple[tuple[Leaf, Leaf], ...],
+) -> tuple[tuple[list[NormalEquations], ...], Float[Array, "modes 2"], tuple[int, int] | None]:
+    """A stage's sums, and those of noise, over the windows that tell most of its modes; these, and
+    the bins they are of."""
+    first, last = summary.band
+    options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
+    every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
+    stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
+    best, at = _searched(expanded, stacked[0], known, where)
+    if is_concrete(best):
+        chosen = int(best)
+        return every[chosen], at, options[chosen] if summary.bins else None
+    return jax.tree.map(lambda leaf: leaf[best], stacked), at, None
+
+
+@eqx.filter_jit
+def _searched(
+    expanded: tuple[Expanded, ...],
+    options: list[NormalEquations],
+    known: Values,
+    bands: tuple[tuple[Leaf, Leaf], ...],
+) -> tuple[Array, Float[Array, "modes 2"]]:
+    """Which windows tell most of a stage's modes, and where they are by these.
+
+    What a length promises is the sum of squared relative standard errors of masses and stiffnesses,
+    infinite for what is no oscillator.
+
+    **Arguments:** `options`, sums with a leading axis of window lengths.
+    """
+    # The search is not differentiated: what it finds has the minimum's own derivative.
+    options, known, bands = held_still((options, dict(known), bands))
+
+    def tried(sums: list[NormalEquations]) -> tuple[Array, Array]:
+        stage = ModeStage.of(expanded, sums, known)
+        at = search(stage, bands)
+        values = stage.values(at)
+        own = [_mixed(e, e.linearised(values), s) for e, s in zip(expanded, sums)]
+        names = tuple(dict.fromkeys(name for e in expanded for name in e.all_parameters))
+        influence = block_influence([sum_of_equations(own, names).flattened()], known, values)
+        found = [name for name in names if name not in known]
+        sought = [name for of in stage.sought for name in (of.mass, of.stiffness)]
+        size = jnp.stack([values[name] for name in sought])
+        place = jnp.array([found.index(name) for name in sought])
+        doubt = jnp.sum(jnp.sum(influence**2, axis=0)[place] / size**2)
+        target = stage.projected(at).target
+        good = jnp.all(size > 0) & jnp.all(at[:, 1] > 0) & jnp.isfinite(doubt) & (target > 0)
+        return jnp.where(good, doubt, jnp.inf), at
+
+    doubt, at = jax.lax.map(tried, options)
+    best = jnp.argmin(doubt)
+    return best, at[best]
+
+
+@eqx.filter_jit
+def _contracted(
+    expanded: tuple[Expanded, ...],
+    sums: list[NormalEquations],
+    sources: list[NormalEquations],
+    known: Values,
+    at: Float[Array, "modes 2"],
+    moves: bool,
+) -> tuple[list[NormalEquations], list[NormalEquations], dict[str, Array]]:
+    """Normal equations of expanded columns, made those of the model's own parameters; the same of
+    what noise adds; and the parameters' values, about which both are linearised.
+
+    **Arguments:** `moves`, whether anything may be differentiated: else the derivative of `at` is
+    not even compiled.
+    """
+    stage = ModeStage.of(expanded, sums, known)
+    values = stage.values(at_minimum(stage, at) if stage.sought and moves else at)
+    mixes = [e.linearised(values) if e.modes else jnp.zeros((0, 0)) for e in expanded]
+    equations, added = (
+        [_mixed(*each) for each in zip(expanded, mixes, s)] for s in (sums, sources)
+    )
+    return equations, added, values
+
+
+def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquations:
+    if not expanded.modes:
+        return sums
+    return sums.each(lambda m: mix @ m @ mix.T, parameters=expanded.all_parameters)
+
+
+def at_minimum(stage: ModeStage, at: Float[Array, "modes 2"]) -> Float[Array, "modes 2"]:
+    """The same shapes, with the derivatives of the least energy's place: one more Newton step.
+
+    At the minimum the step is zero, and by the implicit function theorem its derivative is that of
+    the minimum, the bend being held still.
+    """
+    at = jax.lax.stop_gradient(at)
+    slope, bend = stage.slope_and_bend(at)
+    step = solve_scaled(jax.lax.stop_gradient(bend), slope[:, None])[:, 0]
+    # The value is what was found: only derivatives come from the step.
+    return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
+
+
+def search_band(procedure: Procedure, summary: Summary, names: ModeParameters) -> tuple[Leaf, Leaf]:
+    """Hertz between which to look for a mode."""
+    hz = procedure.mode_named(names).hz
+    if hz is not None:
+        return np.asarray(hz / 1.5), np.asarray(hz * 1.5)
+    windows = summary.criterion.windows
+    assert windows is not None
+    step = summary.recordings[0].time_step
+    # From half a period of the longest window to where a period has a dozen samples.
+    return 0.5 / windows.beta, 1 / (8 * step)
+
+
+def _require_whole_modes(procedure: Procedure, known: Mapping[str, object]) -> None:
+    for number, _ in enumerate(procedure.modes):
+        names = ModeParameters.of(number)
+        held = [name for name in names if name in known]
+        if held and len(held) < 3:
+            raise ModelError(
+                f"of a hidden mode all of {', '.join(names)} are known or none; got "
+                f"{', '.join(held)}."
+            )
