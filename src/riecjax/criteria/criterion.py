@@ -140,10 +140,7 @@ class AbstractCriterion(eqx.Module):
         return self.rows_of(sampled_columns(equation, record, self.smoothness), drawn)
 
     def moments(self, equation: Equation, record: Record) -> Moments:
-        """Sums over all rows of their outer products, for blocks of `block_samples` starts.
-
-        **Raises:** as [`sums`][].
-        """
+        """Sums over all rows of their outer products by blocks; see [`sums`][]."""
         return self.sums(equation, record)[0]
 
     def sums(
@@ -370,35 +367,27 @@ class RIEC(AbstractCriterion):
     def sums(
         self, equation: Equation, record: Record, apart: bool = False
     ) -> tuple[Moments, NoiseMoments | None]:
-        """Sums over all windows of the outer products of rows, for blocks of starts.
-
-        **Returns:** these and numbers of rows, and what of them the record's noise adds; `apart`,
-        of each of the law's lengths along a leading axis.
-
-        **Raises:** `DataError` for a missing signal; `ModelError` for random windows.
-        """
+        """Over all windows; `apart`, of each length, which lead. Raises `DataError` too."""
         if self.needs_key:
             raise ModelError("random windows have rows, not moments of all of them.")
         windows, n = self.windows.every, record.sample_count
         lags, reach = self.law(record), windows.reach(n)
         if apart:
-            lags = LagBins(lags.first[:, None], lags.last[:, None], lags.weight[:, None])
+            lags = jax.tree.map(lambda leaf: leaf[:, None], lags._replace(edges=None))
 
-        def blocks_first(sums: Any) -> Any:
+        def flipped(sums: Any) -> Any:
             return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), sums) if apart else sums
 
         def of_chunk(part: Record, blocks: StartBlocks) -> Any:
             noisy = self.noisy_columns(equation, part)
             noise = self.noise_of(noisy, part.noise, lags, blocks, reach)
-            if noise is not None:
-                noise = (blocks_first(noise.total), noise.of_source[None])
-            return blocks_first(self.moments_of(noisy.columns, lags, blocks, reach)), noise
+            added = None if noise is None else (flipped(noise.total), noise.of_source[None])
+            return flipped(self.moments_of(noisy.columns, lags, blocks, reach)), added
 
-        block, margin = windows.block(n), self.test_function.margin
-        moments, noise = in_chunks(record, of_chunk, block=block, reach=reach, margin=margin)
-        if noise is not None:
-            noise = NoiseMoments(blocks_first(noise[0]), noise[1].sum(0))
-        return blocks_first(moments), noise
+        settings = {"block": windows.block(n), "margin": self.test_function.margin}
+        moments, added = in_chunks(record, of_chunk, reach=reach, **settings)
+        noise = None if added is None else NoiseMoments(flipped(added[0]), added[1].sum(0))
+        return flipped(moments), noise
 
     def law(self, record: Record) -> LagBins:
         """The law of window lengths on a record."""
