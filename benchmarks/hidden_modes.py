@@ -167,8 +167,7 @@ def _solved(
 ) -> np.ndarray:
     step = STEP / FINER
     if extra is None:
-        times = step * np.arange(force.size)
-        return scipy.signal.lsim((a, drive, np.eye(len(a)), np.zeros_like(drive)), force, times)[1]
+        return _exactly(a, drive, force, step)
     # The body's further force is held over each step.
     table = np.block([[a, drive], [np.zeros((1, len(a) + 1))]])
     advance = scipy.linalg.expm(table * step)
@@ -178,6 +177,27 @@ def _solved(
         total = push + extra(state[0], state[1], mass)
         state = advance[:-1, :-1] @ state + advance[:-1, -1] * total
     return np.array(states)
+
+
+def _exactly(a: np.ndarray, drive: np.ndarray, force: np.ndarray, step: float) -> np.ndarray:
+    """States of a linear system from rest, for a force that is linear between steps.
+
+    x' = A x + b u has x[k + 1] = E x[k] + b_0 u[k] + b_1 u[k + 1], E = exp(A h), all three from one
+    exponential. Along E's eigenvectors it is one recursion of first order each.
+    """
+    n = len(a)
+    table = np.zeros((n + 2, n + 2))
+    table[:n, :n], table[:n, n : n + 1], table[n, n + 1] = a * step, drive * step, 1.0
+    table = scipy.linalg.expm(table)
+    later = table[:n, n + 1]
+    now = table[:n, n] - later
+    rates, vectors = np.linalg.eig(table[:n, :n])
+    pushes = np.linalg.solve(vectors, np.stack([now, later], axis=1).astype(complex))
+    each = [scipy.signal.lfilter([p[1], p[0]], [1.0, -r], force) for r, p in zip(rates, pushes)]
+    # From rest: what the first sample of the force would have done before it is taken off.
+    fading = rates[:, None] ** np.arange(force.size)[None, :]
+    each = np.stack(each) - pushes[:, 1:] * force[0] * fading
+    return (vectors @ each).real.T
 
 
 def random(seeds: int) -> dict[str, Any]:

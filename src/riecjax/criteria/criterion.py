@@ -384,8 +384,8 @@ class RIEC(AbstractCriterion):
             added = None if noise is None else (flipped(noise.total), noise.of_source[None])
             return flipped(self.moments_of(noisy.columns, lags, blocks, reach)), added
 
-        settings = {"block": windows.block(n), "margin": self.test_function.margin}
-        moments, added = in_chunks(record, of_chunk, reach=reach, **settings)
+        size, beyond = windows.block(n), self.test_function.margin
+        moments, added = in_chunks(record, of_chunk, block=size, reach=reach, margin=beyond)
         noise = None if added is None else NoiseMoments(flipped(added[0]), added[1].sum(0))
         return flipped(moments), noise
 
