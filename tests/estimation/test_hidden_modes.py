@@ -85,7 +85,7 @@ def test_linearised_equations_leave_the_residual_itself():
     values |= {"B_mode_2": jnp.asarray(50.0)}
     mix = expanded.linearised(values)
     theta = jnp.stack([jnp.asarray(1.0), *(-values[n] for n in expanded.all_parameters)])
-    shapes = [expanded.shape(values, names) for names, _ in expanded.modes]
+    shapes = [names.shape(values) for names, _ in expanded.elements]
     np.testing.assert_allclose(theta @ mix, expanded.residual(values, shapes), rtol=1e-12)
 
 

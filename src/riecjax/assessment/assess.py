@@ -148,7 +148,7 @@ def _assessed(
     # What is refused without arithmetic is refused before a sample is read.
     plan = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
-    sweep = sweep and not procedure.modes
+    sweep = sweep and not procedure.has_hidden
     bins = _bins(records, criterion) if sweep else None
     summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
     estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))

@@ -42,7 +42,7 @@ def suited(
 
     **Arguments:** `band` in hertz that the model should explain, 1 to 10 if there is none.
     """
-    if procedure.modes:
+    if procedure.has_hidden:
         return _with_modes(procedure, band or DEFAULT_BAND, list(records))
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
     equations = [equation for stage in procedure.stages for equation in stage]
@@ -65,7 +65,8 @@ def _with_modes(procedure: Procedure, band: tuple[float, float], records: Sequen
     """Bumps of lengths from what shows the fastest mode to what the slowest motion asks for.
 
     A mode shows best in windows of 1.3 of its periods. The shortest serve modes up to `FASTER`
-    times the band, or a given one; no window has fewer samples than its derivatives need.
+    times the band, or a given one; no window has fewer samples than its derivatives need. What a
+    spring delays shows in the fastest motion, for which the same lengths serve.
     """
     orders = [t.derivative for stage in procedure.linear.stages for e in stage for t in e.terms]
     fastest = max([FASTER * band[1], *(1.5 * mode.hz for mode in procedure.modes if mode.hz)])
@@ -76,7 +77,7 @@ def _with_modes(procedure: Procedure, band: tuple[float, float], records: Sequen
     beta = max(min(2 * float(half), LONGEST * durations.min()), RATIO * alpha)
     count = 1 + int(np.ceil(np.log(beta / alpha) / np.log(RATIO) - 1e-9))
     weight = GradedBump(p=max(8, max(orders) + 5), lengths=count, derivatives=max(orders))
-    why = "hidden modes put derivatives in front of every term, which smooth windows take off"
+    why = "hidden elements put derivatives in front of every term, which smooth windows take off"
     return RIEC(AllWindows(alpha, beta), weight, why)
 
 

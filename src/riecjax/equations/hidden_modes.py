@@ -16,6 +16,9 @@ modes D is the product of theirs, and each mode's own column has those of the ot
 
 D is 1 at rest, so that the equation keeps its unit, and for a stiff mode it is the equation as it
 was: M then joins the body's mass.
+
+A spring in series with a linear element is a hidden element of the same form (see
+`series_springs`): c a becomes c N / D a with N = 1 and D = 1 + tau s, where a mode adds M N / D a.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,12 +32,14 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.equation import Equation
+from riecjax.equations.series_springs import Lag, SeriesSpring, SpringParameters
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
 
 TARGET = "target"
 """What a known term is called once it is differentiated."""
+Values = Mapping[str, Array]
 
 
 class HiddenMode(eqx.Module):
@@ -94,34 +99,89 @@ class ModeParameters(NamedTuple):
         ending = "" if number == 0 else f"_{number + 1}"
         return cls(f"M_mode{ending}", f"K_mode{ending}", f"B_mode{ending}")
 
+    @property
+    def linear(self) -> str:
+        """The parameter that the force is proportional to, for a given shape."""
+        return self.mass
 
-Values = Mapping[str, Array]
+    @property
+    def order(self) -> int:
+        """Of the polynomial D, which has as many coordinates in a search."""
+        return 2
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """Parameters that are positive, and sure, where such an element is found."""
+        return self.mass, self.stiffness
+
+    def shape(self, values: Values) -> "Shape":
+        """p and q with these values."""
+        mass, stiffness, damping = (values[name] for name in self)
+        return Shape(mass / stiffness, damping / stiffness)
+
+    @staticmethod
+    def shape_at(at: Float[Array, "2"] | None) -> "Shape":
+        """Of the logarithm of the frequency in hertz and the damping ratio; `None`: rigid."""
+        if at is None:
+            return Shape(jnp.zeros(()), jnp.zeros(()))
+        rate = 2 * jnp.pi * jnp.exp(at[0])
+        return Shape(1 / rate**2, 2 * at[1] / rate)
+
+    def values_at(self, at: Float[Array, "2"], values: Values) -> dict[str, Array]:
+        """Stiffness and damping of the shape there, the mass being among the values."""
+        shape = self.shape_at(at)
+        stiffness = values[self.mass] / shape.p
+        return {self.stiffness: stiffness, self.damping: stiffness * shape.q}
 
 
 class Shape(NamedTuple):
-    """D = 1 + q s + p s^2 of a mode: p = M / K in s^2, q = B / K in s."""
+    """Polynomials 1 + q s and D = 1 + q s + p s^2 of a mode: p = M / K in s^2, q = B / K in s."""
 
     p: Array
     q: Array
 
+    @property
+    def numerator(self) -> Float[Array, "3"]:
+        """Coefficients, lowest first."""
+        return jnp.stack([jnp.ones_like(self.p), self.q, jnp.zeros_like(self.p)])
+
+    @property
+    def denominator(self) -> Float[Array, "3"]:
+        """Coefficients of D, lowest first."""
+        return jnp.stack([jnp.ones_like(self.p), self.q, self.p])
+
+    @property
+    def decay(self) -> Array:
+        """Seconds in which what is free falls to 1 / e: it is exp(-q t / (2 p))."""
+        return jnp.where(self.q > 0, 2 * self.p / jnp.where(self.q > 0, self.q, 1.0), jnp.inf)
+
+
+HiddenParameters = ModeParameters | SpringParameters
+
 
 class Expanded(eqx.Module):
-    """An equation with modes, as one that is linear in more columns than it has parameters.
+    """An equation with hidden elements, linear in more columns than it has parameters.
 
     **Fields:** `equation`, linear, whose terms are those of the equation differentiated 0 to `most`
-    times; `parameters` of the equation without its modes; `modes`, of each mode in it its
-    parameters and the column of its body's acceleration among `columns`, the equation's own, which
-    begin with the target.
+    times; `parameters` of the equation without hidden elements; `elements`, of each hidden element
+    its parameters and the column that it filters, of a mode its body's acceleration, among
+    `columns`, the equation's own, which begin with the target. Modes come before springs.
     """
 
     equation: Equation
     parameters: tuple[str, ...] = eqx.field(static=True)
     columns: tuple[str, ...] = eqx.field(static=True)
-    modes: tuple[tuple[ModeParameters, str], ...] = eqx.field(static=True)
+    elements: tuple[tuple[HiddenParameters, str], ...] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, equation: Equation, modes: Sequence[HiddenMode]) -> "Expanded":
-        """An equation with those of some modes whose bodies it accelerates."""
+    def of(
+        cls,
+        equation: Equation,
+        modes: Sequence[HiddenMode],
+        springs: Sequence[SeriesSpring] = (),
+    ) -> "Expanded":
+        """An equation with those of some modes whose bodies it accelerates, and of some springs
+        those that are in series with a linear element of it."""
         terms, carried = list(equation.terms), []
         for number, mode in enumerate(modes):
             inertia = mode.inertia(equation)
@@ -133,9 +193,13 @@ class Expanded(eqx.Module):
                 column = f"acceleration of {mode.on}"
                 terms.append(_unit_inertia(inertia, column))
             carried.append((ModeParameters.of(number), column))
+        for number, spring in enumerate(springs):
+            if isinstance(spring.element(equation), Term):
+                carried.append((SpringParameters.of(number, spring), spring.of))
         own = Equation(*terms, name=equation.name)
         columns = (TARGET, *own.parameters) if own.has_target else own.parameters
-        raised = [_raised(t, k) for k in range(1, 2 * len(carried) + 1) for t in terms]
+        most = sum(names.order for names, _ in carried)
+        raised = [_raised(t, k) for k in range(1, most + 1) for t in terms]
         linear = Equation(
             *terms, *raised, name=equation.name, unit=equation.unit, where=equation.where
         )
@@ -143,34 +207,34 @@ class Expanded(eqx.Module):
 
     @property
     def most(self) -> int:
-        """Derivatives that modes put in front of every term."""
-        return 2 * len(self.modes)
+        """Derivatives that hidden elements put in front of every term."""
+        return sum(names.order for names, _ in self.elements)
 
     @property
     def all_parameters(self) -> tuple[str, ...]:
-        """Parameters of the equation and then of its modes."""
-        return (*self.parameters, *(name for names, _ in self.modes for name in names))
+        """Parameters of the equation and then of its modes and springs."""
+        # A spring's coefficient is the equation's own.
+        hidden = (name for names, _ in self.elements for name in names)
+        return tuple(dict.fromkeys((*self.parameters, *hidden)))
 
-    @staticmethod
-    def shape(values: Values, names: ModeParameters) -> Shape:
-        """p and q of a mode with these parameters."""
-        mass, stiffness, damping = (values[name] for name in names)
-        return Shape(mass / stiffness, damping / stiffness)
-
-    def residual(self, values: Values, shapes: Sequence[Shape]) -> Float[Array, " columns"]:
+    def residual(self, values: Values, shapes: Sequence[Shape | Lag]) -> Float[Array, " columns"]:
         """The residual as a combination of the linear equation's columns, the target first.
 
-        It is affine in the coefficients and in the modes' masses, for modes of given shapes.
+        It is affine in the coefficients and in the modes' masses, for elements of given shapes.
 
-        **Arguments:** `values` of the equation's coefficients and of the modes' masses.
+        **Arguments:** `values` of the equation's coefficients and of the modes' masses, zero where
+        there is none.
         """
-        each = [jnp.stack([jnp.ones_like(s.p), s.q, s.p]) for s in shapes]
+        each = [shape.denominator for shape in shapes]
         whole = _product(each)
-        weights = [1.0 if name == TARGET else -values.get(name, 0.0) for name in self.columns]
+        # What a spring is in series with does not act by itself.
+        own = {TARGET: 1.0} | {c: 0.0 for names, c in self.elements if names.linear == c}
+        weights = [own[n] if n in own else -values.get(n, 0.0) for n in self.columns]
         powers = jnp.stack([jnp.asarray(w, whole.dtype) for w in weights])[:, None] * whole[None, :]
-        for i, (names, column) in enumerate(self.modes):
-            own = _product([each[i].at[2].set(0.0), *each[:i], *each[i + 1 :]])
-            powers = powers.at[self.columns.index(column)].add(-values[names.mass] * own)
+        for i, (names, column) in enumerate(self.elements):
+            filtered = _product([shapes[i].numerator, *each[:i], *each[i + 1 :]])
+            size = values.get(names.linear, 0.0)
+            powers = powers.at[self.columns.index(column)].add(-size * filtered)
         return jnp.asarray(self._places) @ powers.ravel()
 
     @property
@@ -188,23 +252,23 @@ class Expanded(eqx.Module):
     def linearised(self, values: Values) -> Float[Array, "1+p columns"]:
         """Target and regressors of the equation linearised about these values, as combinations.
 
-        The residual r is homogeneous in each mode's three parameters, of degree one through its
-        mass: their regressors -dr/dtheta, each times its parameter, add up to the mode's own term.
-        So the target r - sum theta dr/dtheta is D y, and values that are held fixed join it as in
-        any equation.
+        Shapes depend on ratios of parameters only, and for given shapes r - D y is linear in the
+        others: r - D y is homogeneous of degree one in all parameters together. By Euler's theorem
+        the target r - sum theta dr/dtheta is D y, and values that are held fixed join it as in any
+        equation.
         """
         names = self.all_parameters
         at = {name: jnp.asarray(values[name], jnp.result_type(float)) for name in names}
 
         def residual(values: Values) -> Array:
-            return self.residual(values, [self.shape(values, names) for names, _ in self.modes])
+            return self.residual(values, [names.shape(values) for names, _ in self.elements])
 
         slopes = jax.jacfwd(residual)(at)
         target = residual(at) - sum(at[name] * slopes[name] for name in names)
         return jnp.stack([target, *(-slopes[name] for name in names)])
 
 
-def _product(polynomials: Sequence[Float[Array, "3"]]) -> Float[Array, " powers"]:
+def _product(polynomials: Sequence[Float[Array, " powers"]]) -> Float[Array, " powers"]:
     """Coefficients of a product of polynomials; 1 of none."""
     found = jnp.ones(1)
     for number, one in enumerate(polynomials):

@@ -1,11 +1,13 @@
-"""The motion of hidden masses, from that of the bodies that carry them.
+"""The motion of hidden masses, and behind springs, from that of the bodies beside them.
 
 A mass on a spring and a damper moves by w = (1 + q s) / D v, D = 1 + q s + p s^2, where v is its
 body's motion (see `hidden_modes`). With w among the signals, an equation with modes is one without:
-each mode adds the term M w'. So whatever reads an equation sample by sample need not know of them.
+each mode adds the term M w'. A linear element behind a spring is its coefficient times what passes
+1 / (1 + tau s). So whatever reads an equation sample by sample need not know of them.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +15,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_modes import Expanded, HiddenMode, ModeParameters, Shape, inertia_sign
+from riecjax.equations.expressions import evaluate
+from riecjax.equations.hidden_modes import HiddenMode, ModeParameters, Shape, inertia_sign
 from riecjax.equations.procedure import Procedure
+from riecjax.equations.series_springs import Lag, SpringParameters
 from riecjax.equations.term import AbstractTerm, Term
+from riecjax.errors import ModelError
 from riecjax.records.record import Record
 
 FORGOTTEN = 0.01
@@ -27,62 +32,117 @@ LONGEST_START = 0.25
 def with_hidden_motion(
     procedure: Procedure, record: Record, values: Mapping[str, Array]
 ) -> tuple[Procedure, Record]:
-    """A procedure without modes, and the record with the motion of their masses, for these values.
+    """A procedure without hidden elements, and the record with their motion, for these values.
 
     Samples are marked missing until the start is forgotten, of a record and after each gap. A
-    procedure without modes and its record come back as they are.
+    procedure without hidden elements and its record come back as they are.
+
+    **Raises:** `ModelError` for a spring in series with a map.
     """
-    signals: dict[str, Array] = {}
-    missing: dict[str, Array] = {}
-    stages = []
-    for stage in procedure.stages:
-        carrying = []
-        for equation in stage:
-            terms = list(equation.terms)
-            for number, mode in enumerate(procedure.modes):
-                names = ModeParameters.of(number)
-                inertia = mode.inertia(equation)
-                if inertia is None:
-                    continue
-                terms.append(_mass_term(mode, inertia, names))
-                shape = Expanded.shape(values, names)
-                for body in _motions(inertia):
-                    mine = _name(body, names)
-                    if body in record.arrays and mine not in signals:
-                        signals[mine], present = followed(record, body, shape)
-                        missing[mine] = ~present
-            carrying.append(_with(equation, terms))
-        stages.append(tuple(carrying))
-    if not procedure.modes:
+    if not procedure.has_hidden:
         return procedure, record
-    return Procedure(tuple(stages)), record.with_signals(signals, missing=missing)
+    added = _Added(record, {}, {})
+    stages = tuple(
+        tuple(_without_hidden(equation, procedure, added, values) for equation in stage)
+        for stage in procedure.stages
+    )
+    return Procedure(stages), record.with_signals(added.signals, missing=added.missing)
+
+
+class _Added(NamedTuple):
+    """Signals that are made of a record's, and where they are not known."""
+
+    record: Record
+    signals: dict[str, Array]
+    missing: dict[str, Array]
+
+    def add(self, name: str, samples: Array, present: Array | None, shape: Shape | Lag) -> None:
+        """What follows some samples by this shape."""
+        if name not in self.signals:
+            self.signals[name], there = filtered(samples, present, self.record.time_step, shape)
+            self.missing[name] = ~there
+
+
+def _without_hidden(
+    equation: Equation, procedure: Procedure, added: _Added, values: Mapping[str, Array]
+) -> Equation:
+    terms = list(equation.terms)
+    for number, spring in enumerate(procedure.springs):
+        names = SpringParameters.of(number, spring)
+        for place, term in enumerate(terms):
+            if spring.of in term.parameters:
+                terms[place] = _lagging(term, names, added, values)
+    for number, mode in enumerate(procedure.modes):
+        names = ModeParameters.of(number)
+        inertia = mode.inertia(equation)
+        if inertia is None:
+            continue
+        terms.append(_mass_term(mode, inertia, names))
+        for body in _motions(inertia):
+            if body in added.record.arrays:
+                present = added.record.present((body,))
+                shape = names.shape(values)
+                added.add(_name(body, names), added.record[body], present, shape)
+    return _with(equation, terms)
+
+
+def _lagging(
+    term: AbstractTerm, names: SpringParameters, added: _Added, values: Mapping[str, Array]
+) -> Term:
+    """An element's term, of what its spring leaves of the motion across both."""
+    if not isinstance(term, Term):
+        raise ModelError(
+            f"what the map of '{names.coefficient}' does behind its spring is not known from the "
+            f"motion across both alone: simulate the model, rx.validation.validate_held_out."
+        )
+    of = f"{term.of if isinstance(term.of, str) else names.coefficient} behind {names.stiffness}"
+    made = [of, *(f"{name} behind {names.stiffness}" for name in term.measured)]
+    for name, read in zip(made, (term.of, *term.measured)):
+        if callable(read) or read in added.record.arrays:
+            samples, present = evaluate(read, added.record)
+            added.add(name, samples, present, names.shape(values))
+    return Term(
+        names.coefficient,
+        of,
+        derivative=term.derivative,
+        measured=tuple(made[1:]),
+        unit=term.unit,
+        known=term.known,
+        sign=term.number,
+    )
 
 
 def followed(
     record: Record, body: str, shape: Shape
 ) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
-    """A mass's motion from its body's, and where that is known.
+    """A mass's motion from its body's, and where that is known."""
+    return filtered(record[body], record.present((body,)), record.time_step, shape)
+
+
+def filtered(
+    samples: Float[Array, " n"],
+    present: Bool[Array, " n"] | None,
+    step: Float[Array, ""],
+    shape: Shape | Lag,
+) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
+    """N / D of some samples, and where that is known.
 
     By the discrete Fourier transform, exact for motion below half the sampling rate. The record is
     continued at both ends by its mirror image through the end point, which has the same slope.
     """
-    samples, step = record[body], record.time_step
     count = samples.shape[-1]
     place = jnp.arange(count)
-    there = record.present((body,))
-    there = jnp.ones(count, bool) if there is None else there
+    there = jnp.ones(count, bool) if present is None else present
     # The last sample that was there stands for those that are not.
     before = jax.lax.cummax(jnp.where(there, place, 0))
     x = samples[before]
     around = jnp.concatenate([2 * x[0] - x[:0:-1], x, 2 * x[-1] - x[-2::-1]])
     rate = 2j * np.pi * jnp.fft.rfftfreq(around.shape[-1]) / step
-    gain = (1 + shape.q * rate) / (1 + shape.q * rate + shape.p * rate**2)
+    gain = jnp.polyval(shape.numerator[::-1], rate) / jnp.polyval(shape.denominator[::-1], rate)
     moved = jnp.fft.irfft(jnp.fft.rfft(around) * gain, around.shape[-1])[count - 1 : 2 * count - 1]
     since = (place - jax.lax.cummax(jnp.where(there, -1, place))) * step
-    # What is free decays as exp(-q t / (2 p)).
-    forgotten = -np.log(FORGOTTEN) * 2 * shape.p / jnp.where(shape.q > 0, shape.q, 1.0)
     longest = LONGEST_START * count * step
-    start = jnp.where(shape.q > 0, jnp.minimum(forgotten, longest), longest)
+    start = jnp.minimum(-np.log(FORGOTTEN) * shape.decay, longest)
     return moved.astype(samples.dtype), there & (since > start)
 
 

@@ -37,7 +37,7 @@ class Procedure(eqx.Module):
         """
         for mode in modes:
             require("a mode", mode, HiddenMode, "rx.HiddenMode(on='x4')")
-            if not any(mode.inertia(e) is not None for stage in self.stages for e in stage):
+            if not any(mode.inertia(e) is not None for e in self.equations):
                 raise ModelError(
                     f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
@@ -45,18 +45,33 @@ class Procedure(eqx.Module):
         return Procedure(self.stages, (*self.modes, *modes), self.springs)
 
     def with_series_springs(self, *springs: SeriesSpring) -> "Procedure":
-        """The same equations with springs in series with force elements, to refine or simulate.
+        """The same equations with springs in series with force elements.
 
-        **Raises:** `ModelError` for an element that no equation holds.
+        **Raises:** `ModelError` for an element that no equation holds, or that has a spring.
         """
+        held = {id(spring.element(e)) for spring in self.springs for e in self.equations}
         for spring in springs:
             require("a spring", spring, SeriesSpring, "rx.SeriesSpring(of='c')")
-            if not any(spring.element(e) is not None for stage in self.stages for e in stage):
+            elements = [one for e in self.equations if (one := spring.element(e)) is not None]
+            if held & {id(one) for one in elements}:
+                raise ModelError(f"'{spring.of}' has a spring in series already.")
+            held |= {id(one) for one in elements}
+            if not elements:
                 raise ModelError(
                     f"no equation has a coefficient '{spring.of}' that a spring could be in series "
                     f"with; there are: {', '.join(self.parameters)}."
                 )
         return Procedure(self.stages, self.modes, (*self.springs, *springs))
+
+    @property
+    def equations(self) -> tuple[Equation, ...]:
+        """Of all stages, in order."""
+        return tuple(equation for stage in self.stages for equation in stage)
+
+    @property
+    def has_hidden(self) -> bool:
+        """Whether equations leave out modes or springs."""
+        return bool(self.modes or self.springs)
 
     def mode_named(self, names: ModeParameters) -> HiddenMode:
         """The mode whose parameters these are."""
@@ -65,13 +80,16 @@ class Procedure(eqx.Module):
 
     @property
     def expanded(self) -> tuple[tuple[Expanded, ...], ...]:
-        """Each equation with its modes, linear in more columns than it has parameters."""
-        return tuple(tuple(Expanded.of(e, self.modes) for e in stage) for stage in self.stages)
+        """Each equation with modes and springs, linear in more columns than it has parameters."""
+        return tuple(
+            tuple(Expanded.of(e, self.modes, self.springs) for e in stage) for stage in self.stages
+        )
 
     @property
     def linear(self) -> "Procedure":
-        """Equations without modes, whose sums tell of these with any: itself if there are none."""
-        if not self.modes:
+        """Equations without hidden elements, whose sums tell of these with any: itself if there
+        are none."""
+        if not self.has_hidden:
             return self
         return Procedure(tuple(tuple(e.equation for e in stage) for stage in self.expanded))
 
@@ -83,10 +101,11 @@ class Procedure(eqx.Module):
     @property
     def stage_parameters(self) -> list[tuple[str, ...]]:
         """Names of the coefficients of each stage, in order of first appearance."""
-        if not self.modes:
+        if not self.has_hidden:
             every = [[e.parameters for e in stage] for stage in self.stages]
         else:
             every = [[e.all_parameters for e in stage] for stage in self.expanded]
+        # A spring in series with a map is in no expanded equation.
         for i, spring in enumerate(self.springs):
             for of, equations in zip(every, self.stages):
                 if any(spring.element(e) is not None for e in equations):
@@ -107,9 +126,9 @@ class Procedure(eqx.Module):
             for equation in stage:
                 units |= {k: v for k, v in equation.units.items() if v or k not in units}
         for number, mode in enumerate(self.modes):
-            units |= mode.units(number, [e for stage in self.stages for e in stage])
+            units |= mode.units(number, self.equations)
         for number, spring in enumerate(self.springs):
-            units[stiffness_name(number)] = spring.unit(e for stage in self.stages for e in stage)
+            units[stiffness_name(number)] = spring.unit(self.equations)
         return units
 
     @property

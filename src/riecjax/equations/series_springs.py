@@ -4,11 +4,19 @@ A damper pulls through its bushings, whose spring K gives way: of the velocity v
 damper's own is v - f' / K, with f the force that both carry. So the force follows late, by c / K
 for a linear damper c. Where windows are long beside that, it is a share of some percent of a
 damper's force; where they are not, it bends masses and maps that have to make up for it.
+
+A linear element c v with its spring is c / (1 + tau s) v, tau = c / K, s standing for d/dt. An
+equation times 1 + tau s is linear again in its coefficients: the terms gain a derivative each but
+for the element's own. Of a map F(v) no multiplication rids the equation, since F(v - f' / K) is not
+linear in K.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, Term, Terms
@@ -22,11 +30,14 @@ class SeriesSpring(eqx.Module):
     """A spring in series with a force element, a Maxwell element.
 
     Its stiffness `K_series`, of a further one `K_series_2`, is a parameter of every equation that
-    holds the element. It makes the equation nonlinear in its parameters: they are found by
-    [`refine`][riecjax.refine], started from what [`identify`][riecjax.identify] finds without it.
+    holds the element. In series with a `Term` it is found by [`identify`][riecjax.identify]; with a
+    map, as of a damper, the equation is not linear in its parameters, and they are found by
+    [`refine`][riecjax.refine], started from what `identify` finds without the spring.
 
     **Arguments:** `of`, the element: the name of its coefficient, or of one of its basis, as `F_1`
     of a damper's map.
+
+    **Raises:** `ModelError` for what is no name.
     """
 
     of: str = eqx.field(static=True)
@@ -42,6 +53,67 @@ class SeriesSpring(eqx.Module):
         """Unit of the stiffness, by that of the element's coefficient."""
         named = [e.units[self.of] for e in equations if self.of in e.units]
         return KNOWN_UNITS.get(named[0], "") if named else ""
+
+
+class SpringParameters(NamedTuple):
+    """Names of a linear element's coefficient and of the stiffness in series with it."""
+
+    coefficient: str
+    stiffness: str
+
+    @classmethod
+    def of(cls, number: int, spring: SeriesSpring) -> "SpringParameters":
+        """Of the spring with this number, from 0."""
+        return cls(spring.of, stiffness_name(number))
+
+    @property
+    def linear(self) -> str:
+        """The parameter that the force is proportional to, for a given lag."""
+        return self.coefficient
+
+    @property
+    def order(self) -> int:
+        """Of the polynomial D, which has as many coordinates in a search."""
+        return 1
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """Parameters that are positive, and sure, where such an element is found."""
+        return (self.stiffness,)
+
+    def shape(self, values: Mapping[str, Array]) -> "Lag":
+        """The lag with these values."""
+        return Lag(values[self.coefficient] / values[self.stiffness])
+
+    @staticmethod
+    def shape_at(at: Float[Array, "1"] | None) -> "Lag":
+        """Of the logarithm of the corner 1 / (2 pi tau) in hertz; `None`: rigid."""
+        return Lag(jnp.zeros(()) if at is None else jnp.exp(-at[0]) / (2 * jnp.pi))
+
+    def values_at(self, at: Float[Array, "1"], values: Mapping[str, Array]) -> dict[str, Array]:
+        """The stiffness of the lag there, the coefficient being among the values."""
+        return {self.stiffness: values[self.coefficient] / self.shape_at(at).tau}
+
+
+class Lag(NamedTuple):
+    """Polynomials 1 and D = 1 + tau s of an element that follows late, by tau = c / K in s."""
+
+    tau: Array
+
+    @property
+    def numerator(self) -> Float[Array, "2"]:
+        """Coefficients, lowest first."""
+        return jnp.stack([jnp.ones_like(self.tau), jnp.zeros_like(self.tau)])
+
+    @property
+    def denominator(self) -> Float[Array, "2"]:
+        """Coefficients of D, lowest first."""
+        return jnp.stack([jnp.ones_like(self.tau), self.tau])
+
+    @property
+    def decay(self) -> Array:
+        """Seconds in which what is free falls to 1 / e: it is exp(-t / tau)."""
+        return self.tau
 
 
 def stiffness_name(number: int) -> str:

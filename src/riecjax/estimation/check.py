@@ -128,7 +128,7 @@ def check(
         *_windows(plain, criterion),
         *_quadrature(summary),
         *_break_points(procedure, summary),
-        *(() if procedure.modes else _constant(procedure, plan, summary)),
+        *(() if procedure.has_hidden else _constant(procedure, plan, summary)),
         *(finding for stage in excited for finding in stage.findings()),
     ]
     return Check(findings, excited, tuple(dict.fromkeys(n for names in read for n in names)))

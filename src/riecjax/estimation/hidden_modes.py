@@ -1,6 +1,7 @@
-"""Hidden modes by variable projection: frequency and damping are searched, all else is solved for.
+"""Hidden elements by variable projection: their shapes are searched, all else is solved for.
 
-For a mode of given shape D = 1 + q s + p s^2 an equation is linear, and its normal equations are a
+The shape of a mode, D = 1 + q s + p s^2, is a frequency and a damping; that of a spring in series,
+D = 1 + tau s, is a lag. For given shapes an equation is linear, and its normal equations are a
 combination V^T G V of those of its expanded columns. So a search over shapes needs p x p algebra
 only, once G is there. Where the shape is best, the equation is linearised about the solution: a
 Gauss-Newton step from there stays there, and everything that is said of a linear fit, its scores,
@@ -16,9 +17,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.hidden_modes import Expanded, ModeParameters, Shape
+from riecjax.equations.hidden_modes import Expanded, HiddenParameters, ModeParameters
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import NormalEquations
@@ -31,22 +33,26 @@ FREQUENCIES = 48
 STEPS = 12
 """Newton steps from the best point of the grid."""
 FARTHEST = 0.3
-"""Of one step, in the frequency's logarithm and in the damping ratio."""
+"""Of one step, in a frequency's logarithm and in the damping ratio."""
 SHORTENED = (1.0, 0.5, 0.2, 0.05, 0.01, 0.0)
 """Of each step the best of these shares is gone."""
 
 
 class ModeStage(NamedTuple):
-    """One stage in which modes are to be found, and its sums.
+    """One stage in which hidden elements are to be found, and its sums.
 
     **Fields:** `equations`; `moments` of each, less noise; `unknown`, coefficients to be found;
-    `sought`, of each mode that is to be found its parameters; `given` values.
+    `sought`, of each element that is to be found its parameters; `given` values. An element that
+    is neither sought nor given is not there.
+
+    Shapes of all that is sought are one array: of each mode the logarithm of its frequency in hertz
+    and its damping ratio, of each spring the logarithm of its corner frequency.
     """
 
     equations: tuple[Expanded, ...]
     moments: list[Float[Array, "columns columns"]]
     unknown: tuple[str, ...]
-    sought: tuple[ModeParameters, ...]
+    sought: tuple[HiddenParameters, ...]
     given: dict[str, Array]
 
     @classmethod
@@ -55,22 +61,28 @@ class ModeStage(NamedTuple):
     ) -> "ModeStage":
         """The stage, from the sums of each of its equations with any leading axes."""
         names = dict.fromkeys(name for e in equations for name in e.parameters)
-        modes = dict.fromkeys(of for e in equations for of, _ in e.modes)
+        elements = dict.fromkeys(of for e in equations for of, _ in e.elements)
         return cls(
             equations,
             [one.flattened().total().clean for one in sums],
             tuple(name for name in names if name not in known),
-            tuple(of for of in modes if of.mass not in known),
+            tuple(of for of in elements if of.stiffness not in known),
             dict(known),
         )
 
     @property
     def linear(self) -> tuple[str, ...]:
         """What is solved for at a shape: coefficients, and masses of the modes sought."""
-        return (*self.unknown, *(names.mass for names in self.sought))
+        hidden = (of.linear for of in self.sought if of.linear not in self.given)
+        return tuple(dict.fromkeys((*self.unknown, *hidden)))
 
-    def projected(self, at: Float[Array, "modes 2"]) -> "Projected":
-        """The best fit with modes of these shapes, as logarithm of frequency and damping ratio."""
+    def by_element(self, at: Float[Array, " shapes"]) -> dict[HiddenParameters, Array]:
+        """The part of each element that is sought."""
+        ends = np.cumsum([names.order for names in self.sought], dtype=int).tolist()
+        return {names: at[end - names.order : end] for names, end in zip(self.sought, ends)}
+
+    def projected(self, at: Float[Array, " shapes"]) -> "Projected":
+        """The best fit with elements of these shapes."""
         sign = jnp.concatenate([jnp.ones(1), -jnp.ones(len(self.linear))]).astype(at.dtype)
         gram = jnp.zeros((sign.size,) * 2, at.dtype)
         for rows, moments in zip(self.rows(at), self.moments):
@@ -78,7 +90,7 @@ class ModeStage(NamedTuple):
             gram = gram + mix @ moments @ mix.T
         return Projected.of(gram)
 
-    def rows(self, at: Float[Array, "modes 2"]) -> list[Float[Array, "1+linear columns"]]:
+    def rows(self, at: Float[Array, " shapes"]) -> list[Float[Array, "1+linear columns"]]:
         """Of each equation the table R of which [1, theta] R is the residual: it is affine."""
         count = len(self.linear)
         places = jnp.concatenate([jnp.zeros((1, count)), jnp.eye(count)]).astype(at.dtype)
@@ -86,8 +98,8 @@ class ModeStage(NamedTuple):
         return [table.at[1:].add(-table[:1]) for table in every]
 
     def slope_and_bend(
-        self, at: Float[Array, "modes 2"]
-    ) -> tuple[Float[Array, " 2modes"], Float[Array, "2modes 2modes"]]:
+        self, at: Float[Array, " shapes"]
+    ) -> tuple[Float[Array, " shapes"], Float[Array, "shapes shapes"]]:
         """First and second derivatives of the least energy F by the shapes x.
 
         With r = u R(x), u = [1, theta], F(x, theta) = r M r is least in theta, so that its slope is
@@ -117,33 +129,33 @@ class ModeStage(NamedTuple):
     def energy(
         self,
         moments: list[Float[Array, "columns columns"]],
-        at: Float[Array, "modes 2"],
+        at: Float[Array, " shapes"],
         theta: Float[Array, " linear"],
     ) -> Float[Array, ""]:
-        """What modes of these shapes and coefficients leave of some moments."""
+        """What elements of these shapes and coefficients leave of some moments."""
         return sum(
             (r @ m @ r for r, m in zip(self.residuals(at, theta), moments)), start=jnp.zeros(())
         )
 
     def residuals(
-        self, at: Float[Array, "modes 2"], theta: Float[Array, " linear"]
+        self, at: Float[Array, " shapes"], theta: Float[Array, " linear"]
     ) -> list[Float[Array, " columns"]]:
         """Of each equation, as combinations of its columns."""
-        shapes = {names: shape_of(row) for names, row in zip(self.sought, at)}
+        sought = self.by_element(at)
         values = {**self.given, **dict(zip(self.linear, theta))}
-        return [
-            e.residual(values, [shapes.get(n) or Expanded.shape(self.given, n) for n, _ in e.modes])
-            for e in self.equations
-        ]
 
-    def values(self, at: Float[Array, "modes 2"]) -> dict[str, Array]:
-        """Every parameter of the stage by name, for modes of these shapes."""
-        found = dict(zip(self.linear, self.projected(at).theta))
-        for names, row in zip(self.sought, at):
-            shape, mass = shape_of(row), found[names.mass]
-            found[names.stiffness] = mass / shape.p
-            found[names.damping] = mass * shape.q / shape.p
-        return {**self.given, **found}
+        def shape(names: HiddenParameters):
+            known = names not in sought and names.stiffness in self.given
+            return names.shape(self.given) if known else names.shape_at(sought.get(names))
+
+        return [e.residual(values, [shape(n) for n, _ in e.elements]) for e in self.equations]
+
+    def values(self, at: Float[Array, " shapes"]) -> dict[str, Array]:
+        """Every parameter of the stage by name, for elements of these shapes."""
+        found = {**self.given, **dict(zip(self.linear, self.projected(at).theta))}
+        for names, row in self.by_element(at).items():
+            found |= names.values_at(row, found)
+        return found
 
 
 class Projected(NamedTuple):
@@ -169,12 +181,6 @@ class Projected(NamedTuple):
         return self._replace(theta=jnp.append(fit.theta, 0.0), energy=fit.energy)
 
 
-def shape_of(at: Float[Array, "2"]) -> Shape:
-    """p and q from the logarithm of the frequency in hertz and the damping ratio."""
-    rate = 2 * jnp.pi * jnp.exp(at[0])
-    return Shape(1 / rate**2, 2 * at[1] / rate)
-
-
 class ModeMap(NamedTuple):
     """Shares of the target that modes of each frequency leave, at their best damping.
 
@@ -188,13 +194,13 @@ class ModeMap(NamedTuple):
     damping: Float[Array, " frequencies"]
 
 
-def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, "modes 2"]) -> ModeMap:
+def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]) -> ModeMap:
     """The map of one more mode, the last one sought, `others` being where they are."""
     low, high = (jnp.log(jnp.asarray(f)) for f in band)
     logs = jnp.linspace(low, high, FREQUENCIES)
 
     def share(log: Array, damping: Array) -> tuple[Array, Array]:
-        fit = stage.projected(jnp.concatenate([others, jnp.stack([log, damping])[None]]))
+        fit = stage.projected(jnp.concatenate([others, jnp.stack([log, damping])]))
         masses = fit.theta[len(stage.unknown) :]
         good = jnp.all(masses > 0) & (fit.target > 0)
         target = jnp.where(fit.target > 0, fit.target, 1.0)
@@ -207,34 +213,45 @@ def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, "mo
     return ModeMap(jnp.exp(logs), left[at, best], without[at, best], dampings[best])
 
 
-def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array, "modes 2"]:
-    """Where modes fit best: one after the other by their maps, then all at once by Newton's steps.
+def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array, " shapes"]:
+    """Where elements fit best: one after the other by their maps, then all by Newton's steps.
+
+    Modes, which come first, change an equation by far more than what springs delay.
 
     **Arguments:** `bands` in hertz in which to look for each.
     """
-    at = jnp.zeros((0, 2))
-    for number, band in enumerate(bands, start=1):
-        part = stage._replace(sought=stage.sought[:number], equations=stage.equations)
-        found = mode_map(_with_so_many(part, number, stage), band, at)
-        best = jnp.argmin(found.unexplained)
-        row = jnp.stack([jnp.log(found.frequency[best]), found.damping[best]])
-        at = polished(_with_so_many(part, number, stage), jnp.concatenate([at, row[None]]))
+    at = jnp.zeros(0)
+    for number, (names, band) in enumerate(zip(stage.sought, bands), start=1):
+        part = stage._replace(sought=stage.sought[:number])
+        of_mode = isinstance(names, ModeParameters)
+        best = _best_mode(part, band, at) if of_mode else _best_lag(part, band, at)
+        at = polished(part, jnp.concatenate([at, best]))
     return at
 
 
-def _with_so_many(part: ModeStage, number: int, stage: ModeStage) -> ModeStage:
-    """The stage with the first modes only: the others are so stiff that they are not there."""
-    absent = {}
-    for names in stage.sought[number:]:
-        absent |= {
-            names.mass: jnp.zeros(()),
-            names.stiffness: jnp.ones(()),
-            names.damping: jnp.zeros(()),
-        }
-    return part._replace(given={**stage.given, **absent})
+def _best_mode(
+    stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]
+) -> Float[Array, "2"]:
+    found = mode_map(stage, band, others)
+    best = jnp.argmin(found.unexplained)
+    return jnp.stack([jnp.log(found.frequency[best]), found.damping[best]])
 
 
-def polished(stage: ModeStage, start: Float[Array, "modes 2"]) -> Float[Array, "modes 2"]:
+def _best_lag(
+    stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]
+) -> Float[Array, "1"]:
+    """Of the spring that is sought last."""
+    low, high = (jnp.log(jnp.asarray(f)) for f in band)
+    rows = jnp.linspace(low, high, FREQUENCIES)[:, None]
+
+    def share(row: Array) -> Array:
+        fit = stage.projected(jnp.concatenate([others, row]))
+        return jnp.where(fit.target > 0, fit.energy, jnp.inf) / jnp.abs(fit.target)
+
+    return rows[jnp.argmin(jax.vmap(share)(rows))]
+
+
+def polished(stage: ModeStage, start: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
     """The least energy near a start, by Newton's steps, shortened where they lead up."""
 
     def step(_: int, at: Array) -> Array:

@@ -157,9 +157,9 @@ def _estimated(
     sharing, given, _ = plan
     equations, sources = summary.equations(), summary.noise_by_source()
     modes, short = None, summary.short_blocks
-    if procedure.modes:
+    if procedure.has_hidden:
         if sharing.own:
-            raise ModelError("per_record has no meaning yet for a model with hidden modes.")
+            raise ModelError("per_record has no meaning yet for a model with hidden elements.")
         modes = find_modes(procedure, summary, given)
         equations, sources = modes.equations, modes.sources
     window = jnp.asarray(summary.criterion.block_length)

@@ -1,8 +1,8 @@
-"""Sums of a model's own parameters, where hidden modes make it depend on some of them nonlinearly.
+"""Sums of a model's own parameters, of which hidden elements make it depend nonlinearly on some.
 
-About its solution such a model is linear, with a regressor for each parameter of its modes. Their
-sums are combinations of the expanded columns' sums, so that whatever asks how regressors are
-excited, drowned in noise or integrated need not know of modes.
+About its solution such a model is linear, with a regressor for each parameter of its elements.
+Their sums are combinations of the expanded columns' sums, so that whatever asks how regressors are
+excited, drowned in noise or integrated need not know of hidden elements.
 """
 
 import dataclasses
@@ -28,14 +28,14 @@ Band = tuple[int, int]
 
 
 def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary:
-    """Sums of regressors about the modes that these sums say (not under jit).
+    """Sums of regressors about the hidden elements that these sums say (not under jit).
 
-    Of a model without modes, and of sums that are linearised already, the Summary itself.
+    Of a model without any, and of sums that are linearised already, the Summary itself.
 
     **Returns:** a Summary of all windows together, each stage's of those it is solved from; without
     averages and activity, which tell of no combination of columns.
     """
-    if not procedure.modes or summary.outline.is_of(_outline(procedure)):
+    if not procedure.has_hidden or summary.outline.is_of(_outline(procedure)):
         return summary
     found = find_modes(procedure, summary, known)
     values, mixes = {name: jnp.asarray(value) for name, value in known.items()}, []
@@ -74,7 +74,7 @@ def _mixes(
     expanded: tuple[Expanded, ...],
     sums: list[NormalEquations],
     known: Values,
-    at: Float[Array, "modes 2"],
+    at: Float[Array, " shapes"],
 ) -> tuple[list[Float[Array, "1+p columns"]], dict[str, Array]]:
     """Of each equation, target and regressors as combinations of its columns; and all values."""
     values = ModeStage.of(expanded, sums, known).values(at)

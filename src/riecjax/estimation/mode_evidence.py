@@ -135,7 +135,8 @@ def mode_evidence(
     evidence = []
     known = dict(given)
     for i, equations in enumerate(procedure.expanded):
-        own = ModeStage.of(equations, summary.equations()[i], known).sought
+        stage = ModeStage.of(equations, summary.equations()[i], known)
+        own = [names for names in stage.sought if isinstance(names, ModeParameters)]
         if own:
             sums = summary.equations(found.bands[i])[i]
             band = search_band(procedure, summary, own[-1])
@@ -175,7 +176,7 @@ def _evidence(
     equations: tuple[Expanded, ...],
     sums: list[NormalEquations],
     known: Values,
-    at: Float[Array, "modes 2"],
+    at: Float[Array, " shapes"],
     band: tuple[Leaf, Leaf],
 ) -> tuple[ModeMap, Array, Array, Array, Array, Array]:
     stage = ModeStage.of(equations, sums, known)
@@ -201,8 +202,15 @@ def _evidence(
     left, without = jax.vmap(of_fold)(jnp.arange(FOLDS))
     gain = without - left
     error = jnp.std(gain, ddof=1) / np.sqrt(FOLDS)
+    parts = stage.by_element(at)
+    mode = [names for names in parts if isinstance(names, ModeParameters)][-1]
+    others = {names: part for names, part in parts.items() if names != mode}
     return (
-        mode_map(stage, band, at[:-1]),
+        mode_map(
+            stage._replace(sought=(*others, mode)),
+            band,
+            jnp.concatenate([jnp.zeros(0), *others.values()]),
+        ),
         jnp.mean(left),
         jnp.mean(without),
         noise,

@@ -1,7 +1,7 @@
-"""Hidden modes in the windows that tell most of them, and the sums linearised about them.
+"""Hidden elements in the windows that tell most of them, and the sums linearised about them.
 
-Windows of every length have sums of their own. In each the modes are searched, and promised a
-standard error; the length that promises the least one is taken. About what is found there the
+Windows of every length have sums of their own. In each modes and springs are searched, and promised
+a standard error; the length that promises the least one is taken. About what is found there the
 stage's equations are linearised, and from then on they are as any others.
 """
 
@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.hidden_modes import Expanded, ModeParameters
+from riecjax.equations.hidden_modes import Expanded, HiddenParameters, ModeParameters
 from riecjax.equations.procedure import Procedure
+from riecjax.equations.series_springs import SpringParameters
 from riecjax.errors import ModelError
 from riecjax.estimation.hidden_modes import ModeStage, Values, search
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace
@@ -29,42 +30,44 @@ Stages = list[list[NormalEquations]]
 
 
 class FoundModes(NamedTuple):
-    """Where modes are, what they were found from, and what is left to be solved.
+    """Where hidden elements are, what they were found from, and what is left to be solved.
 
-    **Fields:** `equations` of each stage, linearised about the modes, and what each source of noise
-    adds to them, `sources`; `at`, the shapes of each stage's modes; `bands`, of each stage the bins
-    of window lengths that it is solved from, `None` for all or under a trace; `lengths` of these
-    in seconds.
+    **Fields:** `equations` of each stage, linearised about them, and what each source of noise
+    adds to them, `sources`; `at`, the shapes of each stage's elements; `bands`, of each stage the
+    bins of window lengths that it is solved from, `None` for all or under a trace; `lengths` of
+    these in seconds.
     """
 
     equations: Stages
     sources: Stages
-    at: list[Float[Array, "modes 2"]]
+    at: list[Float[Array, " shapes"]]
     bands: list[tuple[int, int] | None]
     lengths: list[tuple[float, float] | None]
 
 
 def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundModes:
-    """The modes of each stage, in the windows that tell most of them.
+    """The hidden elements of each stage, in the windows that tell most of them.
 
-    Short windows show a fast mode and much noise; which of the lengths tells most is seen from the
-    standard errors that each promises. Where lengths were not kept apart all are taken.
+    Short windows show a fast mode, or a lag, and much noise; which of the lengths tells most is
+    seen from the standard errors that each promises. Where lengths were not kept apart all are
+    taken.
 
-    **Raises:** `ModelError` where of a mode something is known, and not all.
+    **Raises:** `ModelError` where of a mode something is known, and not all, or of a spring its
+    stiffness alone.
     """
-    _require_whole_modes(procedure, given)
+    _require_whole_elements(procedure, given)
     known = {name: jnp.asarray(value) for name, value in given.items()}
     found = FoundModes([], [], [], [], [])
     equations, sources = summary.equations(), summary.noise_by_source()
     looked_at = is_concrete(equations, known) and not is_under_trace()
     for i, expanded in enumerate(procedure.expanded):
         stage = ModeStage.of(expanded, equations[i], known)
-        used, at, band = (equations[i], sources[i]), jnp.zeros((0, 2)), None
+        used, at, band = (equations[i], sources[i]), jnp.zeros(0), None
         if stage.sought:
             where = tuple(search_band(procedure, summary, names) for names in stage.sought)
             used, at, band = _in_best_windows(expanded, summary, i, known, where)
-        # What no later equation with a mode asks for is left to the fit.
-        later = [e for stage in procedure.expanded[i:] for e in stage if e.modes]
+        # What no later equation with an element asks for is left to the fit.
+        later = [e for stage in procedure.expanded[i:] for e in stage if e.elements]
         if set(stage.linear) & {name for e in later for name in e.all_parameters}:
             *used, values = _contracted(expanded, *used, known, at, not looked_at)
             known |= values
@@ -82,9 +85,9 @@ def _in_best_windows(
     i: int,
     known: Values,
     where: tuple[tuple[Leaf, Leaf], ...],
-) -> tuple[tuple[list[NormalEquations], ...], Float[Array, "modes 2"], tuple[int, int] | None]:
-    """A stage's sums, and those of noise, over the windows that tell most of its modes; these, and
-    the bins they are of."""
+) -> tuple[tuple[list[NormalEquations], ...], Float[Array, " shapes"], tuple[int, int] | None]:
+    """A stage's sums, and those of noise, over the windows that tell most of its hidden elements;
+    these, and the bins they are of."""
     first, last = summary.band
     options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
     every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
@@ -102,11 +105,11 @@ def _searched(
     options: list[NormalEquations],
     known: Values,
     bands: tuple[tuple[Leaf, Leaf], ...],
-) -> tuple[Array, Float[Array, "modes 2"]]:
-    """Which windows tell most of a stage's modes, and where they are by these.
+) -> tuple[Array, Float[Array, " shapes"]]:
+    """Which windows tell most of a stage's hidden elements, and where they are by these.
 
     What a length promises is the sum of squared relative standard errors of masses and stiffnesses,
-    infinite for what is no oscillator.
+    infinite for what is no oscillator and no spring.
 
     **Arguments:** `options`, sums with a leading axis of window lengths.
     """
@@ -121,12 +124,15 @@ def _searched(
         names = tuple(dict.fromkeys(name for e in expanded for name in e.all_parameters))
         influence = block_influence([sum_of_equations(own, names).flattened()], known, values)
         found = [name for name in names if name not in known]
-        sought = [name for of in stage.sought for name in (of.mass, of.stiffness)]
+        sought = [name for of in stage.sought for name in of.judged]
         size = jnp.stack([values[name] for name in sought])
         place = jnp.array([found.index(name) for name in sought])
         doubt = jnp.sum(jnp.sum(influence**2, axis=0)[place] / size**2)
         target = stage.projected(at).target
-        good = jnp.all(size > 0) & jnp.all(at[:, 1] > 0) & jnp.isfinite(doubt) & (target > 0)
+        good = jnp.all(size > 0) & jnp.isfinite(doubt) & (target > 0)
+        for names, part in stage.by_element(at).items():
+            if isinstance(names, ModeParameters):
+                good = good & (part[1] > 0)
         return jnp.where(good, doubt, jnp.inf), at
 
     doubt, at = jax.lax.map(tried, options)
@@ -140,7 +146,7 @@ def _contracted(
     sums: list[NormalEquations],
     sources: list[NormalEquations],
     known: Values,
-    at: Float[Array, "modes 2"],
+    at: Float[Array, " shapes"],
     moves: bool,
 ) -> tuple[list[NormalEquations], list[NormalEquations], dict[str, Array]]:
     """Normal equations of expanded columns, made those of the model's own parameters; the same of
@@ -151,7 +157,7 @@ def _contracted(
     """
     stage = ModeStage.of(expanded, sums, known)
     values = stage.values(at_minimum(stage, at) if stage.sought and moves else at)
-    mixes = [e.linearised(values) if e.modes else jnp.zeros((0, 0)) for e in expanded]
+    mixes = [e.linearised(values) if e.elements else jnp.zeros((0, 0)) for e in expanded]
     equations, added = (
         [_mixed(*each) for each in zip(expanded, mixes, s)] for s in (sums, sources)
     )
@@ -159,12 +165,12 @@ def _contracted(
 
 
 def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquations:
-    if not expanded.modes:
+    if not expanded.elements:
         return sums
     return sums.each(lambda m: mix @ m @ mix.T, parameters=expanded.all_parameters)
 
 
-def at_minimum(stage: ModeStage, at: Float[Array, "modes 2"]) -> Float[Array, "modes 2"]:
+def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
     """The same shapes, with the derivatives of the least energy's place: one more Newton step.
 
     At the minimum the step is zero, and by the implicit function theorem its derivative is that of
@@ -177,19 +183,23 @@ def at_minimum(stage: ModeStage, at: Float[Array, "modes 2"]) -> Float[Array, "m
     return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
 
 
-def search_band(procedure: Procedure, summary: Summary, names: ModeParameters) -> tuple[Leaf, Leaf]:
-    """Hertz between which to look for a mode."""
-    hz = procedure.mode_named(names).hz
+def search_band(
+    procedure: Procedure, summary: Summary, names: HiddenParameters
+) -> tuple[Leaf, Leaf]:
+    """Hertz between which to look for a mode, or for the corner of a spring's lag."""
+    hz = procedure.mode_named(names).hz if isinstance(names, ModeParameters) else None
     if hz is not None:
         return np.asarray(hz / 1.5), np.asarray(hz * 1.5)
     windows = summary.criterion.windows
     assert windows is not None
     step = summary.recordings[0].time_step
-    # From half a period of the longest window to where a period has a dozen samples.
-    return 0.5 / windows.beta, 1 / (8 * step)
+    # From half a period of the longest window to where a period has a dozen samples, and for a lag,
+    # which shows below its corner, to a sixth of a sample.
+    highest = 1 / (8 * step) if isinstance(names, ModeParameters) else 1 / step
+    return 0.5 / windows.beta, highest
 
 
-def _require_whole_modes(procedure: Procedure, known: Mapping[str, object]) -> None:
+def _require_whole_elements(procedure: Procedure, known: Mapping[str, object]) -> None:
     for number, _ in enumerate(procedure.modes):
         names = ModeParameters.of(number)
         held = [name for name in names if name in known]
@@ -197,4 +207,11 @@ def _require_whole_modes(procedure: Procedure, known: Mapping[str, object]) -> N
             raise ModelError(
                 f"of a hidden mode all of {', '.join(names)} are known or none; got "
                 f"{', '.join(held)}."
+            )
+    for number, spring in enumerate(procedure.springs):
+        coefficient, stiffness = SpringParameters.of(number, spring)
+        if stiffness in known and coefficient not in known:
+            raise ModelError(
+                f"of a spring in series {stiffness} is known only where {coefficient} is; leave "
+                f"it out, or give both."
             )

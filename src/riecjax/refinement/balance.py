@@ -217,7 +217,7 @@ Balances = (
 def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
     """Every equation of motion behind a model, for every value of its parameters.
 
-    **Raises:** `ModelError` for something that holds none.
+    **Raises:** `ModelError` for something that holds none, or hidden elements.
     """
     if not isinstance(model, list | tuple):
         require_no_slip(model)
@@ -226,6 +226,11 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
     if isinstance(model, Equation | AbstractParametric):
         return (ParametricBalance(model),)
     if isinstance(model, Procedure):
+        if model.has_hidden:
+            raise ModelError(
+                "hidden modes and springs have states of their own, which no integral of the "
+                "equations shows: refine by rx.OutputError()."
+            )
         return tuple(ParametricBalance(e) for stage in model.stages for e in stage)
     if isinstance(model, Sequence):
         return tuple(balance for part in model for balance in as_balances(part))

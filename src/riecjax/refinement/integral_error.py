@@ -32,6 +32,7 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.procedure import Procedure, told_apart
+from riecjax.errors import ModelError
 from riecjax.estimation.parameters import Sharing
 from riecjax.estimation.stages import all_normal_equations
 from riecjax.leaves import Leaf
@@ -44,6 +45,7 @@ from riecjax.refinement.objective import (
     Parameters,
     Specification,
 )
+from riecjax.refinement.parametric import ByFunction
 from riecjax.summaries.blocks import ShortBlocks, short_blocks
 from riecjax.summaries.normal_equations import NormalEquations
 
@@ -160,8 +162,17 @@ class IntegralError(AbstractObjective):
         return IntegralError(RIEC.of_band(band)) if self.criterion is None else self
 
     def parametric(self, model: Any, record: Record) -> tuple[ParametricBalance, ...]:
-        """The equations of motion."""
-        return as_balances(model)
+        """The equations of motion.
+
+        **Raises:** `ModelError` for a function that does not name its parameters.
+        """
+        balances = as_balances(model)
+        if any(isinstance(b.model, ByFunction) and not b.parameters for b in balances):
+            raise ModelError(
+                "a function that builds a balance needs the names of its parameters, by which its "
+                "equation is expanded: rx.refinement.ByFunction(function, names=('M', 'K'))."
+            )
+        return balances
 
     def parameters(self, parametric: tuple[ParametricBalance, ...]) -> Parameters:
         """Of all equations."""

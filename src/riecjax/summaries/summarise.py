@@ -57,7 +57,7 @@ def summarise(
 def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = False) -> Summary:
     """The Summary of a task; see [`summarise`][]."""
     procedure, records, criterion, keys = asked
-    # With modes, sums are of more columns than there are parameters.
+    # With hidden elements, sums are of more columns than there are parameters.
     procedure = procedure.linear
     outline = Outline.of(procedure)
     traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
@@ -73,7 +73,7 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
         read = with_less_noise(procedure, record, criterion)
         if traced:
             return traced_sums(read, record, criterion, key, own is not None)
-        averaged = not asked.procedure.modes
+        averaged = not asked.procedure.has_hidden
         return OnePass(read, record, criterion, key, kept_apart, survey, averaged).sums()
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))

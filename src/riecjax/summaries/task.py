@@ -15,6 +15,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.term import Terms
 from riecjax.errors import MissingSignalError, ModelError, require
 from riecjax.records.noise_judgement import GivenNoise, judged
 from riecjax.records.record import Record, Records
@@ -47,7 +48,7 @@ def task(
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
     procedure = as_procedure(model)
-    require_no_springs(procedure)
+    _require_no_springs_on_maps(procedure)
     recordings = ready(procedure, records, noise)
     if criterion is None:
         of_records = [recording.record for recording in recordings]
@@ -64,26 +65,32 @@ def task(
     return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
 
 
-def require_no_springs(procedure: Procedure) -> None:
-    """Raise `ModelError` for springs in series, which no sums tell of."""
-    if procedure.springs:
-        named = ", ".join(f"'{spring.of}'" for spring in procedure.springs)
+def _require_no_springs_on_maps(procedure: Procedure) -> None:
+    """Raise `ModelError` for springs in series with maps, of which no sums tell."""
+    maps = [
+        spring.of
+        for spring in procedure.springs
+        if any(isinstance(spring.element(e), Terms) for e in procedure.equations)
+    ]
+    if maps:
+        named = ", ".join(f"'{name}'" for name in maps)
         raise ModelError(
-            f"a spring in series with {named} makes the model nonlinear in its parameters: "
+            f"a spring in series with the map of {named} makes the model nonlinear in its "
+            f"parameters: "
             f"identify it without, and refine it from there: rx.refine(model, record, "
             f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
         )
 
 
 def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> None:
-    """Raise `ModelError` unless a criterion takes off what hidden modes put in front of terms."""
-    if not procedure.modes:
+    """Raise `ModelError` unless a criterion takes off what hidden elements put before terms."""
+    if not procedure.has_hidden:
         return
     most = max(t.derivative for stage in procedure.linear.stages for e in stage for t in e.terms)
     if criterion.smoothness < most or not criterion.in_closed_form:
         raise ModelError(
-            f"hidden modes need all windows of a test function that takes {most} derivatives off: "
-            f"leave the criterion out, or rx.RIEC(rx.AllWindows(alpha, beta), "
+            f"hidden modes and springs need all windows of a test function that takes {most} "
+            f"derivatives off: leave the criterion out, or rx.RIEC(rx.AllWindows(alpha, beta), "
             f"rx.criteria.GradedBump(derivatives={most}))."
         )
 
