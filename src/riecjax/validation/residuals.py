@@ -105,8 +105,8 @@ class EquationResidual(NamedTuple):
     def _add(self) -> str:
         if self.carrying:
             return (
-                f"Beside the mode on {' and '.join(self.carrying)} a force may follow late, through "
-                f"a spring in series with it (rx.SeriesSpring): add it"
+                f"Beside the mode on {' and '.join(self.carrying)} a force may follow late: add a "
+                f"spring in series with it (rx.SeriesSpring)"
             )
         if not self.bodies:
             return "Add the mode"
