@@ -30,7 +30,13 @@ from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.signals import Signals
 from riecjax.simulation.hidden_modes import carried_states, with_forces
-from riecjax.simulation.motions import Structure, derivative_name, label_of, read_structure
+from riecjax.simulation.motions import (
+    Structure,
+    derivative_name,
+    label_of,
+    read_structure,
+    signals_read,
+)
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.series_springs import SpringElement, with_springs
 from riecjax.simulation.system import AbstractSystem, Quantities
@@ -73,6 +79,19 @@ class EquationSystem(AbstractSystem):
     def carried(self) -> Mapping[str, str]:
         """States of hidden modes, and forces of springs."""
         return carried_states(self.structure.modes) | dict.fromkeys(self.structure.forces, "")
+
+    def carried_levels(
+        self, signals: Mapping[str, Float[Array, " n"]]
+    ) -> Mapping[str, Float[Array, " n"]]:
+        """As of any system, and the forces that elements have where their springs are at rest."""
+        found = dict(super().carried_levels(signals))
+        for one in self.elements:
+            of = one.element.of
+            if not one.element.derivative and set(signals_read(of)) <= signals.keys():
+                with users_code(f"the expression {label_of(of)}"):
+                    across = signals[of] if isinstance(of, str) else of(Signals(dict(signals)))
+                found[one.state] = one.static(jnp.asarray(across), self.values)
+        return found
 
     @property
     def velocity_of(self) -> Mapping[str, str]:

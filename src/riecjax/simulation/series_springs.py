@@ -44,6 +44,18 @@ class SpringElement(eqx.Module):
         own = jnp.stack([values[name] for name in self.element.parameters])
         return values[self.stiffness] * (velocity - self._inner(own, force))
 
+    def static(
+        self, velocity: Float[Array, " n"], values: Mapping[str, Array]
+    ) -> Float[Array, " n"]:
+        """The force at a velocity that does not change: the spring takes up none of it."""
+        own = jnp.stack([values[name] for name in self.element.parameters])
+        if isinstance(self.element, Term):
+            return own[0] * velocity
+        assert isinstance(self.element, Terms)
+        assert isinstance(self.element.basis, RoofFunctions)
+        forces = _rising(own, self.element.basis.break_points)
+        return self.element.basis.interpolate(forces, velocity)
+
     def _inner(self, values: Float[Array, " p"], force: Float[Array, " 1"]) -> Float[Array, " 1"]:
         if isinstance(self.element, Term):
             return force / values[0]

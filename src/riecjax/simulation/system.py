@@ -77,11 +77,17 @@ class AbstractSystem(eqx.Module):
 
     @property
     def carried(self) -> Mapping[str, str]:
-        """State of a hidden mode to the signal that it starts from where nothing tells it.
+        """State of a hidden element to the signal that it starts from where nothing tells it.
 
         A mass that is carried along has its body's velocity; of a deflection, empty for zero.
         """
         return {}
+
+    def carried_levels(
+        self, signals: Mapping[str, Float[Array, " n"]]
+    ) -> Mapping[str, Float[Array, " n"]]:
+        """Samples of what is `carried`, as far as these samples of signals tell them."""
+        return {name: signals[body] for name, body in self.carried.items() if body in signals}
 
 
 def state_sources(system: AbstractSystem, record: Record) -> dict[str, str]:
@@ -98,7 +104,7 @@ def state_sources(system: AbstractSystem, record: Record) -> dict[str, str]:
 
 
 def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n states"]:
-    """Each state at each sample; zero where nothing tells it, the body's of one carried along."""
+    """Each state at each sample; zero where nothing tells it, or what is carried along has."""
     integral = {velocity: state for state, velocity in system.velocity_of.items()}
     columns = []
     for name, source in state_sources(system, record).items():
@@ -109,9 +115,9 @@ def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n s
         else:
             columns.append(jnp.zeros(record.sample_count, record.time_step.dtype))
     known = dict(record.arrays) | dict(zip(system.state_names, columns))
-    for name, body in system.carried.items():
-        if name not in record.arrays and body in known:
-            columns[system.state_names.index(name)] = known[body]
+    for name, samples in system.carried_levels(known).items():
+        if name not in record.arrays:
+            columns[system.state_names.index(name)] = samples
     return jnp.stack(columns, axis=-1)
 
 

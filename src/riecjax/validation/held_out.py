@@ -45,7 +45,7 @@ class HeldOut(eqx.Module):
       were not simulated are marked missing.
     - `stretches`: (first, past last) sample of each simulated stretch.
     - `started_from`: for each state `measured`, `differences` (of its recorded integral), `given`,
-      `zero`, or of a hidden mode that moves along with its body `carried`.
+      `zero`, or of a hidden element that moves along with its body `carried`.
     - `drifting`: positions that are off while their velocity is predicted: free integrals.
     - `horizon`: seconds after which the simulation started anew; `None` if it did not.
     """
@@ -220,12 +220,10 @@ def _initial_state(
             q = measured[integral[name]]
             rise = -3 * q[start] + 4 * q[start + 1] - q[start + 2]
             values[name] = rise / (2 * measured.time_step)
-    for name, body in system.carried.items():
-        if name not in values and body in values:
-            values[name] = values[body]
-        elif name not in values and body in measured.arrays:
-            values[name] = measured[body][start]
-    return values
+    there = {name: samples[start : start + 1] for name, samples in measured.arrays.items()}
+    there |= {name: value[None] for name, value in values.items()}
+    levels = system.carried_levels(there)
+    return {name: level[0] for name, level in levels.items()} | values
 
 
 class _Undriven(AbstractSystem):
