@@ -156,9 +156,8 @@ def study(seeds: int, noise: float, progress: Callable[[str], None]) -> dict[str
     source = quarter_car_source(shapes)
     sums: dict[str, dict[str, list[float]]] = {"road": {}, "pothole": {}}
     parameters: dict[str, list[float]] = {}
-    for seed in range(seeds):
-        # The roads of `riecjax reproduce`, one after the other.
-        keys = road_keys(jax.random.fold_in(jax.random.key(0), seed))
+    for seed, key in enumerate(jax.random.split(jax.random.key(181), seeds)):
+        keys = road_keys(key)
         made = identification_record(source, keys.training).record
         signals = {name: np.asarray(made[name]) for name in SENSORS}
         measured = noisy(signals, dict.fromkeys(SENSORS, noise), seed)
@@ -188,7 +187,7 @@ def _mean(values: list[float]) -> dict[str, float]:
 def main() -> None:
     """Run it and write the report."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--out", type=Path, default=OUT)
     arguments = parser.parse_args()
     report: dict[str, Any] = {

@@ -145,7 +145,7 @@ def test_on_samples_the_slope_by_alpha_and_beta_is_the_central_difference_over_s
 
     def moments(band):
         windows = AllWindows(band[0], band[1], longest_samples=64)
-        total, count = RIEC(windows, weight).moments(EQUATION, record)
+        total, count = RIEC(windows, weight).sums(EQUATION, record)[0]
         return jnp.append(jnp.sum(total, axis=0).ravel(), jnp.sum(count))
 
     band, lag = jnp.array([ALPHA, BETA]), weight.length_multiple * STEP
@@ -182,7 +182,7 @@ def test_estimates_differentiate_in_alpha_and_beta(law):
 
     def values(band):
         windows = AllWindows(band[0], band[1], law=law, longest_samples=512)
-        sums = RIEC(windows).moments(EQUATION, record)
+        sums = RIEC(windows).sums(EQUATION, record)[0]
         stage = NormalEquations(*sums, EQUATION.parameters)
         return solve(stage.total()).theta[1:]
 
@@ -219,7 +219,7 @@ def test_second_derivatives_by_alpha_and_weights_are_right_or_refused():
 
     def energy(alpha, weights):
         windows = AllWindows(alpha, BETA, law=SteppedLaw(weights), longest_samples=64)
-        total, _ = RIEC(windows).moments(EQUATION, record)
+        total, _ = RIEC(windows).sums(EQUATION, record)[0]
         return jnp.sum(total[:, 0, 0])
 
     weights = jnp.array([1.0, 2.0])

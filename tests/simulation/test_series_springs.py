@@ -1,165 +1,166 @@
-"""Force elements with a spring in series, against matrices written by hand and SciPy."""
+"""Springs in series with dampers, against SciPy and the law that they have to obey."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import riecjax as rx
-from lagging_body import MODEL, TRUTH, state_matrix
 from riecjax.equations.expressions import difference
-from riecjax.equations.procedure import Procedure
+from riecjax.models.model import as_model
+from riecjax.refinement import ByFunction
 from riecjax.simulation.linearisation import linearise
 
-POINTS = (-1.0, -0.3, 0.0, 0.3, 1.0)
-MAP = {f"F_{i}": f for i, f in enumerate((-900.0, -500.0, 0.0, 400.0, 700.0), 1)}
-WHEEL = {"M": 30.0, "K": 20e3, **MAP, "K_series": 300e3}
-RATES = {"d": difference("v", "u")}
+VALUES = {"m": 2.0, "c": 12.0, "k": 90.0, "K_series": 400.0}
 
 
-def wheel() -> Procedure:
-    """A wheel below a body that moves by u: F = M v' + K d + map(v - u), d' = v - u."""
-    equation = rx.Equation(
-        rx.Term(1.0, "F"),
-        -rx.Term("M", "v", derivative=1, unit="kg"),
-        -rx.Term("K", "d", unit="N/m"),
-        -rx.Terms("F", rx.roof(POINTS), of=difference("v", "u"), unit="N"),
-        name="wheel",
+def body(damper: rx.Term | rx.Terms) -> rx.Equation:
+    """m v' + c v + k x = u, the position another state."""
+    return rx.Equation(
+        rx.Term("m", "v", derivative=1, unit="kg"),
+        damper,
+        rx.Term("k", "x", unit="N/m"),
+        -rx.Term(1.0, "u"),
+        name="body",
         unit="N",
     )
-    return rx.staged(equation).with_series_springs(rx.SeriesSpring("F_2"))
 
 
-def push(t: np.ndarray) -> np.ndarray:
-    return 1500 * np.sin(12 * t) + 900 * np.sin(31 * t + 1) + 500 * np.sin(70 * t)
-
-
-def moved(t: np.ndarray) -> np.ndarray:
-    return 0.2 * np.sin(7 * t)
-
-
-def recorded(seconds: float, step: float = 0.002) -> rx.Record:
-    """The wheel as SciPy solves it, its damper seeing the velocity at which it pulls as much."""
-    forces = np.array(list(MAP.values()))
-
-    def inner(f):
-        # Beyond the map its end segments go on.
-        low, high = np.diff(POINTS)[[0, -1]] / np.diff(forces)[[0, -1]]
-        beyond = np.minimum(f - forces[0], 0) * low + np.maximum(f - forces[-1], 0) * high
-        return np.interp(f, forces, POINTS) + beyond
-
-    def rates(t, state):
-        v, d, f = state
-        across = v - moved(t)
-        return [(push(t) - 20e3 * d - f) / 30.0, across, 300e3 * (across - inner(f))]
-
-    times = step * np.arange(round(seconds / step))
-    solved = solve_ivp(
-        rates, (0, times[-1]), [0, 0, 0], t_eval=times, rtol=1e-8, atol=1e-9, max_step=step
-    ).y
-    signals = {"v": solved[0], "d": solved[1], "series_force": solved[2]}
-    return rx.Record({**signals, "F": push(times), "u": moved(times)}, step)
+LINEAR = body(rx.Term("c", "v", unit="N s/m"))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_linear_element_lags_as_its_matrix_says(sign):
-    terms = MODEL.stages[0][0].terms
-    equation = rx.Equation(*(-t if sign < 0 else t for t in terms), name="body")
-    model = rx.staged(equation).with_series_springs(rx.SeriesSpring("c"))
-    made = rx.equation_system(model, TRUTH, rates={"x": "v"})
+def test_a_maxwell_element_moves_as_newton_and_hooke_say(sign):
+    equation = rx.Equation(*(-t if sign < 0 else t for t in LINEAR.terms), name="body", unit="N")
+    procedure = rx.staged(equation).with_series_springs(rx.SeriesSpring("c"))
+    assert procedure.parameters == ("m", "c", "k", "K_series")
+    assert procedure.units["K_series"] == "N/m"
+    made = rx.equation_system(procedure, VALUES, rates={"x": "v"})
     assert made.state_names == ("v", "x", "series_force")
-    expected = state_matrix()[np.ix_([1, 0, 2], [1, 0, 2])]
-    state, inputs = linearise(made)
-    np.testing.assert_allclose(state, expected, atol=1e-9)
-    np.testing.assert_allclose(inputs, [[1 / TRUTH["m"]], [0], [0]], atol=1e-12)
-
-
-def test_a_map_moves_as_scipy_says():
-    truth = recorded(2.0)
-    made = rx.equation_system(wheel(), WHEEL, rates=RATES)
-    assert made.state_names == ("v", "d", "series_force")
     assert dict(made.states)["series_force"] == "N"
-    assert made.input_names == ("F", "u")
-    found = rx.simulate(made, truth.select("F", "u")).checked().record
-    for name in made.state_names:
-        # Between samples inputs are lines, not sines.
-        size = float(np.max(np.abs(truth[name])))
-        np.testing.assert_allclose(found[name], truth[name], atol=1e-3 * size)
-    # The map goes on beyond its last points.
-    assert float(np.max(truth["series_force"])) > MAP["F_5"]
+    m, c, k, series = VALUES.values()
+    expected = [[0, -k / m, -1 / m], [1, 0, 0], [series, 0, -series / c]]
+    np.testing.assert_allclose(linearise(made)[0], expected, rtol=1e-12)
 
 
-def test_a_mode_and_a_spring_are_simulated_together():
-    mode = {"M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
-    model = MODEL.with_modes(rx.HiddenMode("v"))
-    made = rx.equation_system(model, {**TRUTH, **mode}, rates={"x": "v"})
+def test_a_map_is_inverted():
+    """Of a map that rises by 40 N s/m inside 0.1 m/s and by 10 outside, the inner velocity."""
+    points, forces = (-1.0, -0.1, 0.1, 1.0), np.array([-13.0, -4.0, 4.0, 13.0])
+    equation = body(rx.Terms("F", rx.roof(points), of="v", unit="N"))
+    procedure = rx.staged(equation).with_series_springs(rx.SeriesSpring("F_2"))
+    values = {"m": 2.0, "k": 90.0, "K_series": 400.0}
+    values |= {f"F_{i}": force for i, force in enumerate(forces, 1)}
+    made = rx.equation_system(procedure, values, rates={"x": "v"})
+    time = np.arange(401) * 0.005
+
+    def push(t):
+        return 30 * np.sin(6 * t)
+
+    def inner(force):
+        return np.sign(force) * (abs(force) / 40 if abs(force) < 4 else 0.1 + (abs(force) - 4) / 10)
+
+    def rates(t, state):
+        v, x, f = state
+        return [(push(t) - 90 * x - f) / 2, v, 400 * (v - inner(f))]
+
+    truth = solve_ivp(rates, (0, 2), [0, 0, 0], t_eval=time, rtol=1e-9, atol=1e-10, max_step=1e-3).y
+    found = rx.simulate(made, rx.Record({"u": push(time)}, 0.005), method=rx.FixedStep(8)).record
+    np.testing.assert_allclose(found["v"], truth[0], atol=2e-3 * np.max(np.abs(truth[0])))
+    np.testing.assert_allclose(
+        found["series_force"], truth[2], atol=2e-3 * np.max(np.abs(truth[2]))
+    )
+    assert np.max(np.abs(truth[2])) > 8  # far on the outer pieces
+
+
+def test_a_map_that_falls_is_simulated_by_one_that_hardly_rises():
+    equation = body(rx.Terms("F", rx.roof((-1.0, 0.0, 1.0)), of="v", unit="N"))
+    procedure = rx.staged(equation).with_series_springs(rx.SeriesSpring("F_1"))
+    values = {"m": 2.0, "k": 90.0, "K_series": 400.0, "F_1": -9.0, "F_2": -9.5, "F_3": 9.0}
+    made = rx.equation_system(procedure, values, rates={"x": "v"})
+    record = rx.Record({"u": np.sin(np.arange(200) * 0.05)}, 0.005)
+    assert np.all(np.isfinite(rx.simulate(made, record).checked().record["v"]))
+
+
+def test_a_stiff_spring_is_none():
+    plain = rx.equation_system(LINEAR, VALUES, rates={"x": "v"})
+    stiff = rx.equation_system(
+        rx.staged(LINEAR).with_series_springs(rx.SeriesSpring("c")),
+        {**VALUES, "K_series": 1e5},
+        rates={"x": "v"},
+    )
+    record = rx.Record({"u": np.sin(np.arange(200) * 0.05)}, 0.005)
+    fine = rx.FixedStep(40)
+    one, other = (rx.simulate(s, record, method=fine).record["v"] for s in (plain, stiff))
+    np.testing.assert_allclose(one, other, atol=1e-3 * np.max(np.abs(one)))
+
+
+def test_two_springs_have_names_of_their_own():
+    second = rx.Equation(*LINEAR.terms, rx.Term("d", "w", unit="N s/m"), name="both")
+    procedure = rx.staged(second).with_series_springs(rx.SeriesSpring("c"), rx.SeriesSpring("d"))
+    assert procedure.parameters == ("m", "c", "k", "d", "K_series", "K_series_2")
+    made = rx.equation_system(procedure, {**VALUES, "d": 3.0, "K_series_2": 50.0}, rates={"x": "v"})
+    assert made.state_names == ("v", "x", "series_force", "series_2_force")
+    assert made.input_names == ("u", "w")
+
+
+def test_spring_and_mode_together():
+    procedure = rx.staged(LINEAR).with_modes(rx.HiddenMode("v"))
+    procedure = procedure.with_series_springs(rx.SeriesSpring("c"))
+    values = {**VALUES, "M_mode": 0.5, "K_mode": 60.0, "B_mode": 0.8}
+    made = rx.equation_system(procedure, values, rates={"x": "v"})
     assert made.state_names == ("v", "x", "mode_deflection", "mode_velocity", "series_force")
-    heavy, stiff, loss = mode.values()
-    found = np.sort_complex(np.linalg.eigvals(np.asarray(linearise(made)[0])))
-    expected = np.sort_complex(np.linalg.eigvals(state_matrix((heavy, stiff, loss))))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert {q.name for q in as_model(procedure).parameters} == set(values)
 
 
-def test_slope_by_a_force_of_the_map_is_that_of_a_difference():
-    record = recorded(0.5).select("F", "u")
+def test_refinement_finds_the_spring():
+    procedure = rx.staged(LINEAR).with_series_springs(rx.SeriesSpring("c"))
 
-    def last(force):
-        system = rx.equation_system(wheel(), {**WHEEL, "F_4": force}, rates=RATES)
-        return rx.simulate(system, record).record["v"][-1]
+    def build(values):
+        return rx.equation_system(procedure, values, rates={"x": "v"})
 
-    slope = jax.jacfwd(last)(jnp.asarray(400.0))
-    rise = (last(400.1) - last(399.9)) / 0.2
-    assert abs(float(rise)) > 1e-6
-    np.testing.assert_allclose(slope, rise, rtol=1e-4)
-
-
-def test_a_map_that_falls_is_simulated_with_a_least_slope():
-    falling = {**WHEEL, "F_4": -100.0, "F_5": -100.0}
-    record = recorded(0.5).select("F", "u")
-    run = rx.simulate(rx.equation_system(wheel(), falling, rates=RATES), record)
-    assert bool(run.successful)
-    assert np.all(np.isfinite(np.asarray(run.record["v"])))
+    push = 40 * np.random.default_rng(0).normal(size=400)
+    made = rx.simulate(build(VALUES), rx.Record({"u": push}, 0.01)).record.select("u", "x", "v")
+    start = {"m": 2.2, "c": 10.0, "k": 80.0, "K_series": 2000.0}
+    refined = rx.refine(ByFunction(build), made, start, rx.OutputError(intersample="lines"))
+    for name, value in VALUES.items():
+        np.testing.assert_allclose(refined.values[name], value, rtol=1e-3)
 
 
-def test_validation_starts_a_spring_at_the_map():
-    record = recorded(2.0)
-    part = record.part(250, 1000).select("F", "u", "v", "d")
-    made = rx.equation_system(wheel(), WHEEL, rates=RATES)
-    held = rx.validation.validate_held_out(made, part)
-    assert held.predicts
-    assert dict(held.started_from)["series_force"] == "carried"
-    assert float(held.signals["v"].fit) > 98
-    rigid = rx.equation_system(Procedure(wheel().stages), WHEEL, rates=RATES)
-    assert float(rx.validation.validate_held_out(rigid, part).signals["v"].fit) < 98
-    # The map at the velocity that was recorded, which differs by what the spring gives way.
-    start = float(held.record["series_force"][0])
-    across = float(part["v"][0] - part["u"][0])
-    expected = np.interp(across, POINTS, list(MAP.values()))
-    assert start == pytest.approx(expected, rel=1e-9)
-
-
-def test_what_cannot_be_simulated():
+def test_what_cannot_be_asked():
+    procedure = rx.staged(LINEAR)
+    with pytest.raises(rx.ModelError, match=r"no equation has a coefficient 'b'.*m, c, k"):
+        procedure.with_series_springs(rx.SeriesSpring("b"))
+    with pytest.raises(rx.ModelError, match="SeriesSpring"):
+        procedure.with_series_springs("c")  # pyright: ignore[reportArgumentType]
+    friction = rx.staged(body(rx.Terms("f", rx.friction(), of="v")))
+    with pytest.raises(rx.ModelError, match="roof functions"):
+        rx.equation_system(
+            friction.with_series_springs(rx.SeriesSpring("f_viscous")),
+            {"m": 1.0, "k": 1.0, "f_viscous": 1.0, "f_coulomb": 1.0, "K_series": 9.0},
+            rates={"x": "v"},
+        )
+    other = rx.Equation(
+        rx.Term("n", "w", derivative=1), rx.Term("c", difference("w", "v")), name="other"
+    )
+    with pytest.raises(rx.ModelError, match="no one element"):
+        rx.equation_system(
+            rx.staged(LINEAR, other).with_series_springs(rx.SeriesSpring("c")),
+            {**VALUES, "n": 1.0},
+            rates={"x": "v"},
+        )
+    sprung = procedure.with_series_springs(rx.SeriesSpring("c"))
     with pytest.raises(rx.ModelError, match="c, a spring in series, is zero"):
-        rx.equation_system(MODEL, {**TRUTH, "c": 0.0}, rates={"x": "v"})
-    cubic = rx.Equation(
-        rx.Term("m", "v", derivative=1), rx.Terms("c", rx.Polynomial((1, 3)), "v"), name="cubic"
-    )
-    model = rx.staged(cubic).with_series_springs(rx.SeriesSpring("c_1"))
-    with pytest.raises(rx.ModelError, match="inverse of its law"):
-        rx.equation_system(model, dict.fromkeys(model.parameters, 1.0))
+        rx.equation_system(sprung, {**VALUES, "c": 0.0}, rates={"x": "v"})
 
 
-def test_refinement_finds_spring_and_map():
-    record = recorded(2.0).select("F", "u", "v", "d")
-    start = {"M": 24.0, "K": 24e3, "K_series": 1e6}
-    start |= {name: 1.2 * force + 20 for name, force in MAP.items()}
-    refined = rx.refine(
-        lambda values: rx.equation_system(wheel(), values, rates=RATES),
-        record,
-        start,
-        rx.OutputError(method=rx.FixedStep(8)),
-    )
-    assert bool(refined.converged)
-    for name, value in WHEEL.items():
-        np.testing.assert_allclose(refined.values[name], value, rtol=1e-3, atol=0.1, err_msg=name)
+def test_the_quarter_car_with_its_spring_is_simulated_by_its_equations():
+    model = rx.find_model("quarter-car").with_series_springs(rx.SeriesSpring("F_1"))
+    assert model.parameters[-1].name == "K_series"
+    assert model.parameters[-1].unit == "N/m"
+    values = {q.name: jnp.asarray(1.0) for q in model.parameters}
+    values |= {f"F_{i}": jnp.asarray(v) for i, v in enumerate((-8.0, -3.0, 3.0, 8.0), 1)}
+    record = rx.Record({name: np.zeros(9) for name in ("v_r", "x1", "x2")}, 0.1)
+    made = model.identified_system(values, record)
+    assert "series_force" in made.state_names
+    with pytest.raises(rx.ModelError, match="no springs in series"):
+        model.build_system({})

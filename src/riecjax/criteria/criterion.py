@@ -371,23 +371,21 @@ class RIEC(AbstractCriterion):
         windows, n = self.windows.every, record.sample_count
         lags, reach = self.law(record), windows.reach(n)
         if apart:
-            lags = LagBins(lags.first[:, None], lags.last[:, None], lags.weight[:, None])
+            lags = jax.tree.map(lambda leaf: leaf[:, None], lags._replace(edges=None))
 
-        def blocks_first(sums: Any) -> Any:
+        def flipped(sums: Any) -> Any:
             return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), sums) if apart else sums
 
         def of_chunk(part: Record, blocks: StartBlocks) -> Any:
             noisy = self.noisy_columns(equation, part)
             noise = self.noise_of(noisy, part.noise, lags, blocks, reach)
-            if noise is not None:
-                noise = (blocks_first(noise.total), noise.of_source[None])
-            return blocks_first(self.moments_of(noisy.columns, lags, blocks, reach)), noise
+            added = None if noise is None else (flipped(noise.total), noise.of_source[None])
+            return flipped(self.moments_of(noisy.columns, lags, blocks, reach)), added
 
-        block, margin = windows.block(n), self.test_function.margin
-        moments, noise = in_chunks(record, of_chunk, block=block, reach=reach, margin=margin)
-        if noise is not None:
-            noise = NoiseMoments(blocks_first(noise[0]), noise[1].sum(0))
-        return blocks_first(moments), noise
+        size, beyond = windows.block(n), self.test_function.margin
+        moments, added = in_chunks(record, of_chunk, block=size, reach=reach, margin=beyond)
+        noise = None if added is None else NoiseMoments(flipped(added[0]), added[1].sum(0))
+        return flipped(moments), noise
 
     def law(self, record: Record) -> LagBins:
         """The law of window lengths on a record."""

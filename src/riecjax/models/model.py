@@ -141,6 +141,11 @@ class Model:
 
         if self.system is None:
             raise ModelError(f"model '{self.name}' can be identified but not simulated.")
+        if self.springs:
+            raise ModelError(
+                f"the system of {self.name} has no springs in series: simulate its equations, "
+                f"rx.equation_system(model.build_procedure(), values)."
+            )
         names = [parameter.name for parameter in self.simulation_parameters]
         for name in settings:
             if name not in names:
@@ -151,11 +156,6 @@ class Model:
         if missing := [name for name, value in values.items() if value is None]:
             raise ModelError(
                 f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
-            )
-        if self.springs:
-            raise ModelError(
-                f"the system of {self.name} has no springs in series: simulate its equations, "
-                f"rx.equation_system(model.build_procedure(), values)."
             )
         if self._carries and self._attachments is None:
             raise ModelError(

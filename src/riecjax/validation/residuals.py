@@ -68,7 +68,8 @@ class EquationResidual(NamedTuple):
     - `spectrum`, and its `peak` if there is a genuine one.
     - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
       short for four of the longest.
-    - `bodies`: signals on which the equation could hide a mode: those that it accelerates.
+    - `bodies`: signals on which the equation could hide a mode: those that it accelerates; and
+      those of `carrying` that carry one in the model.
     """
 
     name: str
@@ -83,6 +84,7 @@ class EquationResidual(NamedTuple):
     peak: Peak | None
     windows: WindowErrors | None
     bodies: tuple[str, ...] = ()
+    carrying: tuple[str, ...] = ()
 
     def findings(self) -> list[Finding]:
         """`unmodelled_mode`, `residual_follows_signal`, `uneven_errors`."""
@@ -101,6 +103,11 @@ class EquationResidual(NamedTuple):
             )
 
     def _add(self) -> str:
+        if self.carrying:
+            return (
+                f"Beside the mode on {' and '.join(self.carrying)} a force may follow late: add a "
+                f"spring in series with it (rx.SeriesSpring)"
+            )
         if not self.bodies:
             return "Add the mode"
         return (
@@ -238,13 +245,20 @@ def residual_tests(
         wanted = LAGS if windows is None else round(float(windows.beta) / step)
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
-    equations = [equation for stage in as_procedure(model).stages for equation in stage]
+    procedure = as_procedure(model)
+    equations = [equation for stage in procedure.stages for equation in stage]
+    carrying = [
+        tuple(mode.on for mode in procedure.modes if mode.inertia(equation) is not None)
+        for equation in equations
+    ]
     return ResidualTests(
         tuple(
             _residual(name, of_equation, recordings, windows, lags)._replace(
-                bodies=accelerated(equation)
+                bodies=accelerated(equation), carrying=own
             )
-            for name, of_equation, equation in zip(names, errors, equations, strict=True)
+            for name, of_equation, equation, own in zip(
+                names, errors, equations, carrying, strict=True
+            )
         )
     )
 
