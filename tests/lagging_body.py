@@ -19,9 +19,11 @@ BODY = rx.Equation(
 MODEL = rx.staged(BODY).with_series_springs(rx.SeriesSpring("c"))
 
 
-def state_matrix(mode: tuple[float, float, float] | None = None) -> np.ndarray:
+def state_matrix(
+    mode: tuple[float, float, float] | None = None, series: float = TRUTH["K_series"]
+) -> np.ndarray:
     """Of x, v and the damper's force, and of a mode's x, v where there is one."""
-    m, c, k, series = TRUTH.values()
+    m, c, k = TRUTH["m"], TRUTH["c"], TRUTH["k"]
     size = 3 if mode is None else 5
     a = np.zeros((size, size))
     a[:3, :3] = [[0, 1, 0], [-k / m, 0, -1 / m], [0, series, -series / c]]
@@ -34,10 +36,13 @@ def state_matrix(mode: tuple[float, float, float] | None = None) -> np.ndarray:
 
 
 def motion(
-    count: int = 6000, seed: int = 3, mode: tuple[float, float, float] | None = None
+    count: int = 6000,
+    seed: int = 3,
+    mode: tuple[float, float, float] | None = None,
+    series: float = TRUTH["K_series"],
 ) -> dict[str, np.ndarray]:
     """Position, velocity and force of the body, whose force is band-limited noise."""
-    a = state_matrix(mode)
+    a = state_matrix(mode, series)
     size = a.shape[0]
     b = np.zeros((size, 1))
     b[1] = 1 / TRUTH["m"]

@@ -25,6 +25,7 @@ def test_a_spring_is_found_beside_its_damper(clean):
     for name, value in TRUTH.items():
         assert float(estimate[name]) == pytest.approx(value, rel=1e-3), name
     assert dict(estimate.units)["K_series"] == "N/m"
+    assert "series_spring_not_carried" not in [f.code for f in estimate.findings()]
     # Without it, mass and damper make up for the lag.
     rigid = rx.identify(BODY, clean)
     assert abs(float(rigid["m"]) / TRUTH["m"] - 1) > 0.05
@@ -39,6 +40,16 @@ def test_intervals_cover_at_5_percent_of_noise():
         covered.append([float(low) <= TRUTH[n] <= float(high) for n, (low, high) in ends])
     # Of 12 draws of a 95 % interval fewer than 9 cover once in 430.
     assert np.sum(covered, axis=0).min() >= 9
+
+
+def test_no_lag_is_no_spring():
+    codes = []
+    for seed in range(6):
+        lagging = motion(seed=seed, series=2e7)
+        estimate = rx.identify(MODEL, noisy(lagging, 0.05, seed))
+        assert float(estimate["m"]) == pytest.approx(TRUTH["m"], rel=0.05)
+        codes.append([finding.code for finding in estimate.findings()])
+    assert sum("series_spring_not_carried" in of for of in codes) >= 5
 
 
 def test_a_spring_and_a_mode_are_found_together():

@@ -114,6 +114,10 @@ class ModeParameters(NamedTuple):
         """Parameters that are positive, and sure, where such an element is found."""
         return self.mass, self.stiffness
 
+    def doubted(self, values: Values, band: tuple[Leaf, Leaf]) -> Float[Array, "2"]:
+        """Errors of what is judged that count as one: its values."""
+        return jnp.stack([values[name] for name in self.judged])
+
     def shape(self, values: Values) -> "Shape":
         """p and q with these values."""
         mass, stiffness, damping = (values[name] for name in self)

@@ -13,6 +13,7 @@ import equinox as eqx
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_modes import Expanded, HiddenMode, ModeParameters
 from riecjax.equations.series_springs import SeriesSpring, stiffness_name
+from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
@@ -47,21 +48,31 @@ class Procedure(eqx.Module):
     def with_series_springs(self, *springs: SeriesSpring) -> "Procedure":
         """The same equations with springs in series with force elements.
 
-        **Raises:** `ModelError` for an element that no equation holds, or that has a spring.
+        **Raises:** `ModelError` for an element that no equation holds, that has a spring, or that
+        is of other signals in one term than in another.
         """
-        held = {id(spring.element(e)) for spring in self.springs for e in self.equations}
+        taken = [name for spring in self.springs for name in self._element(spring).parameters]
         for spring in springs:
             require("a spring", spring, SeriesSpring, "rx.SeriesSpring(of='c')")
-            elements = [one for e in self.equations if (one := spring.element(e)) is not None]
-            if held & {id(one) for one in elements}:
+            if spring.of in taken:
                 raise ModelError(f"'{spring.of}' has a spring in series already.")
-            held |= {id(one) for one in elements}
-            if not elements:
-                raise ModelError(
-                    f"no equation has a coefficient '{spring.of}' that a spring could be in series "
-                    f"with; there are: {', '.join(self.parameters)}."
-                )
+            taken += self._element(spring).parameters
         return Procedure(self.stages, self.modes, (*self.springs, *springs))
+
+    def _element(self, spring: SeriesSpring) -> AbstractTerm:
+        """The term that a spring is in series with, in whichever equations."""
+        every = [t for e in self.equations for t in e.terms if spring.of in t.parameters]
+        if not every:
+            raise ModelError(
+                f"no equation has a coefficient '{spring.of}' that a spring could be in series "
+                f"with; there are: {', '.join(self.parameters)}."
+            )
+        if any((t.of, t.derivative) != (every[0].of, every[0].derivative) for t in every):
+            raise ModelError(
+                f"{spring.of} is of other signals in one term than in another, so that it is no "
+                f"one element that a spring could be in series with."
+            )
+        return every[0]
 
     @property
     def equations(self) -> tuple[Equation, ...]:

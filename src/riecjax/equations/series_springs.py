@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import require
+from riecjax.leaves import Leaf
 
 KNOWN_UNITS = {"N s/m": "N/m", "N": "N/m", "N m s/rad": "N m/rad", "N m": "N m/rad"}
 """Unit of a spring by that of the element's coefficients."""
@@ -81,6 +82,14 @@ class SpringParameters(NamedTuple):
         """Parameters that are positive, and sure, where such an element is found."""
         return (self.stiffness,)
 
+    def doubted(self, values: Mapping[str, Array], band: tuple[Leaf, Leaf]) -> Float[Array, "1"]:
+        """The error of the stiffness that counts as one: that of a lag by 1 / band[1] seconds.
+
+        From tau = c / K follows d tau = -tau dK / K.
+        """
+        lag = jnp.abs(self.shape(values).tau)
+        return jnp.stack([values[self.stiffness] / (lag * jnp.asarray(band[1]))])
+
     def shape(self, values: Mapping[str, Array]) -> "Lag":
         """The lag with these values."""
         return Lag(values[self.coefficient] / values[self.stiffness])
@@ -119,6 +128,12 @@ class Lag(NamedTuple):
 def stiffness_name(number: int) -> str:
     """Of the spring with this number, from 0."""
     return "K_series" if number == 0 else f"K_series_{number + 1}"
+
+
+def is_stiffness_name(name: str) -> bool:
+    """Whether a parameter is called as springs are."""
+    first = stiffness_name(0)
+    return name == first or name.removeprefix(f"{first}_").isdigit()
 
 
 def element_sign(element: AbstractTerm):

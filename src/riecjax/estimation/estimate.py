@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.equations.series_springs import is_stiffness_name
 from riecjax.estimation.estimated_parameters import AbstractEstimate, span
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
@@ -16,6 +17,8 @@ from riecjax.linear_algebra import gram_condition_limit
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.intervals import Uncertainty
 
+TOLD_LAG = 4
+"""Standard errors from which on a lag is told from none, and its inverse has an interval."""
 FEWEST_BLOCKS = 7
 """Blocks of time below which intervals are rough; ten stretches of twice the longest window may
 come out as no more."""
@@ -132,6 +135,7 @@ class Estimate(AbstractEstimate):
             *self.few_blocks(),
             *self.leaning(),
             *self._wide_intervals(),
+            *self._lags(),
             *self.negative_values(),
             *self._residuals(),
             *self._shrinking(),
@@ -185,6 +189,19 @@ class Estimate(AbstractEstimate):
                     "interval_wider_than_estimate",
                     f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
                     f"hardly determine it.",
+                    parameters=(name,),
+                )
+
+    def _lags(self) -> Iterator[Finding]:
+        """Springs in series whose lag c / K is not told from none, and with it K from infinity."""
+        for name, error in zip(self.parameters, self.standard_errors):
+            value = float(self[name])
+            if is_stiffness_name(name) and abs(value) < TOLD_LAG * float(error):
+                yield Finding(
+                    "series_spring_not_carried",
+                    f"the lag behind {name} is {abs(value) / float(error):.2g} standard errors "
+                    f"away from none: any stiffer spring would do, whatever the interval says. "
+                    f"Leave it out.",
                     parameters=(name,),
                 )
 

@@ -108,8 +108,9 @@ def _searched(
 ) -> tuple[Array, Float[Array, " shapes"]]:
     """Which windows tell most of a stage's hidden elements, and where they are by these.
 
-    What a length promises is the sum of squared relative standard errors of masses and stiffnesses,
-    infinite for what is no oscillator and no spring.
+    What a length promises is the sum of squared relative standard errors of masses and stiffnesses
+    of modes, and of squared standard errors of lags in samples, infinite for what is no oscillator
+    and no spring. Relative errors of lags would choose the lengths in which noise looks like one.
 
     **Arguments:** `options`, sums with a leading axis of window lengths.
     """
@@ -127,7 +128,8 @@ def _searched(
         sought = [name for of in stage.sought for name in of.judged]
         size = jnp.stack([values[name] for name in sought])
         place = jnp.array([found.index(name) for name in sought])
-        doubt = jnp.sum(jnp.sum(influence**2, axis=0)[place] / size**2)
+        share = jnp.concatenate([of.doubted(values, band) for of, band in zip(stage.sought, bands)])
+        doubt = jnp.sum(jnp.sum(influence**2, axis=0)[place] / share**2)
         target = stage.projected(at).target
         good = jnp.all(size > 0) & jnp.isfinite(doubt) & (target > 0)
         for names, part in stage.by_element(at).items():

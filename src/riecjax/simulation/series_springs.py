@@ -94,17 +94,11 @@ def with_springs(
 
 
 def _element(number: int, spring: SeriesSpring, equations: Sequence[Equation]) -> SpringElement:
-    elements = [e for equation in equations if (e := spring.element(equation)) is not None]
-    first = elements[0]
+    first = next(e for equation in equations if (e := spring.element(equation)) is not None)
     if isinstance(first, Terms) and not isinstance(first.basis, RoofFunctions):
         raise ModelError(
             f"a spring in series with {first.prefix} needs the inverse of its law, which is known "
             f"of one coefficient and of roof functions (rx.roof) only."
-        )
-    if any(e.of != first.of or e.derivative != first.derivative for e in elements):
-        raise ModelError(
-            f"{spring.of} is of other signals in one equation than in another, so that it is no "
-            f"one element that a spring could be in series with."
         )
     name = "series_force" if number == 0 else f"series_{number + 1}_force"
     force = next((e.unit for e in equations if spring.element(e) is not None), "")
