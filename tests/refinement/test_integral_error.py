@@ -19,6 +19,7 @@ from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.refinement.balance import AbstractBalance, as_balances
 from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.parametric import ByFunction
 from riecjax.refinement.refine import refine
 from riecjax.uncertainty.intervals import BlockBootstrap
 
@@ -222,6 +223,12 @@ def test_what_is_no_balance_is_refused(model, error, words):
     held = Record.from_samples({"p": np.arange(1001.0)}, time_step=0.01)
     with pytest.raises(error, match=words):
         refine(model, held, {"rate": 1.0}, IntegralError())
+
+
+def test_a_function_names_its_parameters(record):
+    nameless = ByFunction(lambda values: balance(values=values))
+    with pytest.raises(ModelError, match="needs the names of its parameters"):
+        refine(nameless, record, START, IntegralError())
 
 
 def test_an_inertia_on_the_position_needs_windows_that_take_two_derivatives(record):
