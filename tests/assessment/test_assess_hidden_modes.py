@@ -6,6 +6,7 @@ import pytest
 import riecjax as rx
 from hidden_body import BODY, MODEL, STEP, TRUTH, motion
 from riecjax.models.model import as_model
+from riecjax.reporting.charts.chart import Line
 from riecjax.reporting.identification import identification_document, modes_in_words
 from riecjax.reporting.identification_figures import identification_figures
 
@@ -55,8 +56,12 @@ def test_document_words_and_map(assessed):
     (line,) = modes_in_words(document["modes"])
     assert line.startswith("hidden mode on v: 9.4")
     figure = identification_figures(assessed)["mode_map"]
-    lines = figure.rows[0][0].marks
-    assert np.nanmin(lines[1].y) < 0.1 * np.min(lines[0].y)
+    panel = figure.rows[0][0]
+    assert panel is not None
+    without, there, _ = panel.marks
+    assert isinstance(without, Line)
+    assert isinstance(there, Line)
+    assert np.nanmin(there.y) < 0.1 * np.min(without.y)
 
 
 def test_a_right_model_is_told_to_leave_it_out():

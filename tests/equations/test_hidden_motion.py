@@ -79,4 +79,5 @@ def test_nothing_changes_without_modes():
     record = rx.Record(motion(False, 50), STEP)
     procedure = rx.staged(BODY)
     assert with_hidden_motion(procedure, record, {}) == (procedure, record)
-    assert with_hidden_motion(MODEL, record, TRUTH)[0].modes == ()
+    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
+    assert with_hidden_motion(MODEL, record, values)[0].modes == ()
