@@ -48,6 +48,10 @@ def _quarter_car(name: str, equation: str, builder: str) -> Model:
         parameters=_QUARTER_CAR_PARAMETERS,
         system="riecjax.models.quarter_car.identification:quarter_car_system",
         inputs=_ROAD,
+        rates={
+            "x1": "riecjax.models.quarter_car.identification:tyre_velocity",
+            "x2": "riecjax.models.quarter_car.identification:suspension_velocity",
+        },
         # The body moves at 1.3 Hz and the wheel at 13 Hz (Table 1); Table 2 has this.
         band=(1.0, 10.0),
         written=_QUARTER_CAR_COLUMNS,

@@ -49,6 +49,9 @@ class Model:
     - `own_simulation_parameters`: what that takes, with defaults; the identified ones unless given.
     - `band`: lowest and highest frequency in hertz that the model should explain. Windows are half
       its periods long (eq. 26) unless other lengths are asked for.
+    - `rates`: of states whose derivative no equation holds, such as x1' = v_r - x3: signal to an
+      expression, a function or `module:function`. With them the equations are simulated, driven by
+      `inputs`, where the model's own system knows nothing of hidden elements.
     - `written`: signals that a simulated recording holds; all by default.
     - `note`: something a user should know before using it.
     - `modes`: oscillators that the equations leave out, see `with_modes`; `springs` in series with
@@ -65,6 +68,7 @@ class Model:
     own_simulation_parameters: tuple[Quantity, ...] = ()
     inputs: tuple[Quantity, ...] = ()
     band: tuple[float, float] | None = None
+    rates: Mapping[str, str | Callable[..., Any]] = field(default_factory=dict)
     written: tuple[str, ...] = ()
     note: str = ""
     modes: tuple[HiddenMode, ...] = ()
@@ -102,7 +106,7 @@ class Model:
     def with_series_springs(self, *springs: SeriesSpring) -> Model:
         """The same model with springs in series with force elements, see [`SeriesSpring`][].
 
-        It is simulated by its equations: its own system knows of no springs.
+        It is simulated by its equations, and its `rates`: its own system knows of no springs.
 
         **Raises:** `ModelError` for an element that no equation holds.
         """
@@ -177,7 +181,7 @@ class Model:
         names = {parameter.name for parameter in self.simulation_parameters}
         if self._drives(record) and names == set(values):
             return self.build_system({name: float(value) for name, value in values.items()})
-        return equation_system(self.build_procedure(), values)
+        return equation_system(self.build_procedure(), values, rates=self._driven_rates(record))
 
     def parametric_system(self, record: Record) -> AbstractParametric:
         """The system for every value of its parameters, to refine them on a record.
@@ -192,7 +196,7 @@ class Model:
         names = {parameter.name for parameter in parameters}
         identified = {parameter.name for parameter in self.parameters}
         if not self._drives(record) or (self.procedure is not None and names != identified):
-            return ByCoefficients.of(self.build_procedure())
+            return ByCoefficients.of(self.build_procedure(), self._driven_rates(record))
         assert self.system is not None
         return ByFunction(
             self._built if self._carries else _resolve(self.system),
@@ -203,8 +207,20 @@ class Model:
 
     def _drives(self, record: Record) -> bool:
         """Whether a record holds the inputs of the model's own system, with its modes."""
-        held = self.system is not None and all(q.name in record.signals for q in self.inputs)
-        return held and not self.springs and not (self._carries and self._attachments is None)
+        return self._holds_inputs(record) and not self._outgrown
+
+    def _holds_inputs(self, record: Record) -> bool:
+        return self.system is not None and all(q.name in record.signals for q in self.inputs)
+
+    @property
+    def _outgrown(self) -> bool:
+        """Whether there are hidden elements that the model's own system cannot have."""
+        return bool(self.springs) or (self._carries and self._attachments is None)
+
+    def _driven_rates(self, record: Record) -> dict[str, Callable[..., Any]]:
+        """Rates with which the equations stand in for the model's own system on a record."""
+        stands_in = self._holds_inputs(record) and self._outgrown
+        return {n: _resolve(rate) for n, rate in self.rates.items()} if stands_in else {}
 
     @property
     def _carries(self) -> bool:

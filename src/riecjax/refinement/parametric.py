@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression
 from riecjax.equations.procedure import Procedure, require_no_slip
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf, as_leaf
@@ -131,8 +132,10 @@ class ByCoefficients(AbstractParametric):
     known: tuple[str, ...] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, model: Equation | Procedure) -> "ByCoefficients":
-        """The system of an equation or a procedure.
+    def of(
+        cls, model: Equation | Procedure, rates: Mapping[str, Expression] | None = None
+    ) -> "ByCoefficients":
+        """The system of an equation or a procedure, with `rates` of further states.
 
         **Raises:** `ModelError` if the equations cannot be simulated.
         """
@@ -140,7 +143,8 @@ class ByCoefficients(AbstractParametric):
         # In general position: of two equal inertias, coupled by a third, ones would be singular.
         generic = np.random.default_rng(0).uniform(0.5, 1.5, len(procedure.parameters))
         known = {name: jnp.asarray(value) for name, value in procedure.known.items()}
-        system = equation_system(procedure, {**dict(zip(procedure.parameters, generic)), **known})
+        values = {**dict(zip(procedure.parameters, generic)), **known}
+        system = equation_system(procedure, values, rates=rates)
         return cls(system, tuple(procedure.units.items()), tuple(procedure.known))
 
     @property

@@ -27,6 +27,11 @@ def suspension_velocity(signals: Signals) -> Array:
     return signals["x3"] - signals["x4"]
 
 
+def tyre_velocity(signals: Signals) -> Array:
+    """v_r - x3: road relative to wheel, at which the tyre extends."""
+    return signals["v_r"] - signals["x3"]
+
+
 def tyre_equation() -> Equation:
     """(23a), (24a): F_t = K_t x1."""
     return Equation(Term(1.0, "F_t"), -Term("K_t", "x1", unit="N/m"), name="tyre", unit="N")
