@@ -17,8 +17,12 @@ from riecjax.linear_algebra import gram_condition_limit
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.intervals import Uncertainty
 
-TOLD_LAG = 4
-"""Standard errors from which on a lag is told from none, and its inverse has an interval."""
+TOLD_LAG = 8
+"""Standard errors from which on a lag is told from none, and its inverse has an interval.
+
+Of c / (1 + tau s) v = c v - c tau v' + c tau^2 v'' - ... a mass beside the damper takes up the second
+term, so that tau^2 is what is told of. Its error is 2 tau times tau's: 8 of these are 4 of its own.
+"""
 FEWEST_BLOCKS = 7
 """Blocks of time below which intervals are rough; ten stretches of twice the longest window may
 come out as no more."""
