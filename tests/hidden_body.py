@@ -13,6 +13,7 @@ BODY = rx.Equation(
     rx.Term("k", "x", unit="N/m"),
     -rx.Term(1.0, "F"),
     name="body",
+    unit="N",
 )
 
 
@@ -29,12 +30,18 @@ def motion(mode: bool, count: int = 6000) -> dict[str, np.ndarray]:
             [stiff / heavy, loss / heavy, -stiff / heavy, -loss / heavy],
         ]
     )
-    b = np.array([[0], [1 / m], [0], [0]])
-    rng = np.random.default_rng(3)
+    return driven(a, count)
+
+
+def driven(a: np.ndarray, count: int, seed: int = 3) -> dict[str, np.ndarray]:
+    """Position, velocity and force of a body of this state matrix, x and v first."""
+    b = np.zeros((len(a), 1))
+    b[1] = 1 / TRUTH["m"]
+    rng = np.random.default_rng(seed)
     sharp = scipy.signal.butter(6, 40.0, fs=FINER / STEP, output="sos")
     force = 300 * np.asarray(scipy.signal.sosfilt(sharp, rng.standard_normal(count * FINER)))
     times = np.arange(force.size) * STEP / FINER
-    _, states, _ = scipy.signal.lsim((a, b, np.eye(4), np.zeros((4, 1))), force, times)
+    _, states, _ = scipy.signal.lsim((a, b, np.eye(len(a)), np.zeros_like(b)), force, times)
     return {"x": states[::FINER, 0], "v": states[::FINER, 1], "F": force[::FINER]}
 
 

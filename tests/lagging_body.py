@@ -1,21 +1,12 @@
 """A body whose damper pulls through a spring that its model may not know, solved by SciPy."""
 
 import numpy as np
-import scipy.signal
 
 import riecjax as rx
+from hidden_body import BODY, STEP, driven
 
-STEP, FINER = 0.005, 8
 TRUTH = {"m": 20.0, "c": 200.0, "k": 4000.0, "K_series": 10000.0}
 """Of body, damper, spring, and the spring in series with the damper: a lag of 20 ms."""
-BODY = rx.Equation(
-    rx.Term("m", "v", derivative=1, unit="kg"),
-    rx.Term("c", "v", unit="N s/m"),
-    rx.Term("k", "x", unit="N/m"),
-    -rx.Term(1.0, "F"),
-    name="body",
-    unit="N",
-)
 MODEL = rx.staged(BODY).with_series_springs(rx.SeriesSpring("c"))
 
 
@@ -42,16 +33,7 @@ def motion(
     series: float = TRUTH["K_series"],
 ) -> dict[str, np.ndarray]:
     """Position, velocity and force of the body, whose force is band-limited noise."""
-    a = state_matrix(mode, series)
-    size = a.shape[0]
-    b = np.zeros((size, 1))
-    b[1] = 1 / TRUTH["m"]
-    rng = np.random.default_rng(seed)
-    sharp = scipy.signal.butter(6, 40.0, fs=FINER / STEP, output="sos")
-    force = 300 * np.asarray(scipy.signal.sosfilt(sharp, rng.standard_normal(count * FINER)))
-    times = np.arange(force.size) * STEP / FINER
-    _, states, _ = scipy.signal.lsim((a, b, np.eye(size), np.zeros((size, 1))), force, times)
-    return {"x": states[::FINER, 0], "v": states[::FINER, 1], "F": force[::FINER]}
+    return driven(state_matrix(mode, series), count, seed)
 
 
 def noisy(signals: dict[str, np.ndarray], level: float, seed: int) -> rx.Record:
