@@ -20,8 +20,9 @@ from riecjax.uncertainty.intervals import Uncertainty
 TOLD_LAG = 8
 """Standard errors from which on a lag is told from none, and its inverse has an interval.
 
-Of c / (1 + tau s) v = c v - c tau v' + c tau^2 v'' - ... a mass beside the damper takes up the second
-term, so that tau^2 is what is told of. Its error is 2 tau times tau's: 8 of these are 4 of its own.
+Of c / (1 + tau s) v = c v - c tau v' + c tau^2 v'' - ... a mass beside the damper takes up the
+second term, so that tau^2 is what is told of. Its error is 2 tau times tau's: 8 of these are 4 of
+its own.
 """
 FEWEST_BLOCKS = 7
 """Blocks of time below which intervals are rough; ten stretches of twice the longest window may
