@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from jaxtyping import Array, Key
 
+from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import Estimate
@@ -138,6 +139,11 @@ class Assessment:
         if refinement is None or refinement.refined is None or refinement.declined:
             return self.estimate
         return refinement.refined
+
+    @property
+    def verdict(self) -> Verdict:
+        """Which parameters can be trusted, how far, and what to do about the rest."""
+        return verdict(self)
 
     def findings(self) -> list[Finding]:
         """What a user should know, each thing once."""

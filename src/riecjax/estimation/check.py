@@ -251,6 +251,7 @@ def _quadrature(summary: Summary) -> list[Finding]:
             f"command line: --quadrature 6), up-sample the record (--upsample 8), or sample "
             f"faster.",
             parameters=() if worst == KNOWN_TERMS else (worst,),
+            doubt=min(float(shares[worst]), 1.0),
         )
     ]
 

@@ -14,6 +14,7 @@ from riecjax.criteria.rows import Rows
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.least_squares import Solution, solve, solve_rows
 from riecjax.estimation.parameters import Sharing
+from riecjax.leaves import namespace
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
@@ -26,15 +27,23 @@ class EquationFit(eqx.Module):
 
     **Fields:** `relative_rms` of the residual against the equation's target, or against its largest
     term where it has none (or nothing in it is unknown); `residual_rms` in the unit of the rows;
-    `count` of rows; `shrinkage`: of an equation without a target, share by which it makes its
+    `count` of rows; `noise_rms`: what of `relative_rms` the sensors' known noise makes, so that their
+    squares subtract; `shrinkage`: of an equation without a target, share by which it makes its
     coefficients smaller than the stage's other equations would have them; `parameters` found here.
     """
 
     relative_rms: Float[Array, ""]
     residual_rms: Float[Array, ""]
+    noise_rms: Float[Array, ""]
     count: Float[Array, ""]
     shrinkage: Float[Array, ""]
     parameters: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def model_rms(self) -> Float[Array, ""]:
+        """What of `relative_rms` the sensors' known noise does not make."""
+        xp = namespace(self.relative_rms)
+        return xp.sqrt(xp.maximum(xp.square(self.relative_rms) - xp.square(self.noise_rms), 0.0))
 
 
 class StageSolution(eqx.Module):
@@ -87,8 +96,14 @@ def solve_stages(
         residual = equations.residual_energy(solution.theta)
         positive = equations.energy > 0
         relative, absolute = _rms(residual, equations.energy, equations.count)
+        noise, _ = _rms(equations.noise_energy(solution.theta), equations.energy, equations.count)
         alone = EquationFit(
-            relative, absolute, equations.count, jnp.zeros_like(relative), equations.parameters
+            relative,
+            absolute,
+            noise,
+            equations.count,
+            jnp.zeros_like(relative),
+            equations.parameters,
         )
         before = found
         found = found | dict(zip(equations.parameters, solution.theta))
@@ -134,13 +149,13 @@ def _equation_fit(
     values = jnp.stack([jnp.asarray(found[name]) for name in part.parameters])
     largest = jnp.maximum(part.energy, jnp.max(values**2 * jnp.diagonal(part.gram)))
     has_target = (equation.energy > 0) & bool(unknown)
-    relative, absolute = _rms(
-        energy, jnp.where(has_target, equation.energy, largest), equation.count
-    )
+    reference = jnp.where(has_target, equation.energy, largest)
+    relative, absolute = _rms(energy, reference, equation.count)
+    noise, _ = _rms(equation.noise_energy(theta), reference, equation.count)
     shrinkage = jnp.zeros_like(relative)
     if unknown:
         shrinkage = jnp.where(has_target, 0.0, _shrinkage(equation, stage, theta, energy))
-    return EquationFit(relative, absolute, equation.count, shrinkage, unknown)
+    return EquationFit(relative, absolute, noise, equation.count, shrinkage, unknown)
 
 
 def _shrinkage(

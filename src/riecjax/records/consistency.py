@@ -45,11 +45,13 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
                 f"does not move with {signal} (the increments of {signal} and the integral of "
                 f"{derivative} correlate by {best.correlation:.2f} at best)"
             )
+            doubt = 1.0
         elif best.is_off:
             what = (
                 f"does not fit the size, sign or time of {signal}: {signal} changes by "
                 f"{best.gain:.4g} times the integral of {derivative}"
             )
+            doubt = min(max(abs(best.gain - 1), abs(1 / best.gain - 1)), 1.0)
         else:
             continue
         found.append(
@@ -59,6 +61,7 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
                 f"columns they are, their units and signs, and that time is in seconds (on the "
                 f"command line: --map and --scale).",
                 (signal, derivative),
+                doubt=doubt,
             )
         )
     return found

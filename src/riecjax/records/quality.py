@@ -192,6 +192,7 @@ def _clipped(signal: _Signal) -> Iterator[Finding]:
             f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does. "
             f"Record with a larger range or leave those stretches out, unless the limit is real, "
             f"as of a command or of a wheel that lifts.",
+            doubt=side.samples / signal.sample_count,
         )
 
 

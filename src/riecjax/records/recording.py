@@ -202,7 +202,10 @@ def read_recording(
     computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
-        *(Finding("unit_mismatch", f"{file}: {why}", (n,)) for n, why in mismatches.items()),
+        *(
+            Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
+            for n, why in mismatches.items()
+        ),
         *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
         *(
             Finding("column_left_out", f"{file}: {why}, {computed.format(n)}", (n,))

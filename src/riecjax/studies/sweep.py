@@ -49,6 +49,15 @@ SMALLEST_DRIFT = 0.005
 SHARE_OF_BLOCKS = 0.5
 """A length with windows in less than this share of the blocks that another has gets no estimate."""
 LEVEL = 0.05
+STEADY = 0.01
+"""Share within which estimates at neighbouring lengths are called steady."""
+MOST = 0.5
+"""Share of what is left from which its noise explains a drift."""
+SMALL_NOISE = 0.1
+"""Share of what is left below which its noise is not worth a word."""
+LONGER, SHORTER = 2.0, 0.5
+"""Reach of a sweep beyond beta and alpha. Windows much shorter than those that were asked for show
+motions that the model was never meant for, and nearly every model fails there."""
 
 
 class WindowSweep(eqx.Module):
@@ -61,7 +70,8 @@ class WindowSweep(eqx.Module):
       gaps.
     - `influence`: how far each block of time moves each estimate, shape `(bands, blocks, p)`; the
       blocks are the same at every length, so that estimates can be compared pairwise.
-    - `relative_rms`: residual of each stage, shape `(bands, stages)`.
+    - `relative_rms`: residual of each stage, and `noise_rms`, what of it the sensors' known noise
+      makes, shape `(bands, stages)`.
     - `block_count`: blocks that hold rows.
     - `parameters`, `units`, `stage_names`: as in an estimate.
     """
@@ -71,6 +81,7 @@ class WindowSweep(eqx.Module):
     theta: Float[Array, "bands p"]
     influence: Float[Array, "bands blocks p"]
     relative_rms: Float[Array, "bands stages"]
+    noise_rms: Float[Array, "bands stages"]
     block_count: Int[Array, ""]
     parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
@@ -107,8 +118,24 @@ class WindowSweep(eqx.Module):
         first, last = sorted((int(first), int(last)))
         return first, last, float(difference[first, last]), float(error[first, last])
 
+    def away(self, name: str, value: float) -> float:
+        """How far estimates lie from a value at most, beyond scatter (not under jit).
+
+        Scatter is that of the difference from the length whose estimate is nearest to the value.
+        """
+        j = self.parameters.index(name)
+        theta, influence = np.asarray(self.theta[:, j]), np.asarray(self.influence[:, :, j])
+        if not np.isfinite(theta).any():
+            return 0.0
+        nearest = int(np.nanargmin(np.abs(theta - value)))
+        apart = influence - influence[nearest]
+        error = np.sqrt(float(self._factor) * np.sum(apart**2, axis=-1))
+        dof = max(int(self.block_count) - 1, 1)
+        limit = float(tails.student(LEVEL / (2 * max(theta.size - 1, 1)), dof))
+        return float(np.nanmax(np.maximum(np.abs(theta - value) - limit * error, 0.0)))
+
     def findings(self) -> list[Finding]:
-        """`window_sensitive` for each parameter that drifts by more than its uncertainty.
+        """`window_sensitive`, once, if parameters drift by more than their uncertainty.
 
         A paired test at the 5 % level, corrected for the number of pairs (Bonferroni), of a drift
         of at least half a percent.
@@ -117,26 +144,79 @@ class WindowSweep(eqx.Module):
         pairs = bands * (bands - 1) / 2
         dof = max(int(self.block_count) - 1, 1)
         limit = float(tails.student(LEVEL / (2 * pairs), dof))
-        units = dict(self.units)
-        found = []
-        for j, name in enumerate(self.parameters):
+        shares = {}
+        for name in self.parameters:
             _, _, difference, error = self.drift(name)
             if abs(difference) > limit * error and error > 0:
-                theta = np.asarray(self.theta[:, j])
-                low, high = sorted((int(np.nanargmin(theta)), int(np.nanargmax(theta))))
-                unit = f" {units[name]}" if units.get(name) else ""
-                found.append(
-                    Finding(
-                        "window_sensitive",
-                        f"{name} goes from {float(self.theta[low, j]):.4g} with windows of "
-                        f"{self._band(low)} to {float(self.theta[high, j]):.4g}{unit} with "
-                        f"{self._band(high)}, a drift of up to {abs(difference) / error:.0f} "
-                        f"standard errors: the model leaves something out, or short windows show "
-                        f"the sensors' noise.",
-                        parameters=(name,),
-                    )
-                )
-        return found
+                shares[name] = self._range(name)[2]
+        if not shares:
+            return []
+        names = sorted(shares, key=lambda name: -shares[name])
+        return [
+            Finding(
+                "window_sensitive",
+                f"{self._course(names[0])}{_others(names[1:], shares)}. {self._steadiness(names)}. "
+                f"{self._cause(names[0])}.",
+                parameters=tuple(names),
+            )
+        ]
+
+    def _range(self, name: str) -> tuple[int, int, float]:
+        """Lengths with the least and the largest estimate, and their distance as a share."""
+        theta = np.asarray(self.theta[:, self.parameters.index(name)])
+        low, high = int(np.nanargmin(theta)), int(np.nanargmax(theta))
+        return low, high, float((theta[high] - theta[low]) / np.nanmax(np.abs(theta)))
+
+    def _course(self, name: str) -> str:
+        low, high = sorted(self._range(name)[:2])
+        j, unit = self.parameters.index(name), dict(self.units).get(name)
+        return (
+            f"{name} goes from {float(self.theta[low, j]):.4g} with windows of {self._band(low)} "
+            f"to {float(self.theta[high, j]):.4g}{f' {unit}' if unit else ''} with "
+            f"{self._band(high)}"
+        )
+
+    def steady(self, names: Sequence[str]) -> tuple[float, float] | None:
+        """The most neighbouring lengths at which parameters stay within a percent, in seconds.
+
+        `None` where no two do. Of ranges of as many lengths the later one: long windows are what a
+        reduced model is for.
+        """
+        theta = np.asarray(self.theta[:, [self.parameters.index(name) for name in names]])
+        scale = np.nanmax(np.abs(theta), axis=0)
+        runs = [
+            (i, j)
+            for i in range(len(theta))
+            for j in range(i + 1, len(theta))
+            if np.all(np.ptp(theta[i : j + 1], axis=0) <= STEADY * scale)
+        ]
+        if not runs:
+            return None
+        first, last = max(runs, key=lambda run: (run[1] - run[0], run[0]))
+        return float(self.alpha[first]), float(self.beta[last])
+
+    def _steadiness(self, names: Sequence[str]) -> str:
+        steady = self.steady(names)
+        if steady is None:
+            return f"At no two lengths do estimates agree to {100 * STEADY:g} %"
+        low, high = steady
+        return f"In windows of {low:.3g} to {high:.3g} s all are steady to {100 * STEADY:g} %"
+
+    def noise_share(self, name: str) -> float:
+        """How much of what windows leave is the sensors' noise, as energy.
+
+        At the shorter of the two lengths between which a parameter goes farthest.
+        """
+        band = min(self._range(name)[:2])
+        left, noise = np.asarray(self.relative_rms[band]), np.asarray(self.noise_rms[band])
+        return min(float(np.sum(noise**2) / max(np.sum(left**2), 1e-300)), 1.0)
+
+    def _cause(self, name: str) -> str:
+        share = self.noise_share(name)
+        if share > MOST:
+            return f"Noise makes {100 * share:.0f} % of what the shorter ones leave"
+        makes = f"Noise makes {100 * share:.0f} % of what the shorter ones leave: the"
+        return f"{makes if share > SMALL_NOISE else 'The'} model leaves something out"
 
     def _band(self, index: int) -> str:
         return f"{float(self.alpha[index]):.3g} to {float(self.beta[index]):.3g} s"
@@ -164,8 +244,8 @@ def window_sweep(
 
     - `records`: or a [`Summary`][] with bins of window lengths, from which no sample is read;
       `criterion` and what follows `per_record` are then those it was made with.
-    - `shortest`, `longest`: ends of the sweep in seconds; by default a tenth of the criterion's
-      alpha, at least four samples, to twice its beta, at most a tenth of all records together.
+    - `shortest`, `longest`: ends of the sweep in seconds; by default half the criterion's alpha, at
+      least four samples, to twice its beta, at most a tenth of all records together.
     - `bands`: number of lengths, give or take one.
 
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
@@ -228,8 +308,8 @@ def _reach(
     assert windows is not None
     coarsest = max(step for step, _ in records)
     durations = [step * (samples - 1) for step, samples in records]
-    low = max(float(windows.alpha) / 10, criterion.smoothness * FEWEST_SAMPLES * coarsest)
-    high = min(2 * float(windows.beta), sum(durations) / FEWEST_STRETCHES, min(durations) / 2)
+    low = max(SHORTER * float(windows.alpha), criterion.smoothness * FEWEST_SAMPLES * coarsest)
+    high = min(LONGER * float(windows.beta), sum(durations) / FEWEST_STRETCHES, min(durations) / 2)
     low = low if shortest is None else shortest
     high = high if longest is None else longest
     if not 0 < low < high / 2:
@@ -272,7 +352,7 @@ def _sweep(
     used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
     every = [summary.equations(band) for band in bands]
     equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
-    theta, influence, residual = _estimates(equations, plan.given, short, used, plan.sharing)
+    theta, influence, residual, noise = _estimates(equations, plan.given, short, used, plan.sharing)
     stages = [(label, names) for label, names in plan.stages if names]
     return WindowSweep(
         alpha=ends[:, 0],
@@ -280,6 +360,7 @@ def _sweep(
         theta=theta,
         influence=influence,
         relative_rms=residual,
+        noise_rms=noise,
         block_count=namespace(used).sum(used),
         parameters=tuple(name for _, names in stages for name in names),
         units=tuple(plan.sharing.values(procedure.units).items()),
@@ -294,8 +375,10 @@ def _estimates(
     short: ShortBlocks,
     used: Int[Array, " records"],
     sharing: Sharing,
-) -> tuple[Float[Array, "bands p"], Float[Array, "bands blocks p"], Float[Array, "bands stages"]]:
-    def at_length(own: list[list[NormalEquations]]) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
+    """What a `WindowSweep` holds: theta, influence, relative r.m.s. and the noise's."""
+
+    def at_length(own: list[list[NormalEquations]]) -> tuple[Array, ...]:
         shared, _ = stages_over_records(own, sharing)
         stages = [merge_blocks(stage, short, used) for stage in shared]
         solutions = solve_stages(stages, given)
@@ -303,13 +386,23 @@ def _estimates(
             jnp.concatenate([stage.solution.theta for stage in solutions]),
             block_influence(stages, given, found_values(solutions, given)),
             jnp.stack([stage.relative_rms for stage in solutions]),
+            jnp.stack([stage.equations[0].noise_rms for stage in solutions]),
             jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
         )
 
-    theta, influence, residual, held = jax.lax.map(at_length, equations)
+    theta, influence, residual, noise, held = jax.lax.map(at_length, equations)
     known = (held >= SHARE_OF_BLOCKS * jnp.max(held)) & (held > 0)
     return (
         jnp.where(known[:, None], theta, jnp.nan),
         jnp.where(known[:, None, None], influence, jnp.nan),
         jnp.where(known[:, None], residual, jnp.nan),
+        jnp.where(known[:, None], noise, jnp.nan),
     )
+
+
+def _others(names: Sequence[str], shares: Mapping[str, float]) -> str:
+    """Further parameters that drift, each with its share in percent."""
+    if not names:
+        return ""
+    listed = ", ".join(f"{name} by {100 * shares[name]:.2g} %" for name in names)
+    return f"; so do{'es' if len(names) == 1 else ''} {listed}"

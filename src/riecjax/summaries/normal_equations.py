@@ -152,8 +152,16 @@ class NormalEquations(eqx.Module):
 
     def residual_energy(self, theta: Float[Array, " p"]) -> Float[Array, "*blocks"]:
         """Sum of squared residuals at theta; below about 1e-16 of `energy` it is rounding."""
-        v = jnp.concatenate([jnp.ones((1,), theta.dtype), -theta])
-        return jnp.maximum(jnp.einsum("i,...ij,j->...", v, self.moments, v), 0.0)
+        return _energy(self.moments, theta)
+
+    def noise_energy(self, theta: Float[Array, " p"]) -> Float[Array, "*blocks"]:
+        """What sensor noise adds to `residual_energy` in expectation; 0 where none is known."""
+        return jnp.zeros_like(self.energy) if self.noise is None else _energy(self.noise, theta)
+
+
+def _energy(moments: Array, theta: Float[Array, " p"]) -> Array:
+    v = jnp.concatenate([jnp.ones((1,), theta.dtype), -theta])
+    return jnp.maximum(jnp.einsum("i,...ij,j->...", v, moments, v), 0.0)
 
 
 def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> NormalEquations:

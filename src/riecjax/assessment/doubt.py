@@ -1,0 +1,206 @@
+"""How far each parameter may be off: its scatter, and beside it what is known to be wrong.
+
+An interval from one record describes scatter about the value that a criterion converges to. A
+model that leaves something out has it converge beside the truth, which no resampling shows. Four
+things that an assessment measures do show it, and here become sizes in the parameter's own unit:
+
+**Drift.** With an exact model windows of every length find the same value. How far estimates at
+other lengths lie from the answer, beyond the scatter of the difference, is by how much the answer
+is a matter of choice.
+
+**What is left.** Let an equation leave the share q of its target, noise of the sensors taken off.
+A fit leaves what is orthogonal to its regressors; that much again, or so, lay along them and went
+into the parameters. A regressor of size s_j (of the target, per unit of parameter j) keeps a share
+w_j of itself that no combination of the others explains, so an error of the size q along it moves
+parameter j by q / (s_j w_j). What a model leaves out points anywhere: `ALONG` is the share of it
+that is taken to lie along one regressor. It counts only where tests say that it is the model's:
+forces that act on the machine and on no sensor leave as much, and bias nothing.
+
+**Sensors.** What is found amiss with the recordings may say how far: a velocity that is 1.2 times
+the position's derivative puts what reads either of them in doubt by a fifth.
+
+**Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from riecjax.estimation.stages import StageSolution
+from riecjax.findings import Finding
+
+if TYPE_CHECKING:
+    from riecjax.assessment.assessment import Assessment
+
+LEVEL = 0.98
+"""Level of the interval that a doubt starts from: one relies on it, so it is to hold more often."""
+ALONG = 0.75
+"""Share of what an equation leaves that is taken to lie along one regressor."""
+UNBLAMED = 0.1
+"""The same where no test says whose doing it is: the model's, or that of forces nobody recorded."""
+FINEST = 1e-3
+"""Share of a value below which nothing is claimed."""
+OF_THE_MODEL = ("unmodelled_mode", "residual_follows_signal", "large_residual")
+"""Findings that say of an equation that what it leaves is the model's doing."""
+
+
+class Doubt(NamedTuple):
+    """How far one parameter may be off, in its unit.
+
+    **Fields:** `low`, `high`: reach below and above the value by scatter; `drift` over window
+    lengths; `left_out`, by what the model leaves; `sensors`, by what is amiss with the recordings;
+    `finest`, what is never claimed.
+    """
+
+    low: float
+    high: float
+    drift: float = 0.0
+    left_out: float = 0.0
+    sensors: float = 0.0
+    finest: float = 0.0
+
+    @property
+    def scatter(self) -> float:
+        """The larger reach of scatter."""
+        return max(self.low, self.high)
+
+    @property
+    def known_wrong(self) -> float:
+        """What is known to be wrong beside scatter."""
+        return self.drift + self.left_out + self.sensors
+
+    @property
+    def size(self) -> float:
+        """The larger reach of all of it."""
+        return self.scatter + self.known_wrong + self.finest
+
+    def by_kind(self, kind: str) -> float:
+        """What of it a kind of cause makes."""
+        parts = {"model": self.drift + self.left_out, "sensors": self.sensors}
+        return parts.get(kind, self.scatter)
+
+    def around(self, value: float) -> tuple[float, float]:
+        """Ends of the interval that counts all of it."""
+        more = self.known_wrong + self.finest
+        return value - self.low - more, value + self.high + more
+
+
+def doubts(assessment: "Assessment") -> dict[str, Doubt]:
+    """Of each estimated parameter.
+
+    Refined values that are an answer by themselves left white noise: the model is as good as the
+    record can tell, and neither drift nor residuals of the linear estimate concern them.
+    """
+    answer, refinement = assessment.answer, assessment.refinement
+    below, above = answer.uncertainty.reach(LEVEL)
+    errors = np.asarray(answer.standard_errors)
+    exact = refinement is not None and refinement.chosen and _white(assessment)
+    drift = {} if exact else drifts(assessment)
+    left = {} if exact else left_out(assessment)
+    amiss = _amiss(assessment)
+    found = {}
+    for i, name in enumerate(answer.parameters):
+        finest = FINEST * abs(float(answer[name]))
+        scatter = float((below * errors)[i]), float((above * errors)[i])
+        found[name] = Doubt(
+            *scatter, drift.get(name, 0.0), left.get(name, 0.0), amiss.get(name, 0.0), finest
+        )
+    return found
+
+
+def concerned(assessment: "Assessment", finding: Finding) -> set[str]:
+    """Parameters that a finding concerns: those it names, or of equations that read its signals."""
+    names = set(assessment.answer.parameters)
+    if finding.parameters:
+        return names & set(finding.parameters)
+    if not finding.signals:
+        return names
+    smoothness, record = assessment.estimate.criterion.smoothness, assessment.recordings[0].record
+    equations = [equation for stage in assessment.procedure.stages for equation in stage]
+    reading = [
+        equation
+        for equation in equations
+        if equation.signals_read(record, smoothness) & set(finding.signals)
+    ]
+    return names & {name for equation in reading for name in equation.parameters}
+
+
+def _amiss(assessment: "Assessment") -> dict[str, float]:
+    """By what is amiss with the recordings, the worst of it."""
+    found: dict[str, float] = {}
+    for finding in assessment.findings():
+        if finding.doubt > 0:
+            for name in concerned(assessment, finding):
+                share = finding.doubt * abs(float(assessment.answer[name]))
+                found[name] = max(found.get(name, 0.0), share)
+    return found
+
+
+def _white(assessment: "Assessment") -> bool:
+    refinement = assessment.refinement
+    return refinement is None or refinement.whiteness is None or refinement.whiteness.white
+
+
+def drifts(assessment: "Assessment") -> dict[str, float]:
+    """How far estimates in windows of other lengths lie from the answer, beyond chance."""
+    sweep, answer = assessment.sweep, assessment.answer
+    if sweep is None:
+        return {}
+    return {
+        name: sweep.away(name, float(answer[name]))
+        for name in sweep.parameters
+        if name in answer.parameters
+    }
+
+
+def left_out(assessment: "Assessment") -> Mapping[str, float]:
+    """How far each parameter may be moved by what its equations leave that is not noise."""
+    estimate = assessment.estimate
+    own = {
+        name: float(share)
+        for stage in assessment.checked.excitations
+        for name, share in zip(stage.parameters, stage.own_share)
+    }
+    blamed = _blamed(assessment)
+    found: dict[str, float] = {}
+    for stage, names in zip(estimate.stages, estimate.equation_names):
+        target = float(stage.residual_rms / stage.relative_rms) * float(stage.count) ** 0.5
+        for name, size in zip(stage.parameters, stage.relative_size):
+            reach = float(size) * own.get(name, 1.0)
+            if reach > 0:
+                found[name] = _along(stage, names, blamed, target) / reach
+    return found
+
+
+def _along(
+    stage: StageSolution, names: Sequence[str], blamed: Collection[str], target: float
+) -> float:
+    """Share of a stage's target that what its equations leave may put along one regressor.
+
+    Measured by what the fit explains, it is q / (1 - q): of a target that is mostly left over, the
+    little that is explained is in doubt altogether.
+    """
+    largest = 0.0
+    for fit, name in zip(stage.equations, names):
+        rms = float(fit.residual_rms) * float(fit.count) ** 0.5
+        rms *= float(fit.model_rms) / max(float(fit.relative_rms), 1e-300)
+        share = min(rms / max(target, 1e-300), 0.99)
+        largest = max(largest, (ALONG if name in blamed else UNBLAMED) * share / (1 - share))
+    return largest
+
+
+def _blamed(assessment: "Assessment") -> set[str]:
+    """Equations of which some test says that what they leave is the model's."""
+    blamed: set[str] = set()
+    if assessment.residuals is not None:
+        for equation in assessment.residuals.equations:
+            if any(finding.code in OF_THE_MODEL for finding in equation.findings()):
+                blamed.add(equation.name)
+    if assessment.sweep is not None:
+        drifting = {name for f in assessment.sweep.findings() for name in f.parameters}
+        estimate = assessment.estimate
+        for name, fit in estimate.equations.items():
+            if drifting & set(fit.parameters):
+                blamed.add(name)
+    return blamed
