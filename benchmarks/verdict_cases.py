@@ -5,7 +5,7 @@ once, under forces that are sums of sines and so known at every instant. Each is
 noise and one fault at most, and described by a model that is right or leaves one thing out.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -185,7 +185,9 @@ def _tones(time: np.ndarray, frequency: np.ndarray, phase: np.ndarray) -> np.nda
 
 
 def _integrate(values: Values, force: Series) -> list[Series]:
-    get: Callable[[str], np.ndarray] = lambda name: values.get(name, 0.0 * values["m"])
+    def get(name: str) -> np.ndarray:
+        return values.get(name, 0.0 * values["m"])
+
     m, c, k, m2, c2, k2 = (get(n) for n in ("m", "c", "k", "m2", "c2", "k2"))
     f, r2, k3 = get("f"), get("r2"), get("k3")
     second = np.where(m2 > 0, m2, 1.0)

@@ -31,7 +31,8 @@ from riecjax.models.model import as_model
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
-from riecjax.studies.sweep import WindowSweep, sweep_edges, window_sweep
+from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import sweep_edges, window_sweep
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import WRITE_CRITERION, ready

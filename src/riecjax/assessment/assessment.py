@@ -17,8 +17,8 @@ from riecjax.models.model import Model
 from riecjax.records.recording import Recording
 from riecjax.refinement.refined import Refined
 from riecjax.studies.choice import WindowChoice
+from riecjax.studies.drift import WindowSweep
 from riecjax.studies.monte_carlo import SeedScatter
-from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.whiteness import Whiteness

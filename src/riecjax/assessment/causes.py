@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from riecjax.assessment.doubt import Doubt, concerned
 from riecjax.findings import Finding
-from riecjax.studies.sweep import MOST, WindowSweep
+from riecjax.studies.drift import MOST, WindowSweep
 from riecjax.validation.residuals import EquationResidual
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ A fit leaves what is orthogonal to its regressors; that much again, or so, lay a
 into the parameters. A regressor of size s_j (of the target, per unit of parameter j) keeps a share
 w_j of itself that no combination of the others explains, so an error of the size q along it moves
 parameter j by q / (s_j w_j). What a model leaves out points anywhere: `ALONG` is the share of it
-that is taken to lie along one regressor. It counts only where tests say that it is the model's:
-forces that act on the machine and on no sensor leave as much, and bias nothing.
+that is taken to lie along one regressor where tests say that it is the model's doing, `UNBLAMED`
+where none does: forces that act on the machine and on no sensor leave as much, and bias little.
 
 **Sensors.** What is found amiss with the recordings may say how far: a velocity that is 1.2 times
 the position's derivative puts what reads either of them in doubt by a fifth.

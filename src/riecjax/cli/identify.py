@@ -16,13 +16,13 @@ from riecjax.cli.options import (
     seed_option,
     set_option,
 )
+from riecjax.cli.progress import Progress
 from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.cli.refinement import RefinementOptions, refinement_options
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
-    from riecjax.estimation.estimate import Estimate
 
 
 @click.command("identify")
@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Estimates against window length, which show an inexact model.",
 )
+@click.option("--verbose", is_flag=True, help="Tell everything, not the verdict alone.")
 @seed_option
 @json_option
 @out_option
@@ -80,6 +81,7 @@ def command(
     hold_out: float | None,
     validation_files: tuple[Path, ...],
     sweep: bool,
+    verbose: bool,
     seed: int,
     as_json: bool,
     out: Path | None,
@@ -98,28 +100,17 @@ def command(
     refining.require_sense(validates=hold_out is not None or bool(validation_files))
     start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
     import jax
-    from rich.console import Console
 
     from riecjax.assessment.assess import assess
-    from riecjax.reporting.estimate import estimate_entries, print_estimate
     from riecjax.reporting.output import require_folder
     from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich
 
     if out is not None:
         require_folder(out)
     model = model_with_modes(model_name, modes)
-    # What is asked for first is shown first: all that follows is about how far to trust it.
-    at_once = not as_json and refining.refine in ("auto", "none")
-
-    shown = []
-
-    def show(estimate: "Estimate") -> None:
-        print_estimate(estimate_entries(model.name, estimate), Console())
-        shown.append(estimate)
-
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
     read = recordings.read(recordings.files, model)
-    with refining.progress() as progress:
+    with Progress() as progress:
         assessment = assess(
             model,
             read,
@@ -134,17 +125,16 @@ def command(
             hold_out=hold_out,
             validate_on=recordings.read(validation_files, model),
             sweep=sweep,
-            on_estimate=show if at_once else None,
-            progress=progress,
+            on_estimate=progress.show_estimate,
+            progress=progress.refining,
         )
-    _emit(assessment, as_json, out, shown=bool(shown))
+    _emit(assessment, as_json, out, verbose)
 
 
-def _emit(assessment: "Assessment", as_json: bool, out: Path | None, *, shown: bool) -> None:
-    """Write and print all but the estimate if that was `shown` before."""
+def _emit(assessment: "Assessment", as_json: bool, out: Path | None, verbose: bool) -> None:
     from riecjax.reporting.identification import (
         identification_document,
-        print_after_estimate,
+        print_everything,
         print_identification,
     )
     from riecjax.reporting.identification_figures import identification_figures
@@ -152,10 +142,11 @@ def _emit(assessment: "Assessment", as_json: bool, out: Path | None, *, shown: b
     from riecjax.reporting.output import emit
 
     emit(
-        identification_document(assessment),
+        identification_document(assessment, click.get_current_context().obj or ()),
         as_json=as_json,
         out=out,
-        show=print_after_estimate if shown else print_identification,
+        show=print_everything if verbose else print_identification,
         charts=lambda: identification_figures(assessment),
         page=identification_page,
+        warn=verbose or as_json,
     )

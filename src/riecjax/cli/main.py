@@ -53,7 +53,7 @@ def run(arguments: list[str] | None = None) -> int:
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:
-        status = cli.main(arguments, prog_name="riecjax", standalone_mode=False)
+        status = cli.main(arguments, prog_name="riecjax", standalone_mode=False, obj=given)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         return 2

@@ -1,8 +1,6 @@
 """`--refine` of `riecjax identify`: options, and the objective they ask for."""
 
-import contextlib
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -74,20 +72,6 @@ class RefinementOptions:
             return IntegralError()
         shooting = WholeRecord() if self.horizon is None else Tiles(seconds=self.horizon)
         return OutputError(shooting, channels=self.channels or None)
-
-    @contextlib.contextmanager
-    def progress(self) -> "Iterator[Callable[[float], None] | None]":
-        """Shows on standard error how a refinement, if one was asked for, gets on."""
-        if self.refine == "none":
-            yield None
-            return
-        from rich.console import Console
-
-        with Console(stderr=True).status("identifying") as status:
-            step = itertools.count(1)
-            yield lambda cost: status.update(
-                f"refining: step {next(step)}, sum of squares {float(cost):.6g}"
-            )
 
 
 refinement_options: Callable[[Callable[..., Any]], Callable[..., Any]] = collecting(

@@ -27,8 +27,8 @@ class EquationFit(eqx.Module):
 
     **Fields:** `relative_rms` of the residual against the equation's target, or against its largest
     term where it has none (or nothing in it is unknown); `residual_rms` in the unit of the rows;
-    `count` of rows; `noise_rms`: what of `relative_rms` the sensors' known noise makes, so that their
-    squares subtract; `shrinkage`: of an equation without a target, share by which it makes its
+    `count` of rows; `noise_rms`: what of `relative_rms` the sensors' known noise makes (their
+    squares subtract); `shrinkage`: of an equation without a target, share by which it makes its
     coefficients smaller than the stage's other equations would have them; `parameters` found here.
     """
 

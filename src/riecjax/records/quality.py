@@ -117,8 +117,8 @@ class _Signal(NamedTuple):
     def with_unit(self, value: float) -> str:
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
-    def finding(self, code: str, message: str) -> Finding:
-        return Finding(code, f"{self.name}: {message}", (self.name,))
+    def finding(self, code: str, message: str, doubt: float = 0.0) -> Finding:
+        return Finding(code, f"{self.name}: {message}", (self.name,), doubt=doubt)
 
 
 def _signal(record: Record, name: str) -> _Signal:

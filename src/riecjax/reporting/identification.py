@@ -1,6 +1,7 @@
 """Results of an identification: JSON document and tables on a terminal."""
 
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -17,7 +18,6 @@ from riecjax.reporting.document import Document, finite, number, versions
 from riecjax.reporting.estimate import (
     estimate_entries,
     parameter_entries,
-    parameter_table,
     print_estimate,
 )
 from riecjax.reporting.hidden_modes import mode_entries, modes_in_words
@@ -27,12 +27,16 @@ from riecjax.reporting.refinement import (
     refinement_entries,
     refinement_in_words,
 )
+from riecjax.reporting.verdict import print_verdict, verdict_entries
+from riecjax.studies.drift import WindowSweep
 from riecjax.studies.monte_carlo import SeedScatter
-from riecjax.studies.sweep import WindowSweep
 
 
-def identification_document(result: Assessment) -> Document:
-    """The document that `--json` prints and results.json holds."""
+def identification_document(result: Assessment, command: Sequence[str] = ()) -> Document:
+    """The document that `--json` prints and results.json holds.
+
+    **Arguments:** `command`: the arguments of `riecjax` that made it, if any did.
+    """
     estimate, refinement = result.estimate, result.refinement
     found = estimate_entries(result.model.name, estimate)
     identified = found["parameters"]
@@ -40,6 +44,7 @@ def identification_document(result: Assessment) -> Document:
         found["parameters"] = parameter_entries(result.answer)
     return {
         **found,
+        "verdict": verdict_entries(result.verdict, command),
         "modes": mode_entries(result.modes),
         "excitation": excitation_entries(result.checked),
         "noise": noise_entries(result.recordings, result.checked.signals),
@@ -54,6 +59,7 @@ def identification_document(result: Assessment) -> Document:
         ],
         "warnings": [finding._asdict() for finding in result.findings()],
         "provenance": {
+            "command": shlex.join(["riecjax", *command]) if command else None,
             "seed": _seed(result.key),
             "records": [
                 {
@@ -119,31 +125,41 @@ def _sweep_entries(sweep: WindowSweep) -> dict[str, Any]:
 
 
 def print_identification(document: Document, console: Console) -> None:
-    """Tables for a reader."""
+    """The verdict, and in a line what the values are."""
+    print_verdict(document, console)
+    console.print()
+    for line in (_answer_in_words(document), *modes_in_words(document["modes"])):
+        console.print(line, highlight=False, markup=False)
+    for validation in document["validation"]:
+        line = f"validated on {validation['on']}: {validation['verdict']}"
+        console.print(line, highlight=False, markup=False)
+
+
+def _answer_in_words(document: Document) -> str:
+    """Where the values come from, and how much there is to say beside them."""
+    refinement, said = document["refinement"], len(document["warnings"])
+    chosen = refinement is not None and refinement["chosen"]
+    criterion = document["criterion"]
+    windows = (
+        f" in windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s"
+        if "alpha" in criterion
+        else ""
+    )
+    how = "refined by simulation" if chosen else f"{criterion['name'].upper()}{windows}"
+    more = f" {said} finding{'s' if said != 1 else ''} and" if said else ""
+    return f"Values: {how}. Add --verbose for{more} how they were found."
+
+
+def print_everything(document: Document, console: Console) -> None:
+    """The verdict, and all there is to say of how it came about."""
+    print_verdict(document, console)
+    console.print()
     print_estimate(document, console)
-    print_judgement(document, console)
-
-
-def print_after_estimate(document: Document, console: Console) -> None:
-    """What there is to say once the linear estimate was printed: first, whether it is the answer.
-
-    If refined values are, they follow in a table beside those above.
-    """
-    refinement = document["refinement"]
-    if refinement is not None and refinement["chosen"]:
-        console.print(choice_in_words(refinement), highlight=False, markup=False)
-        console.print(parameter_table(document))
-    print_judgement(document, console, chosen_said=True)
-
-
-def print_judgement(document: Document, console: Console, *, chosen_said: bool = False) -> None:
-    """What was done with the estimate, and what it rests on."""
     refinement = document["refinement"]
     for line in modes_in_words(document["modes"]):
         console.print(line, highlight=False, markup=False)
     if refinement is not None:
-        words = [] if chosen_said and refinement["chosen"] else [choice_in_words(refinement)]
-        for line in (*words, *refinement_in_words(refinement)):
+        for line in (choice_in_words(refinement), *refinement_in_words(refinement)):
             console.print(line, highlight=False, markup=False)
     for line in windows_in_words(document):
         console.print(line, highlight=False, markup=False)

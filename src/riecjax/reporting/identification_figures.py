@@ -28,7 +28,7 @@ from riecjax.reporting.charts.chart import (
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.hidden_modes import mode_map_figure
 from riecjax.reporting.residual_figures import residual_figures, window_choice_figures
-from riecjax.studies.sweep import WindowSweep
+from riecjax.studies.drift import WindowSweep
 from riecjax.summaries.sums import Survey
 
 MOST_POINTS = 2000

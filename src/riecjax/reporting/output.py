@@ -24,14 +24,15 @@ def emit(
     show: Callable[[Document, Console], None],
     charts: Callable[[], Mapping[str, Chart]],
     page: Callable[[Document], Page],
+    warn: bool = True,
 ) -> None:
-    """Write the folder first, if one is asked for, then print.
+    """Write the folder first, if one is asked for, then print, warnings to standard error.
 
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
     if out is not None:
         write_folder(out, document, charts(), page(document))
-    for warning in document.get("warnings", []):
+    for warning in document.get("warnings", []) if warn else []:
         click.echo(f"warning [{warning['code']}]: {warning['message']}", err=True)
     if as_json:
         click.echo(json.dumps(document, indent=2, allow_nan=False))

@@ -1,0 +1,57 @@
+"""What a command is doing, on standard error, and the estimate as soon as it is there."""
+
+import itertools
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from riecjax.estimation.estimate import Estimate
+
+
+class Progress:
+    """A line with a spinner that says what takes the time; nothing where no one is looking.
+
+    The estimate appears beneath it before all that is slow, and goes when the verdict, which holds
+    it too, is printed.
+    """
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.live import Live
+        from rich.spinner import Spinner
+
+        self._console = Console(stderr=True)
+        self._spinner = Spinner("dots", "reading, and compiling what was not compiled before")
+        self._live = Live(self._spinner, console=self._console, transient=True)
+        self._steps = itertools.count(1)
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._live.stop()
+
+    def show_estimate(self, estimate: "Estimate") -> None:
+        """Show a first table; what follows is about how far to trust it."""
+        if not self._console.is_terminal:
+            return
+        from rich.console import Group
+
+        from riecjax.reporting.estimate import estimate_entries, parameter_table
+
+        self._spinner.update(text="identified; now testing how far to trust it")
+        table = parameter_table(estimate_entries("", estimate))
+        self._live.update(Group(table, self._spinner), refresh=True)
+
+    def refining(self, cost: float) -> None:
+        """Show how a refinement gets on."""
+        self._spinner.update(
+            text=f"refining: step {next(self._steps)}, sum of squares {float(cost):.6g}"
+        )

@@ -1,0 +1,130 @@
+"""A verdict in plain data and on a terminal: the answer first, then what to do about it."""
+
+import shlex
+from collections.abc import Iterator, Sequence
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from riecjax.assessment.causes import Cause
+from riecjax.assessment.verdict import Verdict
+from riecjax.reporting.document import Document, finite, number
+
+MOST_STEPS = 3
+"""Things to do next that are told."""
+STYLES = {"good": "green", "caution": "yellow", "do not use": "bold red"}
+EXCLUSIVE = {"--alpha": "--band", "--beta": "--band"}
+"""Options that a new one replaces, beside its own kind; each of them has two values."""
+
+
+def verdict_entries(verdict: Verdict, command: Sequence[str] = ()) -> Document:
+    """The part of the document about the verdict.
+
+    **Arguments:** `command`: the arguments of `riecjax` that made the result, which the commands
+    of what to do next are made of; none without.
+    """
+    return {
+        "sentence": verdict.sentence,
+        "parameters": {
+            name: {
+                "level": one.level,
+                "reason": one.reason,
+                "doubt": [finite(end) for end in one.doubt],
+                "share": finite(one.share),
+            }
+            for name, one in verdict.parameters.items()
+        },
+        "causes": [_cause(cause) for cause in verdict.causes],
+        "next": list(_next(verdict.causes, command)),
+    }
+
+
+def _cause(cause: Cause) -> Document:
+    return {
+        "kind": cause.kind,
+        "phrase": cause.phrase,
+        "parameters": list(cause.parameters),
+        "share": finite(cause.share),
+        "codes": list(dict.fromkeys(finding.code for finding in cause.findings)),
+    }
+
+
+def _next(causes: Sequence[Cause], command: Sequence[str]) -> Iterator[Document]:
+    """What to do, with a command that does it; what has one comes first."""
+    steps = list(dict.fromkeys(cause.step for cause in causes if cause.step is not None))
+    steps.sort(key=lambda step: not step.options)
+    for step in steps[:MOST_STEPS]:
+        run = shlex.join(["riecjax", *_with(command, step.options)])
+        yield {
+            "words": step.words,
+            "options": list(step.options),
+            "command": run if command and step.options else None,
+        }
+
+
+def _with(command: Sequence[str], options: Sequence[str]) -> list[str]:
+    """A command with further options, and without those that they replace."""
+    kept, given = [], list(command)
+    replaced = {EXCLUSIVE[option] for option in options if option in EXCLUSIVE}
+    while given:
+        word = given.pop(0)
+        if word in replaced:
+            del given[:2]
+        elif word != "--json":
+            kept.append(word)
+    return [*kept, *options]
+
+
+def print_verdict(document: Document, console: Console) -> None:
+    """Sentence, table, reasons and what to do next."""
+    entries = document["verdict"]
+    console.print(Text(entries["sentence"], style="bold"))
+    console.print()
+    console.print(_table(document))
+    for line in reasons_in_words(entries):
+        console.print(line, highlight=False, markup=False)
+    for step in entries["next"]:
+        console.print()
+        console.print(f"{step['words']}{':' if step['command'] else '.'}", highlight=False)
+        if step["command"]:
+            # Not wrapped: a command is to be pasted.
+            console.print(f"  {step['command']}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _table(document: Document) -> Table:
+    """The answer with its doubt and level; standard errors are in the full table."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for column in ("parameter", "value", "95 % interval", "doubt", "unit", "verdict"):
+        right = column in ("value", "95 % interval", "doubt")
+        table.add_column(column, justify="right" if right else "left", no_wrap=True)
+    for name, entry in document["parameters"].items():
+        judged = document["verdict"]["parameters"][name]
+        table.add_row(
+            Text(name),
+            number(entry["value"]),
+            " .. ".join(number(end) for end in entry["interval95"]),
+            percent(judged["share"]),
+            Text(entry["unit"]),
+            Text(judged["level"], style=STYLES[judged["level"]]),
+        )
+    for name, entry in document["known"].items():
+        table.add_row(Text(name), number(entry["value"]), "known", "", Text(entry["unit"]), "")
+    return table
+
+
+def percent(share: float | None) -> str:
+    """A doubt as a share of its value."""
+    if share is None:
+        return "?"
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{share:.2g} x"
+
+
+def reasons_in_words(entries: Document) -> Iterator[str]:
+    """Why what is not good is not, parameters with the same reason together."""
+    by_reason: dict[str, list[str]] = {}
+    for name, judged in entries["parameters"].items():
+        if judged["level"] != "good":
+            by_reason.setdefault(judged["reason"], []).append(name)
+    for reason, names in by_reason.items():
+        yield f"{', '.join(names)}: {reason}"
