@@ -29,6 +29,7 @@ import numpy as np
 
 from riecjax.estimation.stages import StageSolution
 from riecjax.findings import Finding
+from riecjax.validation.residuals import NOTABLE_SHARED
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
@@ -39,6 +40,10 @@ ALONG = 0.75
 """Share of what an equation leaves that is taken to lie along one regressor."""
 UNBLAMED = 0.1
 """The same where no test says whose doing it is: the model's, or that of forces nobody recorded."""
+STEADIER = 6.0
+"""Times its drift and scatter by which what is left may move a value at most. What lies along a
+regressor weighs differently at every window length, so a value that no length moves is not far
+off; 6 holds of nearly all simulated systems (`python -m benchmarks.verdicts`)."""
 FINEST = 1e-3
 """Share of a value below which nothing is claimed."""
 OF_THE_MODEL = ("unmodelled_mode", "residual_follows_signal", "large_residual")
@@ -103,9 +108,11 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
     for i, name in enumerate(answer.parameters):
         finest = FINEST * abs(float(answer[name]))
         scatter = float((below * errors)[i]), float((above * errors)[i])
-        found[name] = Doubt(
-            *scatter, drift.get(name, 0.0), left.get(name, 0.0), amiss.get(name, 0.0), finest
-        )
+        drifted = drift.get(name, 0.0)
+        moved = left.get(name, 0.0)
+        if assessment.sweep is not None:
+            moved = min(moved, STEADIER * (drifted + max(scatter)))
+        found[name] = Doubt(*scatter, drifted, moved, amiss.get(name, 0.0), finest)
     return found
 
 
@@ -127,19 +134,15 @@ def concerned(assessment: "Assessment", finding: Finding) -> set[str]:
 
 
 def _amiss(assessment: "Assessment") -> dict[str, float]:
-    """By what is amiss with the recordings, the worst of it."""
-    found: dict[str, float] = {}
+    """By what is amiss with the recordings: of each kind of fault all of it, of kinds the worst."""
+    found: dict[str, dict[str, float]] = {}
     for finding in assessment.findings():
         if finding.doubt > 0:
             for name in concerned(assessment, finding):
+                own = found.setdefault(name, {})
                 share = finding.doubt * abs(float(assessment.answer[name]))
-                found[name] = max(found.get(name, 0.0), share)
-    return found
-
-
-def _white(assessment: "Assessment") -> bool:
-    refinement = assessment.refinement
-    return refinement is None or refinement.whiteness is None or refinement.whiteness.white
+                own[finding.code] = own.get(finding.code, 0.0) + share
+    return {name: max(own.values()) for name, own in found.items()}
 
 
 def drifts(assessment: "Assessment") -> dict[str, float]:
@@ -162,19 +165,37 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
         for stage in assessment.checked.excitations
         for name, share in zip(stage.parameters, stage.own_share)
     }
-    blamed = _blamed(assessment)
+    blamed, constant = _blamed(assessment), _constant_shares(assessment)
     found: dict[str, float] = {}
     for stage, names in zip(estimate.stages, estimate.equation_names):
         target = float(stage.residual_rms / stage.relative_rms) * float(stage.count) ** 0.5
         for name, size in zip(stage.parameters, stage.relative_size):
             reach = float(size) * own.get(name, 1.0)
             if reach > 0:
-                found[name] = _along(stage, names, blamed, target) / reach
+                found[name] = _along(stage, names, blamed, target, constant) / reach
     return found
 
 
+def _constant_shares(assessment: "Assessment") -> dict[str, float]:
+    """By equation, the share of its windows' errors, as energy, that all of them have in common.
+
+    A constant error is orthogonal to motion about a mean, and biases nothing.
+    """
+    residuals = assessment.residuals
+    tests = () if residuals is None else residuals.equations
+    return {
+        one.name: min(one.windows.correlation, 1.0)
+        for one in tests
+        if one.windows is not None and one.windows.correlation > NOTABLE_SHARED
+    }
+
+
 def _along(
-    stage: StageSolution, names: Sequence[str], blamed: Collection[str], target: float
+    stage: StageSolution,
+    names: Sequence[str],
+    blamed: Collection[str],
+    target: float,
+    constant: Mapping[str, float],
 ) -> float:
     """Share of a stage's target that what its equations leave may put along one regressor.
 
@@ -185,6 +206,7 @@ def _along(
     for fit, name in zip(stage.equations, names):
         rms = float(fit.residual_rms) * float(fit.count) ** 0.5
         rms *= float(fit.model_rms) / max(float(fit.relative_rms), 1e-300)
+        rms *= (1 - constant.get(name, 0.0)) ** 0.5
         share = min(rms / max(target, 1e-300), 0.99)
         largest = max(largest, (ALONG if name in blamed else UNBLAMED) * share / (1 - share))
     return largest
