@@ -145,6 +145,11 @@ def _amiss(assessment: "Assessment") -> dict[str, float]:
     return {name: max(own.values()) for name, own in found.items()}
 
 
+def _white(assessment: "Assessment") -> bool:
+    refinement = assessment.refinement
+    return refinement is None or refinement.whiteness is None or refinement.whiteness.white
+
+
 def drifts(assessment: "Assessment") -> dict[str, float]:
     """How far estimates in windows of other lengths lie from the answer, beyond chance."""
     sweep, answer = assessment.sweep, assessment.answer
