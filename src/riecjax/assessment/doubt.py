@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 
 LEVEL = 0.98
 """Level of the interval that a doubt starts from: one relies on it, so it is to hold more often."""
-ALONG = 0.75
+ALONG = 1.0
 """Share of what an equation leaves that is taken to lie along one regressor."""
 UNBLAMED = 0.1
 """The same where no test says whose doing it is: the model's, or that of forces nobody recorded."""
-STEADIER = 6.0
+STEADIER = 10.0
 """Times its drift and scatter by which what is left may move a value at most. What lies along a
 regressor weighs differently at every window length, so a value that no length moves is not far
-off; 6 holds of nearly all simulated systems (`python -m benchmarks.verdicts`)."""
+off; 10 holds of nearly all simulated systems (`python -m benchmarks.verdicts`)."""
 FINEST = 1e-3
 """Share of a value below which nothing is claimed."""
 OF_THE_MODEL = ("unmodelled_mode", "residual_follows_signal", "large_residual")

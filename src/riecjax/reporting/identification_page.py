@@ -13,14 +13,13 @@ from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import require_folder, write_folder
 from riecjax.reporting.page import Page, Section, Table
 from riecjax.reporting.refinement import choice_in_words, search_in_words
+from riecjax.reporting.verdict import percent
 
 
 def identification_page(document: Document) -> Page:
     """What `riecjax identify` found, from its document; with the charts of
     [`identification_figures`][riecjax.reporting.identification_figures.identification_figures]."""
-    criterion = document["criterion"]
     files = ", ".join(dict.fromkeys(_name(r["file"]) for r in document["provenance"]["records"]))
-    settings = ", ".join(f"{key} {value}" for key, value in criterion.items() if key != "name")
     sections = [
         _parameters(document),
         _refinement(document["refinement"]),
@@ -35,8 +34,39 @@ def identification_page(document: Document) -> Page:
     ]
     return Page(
         f"{document['model']} from {files}",
-        f"Identified by {criterion['name'].upper()}{f' ({settings})' if settings else ''}.",
+        document["verdict"]["sentence"],
         [section for section in sections if section is not None],
+        _answer(document),
+        [(_title(cause), cause["codes"]) for cause in document["verdict"]["causes"]],
+    )
+
+
+def _title(cause: Document) -> str:
+    """What lies behind some warnings, and what it concerns."""
+    names = ", ".join(cause["parameters"])
+    return f"{_sentence(cause['phrase'])[:-1]}{f': {names}' if names else ''}"
+
+
+def _answer(document: Document) -> Section:
+    """The verdict: what can be trusted, how far, and what to do about the rest."""
+    verdict = document["verdict"]
+    rows = []
+    for name, entry in document["parameters"].items():
+        judged = verdict["parameters"][name]
+        rows.append(
+            (
+                *(name, number(entry["value"]), entry["unit"], percent(judged["share"])),
+                *(_interval(judged["doubt"]), judged["level"], judged["reason"]),
+            )
+        )
+    header = ("parameter", "value", "unit", "doubt", "from .. to", "verdict", "because of")
+    return Section(
+        "Verdict",
+        text=[
+            f"{step['words']}: {step['command']}" if step["command"] else f"{step['words']}."
+            for step in verdict["next"]
+        ],
+        tables=[Table(header, rows)],
     )
 
 
@@ -66,9 +96,12 @@ def _parameters(document: Document) -> Section:
         for row in rows:
             row.insert(place, number(beside[row[0]]["value"]) if row[0] in beside else "")
     said = [choice_in_words(refinement)] if refinement else []
+    criterion = document["criterion"]
+    settings = ", ".join(f"{key} {value}" for key, value in criterion.items() if key != "name")
+    by = f"identified by {criterion['name'].upper()}{f' ({settings})' if settings else ''}"
     return Section(
         "Parameters",
-        text=[_sentence(line) for line in (*said, *windows_in_words(document))],
+        text=[_sentence(line) for line in (by, *said, *windows_in_words(document))],
         tables=[Table(header, rows), _excitation(document["excitation"])],
         charts=("correlation",),
     )

@@ -48,12 +48,17 @@ class Section:
 class Page:
     """A report; `lead` stands under its title. Warnings and provenance come from the document.
 
+    **Fields:** `answer`: what stands before all else; `groups`: titles of warnings that belong
+    together, with their codes; without any, they are one list.
+
     Texts are plain: signs that mean something to HTML are escaped.
     """
 
     title: str
     lead: str
     sections: Sequence[Section]
+    answer: Section | None = None
+    groups: Sequence[tuple[str, Sequence[str]]] = ()
 
 
 def render(
@@ -95,7 +100,18 @@ def render(
     return environment.get_template("report.html.j2").render(
         page=page,
         parts=parts,
-        warnings=document.get("warnings", []),
+        groups=_grouped(document.get("warnings", []), page.groups),
         provenance=json.dumps(document.get("provenance", {}), indent=2, ensure_ascii=False),
         plotly=Markup(get_plotlyjs()) if any(figures for _, figures in parts) else None,
     )
+
+
+def _grouped(
+    warnings: Sequence[Mapping[str, Any]], groups: Sequence[tuple[str, Sequence[str]]]
+) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """Warnings under the titles that list their codes; those that none lists come last."""
+    listed = {code for _, codes in groups for code in codes}
+    found = [(title, [w for w in warnings if w["code"] in codes]) for title, codes in groups]
+    rest = [warning for warning in warnings if warning["code"] not in listed]
+    count = f"{len(rest)} warning{'s' if len(rest) != 1 else ''}"
+    return [group for group in (*found, (count, rest)) if group[1]]

@@ -1,0 +1,145 @@
+"""Verdicts on systems whose truth is known, and the rules that they are composed by."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hidden_body import BODY, STEP, TRUTH, motion
+
+import riecjax as rx
+from riecjax.assessment.doubt import Doubt, doubts
+from riecjax.reporting.identification import identification_document
+from riecjax.reporting.verdict import verdict_entries
+
+RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
+OF_BODY = {name: TRUTH[name] for name in ("m", "c", "k")}
+
+
+def assessed(signals: dict[str, np.ndarray], share: float = 0.0, **settings) -> rx.Assessment:
+    rng = np.random.default_rng(5)
+    noisy = {n: s + share * np.std(s) * rng.standard_normal(s.size) for n, s in signals.items()}
+    return rx.assess(BODY, rx.Record(noisy, STEP), RIEC, refine=None, **settings)
+
+
+@pytest.fixture(scope="module")
+def wrong() -> rx.Assessment:
+    """A body that carries a mode which its model leaves out."""
+    return assessed(motion(True))
+
+
+@pytest.fixture(scope="module")
+def right() -> rx.Assessment:
+    return assessed(motion(False), 0.02)
+
+
+def test_a_right_model_is_trusted_within_its_doubt(right):
+    verdict = right.verdict
+    assert [one.level for one in verdict.parameters.values()] == ["good"] * 3
+    for name, value in OF_BODY.items():
+        low, high = verdict.parameters[name].doubt
+        assert low < value < high
+    assert verdict.sentence.startswith("Trust ")
+    assert verdict.causes == []
+
+
+def test_noise_of_the_sensors_is_not_held_against_the_model():
+    clean = motion(False)
+    known = {name: 0.05 * float(np.std(signal)) for name, signal in clean.items()}
+    (bare,) = assessed(clean, sweep=False, noise="none").estimate.equations.values()
+    (fit,) = assessed(clean, 0.05, sweep=False, noise=known).estimate.equations.values()
+    # Energies of noise, and of what integrals over samples leave, add up.
+    both = np.hypot(float(fit.noise_rms), float(bare.relative_rms))
+    assert both == pytest.approx(float(fit.relative_rms), rel=0.05)
+    assert float(fit.model_rms) < 0.5 * float(fit.relative_rms)
+
+
+def test_a_mode_left_out_is_named_with_what_to_do_about_it(wrong):
+    verdict = wrong.verdict
+    mass = verdict.parameters["m"]
+    # Slow motion carries both masses, 26 kg, and the interval leaves them out.
+    assert mass.level != "good"
+    assert wrong.answer.interval("m")[1] < 26.0 < mass.doubt[1]
+    assert verdict.causes[0].kind == "model"
+    steps = [cause.step for cause in verdict.causes if cause.step is not None]
+    assert steps[0].options == ("--add-mode", "v")
+    assert "with caution" in verdict.sentence
+    assert "mode near" in verdict.sentence
+
+
+def test_findings_with_one_cause_are_one_cause(wrong):
+    kinds = [cause.kind for cause in wrong.verdict.causes]
+    assert len(kinds) == len(set(kinds))
+    grouped = [finding for cause in wrong.verdict.causes for finding in cause.findings]
+    assert sorted(grouped) == sorted(wrong.findings())
+    assert sum(finding.code == "window_sensitive" for finding in grouped) <= 1
+
+
+def test_sensors_that_contradict_each_other_put_all_that_reads_them_in_doubt():
+    signals = motion(False)
+    position = rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
+        rx.Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
+        rx.Term("k", "x", unit="N/m"),
+        -rx.Term(1.0, "F"),
+    )
+    record = rx.Record(signals | {"v": 1.2 * signals["v"]}, STEP)
+    verdict = rx.assess(position, record, RIEC, refine=None).verdict
+    for name, value in OF_BODY.items():
+        one = verdict.parameters[name]
+        assert one.level == "caution"
+        assert one.doubt[0] < value < one.doubt[1]
+        assert one.reason == "x and v do not fit each other"
+    (step,) = {cause.step for cause in verdict.causes if cause.kind == "sensors"}
+    assert step.options == ("--test-function", "bump")
+
+
+def test_a_doubt_is_the_interval_and_what_is_known_to_be_wrong():
+    doubt = Doubt(low=1.0, high=2.0, drift=0.5, left_out=0.25, sensors=0.125, finest=0.01)
+    assert doubt.around(10.0) == pytest.approx((10 - 1.885, 10 + 2.885))
+    assert doubt.size == pytest.approx(2.885)
+
+
+def test_what_is_left_moves_a_parameter_as_an_error_along_its_regressor_would(wrong):
+    # By definition: an error of the residual's size along the part of a regressor that no other
+    # explains; computed from the samples' own columns, weighed alike.
+    record = wrong.recordings[0].record
+    estimate = wrong.estimate
+    (fit,) = estimate.equations.values()
+    bare = dataclasses.replace(wrong, sweep=None)  # no cap by drift
+    found = doubts(bare)["m"].left_out
+    share = float(fit.model_rms)
+    (stage,) = estimate.stages
+    own = float(wrong.checked.excitations[0].own_share[0])
+    target = np.std(np.asarray(record["F"]))
+    assert found == pytest.approx(share / (1 - share) / (float(stage.relative_size[0]) * own))
+    # An error of this size in m would need a force of the size of the residual.
+    acceleration = np.gradient(np.asarray(record["v"]), STEP)
+    assert found * np.std(acceleration) > share * target
+
+
+def test_the_document_holds_the_verdict_and_commands_to_go_on(wrong):
+    command = ("identify", "a b.csv", "--model", "body.py", "--json", "--band", "1", "10")
+    document = identification_document(wrong, command)
+    entry = document["verdict"]["parameters"]["m"]
+    assert entry["level"] == wrong.verdict.parameters["m"].level
+    assert entry["doubt"][0] < document["parameters"]["m"]["value"] < entry["doubt"][1]
+    assert document["verdict"]["next"][0]["command"] == (
+        "riecjax identify 'a b.csv' --model body.py --band 1 10 --add-mode v"
+    )
+    assert document["provenance"]["command"].startswith("riecjax identify 'a b.csv'")
+    assert all(step["command"] is None for step in verdict_entries(wrong.verdict)["next"])
+
+
+def test_new_window_lengths_replace_a_band(wrong):
+    verdict = wrong.verdict
+    step = verdict.causes[0].step._replace(options=("--alpha", "0.1", "--beta", "0.5"))
+    verdict = verdict._replace(causes=[verdict.causes[0]._replace(step=step)])
+    (entry,) = verdict_entries(verdict, ("identify", "a.csv", "--band", "1", "10"))["next"]
+    assert entry["command"] == "riecjax identify a.csv --alpha 0.1 --beta 0.5"
+
+
+def test_a_single_known_parameter_leaves_nothing_to_judge():
+    signals = motion(False)
+    verdict = assessed(signals, known={"m": 20.0, "c": 60.0}).verdict
+    assert list(verdict.parameters) == ["k"]
+    assert verdict.sentence.startswith("Trust k to ")
