@@ -173,7 +173,10 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
     blamed, constant = _blamed(assessment), _constant_shares(assessment)
     found: dict[str, float] = {}
     for stage, names in zip(estimate.stages, estimate.equation_names):
-        target = float(stage.residual_rms / stage.relative_rms) * float(stage.count) ** 0.5
+        left = float(stage.relative_rms)
+        if not left > 0:
+            continue
+        target = float(stage.residual_rms) / left * float(stage.count) ** 0.5
         for name, size in zip(stage.parameters, stage.relative_size):
             reach = float(size) * own.get(name, 1.0)
             if reach > 0:

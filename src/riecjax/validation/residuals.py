@@ -70,6 +70,7 @@ class EquationResidual(NamedTuple):
       short for four of the longest.
     - `bodies`: signals on which the equation could hide a mode: those that it accelerates; and
       those of `carrying` that carry one in the model.
+    - `parameters` of the equation.
     """
 
     name: str
@@ -85,10 +86,12 @@ class EquationResidual(NamedTuple):
     windows: WindowErrors | None
     bodies: tuple[str, ...] = ()
     carrying: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
 
     def findings(self) -> list[Finding]:
         """`unmodelled_mode`, `residual_follows_signal`, `uneven_errors`."""
-        return [*self._mode(), *self._following(), *self._uneven()]
+        found = [*self._mode(), *self._following(), *self._uneven()]
+        return [finding._replace(parameters=self.parameters) for finding in found]
 
     def _mode(self) -> Iterator[Finding]:
         peak = self.peak
@@ -254,7 +257,7 @@ def residual_tests(
     return ResidualTests(
         tuple(
             _residual(name, of_equation, recordings, windows, lags)._replace(
-                bodies=accelerated(equation), carrying=own
+                bodies=accelerated(equation), carrying=own, parameters=equation.parameters
             )
             for name, of_equation, equation, own in zip(
                 names, errors, equations, carrying, strict=True
