@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hidden_body import BODY, STEP, TRUTH, motion
 
 import riecjax as rx
+from hidden_body import BODY, STEP, TRUTH, motion
 from riecjax.assessment.doubt import Doubt, doubts
 from riecjax.reporting.identification import identification_document
 from riecjax.reporting.verdict import verdict_entries

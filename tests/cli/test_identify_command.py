@@ -1,6 +1,7 @@
 import json
 import math
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -313,6 +314,7 @@ def check_schema(document: dict) -> None:
         "rank",
         "residual",
         "modes",
+        "verdict",
         "excitation",
         "noise",
         "correlation",
@@ -390,10 +392,33 @@ def test_table_on_a_terminal(capsys, drive_file):
     options = ("--set", "M_s=300", "--low-pass", "x2=80", "--every", "2")
     result = call(capsys, "identify", drive_file, "--model", "quarter-car", *PLAIN, *options)
     assert result.status == 0
-    for word in (*PARAMETERS, *set(UNITS), "known", "condition number", "95 %", "RIEC", "0.05"):
+    for word in (*PARAMETERS, *set(UNITS), "known", "95 %", "RIEC", "0.05", "--verbose"):
         assert word in result.out
-    assert "low-pass: x2 at 80 Hz" in result.out
-    assert max(map(len, result.out.splitlines())) <= 80
+    lines = result.out.splitlines()
+    assert len(lines) <= 35
+    # What is to be pasted is not broken.
+    assert max(len(line) for line in lines if not line.startswith("  riecjax")) <= 80
+    assert result.err == ""
+
+
+def test_the_first_lines_answer_and_commands_can_be_pasted(capsys, drive_file):
+    result = call(capsys, "identify", drive_file, "--model", "quarter-car", *PLAIN)
+    answer = " ".join(result.out.splitlines()[:5])
+    assert "M_us" in answer
+    assert any(word in answer for word in ("with caution", "do not use"))
+    (command,) = [x for x in result.out.splitlines() if x.startswith("  riecjax identify")][:1]
+    again = call(capsys, *shlex.split(command)[1:])
+    assert again.status == 0
+    assert "M_mode" in again.out
+
+
+def test_verbose_tells_everything(capsys, drive_file):
+    options = ("--set", "M_s=300", "--low-pass", "x2=80", "--every", "2", "--verbose")
+    result = call(capsys, "identify", drive_file, "--model", "quarter-car", *PLAIN, *options)
+    assert result.status == 0
+    for word in ("condition number", "std error", "low-pass: x2 at 80 Hz", "intervals:"):
+        assert word in result.out
+    assert "warning [" in result.err
 
 
 def test_several_records(capsys, drive_file, tmp_path):

@@ -71,7 +71,8 @@ def test_output_error_and_what_it_did_to_predictions(recording, capsys, tmp_path
 
 
 def test_integral_refinement_prints_both_values(recording, capsys):
-    printed = call(capsys, "identify", str(recording), *IDENTIFY, "--refine", "integral").out
+    options = ("--refine", "integral", "--verbose")
+    printed = call(capsys, "identify", str(recording), *IDENTIFY, *options).out
     assert "identified" in printed
     assert "refined by impulses of the equation error: converged" in printed
     assert "run.csv (fitted), fit before -> after" in printed
@@ -90,16 +91,16 @@ def test_windows_shorter_than_the_recording(recording, capsys):
 
 
 def test_by_default_the_answer_is_refined_where_white_noise_is_left(recording, capsys):
-    """The linear estimate comes at once; what replaces it says so before its table."""
     printed = call(capsys, "identify", str(recording), *IDENTIFY)
     assert printed.status == 0
-    words = " ".join(printed.out.split())
-    first, said, second = (
-        words.index(part)
-        for part in ("parameter value", "the refined values are the answer", "parameter identified")
+    assert "refined by simulation, which leaves white noise" in " ".join(printed.out.split())
+    told = " ".join(call(capsys, "identify", str(recording), *IDENTIFY, "--verbose").out.split())
+    answer, both, said = (
+        told.index(part)
+        for part in ("parameter value", "parameter identified", "the refined values are the answer")
     )
-    assert first < said < second
-    assert "does not prove the model right" in words
+    assert answer < both < said
+    assert "does not prove the model right" in told
     document = call(capsys, "identify", str(recording), *IDENTIFY, "--json").document
     refinement = document["refinement"]
     assert refinement["chosen"] is True
@@ -130,9 +131,8 @@ def test_of_another_model_the_identified_values_stay_with_one_table(recording, c
         "--hold-out",
         "0.3",
     )
-    printed = call(capsys, *arguments).out
-    words = " ".join(printed.split())
-    assert printed.count("parameter ") == 1
+    assert call(capsys, *arguments).out.count("parameter ") == 1
+    words = " ".join(call(capsys, *arguments, "--verbose").out.split())
     assert "that is not the answer: what it leaves of" in words
     assert "are the physical parameters" in words
     assert "worst fit on run.csv, last part" in words

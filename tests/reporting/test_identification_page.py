@@ -40,6 +40,25 @@ DOCUMENT: dict[str, Any] = {
     },
     "window_choice": None,
     "modes": [],
+    "verdict": {
+        "sentence": "Trust m to 3 %.",
+        "parameters": {
+            "m": {"level": "good", "reason": "scatter", "doubt": [1.95, None], "share": 0.03}
+        },
+        "causes": [
+            {
+                "kind": "model",
+                "phrase": "the model leaves out a mode near 12 Hz",
+                "parameters": ["m"],
+                "share": 0.02,
+                "codes": ["unmodelled_mode", "window_sensitive"],
+            }
+        ],
+        "next": [
+            {"words": "Find the mode", "options": [], "command": "riecjax identify a.csv"},
+            {"words": "Record for longer", "options": [], "command": None},
+        ],
+    },
     "seed_scatter": None,
     "refinement": None,
     "validation": [{"on": "a.csv, last part", "verdict": "It ran.", **RUN}],
@@ -84,13 +103,27 @@ def page() -> Page:
 
 def test_parameters_stand_with_unit_error_and_interval(page):
     assert page.title == "cart from a.csv"
-    assert page.lead == "Identified by RIEC (alpha 0.1, beta 1.0)."
+    assert "Identified by RIEC (alpha 0.1, beta 1.0)." in section(page, "Parameters").text
     table, excitation = section(page, "Parameters").tables
     assert [list(row) for row in table.rows] == [
         ["m", "2", "0.01", "1.98 to none", "kg"],
         ["c", "3", "", "known", "N s/m"],
     ]
     assert [list(row) for row in excitation.rows] == [["m", "motion", "50", "none"]]
+
+
+def test_the_page_begins_with_the_verdict_and_what_to_do(page):
+    assert page.lead == "Trust m to 3 %."
+    assert page.answer is not None
+    (table,) = page.answer.tables
+    assert list(table.rows[0]) == ["m", "2", "kg", "3 %", "1.95 to none", "good", "scatter"]
+    assert page.answer.text == ["Find the mode: riecjax identify a.csv", "Record for longer."]
+
+
+def test_warnings_stand_under_what_lies_behind_them(page):
+    ((title, codes),) = page.groups
+    assert title == "The model leaves out a mode near 12 Hz: m"
+    assert list(codes) == ["unmodelled_mode", "window_sensitive"]
 
 
 def test_fit_validation_and_recordings(page):

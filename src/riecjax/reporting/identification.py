@@ -137,15 +137,15 @@ def print_identification(document: Document, console: Console) -> None:
 
 def _answer_in_words(document: Document) -> str:
     """Where the values come from, and how much there is to say beside them."""
-    refinement, said = document["refinement"], len(document["warnings"])
-    chosen = refinement is not None and refinement["chosen"]
-    criterion = document["criterion"]
-    windows = (
-        f" in windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s"
-        if "alpha" in criterion
-        else ""
-    )
-    how = "refined by simulation" if chosen else f"{criterion['name'].upper()}{windows}"
+    refinement, criterion = document["refinement"], document["criterion"]
+    how = criterion["name"].upper()
+    if "alpha" in criterion:
+        how += f" in windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s"
+    if refinement is not None and refinement["chosen"]:
+        left = refinement["whiteness"]
+        white = left is not None and left["white"]
+        how = f"refined by simulation{', which leaves white noise' if white else ''}"
+    said = len(document["warnings"])
     more = f" {said} finding{'s' if said != 1 else ''} and" if said else ""
     return f"Values: {how}. Add --verbose for{more} how they were found."
 

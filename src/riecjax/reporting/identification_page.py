@@ -101,7 +101,7 @@ def _parameters(document: Document) -> Section:
     by = f"identified by {criterion['name'].upper()}{f' ({settings})' if settings else ''}"
     return Section(
         "Parameters",
-        text=[_sentence(line) for line in (by, *said, *windows_in_words(document))],
+        text=[_sentence(line) for line in (*said, by, *windows_in_words(document))],
         tables=[Table(header, rows), _excitation(document["excitation"])],
         charts=("correlation",),
     )
