@@ -144,7 +144,8 @@ def _listed(some: Sequence[ParameterVerdict]) -> str:
     words = [_with_share(one) for one in some[:NAMED]]
     more = len(some) - NAMED
     if more > 0:
-        words.append(f"{more} more to {_percent(some[-1].share)}")
+        worst = max((one.share for one in some if one.share < 1), default=1.0)
+        words.append(f"{more} more{f' to {percent(worst)}' if worst < 1 else ''}")
     return _joined(words)
 
 
@@ -159,13 +160,16 @@ def _joined(words: Sequence[str]) -> str:
 
 
 def _with_share(one: ParameterVerdict) -> str:
-    return f"{one.name} to {_percent(one.share)}"
+    if one.share >= 1:
+        return f"{one.name} (not told from zero)"
+    return f"{one.name} to {percent(one.share)}"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     """Two digits, rounded up: a doubt is not made smaller by printing it."""
-    if not share < 9.995:
-        return "no more than its size" if share == share and share < 1e3 else "nothing"
-    percent = 100 * share
-    digits = max(0, 1 - math.floor(math.log10(percent))) if percent > 0 else 0
-    return f"{math.ceil(percent * 10**digits - 1e-9) / 10**digits:.{digits}f} %"
+    if not share < 1:
+        return "over 100 %"
+    size = 100 * share
+    digits = max(0, 1 - math.floor(math.log10(size))) if size > 0 else 0
+    # A hundredth of the last digit is not worth another.
+    return f"{math.ceil(size * 10**digits - 0.01) / 10**digits:.{digits}f} %"

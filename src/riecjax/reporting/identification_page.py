@@ -13,7 +13,7 @@ from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import require_folder, write_folder
 from riecjax.reporting.page import Page, Section, Table
 from riecjax.reporting.refinement import choice_in_words, search_in_words
-from riecjax.reporting.verdict import percent
+from riecjax.reporting.verdict import doubt_in_words
 
 
 def identification_page(document: Document) -> Page:
@@ -55,7 +55,7 @@ def _answer(document: Document) -> Section:
         judged = verdict["parameters"][name]
         rows.append(
             (
-                *(name, number(entry["value"]), entry["unit"], percent(judged["share"])),
+                *(name, number(entry["value"]), entry["unit"], doubt_in_words(judged["share"])),
                 *(_interval(judged["doubt"]), judged["level"], judged["reason"]),
             )
         )

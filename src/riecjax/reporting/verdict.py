@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from riecjax.assessment.causes import Cause
-from riecjax.assessment.verdict import Verdict
+from riecjax.assessment.verdict import Verdict, percent
 from riecjax.reporting.document import Document, finite, number
 
 MOST_STEPS = 3
@@ -104,7 +104,7 @@ def _table(document: Document) -> Table:
             Text(name),
             number(entry["value"]),
             " .. ".join(number(end) for end in entry["interval95"]),
-            percent(judged["share"]),
+            doubt_in_words(judged["share"]),
             Text(entry["unit"]),
             Text(judged["level"], style=STYLES[judged["level"]]),
         )
@@ -113,11 +113,9 @@ def _table(document: Document) -> Table:
     return table
 
 
-def percent(share: float | None) -> str:
+def doubt_in_words(share: float | None) -> str:
     """A doubt as a share of its value."""
-    if share is None:
-        return "?"
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{share:.2g} x"
+    return "?" if share is None else percent(share)
 
 
 def reasons_in_words(entries: Document) -> Iterator[str]:
