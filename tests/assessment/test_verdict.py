@@ -134,8 +134,11 @@ def test_new_window_lengths_replace_a_band(wrong):
     verdict = wrong.verdict
     step = verdict.causes[0].step._replace(options=("--alpha", "0.1", "--beta", "0.5"))
     verdict = verdict._replace(causes=[verdict.causes[0]._replace(step=step)])
-    (entry,) = verdict_entries(verdict, ("identify", "a.csv", "--band", "1", "10"))["next"]
-    assert entry["command"] == "riecjax identify a.csv --alpha 0.1 --beta 0.5"
+    for out in (("--out", "result"), ("--out=result",)):
+        command = ("identify", "--band", "1", "10", *out, "a.csv")
+        (entry,) = verdict_entries(verdict, command)["next"]
+        # Nor is the result overwritten.
+        assert entry["command"] == "riecjax identify a.csv --alpha 0.1 --beta 0.5"
 
 
 def test_a_single_known_parameter_leaves_nothing_to_judge():

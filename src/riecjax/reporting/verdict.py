@@ -14,8 +14,11 @@ from riecjax.reporting.document import Document, finite, number
 MOST_STEPS = 3
 """Things to do next that are told."""
 STYLES = {"good": "green", "caution": "yellow", "do not use": "bold red"}
-EXCLUSIVE = {"--alpha": "--band", "--beta": "--band"}
-"""Options that a new one replaces, beside its own kind; each of them has two values."""
+REPLACED = {"--alpha": "--band", "--beta": "--band"}
+"""Options that a new one replaces, beside its own kind."""
+VALUES = {"--band": 2, "--out": 1, "--json": 0}
+"""How many words follow an option that a suggested command leaves out: a folder that holds a
+result is not written over."""
 
 
 def verdict_entries(verdict: Verdict, command: Sequence[str] = ()) -> Document:
@@ -66,13 +69,14 @@ def _next(causes: Sequence[Cause], command: Sequence[str]) -> Iterator[Document]
 def _with(command: Sequence[str], options: Sequence[str]) -> list[str]:
     """A command with further options, and without those that they replace."""
     kept, given = [], list(command)
-    replaced = {EXCLUSIVE[option] for option in options if option in EXCLUSIVE}
+    left_out = {"--json", "--out", *(REPLACED[one] for one in options if one in REPLACED)}
     while given:
         word = given.pop(0)
-        if word in replaced:
-            del given[:2]
-        elif word != "--json":
+        option, _, value = word.partition("=")
+        if option not in left_out:
             kept.append(word)
+        elif not value:
+            del given[: VALUES[option]]
     return [*kept, *options]
 
 
