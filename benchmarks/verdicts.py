@@ -17,7 +17,6 @@ import argparse
 import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,6 +36,7 @@ TARGETS = {
     "sound, called good": (0.70, 1.0),
     "doubts that hold": (0.92, 0.99),
 }
+PROCESSES = 2
 PAIRS_IN_A_PROCESS = 3
 """Every recording length and model is compiled anew: a process has room for so many."""
 
@@ -142,10 +142,12 @@ def main() -> None:
         for k in range(len(KINDS))
         for f in range(len(FAULTS))
     ]
-    with ProcessPoolExecutor(
-        mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=PAIRS_IN_A_PROCESS
-    ) as pool:
-        answers = [answer for found in pool.map(judged_pair, pairs) for answer in found]
+    spawning = multiprocessing.get_context("spawn")
+    with spawning.Pool(PROCESSES, maxtasksperchild=PAIRS_IN_A_PROCESS) as pool:
+        answers = []
+        for done, found in enumerate(pool.imap(judged_pair, pairs)):
+            answers += found
+            print(f"{done + 1} of {len(pairs)} pairs", end="\r", flush=True)
     every = [one for answer in answers if answer is not None for one in answer]
     found = figures(every)
     result: dict[str, Any] = {
