@@ -197,3 +197,16 @@ def test_rows_of_third_derivatives():
     constant = criterion.rows(equation, record, key)
     column = third.columns[1 + third.parameters.index("a''")]
     np.testing.assert_allclose(column, constant.columns[0], rtol=2e-4)
+
+
+def test_a_frequency_that_the_sampling_cannot_show_is_refused(with_mode):
+    model = rx.staged(BODY).with_modes(rx.HiddenMode("v", 500.0))
+    with pytest.raises(rx.ModelError, match="no mode near 500 Hz can be seen at 200 samples"):
+        rx.identify(model, with_mode)
+
+
+def test_a_body_that_never_moves_tells_of_no_mode():
+    still = motion(True) | {"v": np.zeros(6000)}
+    with pytest.raises(rx.IdentifiabilityError, match="never moves") as raised:
+        rx.identify(MODEL, rx.Record(still, STEP))
+    assert raised.value.code == "not_excited"

@@ -1,32 +1,48 @@
 """`riecjax models`: the built-in models."""
 
 import json
+from collections.abc import Mapping
 
 import click
 from rich.console import Console
 from rich.table import Table
 
 from riecjax.cli.options import json_option
-from riecjax.models.catalogue import MODELS
+from riecjax.models.catalogue import MODELS, find_model
 from riecjax.models.model import Model, Quantity
 
 
 @click.command("models")
+@click.argument("name", required=False)
 @json_option
-def command(as_json: bool) -> None:
-    """List the built-in models, their parameters with units, and the signals they need."""
+def command(name: str | None, as_json: bool) -> None:
+    """List the built-in models, their parameters with units, and the signals they need.
+
+    With a NAME, or path/to/file.py[:object], show that model and its equations.
+    """
     if as_json:
         from riecjax.reporting.document import SCHEMA
 
-        click.echo(json.dumps({"schema": SCHEMA, "models": models_document()}, indent=2))
+        shown = MODELS if name is None else {name: find_model(name)}
+        click.echo(json.dumps({"schema": SCHEMA, "models": models_document(shown)}, indent=2))
         return
     console = Console()
-    for model in MODELS.values():
+    for model in MODELS.values() if name is None else (find_model(name),):
         console.print(f"[bold]{model.name}[/bold]  {model.summary}", highlight=False)
         console.print(_table(model))
+    if name is not None:
+        _print_equations(find_model(name), console)
 
 
-def models_document() -> dict[str, object]:
+def _print_equations(model: Model, console: Console) -> None:
+    from riecjax.reporting.equations import procedure_in_words
+
+    console.print("  equations", style="dim")
+    for line in procedure_in_words(model.build_procedure()):
+        console.print(f"  {line}", highlight=False, markup=False)
+
+
+def models_document(models: Mapping[str, Model]) -> dict[str, object]:
     return {
         model.name: {
             "summary": model.summary,
@@ -37,7 +53,7 @@ def models_document() -> dict[str, object]:
             ],
             "inputs": [_entry(q) for q in model.inputs],
         }
-        for model in MODELS.values()
+        for model in models.values()
     }
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from riecjax.equations.hidden_modes import Expanded, HiddenParameters, ModeParameters
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.series_springs import SpringParameters
-from riecjax.errors import ModelError
+from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.hidden_modes import ModeStage, Values, search
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace
 from riecjax.linear_algebra import solve_scaled
@@ -53,7 +53,8 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundMo
     taken.
 
     **Raises:** `ModelError` where of a mode something is known, and not all, or of a spring its
-    stiffness alone.
+    stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
+    signal that tells of an element never moves.
     """
     _require_whole_elements(procedure, given)
     known = {name: jnp.asarray(value) for name, value in given.items()}
@@ -66,6 +67,8 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundMo
         if stage.sought:
             where = tuple(search_band(procedure, summary, names) for names in stage.sought)
             used, at, band = _in_best_windows(expanded, summary, i, known, where)
+            if looked_at:
+                _require_motion(procedure.equation_names[i], equations[i], at)
         # What no later equation with an element asks for is left to the fit.
         later = [e for stage in procedure.expanded[i:] for e in stage if e.elements]
         if set(stage.linear) & {name for e in later for name in e.all_parameters}:
@@ -185,12 +188,35 @@ def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " 
     return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
 
 
+def _require_motion(
+    names: tuple[str, ...], equations: list[NormalEquations], at: Float[Array, " shapes"]
+) -> None:
+    """That a search which found nothing at all is said to lack what it searches in.
+
+    Sums that are not finite themselves are for the fit to refuse.
+    """
+    finite = all(bool(jnp.all(jnp.isfinite(one.moments))) for one in equations)
+    if finite and not bool(jnp.all(jnp.isfinite(at))):
+        raise IdentifiabilityError(
+            f"{', '.join(names)}: nothing in the record tells of the hidden element, as a signal "
+            f"that it acts on never moves. Check that signal's channel, or excite it.",
+            "not_excited",
+        )
+
+
 def search_band(
     procedure: Procedure, summary: Summary, names: HiddenParameters
 ) -> tuple[Leaf, Leaf]:
     """Hertz between which to look for a mode, or for the corner of a spring's lag."""
     hz = procedure.mode_named(names).hz if isinstance(names, ModeParameters) else None
     if hz is not None:
+        steps = [one.time_step for one in summary.recordings]
+        rate = 1 / max(map(float, steps)) if is_concrete(steps) else np.inf
+        if not hz < rate / 2:
+            raise ModelError(
+                f"no mode near {hz:g} Hz can be seen at {rate:g} samples a second: give one below "
+                f"{rate / 2:g} Hz, or none."
+            )
         return np.asarray(hz / 1.5), np.asarray(hz * 1.5)
     windows = summary.criterion.windows
     assert windows is not None
