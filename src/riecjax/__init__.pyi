@@ -61,6 +61,8 @@ from .refinement.integral_error import IntegralError as IntegralError
 from .refinement.output_error import OutputError as OutputError
 from .refinement.refine import refine as refine
 from .refinement.refined import Refined as Refined
+from .reporting.comparison import compare as compare
+from .reporting.result_files import load as load
 from .runtime import start_jax as start_jax
 from .simulation.equation_system import equation_system as equation_system
 from .simulation.method import Adaptive as Adaptive
@@ -68,7 +70,6 @@ from .simulation.method import FixedStep as FixedStep
 from .simulation.simulate import simulate as simulate
 from .summaries.summarise import summarise as summarise
 from .summaries.summary import Summary as Summary
-from .summaries.summary import load as load
 from .uncertainty.intervals import BlockBootstrap as BlockBootstrap
 from .uncertainty.intervals import Naive as Naive
 from .uncertainty.intervals import Sandwich as Sandwich

@@ -90,6 +90,7 @@ def test_sensors_that_contradict_each_other_put_all_that_reads_them_in_doubt():
         assert one.doubt[0] < value < one.doubt[1]
         assert one.reason == "x and v do not fit each other"
     (step,) = {cause.step for cause in verdict.causes if cause.kind == "sensors"}
+    assert step is not None
     assert step.options == ("--test-function", "bump")
 
 

@@ -58,7 +58,9 @@ def test_every_notebook_is_in_the_navigation():
         assert f"notebooks/{path.name}" in navigation
 
 
-@pytest.mark.parametrize("page", ["index.md", "writing_a_model.md", "sensor_noise.md"])
+@pytest.mark.parametrize(
+    "page", ["index.md", "writing_a_model.md", "sensor_noise.md", "results.md"]
+)
 def test_code_of_a_page_runs(page, capsys):
     text = (DOCS / page).read_text(encoding="utf-8")
     exec(compile("\n".join(CODE.findall(text)), page, "exec"), {})

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from jaxtyping import Array, Key
@@ -16,6 +17,7 @@ from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
 from riecjax.refinement.refined import Refined
+from riecjax.shows import Drawn, opened
 from riecjax.studies.choice import WindowChoice
 from riecjax.studies.drift import WindowSweep
 from riecjax.studies.monte_carlo import SeedScatter
@@ -95,7 +97,7 @@ class Refinement(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Assessment:
+class Assessment(Drawn):
     """An estimate, and how far to trust it; made by [`assess`][].
 
     **Fields:**
@@ -165,13 +167,11 @@ class Assessment:
         ]
         return [*before, *after]
 
-    def __str__(self) -> str:
-        said = str(self.answer).splitlines()
-        lines = [line for line in said if not line.startswith("warning [")]
-        if self.refinement is not None and self.refinement.declined:
-            lines.append(f"not refined: {self.refinement.declined}")
-        lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in self.validations]
-        lines += [f"warning [{finding.code}] {finding.message}" for finding in self.findings()]
-        return "\n".join(lines)
+    def show(self) -> Path:
+        """Write the report to a temporary folder and open it in the browser.
 
-    __repr__ = __str__
+        **Returns:** the path of report.html.
+
+        **Raises:** `DataError` if a package for reports is missing.
+        """
+        return opened(self)

@@ -19,12 +19,13 @@ from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.records.signals import Signals
+from riecjax.shows import Shown
 
 PROBE = 64
 """Samples that an expression is tried on."""
 
 
-class Equation(eqx.Module):
+class Equation(Shown, eqx.Module):
     """Terms that sum to zero, up to the equation error.
 
     Each is a coefficient times a time derivative of an expression of the signals. With the known

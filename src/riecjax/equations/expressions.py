@@ -86,6 +86,10 @@ def constant(signals: Signals) -> Array:
 class _Product:
     names: tuple[str, ...]
 
+    @property
+    def __name__(self) -> str:
+        return " ".join(self.names)
+
     def __call__(self, signals: Signals) -> Array:
         return functools.reduce(operator.mul, (signals[name] for name in self.names))
 
@@ -95,6 +99,10 @@ class _Difference:
     first: str
     second: str
 
+    @property
+    def __name__(self) -> str:
+        return f"{self.first} - {self.second}"
+
     def __call__(self, signals: Signals) -> Array:
         return signals[self.first] - signals[self.second]
 
@@ -103,6 +111,10 @@ class _Difference:
 class _FasterThan:
     name: str
     threshold: float
+
+    @property
+    def __name__(self) -> str:
+        return f"|{self.name}| > {self.threshold:g}"
 
     def __call__(self, signals: Signals) -> Array:
         return jnp.abs(signals[self.name]) > self.threshold

@@ -17,9 +17,10 @@ from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
+from riecjax.shows import Shown
 
 
-class Procedure(eqx.Module):
+class Procedure(Shown, eqx.Module):
     """Stages of equations; see [`staged`][] and [`simultaneous`][].
 
     `modes` are hidden in every equation that accelerates their bodies, see

@@ -1,7 +1,7 @@
 """Before a fit: whether these records can answer the question that a model asks."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Array, Float, Key
@@ -23,6 +23,7 @@ from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.quality import check_signals
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
+from riecjax.shows import Shown
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import Survey
@@ -38,7 +39,9 @@ FATAL = ("constant_target", "not_excited", "unidentifiable")
 """Codes of findings that leave no answer, rather than a doubtful one."""
 
 
-class Check(NamedTuple):
+# It prints as a table, which no named tuple can take from a base class.
+@dataclass(frozen=True, eq=False, repr=False)
+class Check(Shown):
     """What stands against identifying a model from records.
 
     **Fields:** `findings`; `excitations`, one for each stage; `signals`, what is read.

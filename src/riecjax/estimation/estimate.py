@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.series_springs import is_stiffness_name
-from riecjax.estimation.estimated_parameters import AbstractEstimate, span
+from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
@@ -296,22 +296,6 @@ class Estimate(AbstractEstimate):
         """The combination of parameters that the data tells least about, in words."""
         worst = max(self.single().stages, key=lambda stage: float(stage.solution.condition_number))
         return combination(worst.parameters, np.asarray(worst.solution.weakest_direction))
-
-    def __str__(self) -> str:
-        lines = [*self.parameter_lines()]
-        lines.append(
-            f"intervals: {self.uncertainty.label}, {span(self.block_count, 'd')} blocks of "
-            f"{span(self.block_length)} s"
-        )
-        lines.append(f"condition number {span(self.condition_number)}")
-        for label, names, stage in zip(self.stage_names, self.equation_names, self.stages):
-            apart = zip(names, stage.equations) if len(names) > 1 else ()
-            lines.extend(
-                f"{name}: relative residual {span(100 * np.asarray(fit.relative_rms))} %"
-                for name, fit in ((label, stage), *apart)
-            )
-        lines.extend(f"warning [{f.code}] {f.message}" for f in self.findings())
-        return "\n".join(lines)
 
 
 def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> str:

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError
 from riecjax.findings import Finding
-from riecjax.leaves import namespace, on_host
+from riecjax.leaves import is_concrete, namespace, on_host
+from riecjax.shows import Saved
 from riecjax.uncertainty.intervals import Uncertainty
 
 LOST_SHARE = 0.05
@@ -29,7 +30,7 @@ NEVER_NEGATIVE = {
 """What it means that a parameter in this unit (without its blanks and signs) is below zero."""
 
 
-class AbstractEstimate(eqx.Module):
+class AbstractEstimate(Saved, eqx.Module):
     """Estimated and known parameters, read one by one as from a mapping: `estimate["M_s"]`.
 
     Of `jax.vmap` it is a batch: every array has the batch's axes first, whatever is read by name
@@ -58,7 +59,9 @@ class AbstractEstimate(eqx.Module):
 
     def __getitem__(self, name: str) -> Float[Array, "*batch"]:
         if name not in self.known:
-            return self.theta[..., self._index(name)]
+            return self._of(self.theta, name)
+        if not self.batch_shape:
+            return _single(self.known[name])
         value, shape = self.known[name], self.batch_shape
         # What is known may be one value for all of a batch.
         return value if value.shape == shape else namespace(value).broadcast_to(value, shape)
@@ -120,7 +123,7 @@ class AbstractEstimate(eqx.Module):
 
     def standard_error(self, name: str) -> Float[Array, "*batch"]:
         """Standard error of one estimated parameter."""
-        return self.standard_errors[..., self._index(name)]
+        return self._of(self.standard_errors, name)
 
     def interval(self, name: str, level: float = 0.95) -> tuple[Any, Any]:
         """Ends of the confidence interval (not under jit); see [`Uncertainty.reach`][].
@@ -261,49 +264,9 @@ class AbstractEstimate(eqx.Module):
         ]
         return tuple(n for n, _ in some), ", ".join(f"{n} ({x:.2g}{unit})" for n, x in some)
 
-    def parameter_lines(self) -> Iterator[str]:
-        """A table with value, interval and unit of each parameter (not under jit)."""
-        host = on_host(self)
-        yield from host._batch_lines() if self.batch_shape else host._lines()
-
-    def _lines(self) -> Iterator[str]:
-        width = max(9, *(len(name) for name in self))
-        units = dict(self.units)
-        yield f"{'parameter':<{width}}  {'value':>12}  95 % interval"
-        ends = dict(zip(self.parameters, zip(*self.intervals())))
-        for name in self:
-            reach = "known" if name in self.known else "[{:.6g}, {:.6g}]".format(*ends[name])
-            line = f"{name:<{width}}  {float(self[name]):>12.6g}  {reach} {units.get(name, '')}"
-            yield line.rstrip()
-
-    def _batch_lines(self) -> Iterator[str]:
-        """Of each parameter, how it is distributed over the batch.
-
-        Scatter over members is not uncertainty of one of them, so both are told.
-        """
-        width = max(9, *(len(name) for name in self))
-        units = dict(self.units)
-        finite = np.isfinite(self.theta).all(axis=-1)
-        valid = finite & np.asarray(self.determined)
-        lost = {"not finite": np.sum(~finite), "undetermined": np.sum(finite & ~valid)}
-        words = ", ".join(f"{count} of them {what}" for what, count in lost.items() if count)
-        left_out = f", {words} and left out of this table" if words and valid.any() else ""
-        valid = valid if valid.any() else np.full(finite.shape, True)
-        yield f"batch of {' x '.join(map(str, self.batch_shape))} estimates{left_out}"
-        yield (
-            f"{'parameter':<{width}}  {'mean':>12}  {'std over batch':>14}  "
-            f"{'mean std error':>14}  min .. max"
-        )
-        for name in self:
-            values, error = self[name][valid], "known"
-            if name not in self.known:
-                error = f"{np.mean(self.standard_error(name)[valid]):.3g}"
-            scatter = np.std(values - values[0], ddof=min(1, values.size - 1))
-            line = (
-                f"{name:<{width}}  {np.mean(values):>12.6g}  {scatter:>14.3g}  {error:>14}  "
-                f"{span(values, '.6g')} {units.get(name, '')}"
-            )
-            yield line.rstrip()
+    def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
+        index = self._index(name)
+        return values[..., index] if self.batch_shape else _single(values, index)
 
     def _index(self, name: str) -> int:
         try:
@@ -312,6 +275,11 @@ class AbstractEstimate(eqx.Module):
             raise ModelError(
                 f"no estimated parameter '{name}'; there are: {', '.join(self.parameters)}."
             ) from None
+
+
+def _single(values: Any, *index: int) -> Any:
+    """One of the numbers, as a NumPy scalar unless it is traced: that formats as a float does."""
+    return np.asarray(values)[index] if is_concrete(values) else values[index]
 
 
 def span(values: ArrayLike, form: str = ".3g") -> str:

@@ -18,9 +18,10 @@ from riecjax.records.missing import gaps, hold
 from riecjax.records.noise import Noise
 from riecjax.records.signals import Signals
 from riecjax.records.time_base import time_base
+from riecjax.shows import Drawn, framed
 
 
-class Record(eqx.Module):
+class Record(Drawn, eqx.Module):
     """Uniformly sampled, named signals of one recording.
 
     A record is a pytree: its arrays trace, vmap and differentiate. Build one from user data with
@@ -172,6 +173,14 @@ class Record(eqx.Module):
             return self.skipped + (self.stamps - self.stamps[0])
         xp = namespace(self.skipped, self.time_step)
         return xp.add(self.skipped, xp.multiply(self.time_step, xp.arange(self.sample_count)))
+
+    def to_frame(self) -> Any:
+        """A pandas data frame of the signals, NaN where one lacks its sample; time in s is its
+        index.
+
+        **Raises:** `DataError` if pandas is not installed.
+        """
+        return framed(self)
 
     def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
         """True where none of these signals lacks its sample; `None` where none ever does."""

@@ -19,11 +19,12 @@ from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
 from riecjax.records.reading.selection import Selection, record_from_channels
 from riecjax.records.reading.units import NOT_SI, split_unit
 from riecjax.records.record import Record, Records, as_records
+from riecjax.shows import Drawn
 
 
 # Its arrays have no one truth value to compare by, and would fill the screen.
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording:
+class Recording(Drawn):
     """A record, where it came from, what was done to it, and what is amiss with it.
 
     What identifies, refines or studies takes recordings as it takes records; steps of preparation,
@@ -73,20 +74,6 @@ class Recording:
     def explaining_errors(self) -> contextlib.AbstractContextManager[None]:
         """Name the file in errors about its record, and say why a signal is missing."""
         return _explaining(self.source, self.renamed, self.left_out)
-
-    def __str__(self) -> str:
-        record = self.record
-        units = dict(record.units)
-        signals = ", ".join(f"{n} [{units[n]}]" if units.get(n) else n for n in record.arrays)
-        lines = [
-            f"{self.name}: {record.sample_count} samples at {1 / float(record.time_step):.6g} Hz, "
-            f"{float(record.duration):.4g} s, of {signals}",
-            *(f"prepared: {step}" for step in self.steps),
-            *(f"warning [{finding.code}] {finding.message}" for finding in self.findings),
-        ]
-        return "\n".join(lines)
-
-    __repr__ = __str__
 
 
 def as_recordings(records: Records) -> list[Recording]:

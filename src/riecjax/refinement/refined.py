@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.estimation.estimated_parameters import AbstractEstimate, span
+from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf
 from riecjax.refinement.optimum import RefinementStatus
@@ -161,12 +161,3 @@ class Refined(AbstractEstimate):
                 f"{silent[0]}=VALUE), or compare another signal.",
                 parameters=tuple(silent),
             )
-
-    def __str__(self) -> str:
-        lines = [*self.parameter_lines(), f"{self.reason} after {span(self.steps, 'd')} steps"]
-        lines.append(f"left before -> after ({self.basis}):")
-        for i, (name, unit) in enumerate(zip(self.quantities, self.quantity_units)):
-            left = [span(np.asarray(rms)[..., i], ".4g") for rms in (self.rms_before, self.rms)]
-            lines.append(f"{name}: {' -> '.join(left)} {unit} r.m.s.".replace("  ", " "))
-        lines.extend(f"warning [{f.code}] {f.message}" for f in self.findings())
-        return "\n".join(lines)

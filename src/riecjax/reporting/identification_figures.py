@@ -9,7 +9,7 @@ from riecjax.assessment.assessment import Assessment, ValidationRun
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.linearised import linearised
 from riecjax.estimation.parameters import values_of_record
-from riecjax.records.record import Record
+from riecjax.records.record import samples_with_nan
 from riecjax.reporting.charts.chart import (
     BLUE,
     GREY,
@@ -30,6 +30,7 @@ from riecjax.reporting.hidden_modes import mode_map_figure
 from riecjax.reporting.residual_figures import residual_figures, window_choice_figures
 from riecjax.studies.drift import WindowSweep
 from riecjax.summaries.sums import Survey
+from riecjax.validation.held_out import HeldOut
 
 MOST_POINTS = 2000
 MOST_COLUMNS = 3
@@ -57,13 +58,12 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
     return figures
 
 
-def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Chart:
-    """Each parameter over window length, with its interval, and the estimate of the fit."""
+def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
+    """Each parameter over window length, with its interval, and the estimate of a fit."""
     length = np.sqrt(np.asarray(sweep.alpha) * np.asarray(sweep.beta))
     units, errors = dict(sweep.units), np.asarray(sweep.standard_errors)
     panels: list[Panel | None] = []
     for j, name in enumerate(sweep.parameters):
-        low, high = estimate.interval(name)
         alone = Line(
             length,
             np.asarray(sweep.theta[:, j]),
@@ -73,11 +73,13 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate) -> Chart:
             markers=True,
             error=1.96 * errors[:, j],
         )
-        interval = Span(low, high, "y", "interval of the fit, 95 %")
-        value = Level(float(estimate[name]), dashes="dashed")
+        fit = []
+        if estimate is not None:
+            interval = Span(*estimate.interval(name), "y", "interval of the fit, 95 %")
+            fit = [interval, Level(float(estimate[name]), dashes="dashed")]
         panels.append(
             Panel(
-                [interval, value, alone],
+                [*fit, alone],
                 Axis("window length / s", log=True),
                 Axis(labelled(name, units.get(name))),
             )
@@ -122,17 +124,24 @@ def correlation_figure(estimate: Estimate) -> Chart:
 
 def validation_figure(run: ValidationRun) -> Chart:
     """Measured and simulated signals over time."""
-    names = list(run.held.signals)
-    units = dict(run.recording.record.units)
-    time = np.asarray(run.recording.record.elapsed)
+    return held_out_figure(run.held, f"{run.recording.name}: ")
+
+
+def held_out_figure(held: HeldOut, about: str = "") -> Chart:
+    """The same, its caption after a few words about the recording."""
+    assert held.measured is not None
+    measured, names = held.measured, list(held.signals)
+    units, time = dict(measured.units), np.asarray(measured.elapsed)
     rows = []
     for name in names:
-        measured = Line(time, _shown(run.recording.record, name), "measured", GREY, width=1.8)
-        simulated = Line(time, _shown(run.held.record, name), "simulated", RUST, width=0.9)
-        fit = float(run.held.signals[name].fit)
+        lines = [
+            Line(time, samples_with_nan(measured, name), "measured", GREY, width=1.8),
+            Line(time, samples_with_nan(held.record, name), "simulated", RUST, width=0.9),
+        ]
+        fit = float(held.signals[name].fit)
         last = name == names[-1]
         panel = Panel(
-            [measured, simulated],
+            lines,
             Axis("time / s" if last else ""),
             Axis(labelled(name, units.get(name))),
             title=name if np.isnan(fit) else f"{name}: fit {max(fit, -999.0):.1f} %",
@@ -140,18 +149,12 @@ def validation_figure(run: ValidationRun) -> Chart:
         rows.append([panel])
     return Chart(
         rows,
-        f"{run.recording.name}: measured, and simulated by the identified model from the inputs "
-        "alone. A fit of 100 % is perfect, at 0 % the measured mean would do as well.",
+        f"{about}measured, and simulated by the identified model from the inputs alone. A fit of "
+        "100 % is perfect, at 0 % the measured mean would do as well.",
         (8, 1.8 * len(names) + 0.8),
         share_x=True,
         legend=True,
     )
-
-
-def _shown(record: Record, name: str) -> np.ndarray:
-    """Samples of a signal, with NaN where it is missing, which leaves a gap in a line."""
-    samples = np.asarray(record[name])
-    return np.where(record.missing[name], np.nan, samples) if name in record.missing else samples
 
 
 class _Fit(NamedTuple):

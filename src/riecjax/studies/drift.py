@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from riecjax import tails
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
+from riecjax.shows import Drawn
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
 # time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
@@ -35,7 +36,7 @@ SMALL_NOISE = 0.1
 """Share of what is left below which its noise is not worth a word."""
 
 
-class WindowSweep(eqx.Module):
+class WindowSweep(Drawn, eqx.Module):
     """Estimates at several window lengths, from the same records.
 
     **Fields:**

@@ -5,12 +5,13 @@ array of bytes called `summary`, holds the rest and a checksum of everything. Th
 reading a file runs no code of it.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,21 @@ Document = dict[str, Any]
 
 def write_parts(path: str | os.PathLike[str], **parts: Any) -> None:
     """Write the fields of a Summary to a file; see [`Summary.save`][]."""
-    file = _path(path)
+    write_checked(path, DOCUMENT, *packed(parts))
+
+
+def read_parts(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The fields of the Summary in a file; see [`load`][]."""
+    document, arrays = read_checked(path, DOCUMENT, FORMAT, SCHEMA)
+    with naming(Path(path), DOCUMENT):
+        return unpacked(document, arrays)
+
+
+def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
+    """The fields of a Summary as a document and arrays.
+
+    **Raises:** `ModelError` for what is traced or of a batch.
+    """
     recordings = parts["recordings"]
     if not is_concrete(parts) or any(np.ndim(one.blocks) for one in recordings):
         raise ModelError(
@@ -55,26 +70,48 @@ def write_parts(path: str | os.PathLike[str], **parts: Any) -> None:
     arrays = {_name(place): np.asarray(leaf) for place, leaf in leaves}
     if parts["edges"] is not None:
         arrays[EDGES] = np.asarray(parts["edges"])
-    document = _document(parts)
-    document["checksum"] = _checksum(document, arrays)
-    text = json.dumps(document).encode()
-    arrays[DOCUMENT] = np.frombuffer(text, np.uint8)
+    return _document(parts), arrays
+
+
+def write_checked(
+    path: str | os.PathLike[str], name: str, document: Document, arrays: Arrays
+) -> None:
+    """Write a document under this name, with a checksum of all, and arrays to an NPZ file.
+
+    **Raises:** `DataError` if the file cannot be written; `ModelError` for more than 2 GiB.
+    """
+    file = _path(path)
+    text = json.dumps({**document, "checksum": _checksum(document, arrays)}).encode()
+    arrays = {**arrays, name: np.frombuffer(text, np.uint8)}
     if (size := sum(array.nbytes + HEADER for array in arrays.values())) > LARGEST:
         raise ModelError(
-            f"this Summary takes {size} bytes, and a file may hold {LARGEST}: save its recordings "
+            f"this {name} takes {size} bytes, and a file may hold {LARGEST}: save its recordings "
             f"apart, summary.select(0).save(...), or make it with fewer bins."
         )
     write_whole(file, lambda temporary: write_npz(temporary, arrays))
 
 
-def read_parts(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The fields of the Summary in a file; see [`load`][]."""
+def read_checked(
+    path: str | os.PathLike[str], name: str, kind: str, schema: int
+) -> tuple[Document, Arrays]:
+    """The document under this name, of this kind and schema, and the arrays beside it.
+
+    **Raises:** `DataError`, in one line, for a file that is not there, is damaged or of another
+    kind.
+    """
     file = _path(path)
     if not file.is_file():
         raise DataError(f"there is no file '{file}'.")
+    with naming(file, name):
+        return _contents(file, name, kind, schema)
+
+
+@contextlib.contextmanager
+def naming(file: Path, name: str) -> Iterator[None]:
+    """Any error about the contents of a file is a `DataError` of one line that names it."""
     try:
-        with foreign_reader("Summary"):
-            return _parts(*_contents(file))
+        with foreign_reader(name.capitalize()):
+            yield
     except DataError as error:
         raise DataError(" ".join(f"{file.name}: {error}".split())) from None
 
@@ -134,25 +171,23 @@ def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     return digest.hexdigest()
 
 
-def _contents(file: Path) -> tuple[Document, Arrays]:
+def _contents(file: Path, name: str, kind: str, schema: int) -> tuple[Document, Arrays]:
     """The document and all arrays, once sizes, schema and checksum are seen to be right."""
     with zipfile.ZipFile(file) as archive:
         members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
         if sum(member.file_size for member in archive.infolist()) > LARGEST:
             raise DataError(f"declares to unpack to more than {LARGEST} bytes, and is not read.")
 
-        def read(name: str) -> np.ndarray:
-            with archive.open(members[name]) as stream:
-                return read_array(stream, members[name].file_size)
+        def read(each: str) -> np.ndarray:
+            with archive.open(members[each]) as stream:
+                return read_array(stream, members[each].file_size)
 
-        if DOCUMENT not in members:
-            raise DataError("it is no Summary, of which summary.save(path) makes a file.")
-        document = json.loads(read(DOCUMENT).tobytes())
-        _require_schema(document)
-        arrays = {name: read(name) for name in members if name != DOCUMENT}
+        document: Any = json.loads(read(name).tobytes()) if name in members else None
+        _require_schema(document, name, kind, schema)
+        arrays = {each: read(each) for each in members if each != name}
     if document.pop("checksum") != _checksum(document, arrays):
         raise DataError("it is damaged: its checksum differs. Copy it again, or make it anew.")
-    return document, {name: _native(array) for name, array in arrays.items()}
+    return document, {each: _native(array) for each, array in arrays.items()}
 
 
 def _native(array: np.ndarray) -> np.ndarray:
@@ -160,17 +195,17 @@ def _native(array: np.ndarray) -> np.ndarray:
     return array.astype(array.dtype.newbyteorder("="), order="C")
 
 
-def _require_schema(document: Any) -> None:
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise DataError("it is no Summary, of which summary.save(path) makes a file.")
-    if document["schema"] != SCHEMA:
+def _require_schema(document: Any, name: str, kind: str, schema: int) -> None:
+    if not isinstance(document, dict) or document.get("format") != kind:
+        raise DataError(f"it is no {name.capitalize()}, of which {name}.save(path) makes a file.")
+    if document["schema"] != schema:
         raise DataError(
-            f"it was written with schema {document['schema']}, this version reads {SCHEMA}: make "
+            f"it was written with schema {document['schema']}, this version reads {schema}: make "
             f"it anew, or use riecjax {document['riecjax']}."
         )
 
 
-def _parts(document: Document, arrays: Arrays) -> dict[str, Any]:
+def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
     """The fields of the Summary with this document and these arrays."""
     edges = arrays.pop(EDGES) if document["bins"] else None
     empty = tuple(_skeleton(**one) for one in document["recordings"])

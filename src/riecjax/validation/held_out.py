@@ -16,6 +16,7 @@ from jaxtyping import Array
 
 from riecjax.errors import DataError, SimulationError
 from riecjax.records.record import Record
+from riecjax.shows import Drawn
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
 from riecjax.simulation.system import AbstractSystem, Quantities, state_sources
@@ -31,7 +32,7 @@ FREE_POINTS = 16
 """Measured points at which a state is tested for having no influence on the motion."""
 
 
-class HeldOut(eqx.Module):
+class HeldOut(Drawn, eqx.Module):
     """What became of a model on a recording.
 
     **Fields:**
@@ -48,6 +49,7 @@ class HeldOut(eqx.Module):
       `zero`, or of a hidden element that moves along with its body `carried`.
     - `drifting`: positions that are off while their velocity is predicted: free integrals.
     - `horizon`: seconds after which the simulation started anew; `None` if it did not.
+    - `measured`: the signals that were compared, as recorded.
     """
 
     signals: dict[str, SignalFit]
@@ -61,6 +63,7 @@ class HeldOut(eqx.Module):
     started_from: tuple[tuple[str, str], ...] = eqx.field(static=True)
     drifting: tuple[str, ...] = eqx.field(static=True)
     horizon: float | None = eqx.field(static=True, default=None)
+    measured: Record | None = None
 
     def describe(self) -> dict[str, Any]:
         """Everything but the record, as plain data for JSON; fits in percent, `None` if unknown."""
@@ -147,11 +150,7 @@ def validate_held_out(
             _Run(start, stop, simulation, min(int(simulation.samples_reached), stop - start))
         )
     record, simulated = _joined(driven, measured, runs)
-    fits = {}
-    for name in compared:
-        present = measured.present((name,))
-        both = jnp.asarray(simulated) if present is None else present & jnp.asarray(simulated)
-        fits[name] = signal_fit(record[name], measured[name], both)
+    fits = {name: _fit(record, measured, name, simulated) for name in compared}
     reason = _reason(runs)
     judged = tuple(signals or [name for name in compared if name in recorded] or compared)
     drifting = _drifting(system, measured, record, simulated, fits)
@@ -171,7 +170,14 @@ def validate_held_out(
         tuple(sources.items()),
         drifting,
         horizon,
+        measured.select(*compared),
     )
+
+
+def _fit(record: Record, measured: Record, name: str, simulated: np.ndarray) -> SignalFit:
+    present = measured.present((name,))
+    both = jnp.asarray(simulated) if present is None else present & jnp.asarray(simulated)
+    return signal_fit(record[name], measured[name], both)
 
 
 def _compared(

@@ -1,6 +1,7 @@
 """Charts in print: matplotlib, one style, readable without colour."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from riecjax.errors import DataError
 from riecjax.reporting.charts.chart import (
     PLAIN,
     Axis,
@@ -63,19 +65,48 @@ def printed(chart: Chart) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=chart.size)
         FigureCanvasAgg(figure)
-        heights = chart.heights or (1.0,) * len(chart.rows)
-        grid = figure.add_gridspec(len(chart.rows), chart.columns, height_ratios=heights)
-        above: dict[int, Any] = {}
-        left: dict[int, Any] = {}
-        for row, place, panel in chart.places:
-            axes = figure.add_subplot(
-                grid[row, place : place + panel.columns],
-                sharex=above.get(place) if chart.share_x else None,
-                sharey=left.get(row) if chart.share_y else None,
-            )
-            above[place] = left[row] = axes
-            _draw_panel(axes, panel, chart)
+        _fill(figure, chart)
     return figure
+
+
+def drawn(chart: Chart, ax: Any = None) -> Any:
+    """The chart in a new figure of pyplot's, or in the axes given, as many as it has panels.
+
+    **Returns:** the axes of one panel, the figure of several.
+
+    **Raises:** `DataError` for another number of axes.
+    """
+    if ax is None:
+        from matplotlib import pyplot
+
+        with matplotlib.rc_context(STYLE):
+            figure = pyplot.figure(figsize=chart.size)
+            _fill(figure, chart)
+        return figure if len(chart.panels) > 1 else figure.axes[0]
+    every = np.ravel(np.asarray(ax, dtype=object))
+    if len(every) != len(chart.panels):
+        raise DataError(
+            f"ax must be as many axes as there are panels, {len(chart.panels)}; got {len(every)}. "
+            f"Leave it out for a figure of its own."
+        )
+    for axes, panel in zip(every, chart.panels):
+        _draw_panel(axes, panel, replace(chart, legend=False))
+    return every[0].get_figure() if len(every) > 1 else every[0]
+
+
+def _fill(figure: Figure, chart: Chart) -> None:
+    heights = chart.heights or (1.0,) * len(chart.rows)
+    grid = figure.add_gridspec(len(chart.rows), chart.columns, height_ratios=heights)
+    above: dict[int, Any] = {}
+    left: dict[int, Any] = {}
+    for row, place, panel in chart.places:
+        axes = figure.add_subplot(
+            grid[row, place : place + panel.columns],
+            sharex=above.get(place) if chart.share_x else None,
+            sharey=left.get(row) if chart.share_y else None,
+        )
+        above[place] = left[row] = axes
+        _draw_panel(axes, panel, chart)
 
 
 def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:

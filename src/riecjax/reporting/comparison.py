@@ -1,0 +1,187 @@
+"""Results side by side: parameters, what is left, which model the data prefer, predictions."""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from riecjax.errors import ModelError
+from riecjax.reporting.charts.chart import Chart
+from riecjax.reporting.document import Document
+from riecjax.reporting.exports import document_of, needed, to_dict, to_frame
+from riecjax.reporting.page import Table
+from riecjax.reporting.plots import relative_figure
+from riecjax.reporting.tables import View, in_latex, in_markdown, with_error
+from riecjax.shows import Drawn
+
+SAME = 1e-6
+"""Share by which targets of the same data may differ by rounding."""
+
+
+# Rows of overlapping windows are not independent: n of them tell as much as m, the effective
+# windows, do. The composite likelihood of n rows with residual variance s^2 is n / 2 log s^2, its
+# criterion (Varin and Vidoni, 2005) n log s^2 + 2 tr(J H^-1), with sandwich over naive variance in
+# the trace: n / m for each parameter. Times m / n that is m log s^2 + 2 p, Akaike's criterion of m
+# independent rows. Of several equations the logarithms add up. All are compared with one m.
+class Comparison(Drawn):
+    """Results side by side; made by [`compare`][].
+
+    **Fields:** `names` of the results; `documents`, what each says in plain data;
+    `information`: of each, Akaike's criterion above the least, of so many independent rows as
+    windows are effective, or `None` where `why_not` says why they do not compare.
+    """
+
+    def __init__(self, documents: Mapping[str, Document]):
+        self.documents = dict(documents)
+        self.names = tuple(documents)
+        self.why_not = _why_not_comparable([*documents.values()])
+        self.information = None if self.why_not else _information([*documents.values()])
+
+    def __iter__(self) -> Iterator[str]:
+        every = (e for d in self.documents.values() for e in (*d["parameters"], *d["known"]))
+        return iter(dict.fromkeys(every))
+
+    def to_frame(self) -> Any:
+        """A pandas data frame indexed by parameter and result; columns as of an estimate's.
+
+        **Raises:** `DataError` if pandas is not installed.
+        """
+        pandas = needed("pandas", "frames", "a data frame")
+        return pandas.concat(
+            {name: to_frame(_Held(of)) for name, of in self.documents.items()}, names=["result"]
+        ).swaplevel()
+
+    def to_markdown(self) -> str:
+        """A table of Markdown: a column for each result."""
+        return in_markdown(self._table())
+
+    def to_latex(self) -> str:
+        """A `tabular` of LaTeX: a column for each result."""
+        return in_latex(self._table())
+
+    def view(self) -> View:
+        """What is printed of it."""
+        if self.why_not:
+            said = f"no information criterion: {self.why_not}"
+        else:
+            said = "ΔAIC: above the least, of as many rows as windows are effective; 0 is best"
+        return View("", [self._table()], [said])
+
+    def chart(self) -> Chart:
+        """Intervals relative to the first result's values."""
+        return relative_figure(self.documents)
+
+    def _table(self) -> Table:
+        every = [to_dict(_Held(document)) for document in self.documents.values()]
+        rows = []
+        for name in self:
+            held = [of.get(name) for of in every]
+            unit = next(one["unit"] for one in held if one is not None)
+            rows.append([name, *map(_cell, held), unit])
+        for equation in _all(_residuals(d) for d in self.documents.values()):
+            shares = [_residuals(d).get(equation, {}) for d in self.documents.values()]
+            left = [_number(s.get("relative_rms"), 100, ".3g") for s in shares]
+            rows.append([f"left of {equation}", *left, "%"])
+        if self.information is not None:
+            rows.append(["ΔAIC", *(f"{value:.1f}" for value in self.information), ""])
+        fits = [_fits(document) for document in self.documents.values()]
+        for on in _all(fits):
+            rows.append([f"fit of {on}", *(_number(of.get(on), 1, ".1f") for of in fits), "%"])
+        return Table(("parameter", *self.names, "unit"), rows)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Held:
+    """Something with a document, and so with everything that is made of one."""
+
+    document: Document
+
+
+def compare(results: Sequence[Any], names: Sequence[str] | None = None) -> Comparison:
+    """Results side by side: parameters, residuals, an information criterion, predictions.
+
+    **Arguments:** `results`: of [`identify`][], [`refine`][], [`assess`][] or [`load`][], in any
+    mixture; `names` of them, by default their models' or numbers.
+
+    **Raises:** `ModelError` for a batch or what is no result, and for names that are not one each.
+    """
+    if isinstance(results, str) or not isinstance(results, Sequence) or not results:
+        raise ModelError("give results as a list: rx.compare([first, second]).")
+    if any(getattr(one, "batch_shape", ()) for one in results):
+        raise ModelError("a batch does not compare: take one estimate out of it by member(0).")
+    documents = [document_of(one) for one in results]
+    called = [document.get("model") or "result" for document in documents]
+    if len(set(called)) < len(called):
+        called = [f"{name} {i + 1}" for i, name in enumerate(called)]
+    chosen = called if names is None else list(names)
+    if len(set(chosen)) != len(documents):
+        raise ModelError(f"names must be {len(documents)} different ones; got {len(chosen)}.")
+    return Comparison(dict(zip(chosen, documents)))
+
+
+def _cell(entry: Mapping[str, Any] | None) -> str:
+    if entry is None:
+        return ""
+    said = with_error(entry["value"], entry["std_error"])
+    return f"{said} known" if entry["known"] else said
+
+
+def _number(value: float | None, scale: float, form: str) -> str:
+    return "" if value is None else f"{scale * value:{form}}"
+
+
+def _all(dictionaries: Any) -> list[str]:
+    return list(dict.fromkeys(key for one in dictionaries for key in one))
+
+
+def _residuals(document: Document) -> Mapping[str, Any]:
+    """What each equation leaves, of values that are the linear estimate's."""
+    if (document.get("refinement") or {}).get("chosen"):
+        return {}
+    return document.get("residual", {}).get("equations", {})
+
+
+def _fits(document: Document) -> dict[str, float | None]:
+    """Fit of each signal on each recording that was held out."""
+    return {
+        f"{name}, {run['on']}": one["fit_percent"]
+        for run in document.get("validation", [])
+        for name, one in run["signals"].items()
+    }
+
+
+def _why_not_comparable(documents: Sequence[Document]) -> str:
+    """Why residuals are not of the same rows of the same target; empty where they are."""
+    residuals = [_residuals(document) for document in documents]
+    if not all(residuals):
+        return "refined values leave nothing in windows to count; compare held-out fits instead."
+    if any(document["criterion"] != documents[0]["criterion"] for document in documents):
+        return "the criteria differ, and so do their rows."
+    if any(set(one) != set(residuals[0]) for one in residuals):
+        return "the equations differ."
+    for name, first in residuals[0].items():
+        for one in (of[name] for of in residuals):
+            if None in (one["relative_rms"], one["rms"]) or not one["rms"] > 0:
+                return f"{name} leaves nothing, or no number."
+            targets = [of["rms"] / of["relative_rms"] for of in (first, one)]
+            if first["rows"] != one["rows"] or not np.isclose(*targets, rtol=SAME, atol=0):
+                return f"they rest on other data, or another known part of {name}."
+    return ""
+
+
+def _information(documents: Sequence[Document]) -> list[float]:
+    """Akaike's criterion of each, above the least."""
+    effective = []
+    for document in documents:
+        entries = document["parameters"].values()
+        shares = [1 / e["effective_windows"] for e in entries if e["effective_windows"]]
+        effective.append(len(shares) / sum(shares) if shares else math.inf)
+    windows = min(effective)
+    found = [
+        windows * sum(math.log(of["rms"] ** 2) for of in _residuals(document).values())
+        + 2 * len(document["parameters"])
+        for document in documents
+    ]
+    return [value - min(found) for value in found]

@@ -1,0 +1,103 @@
+"""Equations of motion in words: `m x'' + c x' + k x = u`."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from riecjax.equations.bases import Polynomial, RoofFunctions
+from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, constant
+from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.leaves import Leaf, is_concrete
+
+Signed = tuple[bool, str]
+"""Whether a summand is subtracted, and the summand."""
+
+
+def equation_in_words(equation: Equation) -> str:
+    """Terms with a named coefficient on the left, the others on the right.
+
+    A coefficient whose value is known stands as that number; the first term is not subtracted.
+    """
+    left = [part for term in equation.terms if term.parameters for part in _parts(term)]
+    right = [part for term in equation.terms if not term.parameters for part in _parts(term)]
+    turned = left[0][0]
+    left = [(minus != turned, words) for minus, words in left]
+    right = [(minus == turned, words) for minus, words in right]
+    return f"{_sum(left)} = {_sum(right) if right else '0'}"
+
+
+def procedure_in_words(procedure: Procedure) -> list[str]:
+    """A line for each equation, with the stage that solves it, and one for each hidden element."""
+    lines = []
+    for i, (stage, names) in enumerate(zip(procedure.stages, procedure.equation_names)):
+        number = f"{i + 1}. " if len(procedure.stages) > 1 else ""
+        lines += [f"{number}{name}: {equation_in_words(one)}" for name, one in zip(names, stage)]
+    for mode in procedure.modes:
+        near = "" if mode.hz is None else f", near {mode.hz:g} Hz"
+        lines.append(f"with a hidden mode on {mode.on}{near}")
+    lines += [f"with a spring in series with {spring.of}" for spring in procedure.springs]
+    return lines
+
+
+def parameters_in_words(names: Iterable[str], units: dict[str, str]) -> str:
+    """Names, each with its unit in brackets."""
+    return ", ".join(f"{name} [{units[name]}]" if units.get(name) else name for name in names)
+
+
+def expression_in_words(of: Expression) -> str:
+    """A signal's name, what a function of signals is called, or `f(signals)` of a nameless one."""
+    if isinstance(of, str):
+        return of
+    name = getattr(of, "__name__", type(of).__name__)
+    return "f(signals)" if name == "<lambda>" else name
+
+
+def _sum(parts: list[Signed]) -> str:
+    words = " ".join(f"{'-' if minus else '+'} {words}" for minus, words in parts)
+    return f"-{words[2:]}" if words.startswith("- ") else words.removeprefix("+ ")
+
+
+def _parts(term: AbstractTerm) -> list[Signed]:
+    """The summands of a term."""
+    if isinstance(term, Term):
+        return [_of_term(term)]
+    if isinstance(term, Terms):
+        return _of_basis(term)
+    of = f"{type(term).__name__}({expression_in_words(term.of)})"
+    return [(False, " ".join((*term.parameters[:1], of)))]
+
+
+def _of_term(term: Term) -> Signed:
+    number, name = term.number, term.name
+    if term.known is not None and is_concrete(number, term.known):
+        number, name = np.asarray(number) * np.asarray(term.known), None
+    minus, size = _number(number)
+    of = "" if term.of is constant else expression_in_words(term.of)
+    if not isinstance(term.of, str) and of and (" - " in of or term.derivative):
+        of = f"({of})"
+    factors = ("" if size == "1" else size, name or "", of + "'" * term.derivative)
+    return minus, " ".join(filter(None, factors)) or size
+
+
+def _of_basis(term: Terms) -> list[Signed]:
+    minus, size = _number(term.sign)
+    of = expression_in_words(term.of)
+    front = "" if size == "1" else f"{size} "
+    if isinstance(term.basis, Polynomial):
+        base = of if of.isidentifier() else f"({of})"
+        powers = {0: "", 1: f" {base}"}
+        shown = [powers.get(p, f" {base}^{p}") for p in term.basis.exponents]
+        return [(minus, f"{front}{name}{of}") for name, of in zip(term.parameters, shown)]
+    roof = isinstance(term.basis, RoofFunctions)
+    name = "R" if roof else type(term.basis).__name__.lower()
+    return [(minus, f"{front}{term.prefix} {name}({of})")]
+
+
+def _number(number: Leaf) -> Signed:
+    """Sign and size of a coefficient; one that is traced, or of a batch, has neither."""
+    if not is_concrete(number) or np.ndim(number):
+        return False, "(…)"
+    value = float(number)
+    return value < 0, f"{abs(value):.6g}"

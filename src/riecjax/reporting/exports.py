@@ -1,0 +1,190 @@
+"""What objects hold as plain documents, and these as dictionaries, frames and tables of a paper."""
+
+import functools
+import importlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from riecjax.assessment.assessment import Assessment
+from riecjax.errors import DataError, ModelError
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.leaves import on_host
+from riecjax.records.record import Record, samples_with_nan
+from riecjax.reporting.document import Document, finite
+from riecjax.reporting.estimate import estimate_entries, parameter_entries
+from riecjax.reporting.identification import identification_document
+from riecjax.reporting.page import Table
+from riecjax.reporting.tables import in_latex, in_markdown, with_error
+
+COLUMNS = ("value", "std_error", "low95", "high95")
+"""Numbers of each parameter in a frame."""
+
+
+def needed(package: str, extra: str, purpose: str) -> Any:
+    """An optional package.
+
+    **Raises:** `DataError` with the remedy if it is not installed.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        raise DataError(
+            f"{purpose} needs {package.partition('.')[0]}; install it by pip install "
+            f"'riecjax[{extra}]'."
+        ) from None
+
+
+@functools.singledispatch
+def document_of(source: Any) -> Document:
+    """`parameters` and `known` of what holds some, as in the document of an identification.
+
+    **Raises:** `ModelError` for anything else.
+    """
+    document = getattr(source, "document", None)
+    if document is None:
+        kind = type(source).__name__
+        raise ModelError(
+            f"there are no parameters in a {kind}: give what rx.identify, rx.estimate, rx.refine, "
+            f"rx.assess or rx.load return."
+        )
+    return document
+
+
+@document_of.register
+def _(source: AbstractEstimate) -> Document:
+    units = dict(source.units)
+    known = {
+        name: {"value": finite(source[name]), "unit": units.get(name, "")} for name in source.known
+    }
+    return {"parameters": parameter_entries(source), "known": known}
+
+
+@document_of.register
+def _(source: Estimate) -> Document:
+    return estimate_entries("", source)
+
+
+@document_of.register
+def _(source: Assessment) -> Document:
+    return identification_document(source)
+
+
+def to_dict(source: Any) -> dict[str, dict[str, Any]]:
+    """Of each parameter its numbers, see [`Tabled.to_dict`][riecjax.shows.Tabled.to_dict]."""
+    return _plain(document_of(on_host(source)))
+
+
+def _plain(document: Document) -> dict[str, dict[str, Any]]:
+    found = {
+        name: {
+            "value": entry["value"],
+            "std_error": entry["std_error"],
+            "interval": tuple(entry["interval95"]),
+            "unit": entry["unit"],
+            "known": False,
+        }
+        for name, entry in document["parameters"].items()
+    }
+    return found | {
+        name: {
+            "value": entry["value"],
+            "std_error": None,
+            "interval": None,
+            "unit": entry["unit"],
+            "known": True,
+        }
+        for name, entry in document["known"].items()
+    }
+
+
+def _columns(source: Any) -> tuple[dict[str, np.ndarray], tuple[int, ...], dict[str, Any]]:
+    """Each column's numbers, shape `(*batch, parameters)`; the batch's shape; the dictionary."""
+    entries = to_dict(source)
+    shape = np.shape(next(iter(entries.values()))["value"])
+
+    def column(of: Any) -> np.ndarray:
+        filled = [np.full(shape, np.nan) if v is None else np.array(v, float) for v in of]
+        return np.stack([np.broadcast_to(values, shape) for values in filled], axis=-1)
+
+    every = list(entries.values())
+    ends = [entry["interval"] or (None, None) for entry in every]
+    numbers = {
+        "value": column(entry["value"] for entry in every),
+        "std_error": column(entry["std_error"] for entry in every),
+        "low95": column(low for low, _ in ends),
+        "high95": column(high for _, high in ends),
+    }
+    return numbers, shape, entries
+
+
+def _axes(shape: tuple[int, ...]) -> list[str]:
+    return ["member"] if len(shape) == 1 else [f"member_{i}" for i in range(len(shape))]
+
+
+def to_frame(source: Any) -> Any:
+    """A data frame, see [`Tabled.to_frame`][riecjax.shows.Tabled.to_frame]; or of a record, its
+    signals over time in seconds, NaN where a sample is missing."""
+    pandas = needed("pandas", "frames", "a data frame")
+    if isinstance(source, Record):
+        columns = {name: samples_with_nan(source, name) for name in source.arrays}
+        return pandas.DataFrame(columns, index=pandas.Index(np.asarray(source.time), name="t"))
+    numbers, shape, entries = _columns(source)
+    names = list(entries)
+    index = pandas.Index(names, name="parameter")
+    if shape:
+        levels = [range(size) for size in shape]
+        index = pandas.MultiIndex.from_product([*levels, names], names=[*_axes(shape), "parameter"])
+    frame = pandas.DataFrame({name: numbers[name].ravel() for name in COLUMNS}, index=index)
+    members = int(np.prod(shape))
+    for name in ("unit", "known"):
+        frame[name] = [entry[name] for entry in entries.values()] * members
+    return frame
+
+
+def to_xarray(source: Any) -> Any:
+    """A data set, see [`Saved.to_xarray`][riecjax.shows.Saved.to_xarray]."""
+    xarray = needed("xarray", "frames", "a data set")
+    numbers, shape, entries = _columns(source)
+    axes = _axes(shape)
+    data = {name: ([*axes, "parameter"], values) for name, values in numbers.items()}
+    text = {
+        name: ("parameter", [entry[name] for entry in entries.values()])
+        for name in ("unit", "known")
+    }
+    return xarray.Dataset(data, {"parameter": list(entries), **text})
+
+
+def paper_table(source: Any) -> Table:
+    """Value, standard error and unit of each parameter, rounded by the error.
+
+    **Raises:** `ModelError` for a batch, of which a paper has no room.
+    """
+    if shape := getattr(source, "batch_shape", ()):
+        raise ModelError(
+            f"a table shows one estimate, not a batch of shape {shape}: take one out by member(0), "
+            f"or all of them by to_frame()."
+        )
+    return Table(("parameter", "value", "±", "unit"), list(_paper_rows(to_dict(source))))
+
+
+def _paper_rows(entries: dict[str, dict[str, Any]]) -> Iterator[tuple[str, ...]]:
+    for name, entry in entries.items():
+        said = with_error(entry["value"], entry["std_error"])
+        bracketed = said.startswith("(")
+        power = said[said.index(")") + 1 :] if bracketed else ""
+        value, _, error = said.removesuffix(power).strip("()").partition(" ± ")
+        error = "known" if entry["known"] else f"{error}{power}"
+        yield name, f"{value}{power}", error, entry["unit"]
+
+
+def to_markdown(source: Any) -> str:
+    """A table in Markdown."""
+    return in_markdown(paper_table(source))
+
+
+def to_latex(source: Any) -> str:
+    """A `tabular` of LaTeX."""
+    return in_latex(paper_table(source))

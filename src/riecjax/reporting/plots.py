@@ -1,0 +1,202 @@
+"""Objects drawn by matplotlib, by the charts of the report."""
+
+import functools
+import math
+import tempfile
+import webbrowser
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from riecjax.assessment.assessment import Assessment
+from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.leaves import on_host
+from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.recording import Recording
+from riecjax.reporting.charts.chart import (
+    BLUE,
+    SERIES,
+    Axis,
+    Chart,
+    Dots,
+    Level,
+    Line,
+    Mark,
+    Panel,
+    labelled,
+    single,
+)
+from riecjax.reporting.document import Document
+from riecjax.reporting.exports import document_of, needed
+from riecjax.reporting.identification_figures import (
+    held_out_figure,
+    identification_figures,
+    sweep_figure,
+)
+from riecjax.reporting.identification_page import write_report
+from riecjax.reporting.tables import with_error
+from riecjax.studies.drift import WindowSweep
+from riecjax.validation.held_out import HeldOut
+
+FARTHEST = 100.0
+"""Percent beyond which the ends of an interval are not drawn."""
+
+
+def draw(thing: Any, ax: Any = None) -> Any:
+    """Draw an object; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
+    needed("matplotlib.pyplot", "report", "a figure")
+    from riecjax.reporting.charts.printed import drawn
+
+    return drawn(chart_of(thing), ax)
+
+
+def open_report(assessment: Assessment) -> Path:
+    """Write the report to a temporary folder and open it in the browser."""
+    folder = Path(tempfile.mkdtemp(prefix="riecjax_"))
+    write_report(assessment, folder)
+    page = folder / "report.html"
+    webbrowser.open(page.as_uri())
+    return page
+
+
+@functools.singledispatch
+def chart_of(thing: Any) -> Chart:
+    """The chart that shows an object."""
+    return thing.chart()
+
+
+@chart_of.register
+def _(thing: Record) -> Chart:
+    units, rows = dict(thing.units), []
+    batch = np.ndim(thing.time_step) > 0
+    steps = np.arange(thing.sample_count)
+    time = np.mean(thing.time_step) * steps if batch else np.asarray(thing.elapsed)
+    for name in thing.arrays:
+        last = len(rows) == len(thing.arrays) - 1
+        samples = samples_with_nan(thing, name)
+        # Of a batch of records, one line each.
+        lines = [Line(*pair, width=0.9) for pair in _pairs(time, samples)]
+        axes = Axis("time / s" if last else ""), Axis(labelled(name, units.get(name)))
+        rows.append([Panel(lines, *axes)])
+    return Chart(rows, "Signals over time.", (8, 1.3 * len(rows) + 0.8), share_x=True)
+
+
+def _pairs(time: np.ndarray, samples: np.ndarray) -> Iterable[tuple[np.ndarray, np.ndarray]]:
+    every = samples.reshape(-1, samples.shape[-1])
+    return zip(np.broadcast_to(time, samples.shape).reshape(every.shape), every)
+
+
+@chart_of.register
+def _(thing: Recording) -> Chart:
+    return chart_of(thing.record)
+
+
+@chart_of.register
+def _(thing: AbstractEstimate) -> Chart:
+    if thing.batch_shape:
+        return _batch(on_host(thing))
+    return relative_figure({"": document_of(on_host(thing))})
+
+
+@chart_of.register
+def _(thing: WindowSweep) -> Chart:
+    return sweep_figure(thing)
+
+
+@chart_of.register
+def _(thing: HeldOut) -> Chart:
+    return held_out_figure(thing)
+
+
+@chart_of.register
+def _(thing: Assessment) -> Chart:
+    figures = identification_figures(thing)
+    (values,) = chart_of(thing.answer).panels
+    fit = list(figures["fit"].rows[0])
+    rows: list[list[Panel | None]] = [[values, *fit]]
+    for name, chart in figures.items():
+        if name in ("curves", "window_sweep") or name.startswith("validation"):
+            rows += [list(row) for row in chart.rows]
+    width = max(len(row) for row in rows)
+    # A row of one panel takes all places, as signals over time should.
+    filled = [_filled(row, width) for row in rows]
+    return Chart(filled, f"{thing.model.name}.", (3.6 * width + 0.8, 2.4 * len(rows) + 0.6))
+
+
+def _filled(row: Sequence[Panel | None], width: int) -> list[Panel | None]:
+    if len(row) == 1 and row[0] is not None:
+        panel = row[0]
+        return [Panel(panel.marks, panel.x, panel.y, panel.right, panel.title, columns=width)]
+    return [*row, *(None for _ in range(width - len(row)))]
+
+
+def _batch(batch: AbstractEstimate) -> Chart:
+    """Each member as a dot, relative to the mean over the batch."""
+    labels, units, marks = [], dict(batch.units), []
+    for i, name in enumerate(batch.parameters):
+        values = np.ravel(np.asarray(batch[name], float))
+        mean = float(np.nanmean(values))
+        unit = f" {units[name]}" if units.get(name) else ""
+        labels.append(f"{name} = {mean:.4g}{unit}")
+        marks.append(Dots(_percent(values, mean), np.full(values.size, i), opacity=0.4, size=5))
+    axis = Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
+    caption = "Members of a batch, relative to their mean."
+    x, size = Axis("deviation from the mean / %"), (6.5, 0.35 * len(labels) + 1.0)
+    return single([Level(axis="x"), *marks], x, axis, caption, size=size)
+
+
+def relative_figure(documents: Mapping[str, Document]) -> Chart:
+    """Parameters with their 95 % intervals, relative to the values of the first document."""
+    first = next(iter(documents.values()))["parameters"]
+    names = list(dict.fromkeys(n for d in documents.values() for n in d["parameters"]))
+    reference: dict[str, Any] = {}
+    for document in documents.values():
+        for name, entry in document["parameters"].items():
+            reference.setdefault(name, entry["value"])
+    marks: list[Mark] = [Level(axis="x")]
+    for j, (label, document) in enumerate(documents.items()):
+        shift = 0.0 if len(documents) == 1 else 0.5 * (j / (len(documents) - 1) - 0.5)
+        marks += _bars(document, names, reference, shift, label, SERIES[j % len(SERIES)])
+    ends = [abs(x) for mark in marks if isinstance(mark, Line) for x in np.ravel(mark.x)]
+    reach = max((end for end in ends if math.isfinite(end)), default=1.0)
+    limit = FARTHEST if reach > FARTHEST else None
+    several = len(documents) > 1
+    labels = tuple(n if several else _value_in_words(n, first[n]) for n in names)
+    of = f"the value of {next(iter(documents))}" if several else "the value"
+    x = Axis(f"95 % interval, from {of} / %", low=None if limit is None else -limit, high=limit)
+    y = Axis(categories=labels, low=-0.5, high=len(names) - 0.5, reverse=True)
+    size = (6.5, (0.32 + 0.1 * len(documents)) * len(names) + 1.2)
+    return single(marks, x, y, "Parameters with their 95 % intervals.", size=size)
+
+
+def _bars(
+    document: Document,
+    names: Sequence[str],
+    reference: Mapping[str, Any],
+    shift: float,
+    label: str,
+    color: str = BLUE,
+) -> list[Mark]:
+    """A bar for each interval, in one line with gaps, and dots at the values."""
+    x, y, values, places = [], [], [], []
+    for i, name in enumerate(names):
+        if (entry := document["parameters"].get(name)) is not None:
+            x += [*_percent(entry["interval95"], reference[name]), math.nan]
+            y += [i + shift, i + shift, math.nan]
+            values += [*_percent([entry["value"]], reference[name])]
+            places.append(i + shift)
+    line = Line(x, y, label, color, width=2)
+    return [line, Dots(values, places, color=color, size=5)]
+
+
+def _percent(values: Iterable[Any], reference: Any) -> list[float]:
+    """Deviation from a reference in percent of it; NaN where one of them is none, or it is 0."""
+    if not reference:
+        return [math.nan for _ in values]
+    return [math.nan if v is None else 100 * (v - reference) / abs(reference) for v in values]
+
+
+def _value_in_words(name: str, entry: Mapping[str, Any]) -> str:
+    return f"{name} = {with_error(entry['value'], entry['std_error'])} {entry['unit']}".rstrip()

@@ -1,0 +1,248 @@
+"""Results in files: an estimate with its Summary, and what `riecjax identify --out` wrote."""
+
+import dataclasses
+import json
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
+from riecjax.errors import DataError, ModelError
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.least_squares import Solution
+from riecjax.estimation.stages import EquationFit, StageSolution
+from riecjax.findings import Finding
+from riecjax.leaves import is_concrete
+from riecjax.refinement.optimum import RefinementStatus
+from riecjax.refinement.refined import Refined
+from riecjax.reporting.document import SCHEMA as RESULTS_SCHEMA
+from riecjax.reporting.document import Document
+from riecjax.reporting.tables import View
+from riecjax.reporting.views import criterion_in_words, value_table
+from riecjax.shows import Tabled
+from riecjax.summaries import summary as summaries
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.summary_files import naming, packed, read_checked, unpacked, write_checked
+from riecjax.uncertainty.intervals import Uncertainty
+
+NAME = "estimate"
+"""Name of the JSON document among the arrays."""
+FORMAT = "riecjax.Estimate"
+SCHEMA = 1
+"""Of what the file of an estimate holds; another one is refused."""
+KINDS = (Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding)
+"""What an estimate is made of, beside arrays, names, a criterion and a Summary."""
+RESULTS = "results.json"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Results(Tabled):
+    """What `riecjax identify --out` wrote to results.json: read by name, as from an estimate.
+
+    **Fields:** `document`, all of it; `source`, its file.
+    """
+
+    document: Document
+    source: str = ""
+
+    def __getitem__(self, name: str) -> float:
+        value = self._entry(name)["value"]
+        return float("nan") if value is None else float(value)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self.parameters, *self.document["known"]))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of those that were estimated."""
+        return tuple(self.document["parameters"])
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Every parameter, estimated or known, by name."""
+        return self._by_name()
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter."""
+        return {name: self._entry(name)["unit"] for name in self}
+
+    @property
+    def model(self) -> str:
+        """Name of the model."""
+        return self.document["model"]
+
+    @property
+    def criterion(self) -> dict[str, Any]:
+        """What was made small, with its settings."""
+        return self.document["criterion"]
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Ends of the 95 % interval of an estimated parameter."""
+        low, high = self._entry(name).get("interval95", (None, None))
+        return tuple(float("nan") if end is None else end for end in (low, high))  # pyright: ignore[reportReturnType]
+
+    def findings(self) -> list[Finding]:
+        """The warnings of the identification."""
+        kept = [{k: w[k] for k in Finding._fields if k in w} for w in self.document["warnings"]]
+        return [Finding(**one) for one in kept]
+
+    def _entry(self, name: str) -> Document:
+        for part in ("parameters", "known"):
+            if name in self.document[part]:
+                return self.document[part][name]
+        raise ModelError(f"no parameter '{name}'; there are: {', '.join(self)}.")
+
+    def view(self) -> View:
+        """What is printed of it."""
+        verdict = (self.document.get("verdict") or {}).get("sentence", "")
+        title = f"{self.model} by {criterion_in_words(self.criterion)}. {verdict}".rstrip()
+        lines = [f"warning [{f.code}] {f.message}" for f in self.findings()]
+        return View(title, [value_table(self.document)], lines)
+
+
+def load(path: str | os.PathLike[str]) -> Any:
+    """Read what was saved: an estimate, a Summary, or results.json of the command line.
+
+    An estimate has the same values, intervals of any level and findings as the one that was saved;
+    a Summary is equal to the bit. Of `riecjax identify --out DIR`, DIR or its results.json gives
+    [`Results`][riecjax.reporting.Results]. A test function, or another part of a criterion, that is
+    not this library's must be defined before: import its module.
+
+    **Raises:** `DataError`, in one line, for a file that is not there, is none of these, is
+    damaged, was written with another schema, or names a class that is not defined.
+    """
+    if isinstance(path, str | os.PathLike):
+        file = Path(path)
+        if file.is_dir() or file.suffix == ".json":
+            return _results(file / RESULTS if file.is_dir() else file)
+        if _holds_an_estimate(file):
+            document, arrays = read_checked(file, NAME, FORMAT, SCHEMA)
+            with naming(file, NAME):
+                return _estimate(document, arrays)
+    return summaries.load(path)
+
+
+def _results(file: Path) -> Results:
+    if not file.is_file():
+        raise DataError(f"there is no file '{file}'.")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot read '{file}': {error.strerror}.") from None
+    with naming(file, "results"):
+        try:
+            document = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise DataError(f"it is damaged, or no JSON: {error}.") from None
+        if not isinstance(document, dict) or "schema" not in document:
+            raise DataError("it is no results.json, which riecjax identify --out DIR writes.")
+        if document["schema"] != RESULTS_SCHEMA:
+            raise DataError(
+                f"it was written with schema {document['schema']}, this version reads "
+                f"{RESULTS_SCHEMA}: use the version of riecjax that wrote it."
+            )
+        if "error" in document:
+            raise DataError(f"it holds no answer: {document['error']['message']}")
+        if lacking := {"model", "criterion", "parameters", "known", "warnings"} - {*document}:
+            raise DataError(
+                f"it lacks {', '.join(sorted(lacking))}: it is not what riecjax identify writes."
+            )
+        found = Results(document, str(file))
+        found.view()
+        return found
+
+
+def _holds_an_estimate(file: Path) -> bool:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return f"{NAME}.npy" in archive.namelist()
+    except Exception:
+        # Whatever a damaged archive leads to, its reader says what is wrong.
+        return False
+
+
+def save(estimate: AbstractEstimate, path: str | os.PathLike[str]) -> None:
+    """Write an estimate to a file; see [`Saved.save`][riecjax.shows.Saved.save]."""
+    if not is_concrete(estimate):
+        raise ModelError("an estimate that jax.jit is making is saved outside of it.")
+    if estimate.batch_shape:
+        raise ModelError("estimates of a batch are saved one by one: batch.member(0).save(path).")
+    document: Document = {"format": FORMAT, "schema": SCHEMA, "riecjax": version("riecjax")}
+    document["summary"] = None
+    arrays: dict[str, np.ndarray] = {}
+    if (summary := getattr(estimate, "summary", None)) is not None:
+        fields = {f.name: getattr(summary, f.name) for f in dataclasses.fields(summary)}
+        document["summary"], of_summary = packed(fields)
+        arrays |= {f"summary/{name}": array for name, array in of_summary.items()}
+    document["estimate"] = _pack(estimate, NAME, arrays)
+    write_checked(path, NAME, document, arrays)
+
+
+def _estimate(document: Document, arrays: dict[str, np.ndarray]) -> Any:
+    found = _unpack(document["estimate"], arrays)
+    if document["summary"] is None:
+        return found
+    of_summary = {
+        name.removeprefix("summary/"): array
+        for name, array in arrays.items()
+        if name.startswith("summary/")
+    }
+    summary = Summary(**unpacked(document["summary"], of_summary))
+    return dataclasses.replace(found, summary=summary)
+
+
+def _pack(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:
+    """A value as plain data, its arrays under their places."""
+    kind = type(value)
+    if kind in KINDS:
+        names = getattr(value, "_fields", None) or [f.name for f in dataclasses.fields(value)]
+        fields = {name: _pack(getattr(value, name), f"{place}/{name}", arrays) for name in names}
+        return {"kind": kind.__name__, "fields": fields}
+    if isinstance(value, AbstractCriterion):
+        return {"criterion": to_plain_data(value)}
+    if getattr(value, "_enumeration", None) is RefinementStatus:
+        return {"status": _pack(value._value, place, arrays)}
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        arrays[place] = np.asarray(value)
+        return {"array": place}
+    if isinstance(value, tuple | list):
+        parts = [_pack(each, f"{place}/{i}", arrays) for i, each in enumerate(value)]
+        return {"list" if isinstance(value, list) else "tuple": parts}
+    if isinstance(value, dict):
+        return {"dict": {key: _pack(v, f"{place}/{key}", arrays) for key, v in value.items()}}
+    # The Summary has a document of its own.
+    return None if isinstance(value, Summary) else value
+
+
+def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+    """What [`_pack`][] made plain."""
+    if not isinstance(value, dict):
+        return value
+    if "kind" in value:
+        kind = {kind.__name__: kind for kind in KINDS}[value["kind"]]
+        return kind(**{name: _unpack(of, arrays) for name, of in value["fields"].items()})
+    ((of, held),) = value.items()
+    match of:
+        case "criterion":
+            return criterion_from_plain_data(held)
+        case "status":
+            number = _unpack(held, arrays)
+            return eqx.tree_at(lambda s: s._value, RefinementStatus.converged, jnp.asarray(number))
+        case "array":
+            return arrays[held]
+        case "dict":
+            return {key: _unpack(each, arrays) for key, each in held.items()}
+        case _:
+            parts = [_unpack(each, arrays) for each in held]
+            return parts if of == "list" else tuple(parts)

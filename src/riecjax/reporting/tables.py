@@ -1,0 +1,148 @@
+"""What is said of an object: a title, tables and lines, as text, HTML, Markdown or LaTeX."""
+
+import html
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from riecjax.reporting.page import Table
+
+MOST_ROWS = 16
+"""Rows of a table that a brief text shows."""
+LARGE, SMALL = 6, -4
+"""Powers of ten from which on a number is written with one."""
+NUMERIC = re.compile(r"([-+\[]?[\d.]|nan|inf|-inf|none|known|\?|$)")
+"""How the cells of a column begin that stands to the right."""
+CELL = "padding:0.1em 0.7em;border:none;background:none;text-align:"
+
+
+@dataclass(frozen=True)
+class View:
+    """What is said of an object: a `title`, `tables`, and `lines` beneath them."""
+
+    title: str
+    tables: Sequence[Table] = ()
+    lines: Sequence[str] = ()
+
+
+def in_text(view: View, *, brief: bool = False) -> str:
+    """As plain text; a brief one leaves out the middle of long tables."""
+    lines = [view.title] if view.title else []
+    for table in view.tables:
+        rows, over = list(table.rows), len(table.rows) - MOST_ROWS
+        if brief and over > 1:
+            half = MOST_ROWS // 2
+            dots = [f"... {over} more", *("" for _ in table.header[1:])]
+            rows = [*rows[:half], dots, *rows[-half:]]
+        columns = list(zip(table.header, *rows))
+        widths = [max(map(len, column)) for column in columns]
+        right = [_is_numeric(column[1:]) for column in columns]
+        lines += [table.caption] if table.caption else []
+        lines += [
+            "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right))
+            for row in (table.header, *rows)
+        ]
+    return "\n".join(line.rstrip() for line in (*lines, *view.lines))
+
+
+def in_html(view: View) -> str:
+    """As HTML that takes its colours from the page around it."""
+    said = [line for line in view.lines if not line.startswith("warning [")]
+    warnings = [line for line in view.lines if line.startswith("warning [")]
+    parts = [f"<div><strong>{html.escape(view.title)}</strong></div>"] if view.title else []
+    for table in view.tables:
+        right = [False, *map(_is_numeric, list(zip(*table.rows))[1:])]
+        right = right if len(right) == len(table.header) else [False] * len(table.header)
+        caption = f"<caption>{html.escape(table.caption)}</caption>" if table.caption else ""
+        body = "".join(_html_row(row, right, "td") for row in table.rows)
+        head = _html_row(table.header, right, "th")
+        style = "border-collapse:collapse;color:inherit;font-variant-numeric:tabular-nums"
+        parts.append(f'<table style="{style}">{caption}{head}{body}</table>')
+    parts += [f"<div>{html.escape(line)}</div>" for line in said]
+    if warnings:
+        listed = "".join(f"<div>{html.escape(line)}</div>" for line in warnings)
+        count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
+        parts.append(f"<details><summary>{count}</summary>{listed}</details>")
+    return f"<div>{''.join(parts)}</div>"
+
+
+def _html_row(row: Sequence[str], right: Sequence[bool], tag: str) -> str:
+    cells = zip(row, right, strict=True)
+    inner = "".join(
+        f'<{tag} style="{CELL}{"right" if r else "left"}">{html.escape(c)}</{tag}>'
+        for c, r in cells
+    )
+    return f"<tr>{inner}</tr>"
+
+
+def _is_numeric(cells: Sequence[str]) -> bool:
+    return all(NUMERIC.match(cell) or cell.startswith("... ") for cell in cells) and any(cells)
+
+
+def in_markdown(table: Table) -> str:
+    """As a table of Markdown."""
+    right = [_is_numeric(column) for column in zip(*table.rows)]
+    rule = ["---:" if r else ":---" for r in right]
+    rows = [[cell.replace("|", "\\|") for cell in row] for row in (table.header, *table.rows)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (rows[0], rule, *rows[1:]))
+
+
+def in_latex(table: Table) -> str:
+    """As a `tabular`: the first column names of parameters, `unit` units, the others numbers."""
+    rows = []
+    for row in table.rows:
+        cells = [latex_name(row[0])]
+        for header, cell in zip(table.header[1:], row[1:]):
+            cells.append(latex_unit(cell) if header == "unit" else _latex_number(cell))
+        rows.append(f"{' & '.join(cells)} \\\\")
+    align = "".join("l" if h in (table.header[0], "unit") else "r" for h in table.header)
+    head = f"{' & '.join(map(_latex_text, table.header))} \\\\"
+    body = [f"\\begin{{tabular}}{{{align}}}", "\\hline", head, "\\hline", *rows, "\\hline"]
+    return "\n".join([*body, "\\end{tabular}"])
+
+
+def latex_name(name: str) -> str:
+    """A parameter's name as a symbol: `M_s` as `$M_\\mathrm{s}$`; words as they stand."""
+    if not re.fullmatch(r"[A-Za-z]\w*(\[\d+\])?", name):
+        return _latex_text(name)
+    base, _, index = name.partition("_")
+    symbol = base if len(base) == 1 else f"\\mathrm{{{base}}}"
+    below = index.replace("_", "\\_")
+    return f"${symbol}_\\mathrm{{{below}}}$" if below else f"${symbol}$"
+
+
+def latex_unit(unit: str) -> str:
+    """A unit in upright letters: `N s^2/m` as `$\\mathrm{N\\,s^{2}/m}$`."""
+    if not unit:
+        return ""
+    raised = re.sub(r"\^(-?\d+)", r"^{\1}", unit.replace("²", "^2").replace("³", "^3"))
+    spaced = raised.replace("·", "\\cdot ").replace("*", "\\cdot ").replace("%", "\\%")
+    spaced = spaced.replace(" ", "\\,")
+    return f"$\\mathrm{{{spaced}}}$"
+
+
+def _latex_text(text: str) -> str:
+    text = text.replace("±", "$\\pm$").replace("Δ", "$\\Delta$")
+    return re.sub(r"([_%&#])", r"\\\1", text)
+
+
+def _latex_number(cell: str) -> str:
+    if not re.match(r"[-(]?\d", cell):
+        return _latex_text(cell)
+    said = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
+    raised = re.sub(r"10\^(-?\d+)", r"10^{\1}", said)
+    return f"${raised}$"
+
+
+def with_error(value: float | None, error: float | None) -> str:
+    """A value and its standard error, both rounded to the error's second digit."""
+    value = math.nan if value is None else value
+    if error is None or not (math.isfinite(value) and math.isfinite(error) and error > 0):
+        return f"{value:.6g}" + ("" if error is None else f" ± {error:.2g}")
+    size = math.floor(math.log10(max(abs(value), error)))
+    power = size if size >= LARGE or size <= SMALL else 0
+    value, error = value / 10.0**power, error / 10.0**power
+    places = 1 - int(f"{error:.1e}".partition("e")[2])
+    said = " ± ".join(f"{round(x, places):.{max(places, 0)}f}" for x in (value, error))
+    return f"({said}) × 10^{power}" if power else said

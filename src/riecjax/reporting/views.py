@@ -1,0 +1,261 @@
+"""What objects say when they are printed: titles, tables and lines of each kind."""
+
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from riecjax.assessment.assessment import Assessment
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import Procedure
+from riecjax.estimation.check import Check
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.estimated_parameters import AbstractEstimate, span
+from riecjax.findings import Finding
+from riecjax.leaves import is_concrete, on_host
+from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.recording import Recording
+from riecjax.refinement.refined import Refined
+from riecjax.reporting.document import number
+from riecjax.reporting.equations import (
+    equation_in_words,
+    expression_in_words,
+    parameters_in_words,
+    procedure_in_words,
+)
+from riecjax.reporting.exports import document_of
+from riecjax.reporting.page import Table
+from riecjax.reporting.tables import View, in_html, in_text
+from riecjax.reporting.verdict import percent
+from riecjax.studies.drift import WindowSweep
+from riecjax.validation.held_out import HeldOut
+
+
+def in_words(thing: Any, *, brief: bool = False) -> str:
+    """As text, of which a brief one leaves out the middle of long tables."""
+    return in_text(_view(thing), brief=brief)
+
+
+def as_html(thing: Any) -> str:
+    """As HTML, for a notebook."""
+    return in_html(_view(thing))
+
+
+def _view(thing: Any) -> View:
+    numbers = getattr(thing, "record", thing)
+    if isinstance(thing, Equation | Procedure) or is_concrete(numbers):
+        return view_of(thing)
+    names = getattr(numbers, "parameters", None) or getattr(numbers, "arrays", ())
+    units = dict(getattr(numbers, "units", ()))
+    listed = f" of {parameters_in_words(names, units)}" if names else ""
+    return View(f"{type(thing).__name__}{listed}, being traced by JAX")
+
+
+@functools.singledispatch
+def view_of(thing: Any) -> View:
+    """What is said of an object whose numbers are known."""
+    return thing.view()
+
+
+@view_of.register
+def _(thing: Equation) -> View:
+    known = ", ".join(f"{name} = {span(value, '.6g')}" for name, value in thing.known.items())
+    lines = [f"parameters: {parameters_in_words(thing.parameters, thing.units)}"]
+    lines += [f"known: {known}"] if known and is_concrete(thing.known) else []
+    lines += [f"where {expression_in_words(thing.where)}"] if thing.where else []
+    unit = f" [{thing.unit}]" if thing.unit else ""
+    return View(f"{thing.name}: {equation_in_words(thing)}{unit}", lines=lines)
+
+
+@view_of.register
+def _(thing: Procedure) -> View:
+    count = len(thing.stages)
+    title = f"{count} stage{'s' if count > 1 else ''} of equations"
+    said = f"parameters: {parameters_in_words(thing.parameters, thing.units)}"
+    return View(title, lines=[*procedure_in_words(thing), said])
+
+
+@view_of.register
+def _(thing: Record) -> View:
+    units, shape = dict(thing.units), next(iter(thing.arrays.values())).shape[:-1]
+    step = np.asarray(thing.time_step)
+    batch = f"batch of {' x '.join(map(str, shape))} records of " if shape else ""
+    title = (
+        f"{batch}{thing.sample_count} samples at {span(1 / step, '.6g')} Hz, "
+        f"{span(np.asarray(thing.duration), '.4g')} s"
+    )
+    rows = []
+    for name in thing.arrays:
+        values = samples_with_nan(thing, name)
+        missing = int(np.isnan(values).sum())
+        kept = values[~np.isnan(values)]
+        numbers = [kept.mean(), kept.std(), kept.min(), kept.max()] if kept.size else [np.nan] * 4
+        label = parameters_in_words([name], units)
+        rows.append([label, *(f"{x:.4g}" for x in numbers), f"{missing}" if missing else ""])
+    header = ["signal", "mean", "std", "min", "max", "missing"]
+    if not thing.missing:
+        header, rows = header[:-1], [row[:-1] for row in rows]
+    return View(title, [Table(header, rows)])
+
+
+@view_of.register
+def _(thing: Recording) -> View:
+    record = view_of(thing.record)
+    steps = [f"prepared: {step}" for step in thing.steps]
+    lines = [*steps, *_warnings(thing.findings)]
+    return View(f"{thing.name}: {record.title}", record.tables, lines)
+
+
+@view_of.register
+def _(thing: Check) -> View:
+    refusal = thing.refusal
+    can = "can" if refusal is None else "cannot"
+    rows = [
+        [name, one.stage_name, *(f"{100 * float(s[j]):.3g} %" for s in shares)]
+        for one in thing.excitations
+        for shares in [(one.own_share, one.noise_share)]
+        for j, name in enumerate(one.parameters)
+    ]
+    return View(
+        f"these recordings {can} answer what the model asks",
+        [Table(("parameter", "equation", "own share", "noise"), rows)],
+        _warnings(thing.findings),
+    )
+
+
+@view_of.register
+def _(thing: Estimate) -> View:
+    host = on_host(thing)
+    lines = [
+        f"intervals: {host.uncertainty.label}, {span(host.block_count, 'd')} blocks of "
+        f"{span(host.block_length)} s",
+        f"condition number {span(host.condition_number)}",
+    ]
+    for label, names, stage in zip(host.stage_names, host.equation_names, host.stages):
+        apart = zip(names, stage.equations) if len(names) > 1 else ()
+        lines.extend(
+            f"{name}: relative residual {span(100 * np.asarray(fit.relative_rms))} %"
+            for name, fit in ((label, stage), *apart)
+        )
+    title = "" if host.batch_shape else criterion_in_words(host.criterion.describe())
+    return _of_parameters(host, title, lines)
+
+
+@view_of.register
+def _(thing: Refined) -> View:
+    host = on_host(thing)
+    lines = [
+        f"{thing.reason} after {span(host.steps, 'd')} steps",
+        f"left before -> after ({host.basis}):",
+    ]
+    for i, (name, unit) in enumerate(zip(host.quantities, host.quantity_units)):
+        left = [span(np.asarray(rms)[..., i], ".4g") for rms in (host.rms_before, host.rms)]
+        lines.append(f"{name}: {' -> '.join(left)} {unit} r.m.s.".replace("  ", " "))
+    return _of_parameters(host, "" if host.batch_shape else "refined", lines)
+
+
+def criterion_in_words(criterion: Mapping[str, Any]) -> str:
+    """A criterion's name and settings."""
+    settings = {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in criterion.items()}
+    name = str(settings.pop("name")).upper()
+    listed = ", ".join(f"{key} {value}" for key, value in settings.items())
+    return f"{name} ({listed})" if listed else name
+
+
+def _of_parameters(estimate: AbstractEstimate, title: str, lines: Sequence[str]) -> View:
+    said = [*lines, *_warnings(estimate.findings())]
+    if not estimate.batch_shape:
+        return View(title, [value_table(document_of(estimate))], said)
+    heading, table = _batch(estimate)
+    return View(heading, [table], said)
+
+
+def value_table(document: Mapping[str, Any]) -> Table:
+    """Value, standard error and interval of each parameter of a document."""
+    rows = [
+        [
+            name,
+            number(entry["value"]),
+            number(entry["std_error"], 2),
+            f"[{', '.join(number(end) for end in entry['interval95'])}]",
+            entry["unit"],
+        ]
+        for name, entry in document["parameters"].items()
+    ]
+    rows += [
+        [name, number(entry["value"]), "", "known", entry["unit"]]
+        for name, entry in document["known"].items()
+    ]
+    return Table(("parameter", "value", "std error", "95 % interval", "unit"), rows)
+
+
+def _batch(estimate: AbstractEstimate) -> tuple[str, Table]:
+    """Of each parameter, how it is distributed over the batch.
+
+    Scatter over members is not uncertainty of one of them, so both are told.
+    """
+    units = dict(estimate.units)
+    finite = np.isfinite(estimate.theta).all(axis=-1)
+    valid = finite & np.asarray(estimate.determined)
+    lost = {"not finite": np.sum(~finite), "undetermined": np.sum(finite & ~valid)}
+    words = ", ".join(f"{count} of them {what}" for what, count in lost.items() if count)
+    left_out = f", {words} and left out of this table" if words and valid.any() else ""
+    valid = valid if valid.any() else np.full(finite.shape, True)
+    rows = []
+    for name in estimate:
+        values, error = np.asarray(estimate[name])[valid], "known"
+        if name not in estimate.known:
+            error = f"{np.mean(estimate.standard_error(name)[valid]):.3g}"
+        scatter = np.std(values - values[0], ddof=min(1, values.size - 1))
+        numbers = [f"{np.mean(values):.6g}", f"{scatter:.3g}", error, span(values, ".6g")]
+        rows.append([name, *numbers, units.get(name, "")])
+    header = ("parameter", "mean", "std over batch", "mean std error", "min .. max", "unit")
+    size = " x ".join(map(str, estimate.batch_shape))
+    return f"batch of {size} estimates{left_out}", Table(header, rows)
+
+
+@view_of.register
+def _(thing: WindowSweep) -> View:
+    theta, errors, units = np.asarray(thing.theta), thing.standard_errors, dict(thing.units)
+    rows = []
+    for low, high, values, of in zip(thing.alpha, thing.beta, theta, np.asarray(errors)):
+        length = f"{float(low):.3g} .. {float(high):.3g}"
+        rows.append([length, *(f"{x:.5g} ± {e:.2g}" for x, e in zip(values, of))])
+    header = ("windows / s", *(parameters_in_words([n], units) for n in thing.parameters))
+    if len(thing.parameters) > len(rows):
+        header, *rows = zip(header, *rows)
+    title = f"estimates at {len(theta)} window lengths, {int(thing.block_count)} blocks of time"
+    return View(title, [Table(header, rows)], _warnings(thing.findings()))
+
+
+@view_of.register
+def _(thing: HeldOut) -> View:
+    rows = [
+        [name, *(f"{float(x):.1f} %" for x in (one.fit, one.vaf, one.p)), one.grade]
+        for name, one in thing.signals.items()
+    ]
+    return View(thing.verdict, [Table(("signal", "fit", "VAF", "p", "predicted"), rows)])
+
+
+@view_of.register
+def _(thing: Assessment) -> View:
+    said, answer, verdict = view_of(thing.answer), thing.answer, thing.verdict
+    (table,) = said.tables
+    judged = [verdict.parameters.get(row[0]) for row in table.rows]
+    rows = [
+        [*row, *(("", "") if one is None else (percent(one.share), one.level))]
+        for row, one in zip(table.rows, judged)
+    ]
+    refused = thing.refinement.declined if thing.refinement is not None else ""
+    lines = [line for line in said.lines if not line.startswith("warning [")]
+    lines += [f"not refined: {refused}"] if refused else []
+    lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in thing.validations]
+    header = (*table.header, "doubt", "verdict")
+    how = "refined" if answer is not thing.estimate else said.title
+    title = f"{thing.model.name} by {how}. {verdict.sentence}"
+    return View(title, [Table(header, rows)], [*lines, *_warnings(thing.findings())])
+
+
+def _warnings(findings: Iterable[Finding]) -> list[str]:
+    return [f"warning [{finding.code}] {finding.message}" for finding in findings]
