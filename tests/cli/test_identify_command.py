@@ -314,6 +314,7 @@ def check_schema(document: dict) -> None:
         "rank",
         "residual",
         "modes",
+        "equations",
         "verdict",
         "excitation",
         "noise",

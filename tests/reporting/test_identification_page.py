@@ -40,6 +40,7 @@ DOCUMENT: dict[str, Any] = {
     },
     "window_choice": None,
     "modes": [],
+    "equations": ["motion: m v' + c v = f"],
     "verdict": {
         "sentence": "Trust m to 3 %.",
         "parameters": {
@@ -117,7 +118,11 @@ def test_the_page_begins_with_the_verdict_and_what_to_do(page):
     assert page.answer is not None
     (table,) = page.answer.tables
     assert list(table.rows[0]) == ["m", "2", "kg", "3 %", "1.95 to none", "good", "scatter"]
-    assert page.answer.text == ["Find the mode: riecjax identify a.csv", "Record for longer."]
+    assert page.answer.text == [
+        "Find the mode: riecjax identify a.csv",
+        "Record for longer.",
+        "Where motion: m v' + c v = f.",
+    ]
 
 
 def test_warnings_stand_under_what_lies_behind_them(page):

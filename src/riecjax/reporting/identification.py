@@ -15,6 +15,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.records.recording import common_steps
 from riecjax.reporting.checking import excitation_entries, start_times
 from riecjax.reporting.document import Document, finite, number, versions
+from riecjax.reporting.equations import procedure_in_words
 from riecjax.reporting.estimate import (
     estimate_entries,
     parameter_entries,
@@ -44,6 +45,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
         found["parameters"] = parameter_entries(result.answer)
     return {
         **found,
+        "equations": procedure_in_words(result.procedure),
         "verdict": verdict_entries(result.verdict, command),
         "modes": mode_entries(result.modes),
         "excitation": excitation_entries(result.checked),
@@ -154,6 +156,8 @@ def print_everything(document: Document, console: Console) -> None:
     """The verdict, and all there is to say of how it came about."""
     print_verdict(document, console)
     console.print()
+    for equation in document["equations"]:
+        console.print(equation, highlight=False, markup=False)
     print_estimate(document, console)
     refinement = document["refinement"]
     for line in modes_in_words(document["modes"]):

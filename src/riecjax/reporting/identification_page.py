@@ -63,8 +63,11 @@ def _answer(document: Document) -> Section:
     return Section(
         "Verdict",
         text=[
-            f"{step['words']}: {step['command']}" if step["command"] else f"{step['words']}."
-            for step in verdict["next"]
+            *(
+                f"{step['words']}: {step['command']}" if step["command"] else f"{step['words']}."
+                for step in verdict["next"]
+            ),
+            f"Where {'; '.join(document['equations'])}.",
         ],
         tables=[Table(header, rows)],
     )

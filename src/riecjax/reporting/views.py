@@ -253,8 +253,13 @@ def _(thing: Assessment) -> View:
     lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in thing.validations]
     header = (*table.header, "doubt", "verdict")
     how = "refined" if answer is not thing.estimate else said.title
-    title = f"{thing.model.name} by {how}. {verdict.sentence}"
-    return View(title, [Table(header, rows)], [*lines, *_warnings(thing.findings())])
+    steps = dict.fromkeys(cause.step for cause in verdict.causes if cause.step is not None)
+    lines = [
+        *(f"to do: {step.words} {' '.join(step.options)}".rstrip() for step in steps),
+        f"{thing.model.name} by {how}",
+        *lines,
+    ]
+    return View(verdict.sentence, [Table(header, rows)], [*lines, *_warnings(thing.findings())])
 
 
 def _warnings(findings: Iterable[Finding]) -> list[str]:
