@@ -122,7 +122,7 @@ def test_names_with_square_brackets_are_printed_as_they_are(capsys):
     equation = EQUATION.replace('name="cart"', 'name="axis [/b] [x]"')
     equation = equation.replace('"c", "v"', '"c", "v", unit="[N s/m]"')
     model(IMPORTS + f"thing = {equation}")
-    options = ("--criterion", "dols", "--out", "results")
+    options = ("--criterion", "dols", "--out", "results", "--verbose")
     result = call(
         capsys, "identify", "cart.csv", "--model", "mine.py:thing", "--refine", "none", *options
     )
