@@ -29,7 +29,7 @@ def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows
     found = rx.assess(model, recording, criterion, key=jax.random.key(0), hold_out=0.3)
 
     # What only a command line has: the command, and those that go on from it.
-    asked = ["riecjax", "identify", "run.csv", "--model", "machine.py:axis", *options]
+    asked = ["riecjax", "identify", "run.csv", "--model", "machine.py:axis", *map(str, options)]
     assert printed["provenance"]["command"] == shlex.join(asked)
     document = identification_document(found, asked[1:])
     assert json.loads(json.dumps(document)) == printed
