@@ -398,7 +398,7 @@ def test_models(capsys, model, words):
         (["--foo"], "--foo"),
         (["identify"], "RECORD..."),
         (["identify", "good.csv"], "'--model'"),
-        (["models", "more"], "more"),
+        (["models", "emps", "more"], "more"),
         (["simulate"], "MODEL"),
         (["simulate", "duffing", "--out", "s.csv"], "'--input'"),
         (["simulate", "duffing", "--input", "pothole"], "'--out'"),

@@ -117,7 +117,7 @@ def test_the_page_begins_with_the_verdict_and_what_to_do(page):
     assert page.lead == "Trust m to 3 %."
     assert page.answer is not None
     (table,) = page.answer.tables
-    assert list(table.rows[0]) == ["m", "2", "kg", "3 %", "1.95 to none", "good", "scatter"]
+    assert list(table.rows[0]) == ["m", "2", "kg", "3.0 %", "1.95 to none", "good", "scatter"]
     assert page.answer.text == [
         "Find the mode: riecjax identify a.csv",
         "Record for longer.",

@@ -33,6 +33,7 @@ from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.document import versions
 from riecjax.reporting.identification import (
     identification_document,
+    print_everything,
     print_identification,
 )
 from riecjax.reporting.identification_figures import identification_figures
@@ -240,7 +241,7 @@ def test_identification_document(document, identified, record):
 
 def test_identification_table(document):
     console = Console(width=80, record=True, file=io.StringIO())
-    print_identification(document, console)
+    print_everything(document, console)
     text = console.export_text()
     value = f"{document['parameters']['m']['value']:.6g}"
     for word in ("cart", "DOLS", value, "kg", "known", "N s/m", "500 rows", "filtered"):
@@ -259,7 +260,7 @@ def test_scatter_over_seeds_is_labelled_as_no_uncertainty(identified, record):
         "spread": {"m": pytest.approx(np.std(theta, ddof=1))},
     }
     console = Console(width=80, record=True, file=io.StringIO())
-    print_identification(document, console)
+    print_everything(document, console)
     text = " ".join(console.export_text().split())
     assert "move m by 2.6 (of the sampling, not of the parameters)" in text
 
