@@ -106,9 +106,11 @@ class Results(Tabled):
     def view(self) -> View:
         """What is printed of it."""
         verdict = (self.document.get("verdict") or {}).get("sentence", "")
-        title = f"{self.model} by {criterion_in_words(self.criterion)}. {verdict}".rstrip()
+        made = f"{self.model} by {criterion_in_words(self.criterion)}"
         lines = [f"warning [{f.code}] {f.message}" for f in self.findings()]
-        return View(title, [value_table(self.document)], lines)
+        if verdict:
+            lines = [made, *lines]
+        return View(verdict or made, [value_table(self.document)], lines)
 
 
 def load(path: str | os.PathLike[str]) -> Any:
