@@ -7,7 +7,7 @@ import pytest
 
 import riecjax as rx
 from hidden_body import BODY, STEP, TRUTH, motion
-from riecjax.assessment.doubt import Doubt, doubts
+from riecjax.assessment.doubt import Doubt, concerned, doubts
 from riecjax.reporting.identification import identification_document
 from riecjax.reporting.verdict import verdict_entries
 
@@ -147,3 +147,17 @@ def test_a_single_known_parameter_leaves_nothing_to_judge():
     verdict = assessed(signals, known={"m": 20.0, "c": 60.0}).verdict
     assert list(verdict.parameters) == ["k"]
     assert verdict.sentence.startswith("Trust k to ")
+
+
+def test_parameters_of_each_recording_are_judged_one_by_one():
+    whole = rx.Record(motion(False), STEP)
+    model = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant, unit="N"), name="body")
+    parts = [whole.part(0, 2500), whole.part(2500, 6000)]
+    found = rx.assess(model, parts, RIEC, refine=None, per_record=("offset",))
+    assert set(found.verdict.parameters) == {"m", "c", "k", "offset[1]", "offset[2]"}
+    of_offset = rx.Finding("at_bound", "", parameters=("offset",))
+    assert concerned(found, of_offset) == {"offset[1]", "offset[2]"}
+    assert concerned(found, rx.Finding("clipped", "", signals=("F",))) == set(
+        found.answer.parameters
+    )
+    assert concerned(found, rx.Finding("clipped", "", signals=("G",))) == set()

@@ -107,6 +107,7 @@ PHRASES = {
     "refinement_not_converged": "the refinement did not converge",
     "refined_predicts_worse": "the refined model predicts worse",
     "at_bound": "{parameters} sits on a bound",
+    "single_precision": "it was computed in 32-bit",
 }
 
 

@@ -118,11 +118,16 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
 
 def concerned(assessment: "Assessment", finding: Finding) -> set[str]:
     """Parameters that a finding concerns: those it names, or of equations that read its signals."""
-    names = set(assessment.answer.parameters)
+    names = assessment.answer.parameters
+
+    def among(some: Collection[str]) -> set[str]:
+        # Of a parameter with a value in each recording, offset[1] is offset's, and named by it.
+        return {name for name in names if name in some or name.partition("[")[0] in some}
+
     if finding.parameters:
-        return names & set(finding.parameters)
+        return among(finding.parameters)
     if not finding.signals:
-        return names
+        return set(names)
     smoothness, record = assessment.estimate.criterion.smoothness, assessment.recordings[0].record
     equations = [equation for stage in assessment.procedure.stages for equation in stage]
     reading = [
@@ -130,7 +135,7 @@ def concerned(assessment: "Assessment", finding: Finding) -> set[str]:
         for equation in equations
         if equation.signals_read(record, smoothness) & set(finding.signals)
     ]
-    return names & {name for equation in reading for name in equation.parameters}
+    return among({name for equation in reading for name in equation.parameters})
 
 
 def _amiss(assessment: "Assessment") -> dict[str, float]:
