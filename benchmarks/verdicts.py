@@ -158,7 +158,10 @@ def main() -> None:
         "confusion": confusion(every),
         **{
             of: {
-                name: {key: round(value, 3) for key, value in figures(some).items()}
+                name: {
+                    key: None if value != value else round(value, 3)
+                    for key, value in figures(some).items()
+                }
                 for name in dict.fromkeys(getattr(one, of) for one in every)
                 if (some := [one for one in every if getattr(one, of) == name])
             }
