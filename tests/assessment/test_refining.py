@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from benchmarks import drag_problem
 from benchmarks.refinement_gate import UPRIGHT, recording, reduced_car, upright
+from scipy import signal
 
 import riecjax as rx
 from riecjax.assessment import refining
@@ -256,3 +257,25 @@ def test_single_precision_is_declined_or_right():
         found = rx.assess(DRAG, record, **QUICK)
         for name, true in drag_problem.TRUTH.items():
             assert float(found.answer[name]) == pytest.approx(true, rel=0.15)
+
+
+def test_a_position_that_is_read_as_an_input_is_no_straight_line():
+    """SciPy's lsim joins the force by lines, which the refinement tries; a line for x as well
+    would fit to the last digit with a mass of m - k h^2 / 12."""
+    mass, damping, stiffness, step = 2.0, 10.0, 1500.0, 0.005
+    rng = np.random.default_rng(0)
+    spectrum = np.fft.rfft(rng.standard_normal(4000))
+    force = 100 * np.fft.irfft(np.where(np.fft.rfftfreq(4000, step) <= 40, spectrum, 0), 4000)
+    dynamics = [[0, 1], [-stiffness / mass, -damping / mass]]
+    body = (dynamics, [[0], [1 / mass]], np.eye(2), np.zeros((2, 1)))
+    motion = signal.lsim(body, force, step * np.arange(4000))
+    record = rx.Record({"F": force, "x": motion[1][:, 0], "v": motion[1][:, 1]}, step)
+    equation = rx.Equation(
+        rx.Term("m", "v", derivative=1), rx.Term("c", "v"), rx.Term("k", "x"), -rx.Term(1.0, "F")
+    )
+    found, refinement = refinement_of(equation, record)
+    assert refinement.refined is not None
+    for name, true in (("m", mass), ("c", damping), ("k", stiffness)):
+        assert float(refinement.refined[name]) == pytest.approx(true, rel=1e-5)
+        lower, upper = found.verdict.parameters[name].doubt
+        assert lower <= true <= upper

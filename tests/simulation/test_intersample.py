@@ -83,14 +83,14 @@ def states(count: int, intersample, method: AbstractMethod | None = None) -> np.
     return np.stack([found["angle"], found["rate"]], axis=-1)[:: count // 16]
 
 
-@pytest.mark.parametrize(("intersample", "order"), [("lines", 2), ("smooth", 4)])
-def test_a_sampled_input_errs_in_its_stated_order(exact, intersample, order):
+@pytest.mark.parametrize(("intersample", "order"), [("lines", 2), ("smooth", 5)])
+def test_a_sampled_input_errs_in_its_order(exact, intersample, order):
     """8 steps a sample leave nothing beside that."""
     errors = [np.abs(states(count, intersample) - exact).max() for count in (160, 320, 640)]
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    np.testing.assert_allclose(orders, order, atol=0.35)
+    np.testing.assert_allclose(orders, order, atol=0.5)
     # 20 samples to the fastest period at first.
-    assert errors[0] < {"lines": 2e-3, "smooth": 1e-4}[intersample]
+    assert errors[0] < {"lines": 2e-3, "smooth": 1e-5}[intersample]
 
 
 def test_an_adaptive_method_sees_the_same_input(exact):
@@ -110,38 +110,72 @@ def test_lines_are_what_they_were():
     )
 
 
-def bends_one_by_one(levels: np.ndarray, present: np.ndarray) -> np.ndarray:
-    n = len(levels)
-    second = np.full(levels.shape, np.nan)
-    for i in range(1, n - 1):
-        if present[i - 1 : i + 2].all():
-            second[i] = levels[i + 1] - 2 * levels[i] + levels[i - 1]
-    found = np.zeros(levels.shape)
-    for i in range(n):
-        nearby = second[max(i - 2, 0) : i + 3]
-        for column in range(levels.shape[1]):
-            told = nearby[np.isfinite(nearby[:, column]), column]
-            if np.isfinite(second[i, column]) and len(told) >= 3:
-                found[i, column] = np.median(told)
-    for i in range(n):
-        if present[i] and not np.isfinite(second[i]).all():
-            for j in (i - 1, i + 1):
-                if 0 <= j < n and np.isfinite(second[j]).all():
-                    found[i] = found[j]
+def mean_curvature(second: list[float]) -> float:
+    """In the middle of 1, 3, 5 or 7 second differences, by powers of them formed one by one."""
+    found, differences = 0.0, np.array(second)
+    for coefficient in (1, -11 / 60, 191 / 5040, -2497 / 302400)[: len(second) // 2 + 1]:
+        found += coefficient * differences[len(differences) // 2]
+        differences = np.diff(differences, 2)
     return found
 
 
-def test_bends_are_medians_of_second_differences_around_gaps_and_ends():
-    levels, present = RNG.normal(size=(200, 3)), RNG.random(200) > 0.1
-    for there in (present, np.ones(200, bool)):
-        np.testing.assert_allclose(
-            bends_of(jnp.asarray(levels), jnp.asarray(there)),
-            bends_one_by_one(levels, there),
-            atol=1e-14,
-        )
+def bends_of_column(levels: np.ndarray, present: np.ndarray) -> np.ndarray:
+    n = len(levels)
+    second = {
+        i: levels[i + 1] - 2 * levels[i] + levels[i - 1]
+        for i in range(1, n - 1)
+        if present[i - 1 : i + 2].all()
+    }
+    found, smooth = np.zeros(n), np.zeros(n, bool)
+    for i in second:
+        size = [second[j] ** 2 for j in range(i - 5, i + 6) if j in second]
+        rough = [
+            (second.get(j + 1, 0.0) - second.get(j, 0.0)) ** 2
+            for j in range(i - 5, i + 5)
+            if j in second or j + 1 in second
+        ]
+        smooth[i] = len(size) > 5 and np.mean(rough) <= 1.8 * np.mean(size)
+        told = [second[j] for j in range(i - 2, i + 3) if j in second]
+        reach = max(r for r in range(4) if all(j in second for j in range(i - r, i + r + 1)))
+        if smooth[i]:
+            found[i] = mean_curvature([second[j] for j in range(i - reach, i + reach + 1)])
+        elif len(told) >= 3:
+            found[i] = np.median(told)
+    for i in range(n):
+        if present[i] and i not in second:
+            for step in (-1, 1):
+                if i + step in second:
+                    line = i + 2 * step in second and smooth[i + step] and smooth[i + 2 * step]
+                    found[i] = found[i + step] + line * (found[i + step] - found[i + 2 * step])
+                    break
+    return found
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.3, 1.0])
+def test_bends_are_what_they_are_one_by_one(roughness):
+    """Of means or medians, around gaps and ends."""
+    noise, present = RNG.normal(size=(300, 3)), RNG.random(300) > 0.05
+    t = np.arange(300)[:, None] + np.array([0.0, 2.0, 5.0])
+    levels = (1 - roughness) * np.sin(0.9 * t) + roughness * noise
+    for there in (present, np.ones(300, bool)):
+        expected = [bends_of_column(column, there) for column in levels.T]
+        found = bends_of(jnp.asarray(levels), jnp.asarray(there))
+        np.testing.assert_allclose(found, np.stack(expected, axis=-1), atol=1e-12)
     np.testing.assert_array_equal(
-        bends_of(jnp.asarray(levels)), bends_of(jnp.asarray(levels), jnp.ones(200, bool))
+        bends_of(jnp.asarray(levels)), bends_of(jnp.asarray(levels), jnp.ones(300, bool))
     )
+
+
+@pytest.mark.parametrize(("per_period", "error"), [(5, 1.1e-3), (10, 2e-6), (20, 1e-8)])
+def test_a_tone_has_its_mean_in_every_interval(per_period, error):
+    """Lines lack pi^2 / (3 n^2) of it, 13 % at 5 samples per period."""
+    rate = 2 * np.pi / per_period
+    t = np.arange(100)
+    u = np.cos(rate * t + 0.4)
+    d = np.asarray(bends_of(jnp.asarray(u[:, None])))[:, 0]
+    mean = 0.5 * (u[1:] + u[:-1]) - (d[1:] + d[:-1]) / 24
+    exact = np.diff(np.sin(rate * t + 0.4)) / rate
+    assert np.abs(mean - exact)[6:-6].max() < error
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 6])
@@ -188,7 +222,7 @@ def test_a_smooth_signal_with_a_step_is_smooth_elsewhere():
     waves = np.sin(2 * np.pi * t)
     stepped = waves + 5.0 * (t > 5.01)
     of_both = [np.asarray(bends_of(jnp.asarray(u[:, None])))[:, 0] for u in (waves, stepped)]
-    far = np.abs(np.arange(400) - 200.5) > 4
+    far = np.abs(np.arange(400) - 200.5) > 5
     np.testing.assert_allclose(of_both[1][far], of_both[0][far], atol=1e-13)
     # Beside the step no more than the waves have elsewhere.
     assert np.abs(of_both[1]).max() < 1.1 * np.abs(of_both[0]).max()

@@ -17,12 +17,13 @@ import numpy as np
 
 from riecjax.assessment.asked import Asked
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
-from riecjax.assessment.trust import horizons, seen, unseen, validated
+from riecjax.assessment.trust import horizons, seen, system_of, unseen, validated
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
+from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
 from riecjax.refinement.coordinates import Bounds
@@ -35,6 +36,7 @@ from riecjax.refinement.refined import Refined
 from riecjax.refinement.shots import Tiles, WholeRecord
 from riecjax.refinement.work import estimated_seconds
 from riecjax.simulation.equation_system import EquationSystem
+from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
@@ -220,14 +222,27 @@ def _warranted(
         return Refinement(declined=flaw)
     if left is None or not (left.vanishing or left.largest == left.largest):
         return Refinement(declined="too few residuals to tell whether they are white")
-    lines = dataclasses.replace(by, intersample="lines")
-    if not left.vanishing and _course_shows(asked, refined, misfit, lines):
+    lines = dataclasses.replace(by, intersample=_straight(asked, estimate))
+    if not left.vanishing and lines.intersample and _course_shows(asked, refined, misfit, lines):
         again, misfit = _search(asked, estimate, lines, bounds, STEPS_BY_ITSELF, progress)
         left_again = _left(misfit, again, asked.records)
         surely = _likelier(again, refined, asked.records) > LINES_ODDS
         if left_again and not _flaw(again) and surely:
             refined, left = again, left_again
     return Refinement(refined, whiteness=left, declined="" if left.white else _coloured(left))
+
+
+def _straight(asked: Asked, estimate: AbstractEstimate) -> dict[str, Course]:
+    """Inputs that may be straight lines between samples: not those with a recorded derivative.
+
+    Of a position x that is read as an input, lines lack h^2 / 12 of x'' in every interval. A mass
+    that is too small by k h^2 / 12 makes up for that to the last digit, and nothing left shows it.
+    """
+    system = system_of(asked.model, estimate.values, *seen(asked)[0])
+    record = asked.records[0]
+    rates = [n for n in (*system.state_names, *system.input_names) if n in record.arrays]
+    others = {name: [one for one in rates if one != name] for name in system.input_names}
+    return {n: "lines" for n in system.input_names if not is_motion(record, n, others[n])}
 
 
 def _course_shows(asked: Asked, refined: Refined, misfit: AbstractMisfit, by: OutputError) -> bool:

@@ -79,7 +79,7 @@ def horizons(
     for number, recording in recordings:
         try:
             grows = growth(
-                _system(asked.model, estimate.values, number, recording), recording.record
+                system_of(asked.model, estimate.values, number, recording), recording.record
             )
         except RiecjaxError:
             grows = None  # what cannot be simulated is said where it is
@@ -98,7 +98,7 @@ def validated(
     for (number, recording), horizon in zip(recordings, windows):
         # A fit is not lost because its model cannot be simulated.
         try:
-            system = _system(model, values, number, recording)
+            system = system_of(model, values, number, recording)
             held = validate_held_out(system, recording.record, horizon=horizon)
             runs.append(ValidationRun(recording, held))
         except RiecjaxError as error:
@@ -106,9 +106,10 @@ def validated(
     return runs, failed
 
 
-def _system(
+def system_of(
     model: Model, values: Mapping[str, Array], number: int | None, recording: Recording
 ) -> AbstractSystem:
+    """The model with these values, along a recording with or without parameters of its own."""
     own = dict(values) if number is None else values_of_record(values, number)
     names = model.build_procedure().parameters
     return model.identified_system({name: own[name] for name in names}, recording.record)

@@ -68,6 +68,16 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
     return found
 
 
+def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
+    """Whether one of the other signals is the recorded derivative of this one."""
+    values, step = samples_with_nan(record, signal), float(record.time_step)
+    for other in others:
+        best = _best_lag(values, samples_with_nan(record, other), step)
+        if best is not None and best.correlation > ALIKE and abs(best.gain - 1) < GAIN:
+            return True
+    return False
+
+
 class _Regression(NamedTuple):
     """Of a signal's increments on the integrals of its derivative, at one lag."""
 

@@ -24,7 +24,7 @@ from riecjax.refinement.shots import (
     cut_records,
     over_windows,
 )
-from riecjax.simulation.intersample import Intersample, require_intersample
+from riecjax.simulation.intersample import Intersample, require_intersample, smooth_inputs
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
@@ -51,9 +51,9 @@ class OutputError(AbstractObjective):
     - `method`: as for [`simulate`][]. By default Runge-Kutta with steps that resolve the model's
       fastest motion along the recording (see [`suitable_steps`][]), made shorter for as long as
       halving them at the optimum changes the answer, up to 64 between samples; 8 under jit.
-    - `intersample`: what inputs are between samples. `"smooth"`, cubics wherever they neither jump
-      nor turn a corner, or straight `"lines"`, as of a command that is known to be, or of what
-      [`simulate`][] made.
+    - `intersample`: what inputs are between samples. `"smooth"` wherever they neither jump nor
+      turn a corner, or straight `"lines"`, as of a command that is known to be, or of what
+      [`simulate`][] made; of all inputs, or by name: `{"F": "lines"}`.
     - `every`: compare one of so many samples. Of a record that was upsampled, the others would tell
       the same again.
     """
@@ -64,7 +64,7 @@ class OutputError(AbstractObjective):
     initial_states: Literal["estimated", "measured"] | Mapping[str, float | Array] = "estimated"
     method: AbstractMethod | None = None
     every: int = eqx.field(static=True, default=1)
-    intersample: Intersample = eqx.field(static=True, default="smooth")
+    intersample: Intersample = "smooth"
 
     def __check_init__(self):
         write = "rx.OutputError(rx.refinement.Tiles(0.5)), or without windows rx.OutputError()"
@@ -121,7 +121,7 @@ class OutputError(AbstractObjective):
             self.shooting.shots(record, unbroken, key, joined=joined)
             for record, unbroken, key in zip(specified.records, inputs, specified.keys)
         ]
-        smooth = self.intersample == "smooth"
+        smooth = smooth_inputs(self.intersample, system.input_names)
         cut = (channels, dict(given), self.every, joined, self.shooting.overlap, smooth)
         recorded, along = cut_records(system, specified.records, shots, *cut)
         method, simulated = _method(system, specified.records, recorded, along, self.method)

@@ -291,12 +291,12 @@ def cut_records(
     every: int,
     joined: bool,
     overlap: bool,
-    smooth: bool,
+    smooth: tuple[bool, ...],
 ) -> tuple[list[Recorded], list[Along]]:
     """What each recording holds in its windows, and states and inputs at points spread over them.
 
     **Arguments:** `given` values of initial states; the others as of [`OutputError`][],
-    `AbstractShooting.shots` and `AbstractShooting.overlap`; whether inputs are `smooth`.
+    `AbstractShooting.shots` and `AbstractShooting.overlap`; which inputs are `smooth`.
     """
     settings = (channels, given, every, joined, overlap, smooth)
     recorded = [_recorded(system, *cut, *settings) for cut in zip(records, shots)]
@@ -316,11 +316,11 @@ def _levels(system: AbstractSystem, record: Record, samples: Array) -> Float[Arr
 
 
 def _bends(
-    system: AbstractSystem, record: Record, samples: Array
+    system: AbstractSystem, record: Record, samples: Array, smooth: tuple[bool, ...]
 ) -> Float[Array, "windows longest inputs"]:
     """Of the whole record: a window's neighbours tell what its inputs do at its ends."""
     everywhere = _levels(system, record, jnp.arange(record.sample_count))
-    return bends_of(everywhere, record.present(system.input_names))[samples]
+    return bends_of(everywhere, record.present(system.input_names), smooth)[samples]
 
 
 def _recorded(
@@ -332,7 +332,7 @@ def _recorded(
     every: int,
     joined: bool,
     overlap: bool,
-    smooth: bool,
+    smooth: tuple[bool, ...],
 ) -> Recorded:
     compared = shots.samples[:, ::every]
     initial = measured_states(system, record)[shots.first]
@@ -350,7 +350,7 @@ def _recorded(
     block = -(-record.sample_count // SHORT_BLOCKS_OF_ROWS)
     return Recorded(
         _levels(system, record, shots.samples),
-        _bends(system, record, shots.samples) if smooth and system.input_names else None,
+        _bends(system, record, shots.samples, smooth) if any(smooth) else None,
         jnp.stack([record[name][compared] for name in channels], axis=-1),
         jnp.stack(present, axis=-1) & counts[:, :, None],
         initial,

@@ -10,7 +10,12 @@ from jaxtyping import Array, Float, Int
 
 from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
-from riecjax.simulation.intersample import Intersample, bends_of, require_intersample
+from riecjax.simulation.intersample import (
+    Intersample,
+    bends_of,
+    require_intersample,
+    smooth_inputs,
+)
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.reversals import derivative_at
 from riecjax.simulation.system import AbstractSystem
@@ -70,8 +75,9 @@ def simulate(
     - `inputs`: a record that holds every input of the system.
     - `method`: `FixedStep(...)` or `Adaptive(...)`.
     - `initial_state`: state name to value at the first sample; those not named start at zero.
-    - `intersample`: what inputs are between samples: straight `"lines"`, or `"smooth"`, cubics
-      wherever they neither jump nor turn a corner.
+    - `intersample`: what inputs are between samples: straight `"lines"`, or `"smooth"` wherever
+      they neither jump nor turn a corner, with the mean that what is sampled so has in every
+      interval; of all inputs, or by name.
 
     **Raises:** `DataError` if an input is missing from the record, `ModelError` for an unknown
     state or `intersample`, or for what is no system, record or method. Losing the solution raises
@@ -93,7 +99,8 @@ def simulate(
         [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]
     )
     method = FixedStep() if method is None else method
-    return _simulate(system, levels, inputs, first, method, intersample == "smooth")
+    smooth = smooth_inputs(intersample, system.input_names)
+    return _simulate(system, levels, inputs, first, method, smooth)
 
 
 def _levels(system: AbstractSystem, inputs: Record) -> Float[Array, "n inputs"]:
@@ -109,10 +116,11 @@ def _simulate(
     inputs: Record,
     initial_state: Float[Array, " states"],
     method: AbstractMethod,
-    smooth: bool,
+    smooth: tuple[bool, ...],
 ) -> Simulation:
     # A method of one's own need not know of bends that are not asked for.
-    bends = (bends_of(levels, inputs.present(system.input_names)),) if smooth else ()
+    present = inputs.present(system.input_names)
+    bends = (bends_of(levels, present, smooth),) if any(smooth) else ()
     states, status, reached = method.trajectory(
         system, levels, inputs.time_step, initial_state, *bends
     )
