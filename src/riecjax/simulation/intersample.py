@@ -120,7 +120,9 @@ def _resolved(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Bool[
     third = jnp.diff(second, append=jnp.zeros_like(second[:1]), axis=0)
     pairs = own | jnp.pad(own[1:], (0, 1))
     rough, size = _around(third**2, SIGHT)[:-1], _around(second**2, SIGHT)
-    counts = [jnp.sum(_around(one, SIGHT)[:last], axis=0) for one, last in ((own, None), (pairs, -1))]
+    counts = [
+        jnp.sum(_around(one, SIGHT)[:last], axis=0) for one, last in ((own, None), (pairs, -1))
+    ]
     of_second, of_third = (count[:, None] for count in counts)
     smooth = jnp.sum(rough, axis=0) * of_second <= BROADEST * jnp.sum(size, axis=0) * of_third
     return smooth & own[:, None] & (of_second > SIGHT)
