@@ -26,10 +26,10 @@ corner that is 2, of a jump 3, of white noise 10/3, and of what is sampled more 
 period at most 1.4. Where it is above `BROADEST` around a sample, d_i is the *median* of the five
 second differences around it. A jump is a pair of them, a corner one, among zeros; of a smooth
 signal below its noise they change little, mostly in one direction: the median is the middle one
-where these rise or fall, and where they turn, a share of O(h^2) less at most. So steps that are held
-for three samples or more, ramps and their corners remain straight lines. Of white noise as little is
-left between samples as by lines, 0.71 of its deviation (0.80 by Lagrange's cubic), and a curvature
-below the noise is not lost: medians of symmetric noise do not lean.
+where these rise or fall, and where they turn, a share of O(h^2) less at most. So steps that are
+held for three samples or more, ramps and their corners remain straight lines. Of white noise as
+little is left between samples as by lines, 0.71 of its deviation (0.80 by Lagrange's cubic), and a
+curvature below the noise is not lost: medians of symmetric noise do not lean.
 
 Beside an end or a missing sample those of the five count that are there, and the outermost
 curvature holds on to the end: there, for an interval or two, the error is of third order.
