@@ -138,9 +138,9 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
     """Of all findings, first what does most to the parameters."""
     answer = assessment.answer
     size = {name: max(abs(float(answer[name])), 1e-300) for name in found}
-    grouped = []
+    grouped, said = [], assessment.findings()
     for kind, codes in KINDS.items():
-        own = [f for code in codes for f in assessment.findings() if f.code == code]
+        own = [f for code in codes for f in said if f.code == code]
         if not own:
             continue
         of = {name for f in own for name in concerned(assessment, f)}

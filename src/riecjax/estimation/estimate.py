@@ -185,8 +185,9 @@ class Estimate(AbstractEstimate):
 
     def _wide_intervals(self) -> Iterator[Finding]:
         sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
+        ends = self.interval_by_name()
         for name, size in zip(self.parameters, sizes):
-            low, high = self.interval(name)
+            low, high = ends[name]
             # A parameter near zero is well determined if its term could not matter.
             matters = (high - low) / 2 * float(size) > MATTERING_SHARE
             if high - low > 2 * abs(float(self[name])) and matters:

@@ -142,6 +142,13 @@ class AbstractEstimate(Saved, eqx.Module):
         theta, errors = np.asarray(self.theta), np.asarray(self.standard_errors)
         return theta - below * errors, theta + above * errors
 
+    def interval_by_name(self, level: float = 0.95) -> dict[str, tuple[Any, Any]]:
+        """As `interval`, of every parameter: quantiles of replicates are formed once."""
+        ends = zip(*(np.moveaxis(end, -1, 0) for end in self.intervals(level)))
+        if self.batch_shape:
+            return dict(zip(self.parameters, ends))
+        return {name: (float(low), float(high)) for name, (low, high) in zip(self.parameters, ends)}
+
     @property
     def correlation(self) -> Float[Array, "*batch p p"]:
         """Correlation matrix of theta."""
@@ -180,13 +187,14 @@ class AbstractEstimate(Saved, eqx.Module):
 
     def negative_values(self) -> Iterator[Finding]:
         """Masses and dampers whose whole interval lies below zero (not under jit)."""
+        ends = self.interval_by_name()
         for name, unit in self.units:
             what = NEVER_NEGATIVE.get(
                 "".join(c for c in unit if c not in " ·*^()").replace("²", "2")
             )
             if what is None or name not in self.parameters:
                 continue
-            low, high = self.interval(name)
+            low, high = ends[name]
             if high < 0:
                 yield Finding(
                     "negative_value",

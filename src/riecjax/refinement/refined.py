@@ -136,8 +136,9 @@ class Refined(AbstractEstimate):
 
     def _undetermined(self) -> Iterator[Finding]:
         silent = []
+        ends = self.interval_by_name()
         for name, reached in zip(self.parameters, self.at_bound):
-            low, high = self.interval(name)
+            low, high = ends[name]
             if bool(reached):
                 continue
             if not (np.isfinite(low) and np.isfinite(high)):

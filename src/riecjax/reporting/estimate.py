@@ -144,8 +144,7 @@ def parameter_entries(estimate: AbstractEstimate) -> dict[str, Any]:
     """Value, unit, standard error and interval of each estimated parameter; lists of a batch."""
     units = dict(estimate.units)
     entries = {}
-    for name in estimate.parameters:
-        low, high = estimate.interval(name)
+    for name, (low, high) in estimate.interval_by_name().items():
         entries[name] = {
             "value": finite(estimate[name]),
             "unit": units.get(name, ""),

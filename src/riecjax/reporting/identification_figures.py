@@ -62,6 +62,7 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
     """Each parameter over window length, with its interval, and the estimate of a fit."""
     length = np.sqrt(np.asarray(sweep.alpha) * np.asarray(sweep.beta))
     units, errors = dict(sweep.units), np.asarray(sweep.standard_errors)
+    ends = {} if estimate is None else estimate.interval_by_name()
     panels: list[Panel | None] = []
     for j, name in enumerate(sweep.parameters):
         alone = Line(
@@ -75,7 +76,7 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
         )
         fit = []
         if estimate is not None:
-            interval = Span(*estimate.interval(name), "y", "interval of the fit, 95 %")
+            interval = Span(*ends[name], "y", "interval of the fit, 95 %")
             fit = [interval, Level(float(estimate[name]), dashes="dashed")]
         panels.append(
             Panel(

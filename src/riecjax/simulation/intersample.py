@@ -97,9 +97,9 @@ def bends_of(
     there = jnp.ones(n, bool) if present is None else present
     own = jnp.pad(there[2:] & there[1:-1] & there[:-2], (1, 1))
     second = jnp.pad(levels[2:] - 2 * levels[1:-1] + levels[:-2], ((1, 1), (0, 0)))
-    smooth = _resolved(second, own)
-    bends = jnp.where(smooth, _of_mean(second, own), _medians(second, own))
-    return jnp.where((there & ~own)[:, None], _held_on(bends, own, smooth), bends)
+    resolved = _resolved(second, own)
+    bends = jnp.where(resolved, _of_mean(second, own), _medians(second, own))
+    return jnp.where((there & ~own)[:, None], _held_on(bends, own, resolved), bends)
 
 
 def _of_mean(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Float[Array, "n inputs"]:
