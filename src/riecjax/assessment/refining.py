@@ -12,18 +12,17 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from riecjax.assessment.asked import Asked
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
-from riecjax.assessment.trust import horizons, seen, system_of, unseen, validated
+from riecjax.assessment.courses import course_shows, straight_inputs, surely_likelier
+from riecjax.assessment.trust import horizons, seen, unseen, validated
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
-from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
 from riecjax.refinement.coordinates import Bounds
@@ -36,7 +35,6 @@ from riecjax.refinement.refined import Refined
 from riecjax.refinement.shots import Tiles, WholeRecord
 from riecjax.refinement.work import estimated_seconds
 from riecjax.simulation.equation_system import EquationSystem
-from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
@@ -49,16 +47,15 @@ LONGEST = 10.0
 """Seconds of computing up to which nobody has to ask for a refinement."""
 SMALL_SHARE = 1e-2
 """Share of its signal below which a residual need not be the model's."""
-LINES_ODDS = float(np.log(100))
-"""Odds, as a logarithm, from which inputs are taken for straight lines between samples. Where these
-hardly show in what is left, they may still put a parameter off by several standard errors: of the
-lesser of two sums of squares, noise would often choose the wrong one."""
-COURSE_SHOWS = 4.0
-"""Squared difference of two simulations, in units of what is left, from which they compete."""
 LEAST_NOISE = 1e-4
 """Noise, as a share of its signal, that a channel is weighed by at the least."""
+LEFT_OUT = 0.05
+"""Share of an equation's target that is left, from which no simulation will leave white noise."""
+ABOVE_NOISE = 3.0
+"""Times what the sensors' noise makes of it, from which what is left is the model's."""
 WORSE = 1.0
 """Percent of fit by which a refined model may predict worse what it was not fitted to."""
+ASK = "ask for it by refine=rx.OutputError(), on the command line --refine output-error"
 EXPECTED = (RiecjaxError, TypeError, ValueError, IndexError)
 """What a model raises that can be identified and not simulated: the last three, expressions that
 JAX cannot differentiate."""
@@ -183,6 +180,8 @@ def _by_itself(
     try:
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
+        if flaw := _left_out(estimate):
+            return Refinement(declined=flaw)
         by = _objective(asked, estimate, horizon)
         own = tuple(asked.settings["per_record"])
         specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
@@ -201,12 +200,22 @@ def _by_itself(
         return Refinement(declined=f"no output error can be formed: {str(error).rstrip('.')}")
 
 
+def _left_out(estimate: Estimate) -> str:
+    """Why no search is worth its time; empty where the equations leave little but noise."""
+    for name, fit in estimate.equations.items():
+        left = float(fit.model_rms)
+        if left > max(LEFT_OUT, ABOVE_NOISE * float(fit.noise_rms)):
+            return (
+                f"{name} leaves {100 * left:.2g} % of its target and noise "
+                f"{100 * float(fit.noise_rms):.2g} %, so that values would bend to make up for "
+                f"what the model leaves out; {ASK}"
+            )
+    return ""
+
+
 def _too_long(seconds: float) -> str:
     lasting = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
-    return (
-        f"it would take about {lasting}; ask for it by refine=rx.OutputError(), on the command "
-        f"line --refine output-error"
-    )
+    return f"it would take about {lasting}; {ASK}"
 
 
 def _warranted(
@@ -222,59 +231,14 @@ def _warranted(
         return Refinement(declined=flaw)
     if left is None or not (left.vanishing or left.largest == left.largest):
         return Refinement(declined="too few residuals to tell whether they are white")
-    lines = dataclasses.replace(by, intersample=_straight(asked, estimate))
-    if not left.vanishing and lines.intersample and _course_shows(asked, refined, misfit, lines):
+    lines = dataclasses.replace(by, intersample=straight_inputs(asked, estimate))
+    if not left.vanishing and lines.intersample and course_shows(asked, refined, misfit, lines):
         again, misfit = _search(asked, estimate, lines, bounds, STEPS_BY_ITSELF, progress)
         left_again = _left(misfit, again, asked.records)
-        surely = _likelier(again, refined, asked.records) > LINES_ODDS
+        surely = surely_likelier(again, refined, asked.records)
         if left_again and not _flaw(again) and surely:
             refined, left = again, left_again
     return Refinement(refined, whiteness=left, declined="" if left.white else _coloured(left))
-
-
-def _straight(asked: Asked, estimate: AbstractEstimate) -> dict[str, Course]:
-    """Inputs that may be straight lines between samples: not those with a recorded derivative.
-
-    Of a position x that is read as an input, lines lack h^2 / 12 of x'' in every interval. A mass
-    that is too small by k h^2 / 12 makes up for that to the last digit, and nothing left shows it.
-    """
-    system = system_of(asked.model, estimate.values, *seen(asked)[0])
-    record = asked.records[0]
-    rates = [n for n in (*system.state_names, *system.input_names) if n in record.arrays]
-    others = {name: [one for one in rates if one != name] for name in system.input_names}
-    return {n: "lines" for n in system.input_names if not is_motion(record, n, others[n])}
-
-
-def _course_shows(asked: Asked, refined: Refined, misfit: AbstractMisfit, by: OutputError) -> bool:
-    """Whether inputs that go otherwise from one sample to the next would move the answer.
-
-    What they move the simulation by, in units of what is left, is as chi-square: from a few on it
-    is more than chance does to the parameters.
-    """
-    own = tuple(asked.settings["per_record"])
-    other = by.misfit(by.specify(asked.model, asked.records, refined, {}, own, None))
-    if not isinstance(misfit, OutputMisfit):
-        return False
-    at = jnp.asarray(refined.theta), jnp.asarray(refined.initial_states)
-    apart = sum(
-        np.sum((np.asarray(one) - np.asarray(two)) ** 2, axis=(0, 1))
-        for one, two in zip(misfit.residuals(*at), other.residuals(*at))
-    )
-    left = (np.asarray(refined.rms) / np.asarray(misfit.sigma)) ** 2
-    return bool(np.sum(apart / np.maximum(left, np.finfo(float).tiny)) > COURSE_SHOWS)
-
-
-def _likelier(one: Refined, other: Refined, records: list[Record]) -> float:
-    """Logarithm of how much likelier what was recorded is by one than by another refinement.
-
-    Of n residuals with white noise of unknown size, the largest likelihood is rms^-n.
-    """
-    counts = []
-    for name in one.quantities:
-        masks = (record.present((name,)) for record in records)
-        sizes = zip(masks, (record.sample_count for record in records))
-        counts.append(sum(n if mask is None else int(np.sum(mask)) for mask, n in sizes))
-    return float(np.sum(np.array(counts) * np.log(np.asarray(other.rms) / np.asarray(one.rms))))
 
 
 def _coloured(left: Whiteness) -> str:

@@ -21,6 +21,8 @@ therefore left out of the running integral and added in closed form: the s-th di
 c t^s / s! over steps of length L is c L^s exactly.
 """
 
+from functools import lru_cache
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -29,6 +31,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 ROW = 16
 """Samples to a row: so many products each costs, and one sixteenth is left to sum over rows."""
+TRIANGLE = np.triu(np.ones((ROW, ROW)))
 
 
 def running_sum(values: Float[Array, "columns n"]) -> Float[Array, "columns n"]:
@@ -42,7 +45,7 @@ def running_sum(values: Float[Array, "columns n"]) -> Float[Array, "columns n"]:
         return jnp.cumsum(values, axis=1)
     rows = -(-n // ROW)
     padded = jnp.pad(values, ((0, 0), (0, rows * ROW - n)))
-    triangle = jnp.asarray(np.triu(np.ones((ROW, ROW))), values.dtype)
+    triangle = jnp.asarray(TRIANGLE, values.dtype)
     # Accelerators would otherwise multiply 32-bit numbers with ten bits.
     within = jnp.matmul(
         padded.reshape(columns * rows, ROW), triangle, precision=jax.lax.Precision.HIGHEST
@@ -93,6 +96,7 @@ def running_integral(
     return jnp.pad(running_sum(areas), ((0, 0), (1, 0)))
 
 
+@lru_cache
 def interval_weights(order: int, interval: int) -> Float[np.ndarray, " order"]:
     """Weights of `order` samples at 0, 1, ... whose sum is the integral over one interval.
 
