@@ -268,7 +268,8 @@ def _coloured(left: Whiteness) -> str:
     cause = (
         "so little is left by the input's course between its samples, too"
         if max(left.shares.values()) < SMALL_SHARE
-        else "so the model leaves out part of the motion, or the noise is coloured"
+        else "so the model leaves out part of the motion, the noise is coloured, or a recorded "
+        "input is noisy"
     )
     return (
         f"what it leaves of {name}, {share:.2g} % of it, is not white noise ({left.largest:.3g}, "

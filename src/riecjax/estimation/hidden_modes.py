@@ -34,6 +34,8 @@ STEPS = 12
 """Newton steps from the best point of the grid."""
 FARTHEST = 0.3
 """Of one step, in a frequency's logarithm and in the damping ratio."""
+ZOOMS = 6
+"""Times that a map looks for its damping at half the distance: then it knows it to a percent."""
 SHORTENED = (1.0, 0.5, 0.2, 0.05, 0.01, 0.0)
 """Of each step the best of these shares is gone."""
 
@@ -194,8 +196,14 @@ class ModeMap(NamedTuple):
     damping: Float[Array, " frequencies"]
 
 
-def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]) -> ModeMap:
-    """The map of one more mode, the last one sought, `others` being where they are."""
+def mode_map(
+    stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"], zooms: int = 0
+) -> ModeMap:
+    """The map of one more mode, the last one sought, `others` being where they are.
+
+    Both shares are of the target D y. Of dampings of the grid alone they would step wherever the
+    best of them changes; a search starts from there, a map to be looked at zooms in.
+    """
     low, high = (jnp.log(jnp.asarray(f)) for f in band)
     logs = jnp.linspace(low, high, FREQUENCIES)
 
@@ -206,11 +214,24 @@ def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " s
         target = jnp.where(fit.target > 0, fit.target, 1.0)
         return jnp.where(good, fit.energy / target, jnp.inf), fit.without_last().energy / target
 
+    def row(log: Array) -> tuple[Array, Array, Array]:
+        def best(dampings: Array) -> tuple[Array, Array, Array]:
+            left, without = jax.vmap(lambda z: share(log, z))(dampings)
+            at = jnp.argmin(left)
+            return left[at], without[at], dampings[at]
+
+        def closer(_: int, state: tuple[tuple[Array, Array, Array], Array]):
+            (*_, damping), width = state
+            around = damping * jnp.exp(width * jnp.linspace(-1.0, 1.0, len(DAMPINGS)))
+            # The middle is the best so far, up to rounding, so that none is lost.
+            around = jnp.clip(around, DAMPINGS[0], DAMPINGS[-1]).at[len(DAMPINGS) // 2].set(damping)
+            return best(around), width / 2
+
+        widest = jnp.log(jnp.max(dampings[1:] / dampings[:-1])) / 2
+        return jax.lax.fori_loop(0, zooms, closer, (best(dampings), widest))[0]
+
     dampings = jnp.asarray(DAMPINGS)
-    left, without = jax.vmap(lambda log: jax.vmap(lambda z: share(log, z))(dampings))(logs)
-    best = jnp.argmin(left, axis=1)
-    at = jnp.arange(FREQUENCIES)
-    return ModeMap(jnp.exp(logs), left[at, best], without[at, best], dampings[best])
+    return ModeMap(jnp.exp(logs), *jax.vmap(row)(logs))
 
 
 def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array, " shapes"]:
