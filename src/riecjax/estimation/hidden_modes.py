@@ -12,6 +12,7 @@ small where D is, whatever the mode's mass: shapes are therefore compared by the
 target D y that they leave, and only the last steps, from the best of them, are of the energy.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.hidden_modes import Expanded, HiddenParameters, ModeParameters
+from riecjax.equations.hidden_modes import Expanded, HiddenMode, HiddenParameters, ModeParameters
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import NormalEquations
@@ -248,6 +249,25 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
         best = _best_mode(part, band, at) if of_mode else _best_lag(part, band, at)
         at = polished(part, jnp.concatenate([at, best]))
     return at
+
+
+def as_asked(
+    at: Float[Array, " shapes"], wanted: Sequence[HiddenMode | None]
+) -> Float[Array, " shapes"]:
+    """Modes of one body exchanged, which changes nothing but their names, so that each is as near
+    as may be to the frequency asked for.
+
+    **Arguments:** `wanted`, of each element that is sought its mode, modes first.
+    """
+    modes = [mode for mode in wanted if mode is not None]
+    rows = at[: 2 * len(modes)].reshape(-1, 2)
+    for on in {mode.on: None for mode in modes if mode.hz is not None}:
+        place = [i for i, mode in enumerate(modes) if mode.on == on]
+        orders = np.array(list(itertools.permutations(place)))
+        logs = [np.nan if modes[i].hz is None else np.log(modes[i].hz) for i in place]
+        far = jnp.nansum(jnp.abs(rows[orders, 0] - jnp.asarray(logs, at.dtype)[None, :]), axis=1)
+        rows = rows.at[np.array(place)].set(rows[jnp.asarray(orders)[jnp.argmin(far)]])
+    return jnp.concatenate([rows.ravel(), at[2 * len(modes) :]])
 
 
 def _best_mode(

@@ -116,8 +116,8 @@ class ModeEvidence(Drawn):
             yield Finding(
                 "mode_elsewhere",
                 f"{self.stage}: no mode near {asked:.4g} Hz: the search for {names.mass} ended at "
-                f"{found:.3g} Hz. If that is not the mode that you look for, leave it out; if it "
-                f"is, name its frequency, or none.",
+                f"{found:.3g} Hz. If the record carries both, ask for both (on the command line: "
+                f"--add-mode {self.on}={asked:.4g} --add-mode {self.on}={found:.3g}).",
                 parameters=tuple(names),
             )
 

@@ -135,7 +135,7 @@ def _(thing: ModeEvidence) -> View:
         lines=[
             f"{with_error(*thing.frequency)} Hz with the body at rest, damping ratio "
             f"{with_error(*thing.damping_ratio)}",
-            f"{thing.stage}: {left:.2g} % of time left out is unexplained with it, {without:.2g} % "
+            f"{thing.stage}, on time left out: {left:.2g} % unexplained with it, {without:.2g} % "
             f"without",
             *_warnings(thing.findings()),
         ],
