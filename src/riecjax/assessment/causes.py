@@ -220,7 +220,7 @@ def _mode_steps(assessment: "Assessment") -> Iterator[Step]:
         yield Step(words, ("--add-spring", one.dampers[0]))
     elif one.maps:
         added = f"model.with_series_springs(rx.SeriesSpring('{one.maps[0]}'))"
-        yield Step(f"Add a spring in series with a damper, in Python: rx.refine of {added}")
+        yield Step(f"Add a spring in series with a damper, in Python: {added}, then rx.refine")
 
 
 def _window_steps(sweep: WindowSweep, finding: Finding, smooth: bool) -> Iterator[Step]:

@@ -141,8 +141,9 @@ def signals_read(
     Raises what `identify` would raise of this one record, before any arithmetic.
 
     **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
-    for an expression that fails.
+    for an expression that fails, and for windows that hidden elements cannot have.
     """
+    _require_derivatives(procedure, criterion)
     criterion.check(record)
     read: set[str] = set()
     for stage in procedure.stages:
