@@ -131,6 +131,7 @@ def test_evidence_and_summaries_are_short(record):
     assert "parameters: m [kg], c [N s/m], k [N/m]\n" in summary
     assert "6000 samples at 200 Hz" in summary
     assert len(summary) < 600
+    assert estimate.summary is not None
     assert "sums of 1 recording" in estimate.summary._repr_html_()
 
 

@@ -11,7 +11,12 @@ from typing import Protocol
 import equinox as eqx
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_modes import Expanded, HiddenMode, ModeParameters
+from riecjax.equations.hidden_modes import (
+    Expanded,
+    HiddenMode,
+    ModeParameters,
+    is_hidden_name,
+)
 from riecjax.equations.series_springs import (
     SeriesSpring,
     force_elements,
@@ -175,9 +180,10 @@ class Procedure(Shown, eqx.Module):
             unknown = tuple(name for name in names if name not in found)
             label = " + ".join(equation.name for equation in stage)
             if unknown and not all(_anchored(stage, found)):
+                own = [name for name in unknown if not is_hidden_name(name)]
                 raise ModelError(
                     f"{label}: every coefficient is unknown, so all of them zero would fit. "
-                    f"Fix one of {', '.join(unknown)} (on the command line: --set NAME=VALUE)."
+                    f"Fix one of {', '.join(own)} (on the command line: --set NAME=VALUE)."
                 )
             plan.append((label, unknown))
             found |= set(unknown)

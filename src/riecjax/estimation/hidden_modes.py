@@ -222,7 +222,8 @@ def mode_map(
             return left[at], without[at], dampings[at]
 
         def closer(_: int, state: tuple[tuple[Array, Array, Array], Array]):
-            (*_, damping), width = state
+            found, width = state
+            damping = found[-1]
             around = damping * jnp.exp(width * jnp.linspace(-1.0, 1.0, len(DAMPINGS)))
             # The middle is the best so far, up to rounding, so that none is lost.
             around = jnp.clip(around, DAMPINGS[0], DAMPINGS[-1]).at[len(DAMPINGS) // 2].set(damping)
@@ -264,7 +265,7 @@ def as_asked(
     for on in {mode.on: None for mode in modes if mode.hz is not None}:
         place = [i for i, mode in enumerate(modes) if mode.on == on]
         orders = np.array(list(itertools.permutations(place)))
-        logs = [np.nan if modes[i].hz is None else np.log(modes[i].hz) for i in place]
+        logs = np.log([np.nan if (hz := modes[i].hz) is None else hz for i in place])
         far = jnp.nansum(jnp.abs(rows[orders, 0] - jnp.asarray(logs, at.dtype)[None, :]), axis=1)
         rows = rows.at[np.array(place)].set(rows[jnp.asarray(orders)[jnp.argmin(far)]])
     return jnp.concatenate([rows.ravel(), at[2 * len(modes) :]])
