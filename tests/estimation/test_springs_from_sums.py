@@ -170,3 +170,15 @@ def test_what_cannot_be_asked(clean):
         equation_error(procedure, clean, dict.fromkeys(procedure.parameters, 1.0))
     with pytest.raises(rx.ModelError, match=r"refine by rx\.OutputError"):
         rx.refine(MODEL, clean, dict(TRUTH), rx.IntegralError())
+
+
+def test_beside_a_mode_a_damper_is_named_that_a_spring_may_be_in_series_with(clean):
+    model = rx.staged(BODY).with_modes(rx.HiddenMode("v"))
+    left = rx.validation.residual_tests(model, clean, dict.fromkeys(model.parameters, 1.0))["body"]
+    assert (left.carrying, left.dampers, left.maps) == (("v",), ("c",), ())
+    assert "--add-spring c; rx.SeriesSpring('c')" in left._add()
+    sprung = model.with_series_springs(rx.SeriesSpring("c"))
+    left = left._replace(dampers=(), maps=("F_1",))
+    assert "in Python: rx.SeriesSpring('F_1')" in left._add()
+    values = dict.fromkeys(sprung.parameters, 1.0)
+    assert rx.validation.residual_tests(sprung, clean, values)["body"].dampers == ()

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from riecjax.assessment.doubt import Doubt, concerned
+from riecjax.equations.hidden_modes import is_hidden_name
 from riecjax.findings import Finding
 from riecjax.studies.drift import MOST, WindowSweep
 from riecjax.validation.residuals import EquationResidual
@@ -60,6 +61,7 @@ KINDS = {
         "short_record",
     ),
     "computation": (
+        "mode_elsewhere",
         "coarse_sampling",
         "coarse_steps",
         "refinement_not_converged",
@@ -77,6 +79,7 @@ PHRASES = {
     "unidentifiable": "the recordings cannot tell {parameters} apart",
     "undetermined": "the recordings say nothing of {parameters}",
     "mode_not_carried": "the recordings carry no such mode",
+    "mode_elsewhere": "no mode is near the frequency asked for",
     "series_spring_not_carried": "the recordings do not tell {parameters} from infinity",
     "negative_value": "{parameters} is below zero",
     "interval_wider_than_estimate": "the recordings hardly determine {parameters}",
@@ -195,7 +198,10 @@ def _steps(assessment: "Assessment", by: Mapping[str, Finding]) -> Iterator[Step
         yield Step("Integrate by a higher order", ("--quadrature", "6"))
     if {"few_blocks", "few_effective_windows", "short_record"} & by.keys():
         yield Step("Record for longer, or excite the machine all along")
-    if {"nearly_collinear", "unidentifiable", "ill_conditioned"} & by.keys():
+    weak = [by[c] for c in ("nearly_collinear", "unidentifiable", "ill_conditioned") if c in by]
+    if any(is_hidden_name(name) for finding in weak for name in finding.parameters):
+        yield Step("Leave out the hidden mode or spring (drop --add-mode, --add-spring)")
+    elif weak:
         yield Step("Excite the machine more richly, or hold a parameter (--set NAME=VALUE)")
 
 
@@ -207,10 +213,14 @@ def _mode_steps(assessment: "Assessment") -> Iterator[Step]:
     if not peaked:
         return
     one = max(peaked, key=lambda each: each.peak.size if each.peak else 0.0)
-    if one.carrying:
-        yield Step("Add a spring in series with a damper (rx.SeriesSpring)")
-    else:
+    if not one.carrying:
         yield Step("Find the mode that the model leaves out", ("--add-mode", one.bodies[-1]))
+    elif one.dampers:
+        words = "Find a spring in series with a damper, which the model leaves out"
+        yield Step(words, ("--add-spring", one.dampers[0]))
+    elif one.maps:
+        added = f"model.with_series_springs(rx.SeriesSpring('{one.maps[0]}'))"
+        yield Step(f"Add a spring in series with a damper, in Python: {added}, then rx.refine")
 
 
 def _window_steps(sweep: WindowSweep, finding: Finding, smooth: bool) -> Iterator[Step]:

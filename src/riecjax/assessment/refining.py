@@ -245,9 +245,10 @@ def _coloured(left: Whiteness) -> str:
     name = max(left.statistics, key=lambda n: left.statistics[n])
     share = 100 * left.shares[name]
     cause = (
-        "so little is left by the input's course between its samples, too"
+        "so little is left by the input's noise or its course between samples, too"
         if max(left.shares.values()) < SMALL_SHARE
-        else "so the model leaves out part of the motion, or the noise is coloured"
+        else "so the model leaves out part of the motion, the noise is coloured, or a recorded "
+        "input is noisy"
     )
     return (
         f"what it leaves of {name}, {share:.2g} % of it, is not white noise ({left.largest:.3g}, "

@@ -4,9 +4,9 @@ import click
 
 from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
+    HiddenOptions,
+    hidden_options,
     json_option,
-    mode_option,
-    model_with_modes,
     per_record_option,
     seed_option,
     set_option,
@@ -23,7 +23,7 @@ from riecjax.runtime import start_jax
     required=True,
     help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
 )
-@mode_option
+@hidden_options
 @criterion_options
 @set_option
 @per_record_option
@@ -32,7 +32,7 @@ from riecjax.runtime import start_jax
 def command(
     recordings: RecordingOptions,
     model_name: str,
-    modes: tuple[tuple[str, float | None], ...],
+    hidden: HiddenOptions,
     criteria: CriterionOptions,
     known: dict[str, float],
     per_record: tuple[str, ...],
@@ -54,7 +54,7 @@ def command(
     from riecjax.reporting.output import emit
     from riecjax.reporting.page import Page
 
-    model = model_with_modes(model_name, modes)
+    model = hidden.added_to(model_name)
     read = recordings.read(recordings.files, model)
     criterion = criteria.build(model, read)
     key = jax.random.key(seed)

@@ -8,9 +8,9 @@ import click
 from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
     SHARE,
+    HiddenOptions,
+    hidden_options,
     json_option,
-    mode_option,
-    model_with_modes,
     out_option,
     per_record_option,
     seed_option,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     required=True,
     help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
 )
-@mode_option
+@hidden_options
 @criterion_options
 @refinement_options
 @set_option
@@ -72,7 +72,7 @@ if TYPE_CHECKING:
 def command(
     recordings: RecordingOptions,
     model_name: str,
-    modes: tuple[tuple[str, float | None], ...],
+    hidden: HiddenOptions,
     criteria: CriterionOptions,
     refining: RefinementOptions,
     known: dict[str, float],
@@ -107,7 +107,7 @@ def command(
 
     if out is not None:
         require_folder(out)
-    model = model_with_modes(model_name, modes)
+    model = hidden.added_to(model_name)
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
     read = recordings.read(recordings.files, model)
     with Progress() as progress:

@@ -76,12 +76,21 @@ class HiddenModeOf(click.ParamType):
         return name.strip(), POSITIVE.convert(text, param, ctx) if equals else None
 
 
-def model_with_modes(name: str, modes: Sequence[tuple[str, float | None]]) -> "Model":
-    """The model of this name, with the modes that `--add-mode` asks for."""
-    from riecjax.equations.hidden_modes import HiddenMode
-    from riecjax.models.catalogue import find_model
+@dataclasses.dataclass(frozen=True)
+class HiddenOptions:
+    """What a model leaves out, as asked for."""
 
-    return find_model(name).with_modes(*(HiddenMode(*each) for each in modes))
+    modes: tuple[tuple[str, float | None], ...]
+    springs: tuple[str, ...]
+
+    def added_to(self, name: str) -> "Model":
+        """The model of this name, with these modes and springs."""
+        from riecjax.equations.hidden_modes import HiddenMode
+        from riecjax.equations.series_springs import SeriesSpring
+        from riecjax.models.catalogue import find_model
+
+        model = find_model(name).with_modes(*(HiddenMode(*each) for each in self.modes))
+        return model.with_series_springs(*map(SeriesSpring, self.springs))
 
 
 set_option = assignments(
@@ -95,6 +104,14 @@ mode_option = click.option(
     multiple=True,
     help="Find an oscillator that the model leaves out, on the body with this velocity, everywhere "
     "or near a frequency. Repeatable.",
+)
+spring_option = click.option(
+    "--add-spring",
+    "springs",
+    metavar="TERM",
+    multiple=True,
+    help="Find a spring that the model leaves out, in series with the damper of this linear "
+    "coefficient. Repeatable.",
 )
 seed_option = click.option(
     "--seed",
@@ -198,3 +215,7 @@ def collecting(
         return collected
 
     return decorate
+
+
+hidden_options = collecting((mode_option, spring_option), HiddenOptions, "hidden")
+"""Options that add what a model leaves out; they arrive as one `hidden`."""

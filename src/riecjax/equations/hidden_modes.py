@@ -32,7 +32,12 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.equation import Equation
-from riecjax.equations.series_springs import Lag, SeriesSpring, SpringParameters
+from riecjax.equations.series_springs import (
+    Lag,
+    SeriesSpring,
+    SpringParameters,
+    is_stiffness_name,
+)
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
@@ -285,6 +290,17 @@ def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]
     mass, stiffness, damping = (values[name] for name in names)
     root = jnp.sqrt(jnp.abs(stiffness / mass))
     return root / (2 * np.pi), damping / (2 * mass * root)
+
+
+def is_mode_name(name: str) -> bool:
+    """Whether a parameter is called as those of modes are."""
+    first = ModeParameters.of(0)
+    return any(name == own or name.removeprefix(f"{own}_").isdigit() for own in first)
+
+
+def is_hidden_name(name: str) -> bool:
+    """Whether a parameter is called as those of modes and of springs are."""
+    return is_mode_name(name) or is_stiffness_name(name)
 
 
 def accelerated(equation: Equation) -> tuple[str, ...]:

@@ -11,8 +11,18 @@ from typing import Protocol
 import equinox as eqx
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_modes import Expanded, HiddenMode, ModeParameters
-from riecjax.equations.series_springs import SeriesSpring, stiffness_name
+from riecjax.equations.hidden_modes import (
+    Expanded,
+    HiddenMode,
+    ModeParameters,
+    is_hidden_name,
+)
+from riecjax.equations.series_springs import (
+    SeriesSpring,
+    force_elements,
+    stiffness_name,
+    why_no_element,
+)
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
@@ -49,8 +59,8 @@ class Procedure(Shown, eqx.Module):
     def with_series_springs(self, *springs: SeriesSpring) -> "Procedure":
         """The same equations with springs in series with force elements.
 
-        **Raises:** `ModelError` for an element that no equation holds, that has a spring, or that
-        is of other signals in one term than in another.
+        **Raises:** `ModelError` for an element that no equation holds, that is no damper, that has
+        a spring, or that is of other signals in one term than in another.
         """
         taken = [name for spring in self.springs for name in self._element(spring).parameters]
         for spring in springs:
@@ -72,6 +82,12 @@ class Procedure(Shown, eqx.Module):
             raise ModelError(
                 f"{spring.of} is of other signals in one term than in another, so that it is no "
                 f"one element that a spring could be in series with."
+            )
+        if wrong := why_no_element(every[0], self.equations):
+            fitting = force_elements(self.equations, self.equations)
+            raise ModelError(
+                f"'{spring.of}' {wrong}. A spring is in series with a damper, a term of a velocity "
+                f"or a map of one: {', '.join(fitting) or 'no equation has any'}."
             )
         return every[0]
 
@@ -164,9 +180,10 @@ class Procedure(Shown, eqx.Module):
             unknown = tuple(name for name in names if name not in found)
             label = " + ".join(equation.name for equation in stage)
             if unknown and not all(_anchored(stage, found)):
+                own = [name for name in unknown if not is_hidden_name(name)]
                 raise ModelError(
                     f"{label}: every coefficient is unknown, so all of them zero would fit. "
-                    f"Fix one of {', '.join(unknown)} (on the command line: --set NAME=VALUE)."
+                    f"Fix one of {', '.join(own)} (on the command line: --set NAME=VALUE)."
                 )
             plan.append((label, unknown))
             found |= set(unknown)

@@ -11,7 +11,7 @@ for the element's own. Of a map F(v) no multiplication rids the equation, since 
 linear in K.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,12 +19,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import require
 from riecjax.leaves import Leaf
 
 KNOWN_UNITS = {"N s/m": "N/m", "N": "N/m", "N m s/rad": "N m/rad", "N m": "N m/rad"}
 """Unit of a spring by that of the element's coefficients."""
+MASSES, STIFFNESSES = ("kg", "kg m^2"), ("N/m", "N m/rad")
+"""Units of coefficients whose terms are no force elements."""
 
 
 class SeriesSpring(eqx.Module):
@@ -35,8 +38,8 @@ class SeriesSpring(eqx.Module):
     map, as of a damper, the equation is not linear in its parameters, and they are found by
     [`refine`][riecjax.refine], started from what `identify` finds without the spring.
 
-    **Arguments:** `of`, the element: the name of its coefficient, or of one of its basis, as `F_1`
-    of a damper's map.
+    **Arguments:** `of`, the element, a damper: the name of its coefficient, or of one of its basis,
+    as `F_1` of a damper's map.
 
     **Raises:** `ModelError` for what is no name.
     """
@@ -123,6 +126,38 @@ class Lag(NamedTuple):
     def decay(self) -> Array:
         """Seconds in which what is free falls to 1 / e: it is exp(-t / tau)."""
         return self.tau
+
+
+def why_no_element(term: AbstractTerm, equations: Iterable[Equation]) -> str:
+    """Why a spring in series with a term makes no force late; empty where it may.
+
+    A term's unit tells, and where it has none its derivative: of a signal x that some term
+    differentiates twice, x' is a velocity; of another one x' may as well be an acceleration.
+    """
+    units = set(term.units.values())
+    twice = {t.of for e in equations for t in e.terms if t.derivative == 2}
+    guessed = term.derivative == 1 and isinstance(term.of, str) and term.of not in twice
+    guessed = guessed and units == {""}
+    if term.of is constant:
+        return "is a constant, whose force never follows anything"
+    if term.derivative == 2 or units <= {*MASSES} or guessed:
+        unless = " (a damper's term says so by its unit: unit='N s/m')" if guessed else ""
+        return f"is of an acceleration, a mass, whose force no spring makes late{unless}"
+    if units <= {*STIFFNESSES} or (term.derivative == 0 and term.of in twice):
+        return (
+            "is of a position, a stiffness: with a spring in series it is only a softer spring, "
+            "and no recording tells the two apart"
+        )
+    return ""
+
+
+def force_elements(
+    equations: Sequence[Equation], among: Sequence[Equation]
+) -> dict[str, Term | Terms]:
+    """Unknown terms of some equations that a spring may be in series with, by their first
+    coefficient; `equations` are all of the model, which tell what is a velocity."""
+    terms = (t for e in among for t in e.terms if isinstance(t, Term | Terms) and t.parameters)
+    return {t.parameters[0]: t for t in terms if not why_no_element(t, equations)}
 
 
 def stiffness_name(number: int) -> str:

@@ -80,8 +80,9 @@ def raise_if_not_carried(modes: Iterable[ModeEvidence], excitations: Iterable[Ex
     refused = {one.stage_name for one in excitations if _refusal(one.findings()) is not None}
     for mode in modes:
         if mode.stage in refused and not mode.carried:
-            (finding,) = mode.findings()
-            raise IdentifiabilityError(finding.message, finding.code)
+            first, *more = mode.findings()
+            message = " ".join(finding.message for finding in (first, *more))
+            raise IdentifiabilityError(message, first.code)
 
 
 def refusal_by(excitations: Iterable[Excitation]) -> Finding | None:

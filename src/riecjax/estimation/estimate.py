@@ -1,6 +1,6 @@
 """What an identification found, and how far it can be trusted."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -299,10 +299,16 @@ class Estimate(AbstractEstimate):
         return combination(worst.parameters, np.asarray(worst.solution.weakest_direction))
 
 
+def weighing(names: Sequence[str], direction: Float[np.ndarray, " p"]) -> tuple[str, ...]:
+    """Parameters that weigh more than a tenth of the largest part of a direction."""
+    largest = np.max(np.abs(direction))
+    return tuple(n for c, n in zip(direction, names) if abs(c) > 0.1 * largest)
+
+
 def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> str:
     """A direction over parameters as `0.71 F_1 - 0.71 F_2`, small parts left out."""
-    largest = np.max(np.abs(direction))
-    parts = [(c, n) for c, n in zip(direction, names) if abs(c) > 0.1 * largest]
+    large = weighing(names, direction)
+    parts = [(c, n) for c, n in zip(direction, names) if n in large]
     if parts and parts[0][0] < 0:
         parts = [(-c, n) for c, n in parts]
     words = [f"{'-' if c < 0 else '+'} {abs(c):.2f} {n}" for c, n in parts]

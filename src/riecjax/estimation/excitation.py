@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.estimation.estimate import combination
+from riecjax.estimation.estimate import combination, weighing
 from riecjax.estimation.identify import not_excited, raise_if_nothing_to_fit
 from riecjax.estimation.noise_level import largest_share
 from riecjax.estimation.parameters import ParameterPlan
+from riecjax.estimation.remedies import excite_or_hold
 from riecjax.estimation.stages import stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
@@ -68,10 +69,8 @@ class Excitation(eqx.Module):
         direction, share = np.asarray(self.weakest_direction), float(self.weakest_share)
         of_noise = share >= UNIDENTIFIABLE and noise > min(DOMINATES, drowned)
         direction = np.asarray(self.noisiest_direction) if of_noise else direction
-        remedy = (
-            f"Excite the system more richly, or hold one of them at a known value (on the command "
-            f"line: --set {self.parameters[int(np.argmax(np.abs(direction)))]}=VALUE)."
-        )
+        names = weighing(self.parameters, direction)
+        remedy = excite_or_hold(names, self.parameters[int(np.argmax(np.abs(direction)))])
         whose = f"noise of {self.noisiest}" if self.noisiest else "noise of the signals"
         if share < UNIDENTIFIABLE:
             why = Finding("unidentifiable", "the record cannot tell these apart")
@@ -102,8 +101,6 @@ class Excitation(eqx.Module):
             return []
         which = combination(self.parameters, direction)
         scale = f"{which}, in units of each regressor's size"
-        weak = np.abs(direction) > 0.1 * np.max(np.abs(direction))
-        names = tuple(name for name, part in zip(self.parameters, weak) if part)
         message = f"{self.stage_name}: {why.message}: {scale}. {remedy}"
         return [why._replace(message=message, parameters=names)]
 

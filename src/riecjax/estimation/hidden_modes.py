@@ -12,6 +12,7 @@ small where D is, whatever the mode's mass: shapes are therefore compared by the
 target D y that they leave, and only the last steps, from the best of them, are of the energy.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.hidden_modes import Expanded, HiddenParameters, ModeParameters
+from riecjax.equations.hidden_modes import Expanded, HiddenMode, HiddenParameters, ModeParameters
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import NormalEquations
@@ -34,6 +35,8 @@ STEPS = 12
 """Newton steps from the best point of the grid."""
 FARTHEST = 0.3
 """Of one step, in a frequency's logarithm and in the damping ratio."""
+ZOOMS = 6
+"""Times that a map looks for its damping at half the distance: then it knows it to a percent."""
 SHORTENED = (1.0, 0.5, 0.2, 0.05, 0.01, 0.0)
 """Of each step the best of these shares is gone."""
 
@@ -194,8 +197,14 @@ class ModeMap(NamedTuple):
     damping: Float[Array, " frequencies"]
 
 
-def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]) -> ModeMap:
-    """The map of one more mode, the last one sought, `others` being where they are."""
+def mode_map(
+    stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"], zooms: int = 0
+) -> ModeMap:
+    """The map of one more mode, the last one sought, `others` being where they are.
+
+    Both shares are of the target D y. Of dampings of the grid alone they would step wherever the
+    best of them changes; a search starts from there, a map to be looked at zooms in.
+    """
     low, high = (jnp.log(jnp.asarray(f)) for f in band)
     logs = jnp.linspace(low, high, FREQUENCIES)
 
@@ -206,11 +215,25 @@ def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " s
         target = jnp.where(fit.target > 0, fit.target, 1.0)
         return jnp.where(good, fit.energy / target, jnp.inf), fit.without_last().energy / target
 
+    def row(log: Array) -> tuple[Array, Array, Array]:
+        def best(dampings: Array) -> tuple[Array, Array, Array]:
+            left, without = jax.vmap(lambda z: share(log, z))(dampings)
+            at = jnp.argmin(left)
+            return left[at], without[at], dampings[at]
+
+        def closer(_: int, state: tuple[tuple[Array, Array, Array], Array]):
+            found, width = state
+            damping = found[-1]
+            around = damping * jnp.exp(width * jnp.linspace(-1.0, 1.0, len(DAMPINGS)))
+            # The middle is the best so far, up to rounding, so that none is lost.
+            around = jnp.clip(around, DAMPINGS[0], DAMPINGS[-1]).at[len(DAMPINGS) // 2].set(damping)
+            return best(around), width / 2
+
+        widest = jnp.log(jnp.max(dampings[1:] / dampings[:-1])) / 2
+        return jax.lax.fori_loop(0, zooms, closer, (best(dampings), widest))[0]
+
     dampings = jnp.asarray(DAMPINGS)
-    left, without = jax.vmap(lambda log: jax.vmap(lambda z: share(log, z))(dampings))(logs)
-    best = jnp.argmin(left, axis=1)
-    at = jnp.arange(FREQUENCIES)
-    return ModeMap(jnp.exp(logs), left[at, best], without[at, best], dampings[best])
+    return ModeMap(jnp.exp(logs), *jax.vmap(row)(logs))
 
 
 def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array, " shapes"]:
@@ -227,6 +250,25 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
         best = _best_mode(part, band, at) if of_mode else _best_lag(part, band, at)
         at = polished(part, jnp.concatenate([at, best]))
     return at
+
+
+def as_asked(
+    at: Float[Array, " shapes"], wanted: Sequence[HiddenMode | None]
+) -> Float[Array, " shapes"]:
+    """Modes of one body exchanged, which changes nothing but their names, so that each is as near
+    as may be to the frequency asked for.
+
+    **Arguments:** `wanted`, of each element that is sought its mode, modes first.
+    """
+    modes = [mode for mode in wanted if mode is not None]
+    rows = at[: 2 * len(modes)].reshape(-1, 2)
+    for on in {mode.on: None for mode in modes if mode.hz is not None}:
+        place = [i for i, mode in enumerate(modes) if mode.on == on]
+        orders = np.array(list(itertools.permutations(place)))
+        logs = np.log([np.nan if (hz := modes[i].hz) is None else hz for i in place])
+        far = jnp.nansum(jnp.abs(rows[orders, 0] - jnp.asarray(logs, at.dtype)[None, :]), axis=1)
+        rows = rows.at[np.array(place)].set(rows[jnp.asarray(orders)[jnp.argmin(far)]])
+    return jnp.concatenate([rows.ravel(), at[2 * len(modes) :]])
 
 
 def _best_mode(

@@ -16,10 +16,11 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, IdentifiabilityError, ModelError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination
+from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination, weighing
 from riecjax.estimation.mode_windows import find_modes
 from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
+from riecjax.estimation.remedies import excite_or_hold
 from riecjax.estimation.stages import (
     StageSolution,
     found_values,
@@ -356,7 +357,7 @@ def not_excited(stage_name: str, name: str) -> Finding:
     return Finding(
         "not_excited",
         f"{stage_name}: nothing in the record tells of {name}; its regressor is zero throughout. "
-        f"Excite it, or hold it at a known value (on the command line: --set {name}=VALUE).",
+        f"{excite_or_hold([name], name)}",
         parameters=(name,),
     )
 
@@ -370,9 +371,10 @@ def _raise_if_unidentifiable(solutions: list[StageSolution], plan: ParameterPlan
             if size == 0:
                 silent = not_excited(label, name)
                 raise IdentifiabilityError(silent.message, silent.code)
-        which = combination(stage.parameters, np.asarray(stage.solution.weakest_direction))
+        direction = np.asarray(stage.solution.weakest_direction)
+        which = combination(stage.parameters, direction)
         raise IdentifiabilityError(
             f"{label}: the record cannot tell these apart (collinear regressors): {which}, in "
-            f"units of each regressor's size. Excite the system more richly, or hold one of them "
-            f"at a known value (on the command line: --set NAME=VALUE)."
+            f"units of each regressor's size. "
+            f"{excite_or_hold(weighing(stage.parameters, direction))}"
         )

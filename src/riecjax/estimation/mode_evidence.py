@@ -6,6 +6,8 @@ noise. A mode that is not there explains nothing of a fold but by chance, wherev
 put it.
 """
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
@@ -20,6 +22,7 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.hidden_modes import (
+    ZOOMS,
     ModeMap,
     ModeStage,
     Values,
@@ -29,6 +32,7 @@ from riecjax.estimation.hidden_modes import (
 from riecjax.estimation.mode_windows import find_modes, search_band
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, on_host
+from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import NormalEquations
 
 FOLDS = 10
@@ -41,9 +45,21 @@ UNSURE = 0.2
 """Share of the noise's own energy that may be left because its size was judged wrongly."""
 LITTLE = 0.5
 """Share of what is left without a mode that a true one explains at the least."""
+NEAR = 2**0.5
+"""Ratio of frequencies up to which a mode is near another frequency: half an octave."""
 
 
-class ModeEvidence(NamedTuple):
+class Stray(NamedTuple):
+    """A mode that was `asked` for near a frequency, and `found` elsewhere, both in hertz."""
+
+    parameters: ModeParameters
+    asked: float
+    found: float
+
+
+# It prints in words, which no named tuple can take from a base class.
+@dataclass(frozen=True, eq=False, repr=False)
+class ModeEvidence(Drawn):
     """What speaks for the last hidden mode of a stage.
 
     **Fields:** `parameters` of the mode, of the `stage` its name, and the signal that it is `on`;
@@ -53,7 +69,8 @@ class ModeEvidence(NamedTuple):
     frequency leaves, see [`ModeMap`][riecjax.estimation.ModeMap]; `unexplained` share of the
     target on time left out, with and `without` the mode, means over folds; `gain`, their
     difference, and its standard error; `noise`, share of the target that noise was in the residual,
-    and that was taken off; `lengths` of the windows in seconds.
+    and that was taken off; `lengths` of the windows in seconds; `strays`, modes of the stage that
+    the search has led farther than half an octave away from where they were asked for.
     """
 
     parameters: ModeParameters
@@ -69,6 +86,7 @@ class ModeEvidence(NamedTuple):
     gain: Float[Leaf, ""]
     gain_error: Float[Leaf, ""]
     lengths: tuple[float, float]
+    strays: tuple[Stray, ...] = ()
 
     @property
     def explained(self) -> float:
@@ -90,15 +108,29 @@ class ModeEvidence(NamedTuple):
         return ", or cannot tell it from another that lies close"
 
     def findings(self) -> list[Finding]:
-        """A warning if nothing speaks for the mode, or little."""
+        """Warnings if nothing speaks for the mode, or little, and of modes found elsewhere."""
+        return [*self._not_carried(), *self._elsewhere()]
+
+    def _elsewhere(self) -> Iterator[Finding]:
+        for names, asked, found in self.strays:
+            yield Finding(
+                "mode_elsewhere",
+                f"{self.stage}: no mode near {asked:.4g} Hz: the search for {names.mass} ended at "
+                f"{found:.3g} Hz. If the record carries both, ask for both (on the command line: "
+                f"--add-mode {self.on}={asked:.4g} --add-mode {self.on}={found:.3g}).",
+                parameters=tuple(names),
+            )
+
+    def _not_carried(self) -> list[Finding]:
         if self.carried:
             return []
         names = self.parameters
+        mode = f"the hidden mode on {self.on} ({names.mass})"
         if not self.oscillates and self.explained > LITTLE:
             return [
                 Finding(
                     "mode_not_carried",
-                    f"{self.stage}: what fits best in place of a hidden mode is no oscillator: its "
+                    f"{self.stage}: what fits best in place of {mode} is no oscillator: its "
                     f"mass, stiffness or damping is negative, or its damping more than critical. "
                     f"Leave it out; something else is missing, such as a delay of one signal.",
                     parameters=tuple(names),
@@ -107,7 +139,7 @@ class ModeEvidence(NamedTuple):
         return [
             Finding(
                 "mode_not_carried",
-                f"{self.stage}: of what is left without the hidden mode it explains "
+                f"{self.stage}: of what is left without {mode} it explains "
                 f"{100 * max(self.explained, 0.0):.2g} % on time that it was not found from "
                 f"({100 * float(self.without):.2g} % of the signal is left without it and "
                 f"{100 * float(self.unexplained):.2g} % with it, difference "
@@ -139,7 +171,8 @@ def mode_evidence(
         own = [names for names in stage.sought if isinstance(names, ModeParameters)]
         if own:
             sums = summary.equations(found.bands[i])[i]
-            band = search_band(procedure, summary, own[-1])
+            strays = tuple(_strays(procedure, own, values))
+            band = _seen(search_band(procedure, summary, own[-1]), own[-1], strays)
             raw = on_host(_evidence(equations, sums, known, found.at[i], band))
             label = procedure.plan(set(known))[i][0]
             lengths = found.lengths[i] or summary.lengths_of(summary.band)
@@ -148,9 +181,31 @@ def mode_evidence(
             oscillates = positive and damping**2 < 4 * mass * stiffness
             on = procedure.mode_named(own[-1]).on
             shape = _shape(own[-1], estimate)
-            evidence.append(ModeEvidence(own[-1], label, on, *shape, oscillates, *raw, lengths))
+            evidence.append(
+                ModeEvidence(own[-1], label, on, *shape, oscillates, *raw, lengths, strays)
+            )
         known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}
     return evidence
+
+
+def _strays(
+    procedure: Procedure, modes: Sequence[ModeParameters], values: Values
+) -> Iterator[Stray]:
+    """Those of some modes that lie far from the frequency asked for."""
+    for names in modes:
+        asked, found = procedure.mode_named(names).hz, float(mode_frequency(values, names)[0])
+        if asked is not None and not asked / NEAR <= found <= asked * NEAR:
+            yield Stray(names, asked, found)
+
+
+def _seen(
+    band: tuple[Leaf, Leaf], names: ModeParameters, strays: Sequence[Stray]
+) -> tuple[Leaf, Leaf]:
+    """The band searched for a mode, and where it was found."""
+    low, high = band
+    for found in (stray.found for stray in strays if stray.parameters == names):
+        low, high = np.minimum(low, found / NEAR), np.maximum(high, found * NEAR)
+    return low, high
 
 
 def _shape(
@@ -210,6 +265,7 @@ def _evidence(
             stage._replace(sought=(*others, mode)),
             band,
             jnp.concatenate([jnp.zeros(0), *others.values()]),
+            ZOOMS,
         ),
         jnp.mean(left),
         jnp.mean(without),

@@ -14,11 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.hidden_modes import Expanded, HiddenParameters, ModeParameters
+from riecjax.equations.hidden_modes import (
+    Expanded,
+    HiddenMode,
+    HiddenParameters,
+    ModeParameters,
+)
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.series_springs import SpringParameters
 from riecjax.errors import IdentifiabilityError, ModelError
-from riecjax.estimation.hidden_modes import ModeStage, Values, search
+from riecjax.estimation.hidden_modes import ModeStage, Values, as_asked, search
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace
 from riecjax.linear_algebra import solve_scaled
 from riecjax.summaries.normal_equations import NormalEquations
@@ -66,7 +71,11 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundMo
         used, at, band = (equations[i], sources[i]), jnp.zeros(0), None
         if stage.sought:
             where = tuple(search_band(procedure, summary, names) for names in stage.sought)
-            used, at, band = _in_best_windows(expanded, summary, i, known, where)
+            wanted = tuple(
+                procedure.mode_named(names) if isinstance(names, ModeParameters) else None
+                for names in stage.sought
+            )
+            used, at, band = _in_best_windows(expanded, summary, i, known, (where, wanted))
             if looked_at:
                 _require_motion(procedure.equation_names[i], equations[i], at)
         # What no later equation with an element asks for is left to the fit.
@@ -87,7 +96,7 @@ def _in_best_windows(
     summary: Summary,
     i: int,
     known: Values,
-    where: tuple[tuple[Leaf, Leaf], ...],
+    where: tuple[tuple[tuple[Leaf, Leaf], ...], tuple[HiddenMode | None, ...]],
 ) -> tuple[tuple[list[NormalEquations], ...], Float[Array, " shapes"], tuple[int, int] | None]:
     """A stage's sums, and those of noise, over the windows that tell most of its hidden elements;
     these, and the bins they are of."""
@@ -95,7 +104,7 @@ def _in_best_windows(
     options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
     every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
     stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
-    best, at = _searched(expanded, stacked[0], known, where)
+    best, at = _searched(expanded, stacked[0], known, *where)
     if is_concrete(best):
         chosen = int(best)
         return every[chosen], at, options[chosen] if summary.bins else None
@@ -108,6 +117,7 @@ def _searched(
     options: list[NormalEquations],
     known: Values,
     bands: tuple[tuple[Leaf, Leaf], ...],
+    wanted: tuple[HiddenMode | None, ...],
 ) -> tuple[Array, Float[Array, " shapes"]]:
     """Which windows tell most of a stage's hidden elements, and where they are by these.
 
@@ -115,14 +125,15 @@ def _searched(
     of modes, and of squared standard errors of lags in samples, infinite for what is no oscillator
     and no spring. Relative errors of lags would choose the lengths in which noise looks like one.
 
-    **Arguments:** `options`, sums with a leading axis of window lengths.
+    **Arguments:** `options`, sums with a leading axis of window lengths; `wanted`, of each element
+    its mode, if it is one.
     """
     # The search is not differentiated: what it finds has the minimum's own derivative.
     options, known, bands = held_still((options, dict(known), bands))
 
     def tried(sums: list[NormalEquations]) -> tuple[Array, Array]:
         stage = ModeStage.of(expanded, sums, known)
-        at = search(stage, bands)
+        at = as_asked(search(stage, bands), wanted)
         values = stage.values(at)
         own = [_mixed(e, e.linearised(values), s) for e, s in zip(expanded, sums)]
         names = tuple(dict.fromkeys(name for e in expanded for name in e.all_parameters))

@@ -2,6 +2,7 @@
 
 import math
 import platform
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -27,6 +28,20 @@ def versions() -> dict[str, str]:
 def number(value: float | None, digits: int = 6) -> str:
     """A number for a table; `none` where there is none."""
     return "none" if value is None else f"{value:.{digits}g}"
+
+
+HALF_DIGITS, MOST_DIGITS = 2, 12
+"""Digits of an interval's half width that its ends show, and digits of an end at most."""
+
+
+def ends_of(interval: Sequence[float | None], digits: int = 6) -> list[str]:
+    """Both ends of an interval, with more digits where they would hardly differ."""
+    ends = [end for end in interval if end is not None and math.isfinite(end)]
+    if len(ends) == 2 and ends[0] != ends[1]:
+        half, largest = abs(ends[1] - ends[0]) / 2, max(map(abs, ends))
+        orders = math.floor(math.log10(largest)) - math.floor(math.log10(half))
+        digits = min(max(digits, orders + HALF_DIGITS), MOST_DIGITS)
+    return [number(end, digits) for end in interval]
 
 
 def finite(value: ArrayLike) -> Any:

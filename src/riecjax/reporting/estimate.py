@@ -11,7 +11,7 @@ from rich.text import Text
 
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate
-from riecjax.reporting.document import SCHEMA, Document, finite, number
+from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number
 
 
 def estimate_entries(model: str, estimate: Estimate) -> Document:
@@ -128,7 +128,7 @@ def parameter_table(document: Document) -> Table:
             *(beside_it if chosen else []),
             number(entry["value"]),
             number(entry["std_error"], 2),
-            " .. ".join(number(end) for end in entry["interval95"]),
+            " .. ".join(ends_of(entry["interval95"])),
             *([] if chosen else beside_it),
             Text(entry["unit"]),
         )

@@ -21,6 +21,10 @@ def mode_entries(modes: Sequence[ModeEvidence]) -> list[Document]:
             "damping_ratio": finite(mode.damping_ratio[0]),
             "damping_ratio_std_error": finite(mode.damping_ratio[1]),
             "window_s": list(mode.lengths),
+            "strays": [
+                {"parameters": list(names), "asked_hz": asked, "found_hz": finite(found)}
+                for names, asked, found in mode.strays
+            ],
             "carried": mode.carried,
             "oscillates": mode.oscillates,
             "explained": finite(mode.explained),
@@ -42,7 +46,8 @@ def mode_entries(modes: Sequence[ModeEvidence]) -> list[Document]:
 
 
 def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
-    """Where each mode is, what it explains, and the windows that it was found in."""
+    """Where each mode is, what it explains, the windows that it was found in, and which modes
+    were looked for elsewhere."""
     for mode in modes:
         low, high = mode["window_s"]
         lengths = f"{low:.3g} s" if low == high else f"{low:.3g} to {high:.3g} s"
@@ -61,6 +66,11 @@ def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
             f"found from {100 * left:.2g} % of {mode['equation']} is left with it and "
             f"{100 * held['without']:.2g} % without."
         )
+        for stray in mode["strays"]:
+            yield (
+                f"no mode near {stray['asked_hz']:.4g} Hz: the search for "
+                f"{stray['parameters'][0]} ended at {number(stray['found_hz'], 3)} Hz."
+            )
 
 
 def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
@@ -85,8 +95,11 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
     return Chart(
         rows,
         "The mode map: of each frequency that a hidden mode could have, the share of the target's "
-        "energy that the equation then leaves, at the best damping and mass. Gaps are frequencies "
-        "at which only a negative mass would fit, or noise accounts for all.",
+        "energy that the equation then leaves, at the best mass and the best damping ratio from "
+        "0.02 to 0.8. Both shares are of the equation multiplied by that mode's own polynomial, "
+        "so that the share without a mode, too, depends on its frequency and damping; where the "
+        "best damping jumps from one value to another, it has a step. Gaps are frequencies at "
+        "which only a negative mass would fit, or noise accounts for all.",
         (7, 3.2 * len(rows) + 0.6),
         legend=True,
     )

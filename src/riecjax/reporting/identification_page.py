@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from riecjax.assessment.assessment import Assessment
-from riecjax.reporting.document import Document, number
+from riecjax.reporting.document import Document, ends_of, number
 from riecjax.reporting.estimate import several
 from riecjax.reporting.hidden_modes import modes_in_words
 from riecjax.reporting.identification import identification_document, windows_in_words
@@ -344,7 +344,7 @@ def _sentence(line: str) -> str:
 
 
 def _interval(ends: list[float | None]) -> str:
-    return " to ".join(number(end) for end in ends)
+    return " to ".join(ends_of(ends))
 
 
 def _percent(share: float | None, digits: int) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 
 from riecjax.assessment.assessment import Assessment
 from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
@@ -30,6 +31,7 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of, needed
+from riecjax.reporting.hidden_modes import mode_map_figure
 from riecjax.reporting.identification_figures import (
     held_out_figure,
     identification_figures,
@@ -103,6 +105,11 @@ def _(thing: AbstractEstimate) -> Chart:
 @chart_of.register
 def _(thing: WindowSweep) -> Chart:
     return sweep_figure(thing)
+
+
+@chart_of.register
+def _(thing: ModeEvidence) -> Chart:
+    return mode_map_figure([thing])
 
 
 @chart_of.register

@@ -96,8 +96,9 @@ def choice_in_words(entries: Document) -> str:
     if not left["white"]:
         return (
             f"the refined values are the answer, as was asked for. What they leave is not white "
-            f"noise ({size}): where the model leaves out part of the motion, the identified values "
-            f"are the physical parameters, and these are for predicting motions like this one."
+            f"noise ({size}), as of coloured noise, of noise on a recorded input, or of a model "
+            f"that leaves out part of the motion: there the identified values are the physical "
+            f"parameters, and these are for predicting motions like this one."
         )
     if left["vanishing"]:
         most = max(channel["share"] for channel in left["channels"].values())

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from riecjax.assessment.causes import Cause
 from riecjax.assessment.verdict import Verdict, percent
-from riecjax.reporting.document import Document, finite, number
+from riecjax.reporting.document import Document, ends_of, finite, number
 
 MOST_STEPS = 3
 """Things to do next that are told."""
@@ -107,7 +107,7 @@ def _table(document: Document) -> Table:
         table.add_row(
             Text(name),
             number(entry["value"]),
-            " .. ".join(number(end) for end in entry["interval95"]),
+            " .. ".join(ends_of(entry["interval95"])),
             doubt_in_words(judged["share"]),
             Text(entry["unit"]),
             Text(judged["level"], style=STYLES[judged["level"]]),

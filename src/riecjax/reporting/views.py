@@ -12,12 +12,13 @@ from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate, span
+from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
 from riecjax.refinement.refined import Refined
-from riecjax.reporting.document import number
+from riecjax.reporting.document import ends_of, number
 from riecjax.reporting.equations import (
     equation_in_words,
     expression_in_words,
@@ -26,9 +27,10 @@ from riecjax.reporting.equations import (
 )
 from riecjax.reporting.exports import document_of
 from riecjax.reporting.page import Table
-from riecjax.reporting.tables import View, in_html, in_text
+from riecjax.reporting.tables import View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
 from riecjax.studies.drift import WindowSweep
+from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 
 
@@ -125,6 +127,43 @@ def _(thing: Check) -> View:
 
 
 @view_of.register
+def _(thing: ModeEvidence) -> View:
+    left, without = (100 * max(float(x), 0.0) for x in (thing.unexplained, thing.without))
+    return View(
+        f"hidden mode on {thing.on} ({thing.parameters.mass}), "
+        f"{'carried' if thing.carried else 'not carried'} by the recordings",
+        lines=[
+            f"{with_error(*thing.frequency)} Hz with the body at rest, damping ratio "
+            f"{with_error(*thing.damping_ratio)}",
+            f"{thing.stage}, on time left out: {left:.2g} % unexplained with it, {without:.2g} % "
+            f"without",
+            *_warnings(thing.findings()),
+        ],
+    )
+
+
+@view_of.register
+def _(thing: Summary) -> View:
+    host, outline = on_host(thing), thing.outline
+    every = dict.fromkeys(n for stage in outline.stages for _, own in stage for n in own)
+    # Columns that hidden elements add are no parameters.
+    names = [name for name in every if not name.endswith("'")]
+    lines = [f"parameters: {parameters_in_words(names, dict(outline.units))}"]
+    for i, one in enumerate(host.recordings, start=1):
+        lines.append(
+            f"recording {i}: {span(one.samples, 'd')} samples at {span(1 / one.time_step, '.6g')} "
+            f"Hz, in {span(one.blocks, 'd')} blocks of {span(one.block_seconds)} s"
+        )
+    count, bins = len(host.recordings), host.bins
+    kept = "together" if bins is None else f"apart in {len(bins.edges) - 1} bins"
+    return View(
+        f"sums of {count} recording{'s' if count != 1 else ''} by "
+        f"{criterion_in_words(host.criterion.describe())}",
+        lines=[*lines, f"window lengths kept {kept}; {host.byte_count / 1024:.4g} KiB"],
+    )
+
+
+@view_of.register
 def _(thing: Estimate) -> View:
     host = on_host(thing)
     lines = [
@@ -178,7 +217,7 @@ def value_table(document: Mapping[str, Any]) -> Table:
             name,
             number(entry["value"]),
             number(entry["std_error"], 2),
-            f"[{', '.join(number(end) for end in entry['interval95'])}]",
+            f"[{', '.join(ends_of(entry['interval95']))}]",
             entry["unit"],
         ]
         for name, entry in document["parameters"].items()

@@ -15,6 +15,7 @@ from riecjax.criteria.length_bins import LengthBins
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.shows import Shown
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
@@ -27,7 +28,7 @@ UNKNOWN = "0" * 64
 """Digest of a recording that was summed by jit."""
 
 
-class Summary(eqx.Module):
+class Summary(Shown, eqx.Module):
     """What recordings say to a model under a criterion: moments of short blocks of time.
 
     Sums of recordings, files and machines add up, so that summaries merge, and the samples are not

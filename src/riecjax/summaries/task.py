@@ -76,8 +76,8 @@ def _require_no_springs_on_maps(procedure: Procedure) -> None:
         named = ", ".join(f"'{name}'" for name in maps)
         raise ModelError(
             f"a spring in series with the map of {named} makes the model nonlinear in its "
-            f"parameters: "
-            f"identify it without, and refine it from there: rx.refine(model, record, "
+            f"parameters: identify it without (on the command line: without --add-spring), and "
+            f"refine it from there, in Python: rx.refine(model, record, "
             f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
         )
 
@@ -90,8 +90,10 @@ def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> 
     if criterion.smoothness < most or not criterion.in_closed_form:
         raise ModelError(
             f"hidden modes and springs need all windows of a test function that takes {most} "
-            f"derivatives off: leave the criterion out, or rx.RIEC(rx.AllWindows(alpha, beta), "
-            f"rx.criteria.GradedBump(derivatives={most}))."
+            f"derivatives off: leave the criterion out, or give rx.RIEC.of_band((low, high), "
+            f"rx.criteria.GradedBump(derivatives={most})), low and high in hertz (on the command "
+            f"line: leave out --test-function, --quadrature, --windows and --criterion; --band, "
+            f"--alpha and --beta may stay)."
         )
 
 
@@ -139,8 +141,9 @@ def signals_read(
     Raises what `identify` would raise of this one record, before any arithmetic.
 
     **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
-    for an expression that fails.
+    for an expression that fails, and for windows that hidden elements cannot have.
     """
+    _require_derivatives(procedure, criterion)
     criterion.check(record)
     read: set[str] = set()
     for stage in procedure.stages:

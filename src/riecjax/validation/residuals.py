@@ -17,6 +17,8 @@ from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_modes import accelerated
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, told_apart
+from riecjax.equations.series_springs import force_elements
+from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, Records, as_records
@@ -70,6 +72,8 @@ class EquationResidual(NamedTuple):
       short for four of the longest.
     - `bodies`: signals on which the equation could hide a mode: those that it accelerates; and
       those of `carrying` that carry one in the model.
+    - `dampers`: coefficients with which a spring that the model lacks could be in series, and
+      the first ones of `maps` of which that may be said.
     - `parameters` of the equation.
     """
 
@@ -86,6 +90,8 @@ class EquationResidual(NamedTuple):
     windows: WindowErrors | None
     bodies: tuple[str, ...] = ()
     carrying: tuple[str, ...] = ()
+    dampers: tuple[str, ...] = ()
+    maps: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
 
     def findings(self) -> list[Finding]:
@@ -107,15 +113,23 @@ class EquationResidual(NamedTuple):
 
     def _add(self) -> str:
         if self.carrying:
-            return (
-                f"Beside the mode on {' and '.join(self.carrying)} a force may follow late: add a "
-                f"spring in series with it (rx.SeriesSpring)"
-            )
+            return f"Beside the mode on {' and '.join(self.carrying)} {self._add_spring()}"
         if not self.bodies:
             return "Add the mode"
         return (
             f"Find the mode on {' or '.join(self.bodies)} (on the command line: --add-mode "
             f"{self.bodies[-1]}; rx.HiddenMode('{self.bodies[-1]}'))"
+        )
+
+    def _add_spring(self) -> str:
+        if not self.dampers and not self.maps:
+            return "something else is missing: add it"
+        late = "a force may follow late: add a spring in series with it"
+        if not self.dampers:
+            return f"{late} (in Python: rx.SeriesSpring('{self.maps[0]}'), and rx.refine)"
+        return (
+            f"{late} (on the command line: --add-spring {self.dampers[0]}; "
+            f"rx.SeriesSpring('{self.dampers[0]}'))"
         )
 
     def _following(self) -> Iterator[Finding]:
@@ -249,21 +263,31 @@ def residual_tests(
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
     procedure = as_procedure(model)
-    equations = [equation for stage in procedure.stages for equation in stage]
-    carrying = [
-        tuple(mode.on for mode in procedure.modes if mode.inertia(equation) is not None)
-        for equation in equations
-    ]
     return ResidualTests(
         tuple(
             _residual(name, of_equation, recordings, windows, lags)._replace(
-                bodies=accelerated(equation), carrying=own, parameters=equation.parameters
+                **_lacking(procedure, equation), parameters=equation.parameters
             )
-            for name, of_equation, equation, own in zip(
-                names, errors, equations, carrying, strict=True
-            )
+            for name, of_equation, equation in zip(names, errors, procedure.equations, strict=True)
         )
     )
+
+
+def _lacking(procedure: Procedure, equation: Equation) -> dict[str, tuple[str, ...]]:
+    """Where an equation could hide something, by field of `EquationResidual`."""
+    sprung = {spring.of for spring in procedure.springs}
+    free = {
+        name: term
+        for name, term in force_elements(procedure.equations, [equation]).items()
+        if not sprung & {*term.parameters}
+    }
+    carrying = (mode.on for mode in procedure.modes if mode.inertia(equation) is not None)
+    return {
+        "bodies": accelerated(equation),
+        "carrying": tuple(carrying),
+        "dampers": tuple(name for name, term in free.items() if isinstance(term, Term)),
+        "maps": tuple(name for name, term in free.items() if not isinstance(term, Term)),
+    }
 
 
 def _residual(
