@@ -29,7 +29,7 @@ def main(paths: list[Path]) -> None:
 
 
 def executed(path: Path) -> str:
-    """The text of a notebook with the outputs of its cells; `CellExecutionError` where one fails."""
+    """The text of a notebook with the outputs of its cells."""
     notebook = nbformat.read(path, as_version=4)
     metadata = dict(notebook.metadata)
     client = NotebookClient(

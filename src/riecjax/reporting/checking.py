@@ -95,8 +95,8 @@ def print_check(document: Document, console: Console) -> None:
         table.add_row(
             Text(name),
             Text(entry["equation"]),
-            f"{number(_percent(entry['own_share']), 3)} %",
-            f"{number(_percent(entry['noise_share']), 2)} %",
+            share_in_words(entry["own_share"], 3),
+            share_in_words(entry["noise_share"], 2),
         )
     console.print()
     console.print(table)
@@ -126,5 +126,6 @@ def _answer(document: Document) -> str:
     return "These recordings can answer what the model asks."
 
 
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100 * share
+def share_in_words(share: float | None, digits: int) -> str:
+    """A share in percent; `?` where none is known, as of the noise in a function of signals."""
+    return "?" if share is None else f"{number(100 * share, digits)} %"

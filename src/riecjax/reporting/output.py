@@ -26,7 +26,9 @@ def emit(
     page: Callable[[Document], Page],
     warn: bool = True,
 ) -> None:
-    """Write the folder first, if one is asked for, then print: the answer, and warnings to standard error.
+    """Write the folder first, if one is asked for, then print, the answer before warnings.
+
+    Warnings go to standard error.
 
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
