@@ -14,7 +14,7 @@ from PIL import Image
 from riecjax.cli.main import run
 
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "report.png"
-WIDTH, HEIGHT, COLOURS = 900, 520, 48
+WIDTH, HEIGHT, COLOURS = 1000, 560, 48
 
 
 EXAMPLE = (
