@@ -17,7 +17,7 @@ PICTURE = Path(__file__).parents[1] / "docs" / "images" / "report.png"
 WIDTH, HEIGHT, COLOURS = 1000, 560, 48
 
 
-EXAMPLE = (
+EXAMPLE: tuple[str, ...] = (
     "simulate quarter-car-source --input white-noise --seed 1 --out drive.csv",
     "identify drive.csv --model quarter-car --out result",
 )
