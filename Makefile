@@ -8,7 +8,7 @@ BIN := .venv/bin
 OUT := out
 
 .DELETE_ON_ERROR:
-.PHONY: run test nightly setup lint format docs bench bench-check calibrate clean
+.PHONY: run test nightly setup lint format docs notebooks bench bench-check calibrate clean
 
 run: .venv/installed
 	$(BIN)/riecjax reproduce --out $(OUT)/reproduce
@@ -40,6 +40,9 @@ format: .venv/installed
 
 docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+notebooks: .venv/installed
+	$(BIN)/python notebooks/run.py
 
 bench: .venv/bench
 	$(BIN)/python -m benchmarks

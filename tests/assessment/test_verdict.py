@@ -134,7 +134,7 @@ def test_the_document_holds_the_verdict_and_commands_to_go_on(wrong):
 def test_new_window_lengths_replace_a_band(wrong):
     verdict = wrong.verdict
     step = verdict.causes[0].step._replace(options=("--alpha", "0.1", "--beta", "0.5"))
-    verdict = verdict._replace(causes=[verdict.causes[0]._replace(step=step)])
+    verdict = dataclasses.replace(verdict, causes=[verdict.causes[0]._replace(step=step)])
     for out in (("--out", "result"), ("--out=result",)):
         command = ("identify", "--band", "1", "10", *out, "a.csv")
         (entry,) = verdict_entries(verdict, command)["next"]

@@ -136,7 +136,7 @@ def test_of_another_model_the_identified_values_stay_with_one_table(recording, c
     assert "that is not the answer: what it leaves of" in words
     assert "are the physical parameters" in words
     assert "worst fit on run.csv, last part" in words
-    assert "refined values: m " in words
+    assert "95 % interval refined unit" in words
 
 
 def test_a_horizon_needs_something_to_simulate(recording, capsys):

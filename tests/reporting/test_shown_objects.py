@@ -92,7 +92,11 @@ def test_everything_prints_briefly_and_in_html(estimate, batch, assessed):
     known = rx.identify(equation(), record(), CRITERION, known={"m": 2.0, "k": 50.0})
     recording = assessed.recordings[0]
     comparison = rx.compare([estimate, known])
-    for one in (estimate, batch, assessed, sweep, held, checked, known, recording, comparison):
+    model, verdict = rx.find_model("quarter-car"), assessed.verdict
+    for one in (
+        *(estimate, batch, assessed, sweep, held, checked, known, recording, comparison),
+        *(model, verdict),
+    ):
         for text in (repr(one), str(one)):
             assert len(text.splitlines()) <= 30
             assert "Array(" not in text
@@ -303,6 +307,23 @@ def test_objects_draw_into_new_and_given_axes(estimate, batch, assessed):
     assert len(assessed.sweep.plot().axes) == 3
     with pytest.raises(rx.DataError, match="as many axes"):
         record().plot(own)
+    pyplot.close("all")
+
+
+def test_a_first_figure_leaves_the_settings_of_its_backend(estimate, monkeypatch):
+    """A notebook's backend is chosen by the first figure and says that figures are shown."""
+    from matplotlib import pyplot
+
+    made = pyplot.figure
+
+    def chooses_a_backend(*args, **settings):
+        matplotlib.rcParams["interactive"] = True
+        return made(*args, **settings)
+
+    monkeypatch.setitem(matplotlib.rcParams, "interactive", False)
+    monkeypatch.setattr(pyplot, "figure", chooses_a_backend)
+    estimate.plot()
+    assert matplotlib.is_interactive()
     pyplot.close("all")
 
 

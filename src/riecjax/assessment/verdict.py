@@ -7,10 +7,12 @@ Each estimated parameter is `good`, `caution` or `do not use`, by the size of it
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from riecjax.assessment.causes import Cause, causes
 from riecjax.assessment.doubt import Doubt, doubts
+from riecjax.shows import Shown
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
@@ -53,7 +55,8 @@ class ParameterVerdict(NamedTuple):
     share: float
 
 
-class Verdict(NamedTuple):
+@dataclass(frozen=True, repr=False)
+class Verdict(Shown):
     """Which parameters can be trusted, how far, and what to do about the rest.
 
     **Fields:** `sentence`; `parameters` by name; `causes`, findings grouped by what lies behind

@@ -15,14 +15,14 @@ from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.runtime import start_jax
 
 
-@click.command("check")
-@record_options
+@click.command("check", short_help="Say before any fit whether recordings can answer.")
 @click.option(
     "--model",
     "model_name",
     required=True,
     help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
 )
+@record_options
 @hidden_options
 @criterion_options
 @set_option

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
 
 
-@click.command("identify")
-@record_options
+@click.command("identify", short_help="Identify a model's parameters from recordings.")
 @click.option(
     "--model",
     "model_name",
     required=True,
     help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
 )
+@record_options
 @hidden_options
 @criterion_options
 @refinement_options

@@ -12,11 +12,11 @@ from riecjax.errors import RiecjaxError
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
 COMMANDS = {
-    "reproduce": "riecjax.cli.reproduce",
-    "check": "riecjax.cli.check",
     "identify": "riecjax.cli.identify",
-    "simulate": "riecjax.cli.simulate",
+    "check": "riecjax.cli.check",
     "models": "riecjax.cli.models",
+    "simulate": "riecjax.cli.simulate",
+    "reproduce": "riecjax.cli.reproduce",
 }
 
 

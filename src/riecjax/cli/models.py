@@ -12,7 +12,7 @@ from riecjax.models.catalogue import MODELS, find_model
 from riecjax.models.model import Model, Quantity
 
 
-@click.command("models")
+@click.command("models", short_help="List the built-in models, or show one.")
 @click.argument("name", required=False)
 @json_option
 def command(name: str | None, as_json: bool) -> None:
@@ -27,8 +27,11 @@ def command(name: str | None, as_json: bool) -> None:
         click.echo(json.dumps({"schema": SCHEMA, "models": models_document(shown)}, indent=2))
         return
     console = Console()
-    for model in MODELS.values() if name is None else (find_model(name),):
-        console.print(f"[bold]{model.name}[/bold]  {model.summary}", highlight=False)
+    for i, model in enumerate(MODELS.values() if name is None else (find_model(name),)):
+        if i:
+            console.print()
+        console.print(model.name, style="bold", highlight=False)
+        console.print(f"  {model.summary}", highlight=False)
         console.print(_table(model))
     if name is not None:
         _print_equations(find_model(name), console)

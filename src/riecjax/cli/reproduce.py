@@ -20,7 +20,7 @@ PARTS = "variations.parts"
 """Folder of what is finished of an interrupted study, inside the one of --out."""
 
 
-@click.command("reproduce")
+@click.command("reproduce", short_help="Repeat the study of Best and Gordon (1999).")
 @seed_option
 @click.option(
     "--roads",

@@ -9,7 +9,7 @@ from riecjax.cli.options import POSITIVE, json_option, seed_option, set_option
 from riecjax.runtime import start_jax
 
 
-@click.command("simulate")
+@click.command("simulate", short_help="Make a recording by simulation.")
 @click.argument("model_name", metavar="MODEL")
 @click.option(
     "--input",

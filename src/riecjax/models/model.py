@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from riecjax.errors import ModelError, users_code
+from riecjax.shows import Shown
 
 if TYPE_CHECKING:
     from jaxtyping import Array
@@ -33,8 +34,8 @@ class Quantity(NamedTuple):
 
 
 # Compared by identity, so that a jitted function can take one as static.
-@dataclass(frozen=True, eq=False)
-class Model:
+@dataclass(frozen=True, eq=False, repr=False)
+class Model(Shown):
     """A named model that can be identified, simulated, or both.
 
     **Fields:**

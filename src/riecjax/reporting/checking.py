@@ -72,7 +72,9 @@ def excitation_entries(checked: Check) -> dict[str, Any]:
 
 
 def print_check(document: Document, console: Console) -> None:
-    """Tables for a reader."""
+    """The answer, and tables for a reader."""
+    console.print(Text(_answer(document), style="bold"))
+    console.print()
     for record in document["records"]:
         stretches = record["stretches"]
         parted = "" if stretches == 1 else f", in {stretches} unbroken stretches"
@@ -93,33 +95,37 @@ def print_check(document: Document, console: Console) -> None:
         table.add_row(
             Text(name),
             Text(entry["equation"]),
-            f"{number(_percent(entry['own_share']), 3)} %",
-            f"{number(_percent(entry['noise_share']), 2)} %",
+            share_in_words(entry["own_share"], 3),
+            share_in_words(entry["noise_share"], 2),
         )
+    console.print()
     console.print(table)
     console.print(
-        "own share: what no combination of the other parameters could do as well (100 % is best)\n"
-        "noise: share of the regressor that the sensors' noise makes up",
+        "own share: what no combination of the others could do as well (100 % is best)\n"
+        "noise: share of the sensors' noise in what multiplies the parameter",
         style="dim",
         highlight=False,
     )
+
+
+def _answer(document: Document) -> str:
+    """Whether the recordings can answer, in a sentence."""
     doubts = len(document["warnings"])
     if not document["answerable"]:
-        verdict = "these recordings cannot answer what the model asks; see the warnings."
-    elif document["by_refinement"] is not None:
+        return "These recordings cannot answer what the model asks; see the warnings."
+    if document["by_refinement"] is not None:
         errors = document["by_refinement"].items()
-        verdict = (
-            "windows cannot tell these parameters from noise, and identify refines them by itself: "
+        return (
+            "Windows cannot tell these parameters from noise, and identify refines them by itself: "
             + ", ".join(f"{name} to about {number(100 * share, 2)} %" for name, share in errors)
             + "."
         )
-    elif doubts:
+    if doubts:
         noun = "warning" if doubts == 1 else "warnings"
-        verdict = f"these recordings can answer what the model asks, with {doubts} {noun}."
-    else:
-        verdict = "these recordings can answer what the model asks."
-    console.print(verdict, highlight=False, markup=False)
+        return f"These recordings can answer what the model asks, with {doubts} {noun}."
+    return "These recordings can answer what the model asks."
 
 
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100 * share
+def share_in_words(share: float | None, digits: int) -> str:
+    """A share in percent; `?` where none is known, as of the noise in a function of signals."""
+    return "?" if share is None else f"{number(100 * share, digits)} %"

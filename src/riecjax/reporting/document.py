@@ -25,9 +25,16 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {name: version(name) for name in packages}
 
 
+LONGEST = 1e6
+"""Numbers below it are written out where their digits end before the point: 360, not 3.6e+02."""
+
+
 def number(value: float | None, digits: int = 6) -> str:
     """A number for a table; `none` where there is none."""
-    return "none" if value is None else f"{value:.{digits}g}"
+    if value is None:
+        return "none"
+    said = f"{value:.{digits}g}"
+    return f"{float(said):.0f}" if "e+" in said and abs(value) < LONGEST else said
 
 
 HALF_DIGITS, MOST_DIGITS = 2, 12

@@ -26,19 +26,24 @@ def emit(
     page: Callable[[Document], Page],
     warn: bool = True,
 ) -> None:
-    """Write the folder first, if one is asked for, then print, warnings to standard error.
+    """Write the folder first, if one is asked for, then print, the answer before warnings.
+
+    Warnings go to standard error.
 
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
     if out is not None:
         write_folder(out, document, charts(), page(document))
-    for warning in document.get("warnings", []) if warn else []:
-        click.echo(f"warning [{warning['code']}]: {warning['message']}", err=True)
     if as_json:
         click.echo(json.dumps(document, indent=2, allow_nan=False))
-        return
-    show(document, Console())
-    if out is not None:
+    else:
+        show(document, Console())
+    told = Console(stderr=True)
+    for warning in document.get("warnings", []) if warn else []:
+        # One line each for scripts; whoever looks at a terminal sees whole words.
+        line = f"warning [{warning['code']}]: {warning['message']}"
+        told.print(line, markup=False, highlight=False, soft_wrap=not told.is_terminal)
+    if out is not None and not as_json:
         click.echo(f"wrote {out}/results.json, report.html and figures")
 
 

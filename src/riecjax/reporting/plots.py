@@ -38,9 +38,11 @@ from riecjax.reporting.identification_figures import (
     sweep_figure,
 )
 from riecjax.reporting.identification_page import write_report
+from riecjax.reporting.residual_figures import spectra_figure
 from riecjax.reporting.tables import with_error
 from riecjax.studies.drift import WindowSweep
 from riecjax.validation.held_out import HeldOut
+from riecjax.validation.residuals import ResidualTests
 
 FARTHEST = 100.0
 """Percent beyond which the ends of an interval are not drawn."""
@@ -115,6 +117,11 @@ def _(thing: ModeEvidence) -> Chart:
 @chart_of.register
 def _(thing: HeldOut) -> Chart:
     return held_out_figure(thing)
+
+
+@chart_of.register
+def _(thing: ResidualTests) -> Chart:
+    return spectra_figure(thing)
 
 
 @chart_of.register

@@ -129,13 +129,8 @@ def _worst(described: Document) -> str:
 
 def refinement_in_words(entries: Document) -> Iterator[str]:
     """What was refined, what it left, and what became of predictions, if it is the answer."""
-    if entries["refined"] is None:
-        return
-    if not entries["chosen"]:
-        values = [f"{name} {number(one['value'])}" for name, one in entries["refined"].items()]
-        yield f"refined values: {', '.join(values)}"
-        return
-    yield from search_in_words(entries)
+    if entries["refined"] is not None and entries["chosen"]:
+        yield from search_in_words(entries)
 
 
 def search_in_words(entries: Document) -> Iterator[str]:

@@ -1,5 +1,7 @@
 """Figures of what an identified model leaves: over time, correlated, and over frequency."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -31,6 +33,19 @@ LEAST_SHOWN = 1e-8
 def residual_figures(tests: ResidualTests) -> dict[str, Chart]:
     """`residual_1`, ... for each equation."""
     return {f"residual_{i + 1}": _figure(each) for i, each in enumerate(tests.equations)}
+
+
+def spectra_figure(tests: ResidualTests) -> Chart:
+    """The error's spectrum of each equation beneath the target's."""
+    rows = [
+        (replace(_spectra(each), title=f"{each.name}: {_share_in_words(each)}", columns=1),)
+        for each in tests.equations
+    ]
+    return Chart(rows, "What the equations leave over frequency.", (8, 2.2 * len(rows) + 0.6))
+
+
+def _share_in_words(residual: EquationResidual) -> str:
+    return f"error {100 * residual.relative_rms:.3g} % of the target"
 
 
 def _figure(residual: EquationResidual) -> Chart:

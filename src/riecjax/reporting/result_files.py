@@ -28,6 +28,7 @@ from riecjax.refinement.refined import Refined
 from riecjax.reporting.document import SCHEMA as RESULTS_SCHEMA
 from riecjax.reporting.document import Document
 from riecjax.reporting.tables import View
+from riecjax.reporting.verdict import reasons_in_words
 from riecjax.reporting.views import criterion_in_words, value_table
 from riecjax.shows import Tabled
 from riecjax.summaries import summary as summaries
@@ -87,6 +88,16 @@ class Results(Tabled):
         """What was made small, with its settings."""
         return self.document["criterion"]
 
+    @property
+    def verdict(self) -> dict[str, Any]:
+        """Sentence, level and reason of each parameter, causes, and what to do next."""
+        return self.document.get("verdict") or {}
+
+    @property
+    def command(self) -> str | None:
+        """The command that made the result; `None` where Python did."""
+        return self.document["provenance"].get("command")
+
     def interval(self, name: str) -> tuple[float, float]:
         """Ends of the 95 % interval of an estimated parameter."""
         low, high = self._entry(name).get("interval95", (None, None))
@@ -105,11 +116,13 @@ class Results(Tabled):
 
     def view(self) -> View:
         """What is printed of it."""
-        verdict = (self.document.get("verdict") or {}).get("sentence", "")
+        verdict = self.verdict.get("sentence", "")
         made = f"{self.model} by {criterion_in_words(self.criterion)}"
         lines = [f"warning [{f.code}] {f.message}" for f in self.findings()]
         if verdict:
-            lines = [made, *lines]
+            lines = [*reasons_in_words(self.verdict), made, *lines]
+        if self.command is not None:
+            lines.append(f"made by: {self.command}")
         return View(verdict or made, [value_table(self.document)], lines)
 
 

@@ -12,9 +12,9 @@ MOST_ROWS = 16
 """Rows of a table that a brief text shows."""
 LARGE, SMALL = 6, -4
 """Powers of ten from which on a number is written with one."""
-NUMERIC = re.compile(r"([-+\[]?[\d.]|nan|inf|-inf|none|known|\?|$)")
+NUMERIC = re.compile(r"([-+\[]*[\d.]|nan|inf|-inf|none|known|\?|$)")
 """How the cells of a column begin that stands to the right."""
-CELL = "padding:0.1em 0.7em;border:none;background:none;text-align:"
+CELL = "padding:0.1em 0.7em;border:none;background:none;white-space:nowrap;text-align:"
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ def in_html(view: View) -> str:
         body = "".join(_html_row(row, right, "td") for row in table.rows)
         head = _html_row(table.header, right, "th")
         style = "border-collapse:collapse;color:inherit;font-variant-numeric:tabular-nums"
-        parts.append(f'<table style="{style}">{caption}{head}{body}</table>')
+        shown = f'<table style="{style}">{caption}{head}{body}</table>'
+        parts.append(f'<div style="overflow-x:auto">{shown}</div>')
     parts += [f"<div>{html.escape(line)}</div>" for line in said]
     if warnings:
         listed = "".join(f"<div>{html.escape(line)}</div>" for line in warnings)

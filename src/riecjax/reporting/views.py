@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.assessment.assessment import Assessment
+from riecjax.assessment.verdict import Verdict
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
@@ -15,9 +16,11 @@ from riecjax.estimation.estimated_parameters import AbstractEstimate, span
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
+from riecjax.models.model import Model
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
 from riecjax.refinement.refined import Refined
+from riecjax.reporting.checking import excitation_entries, share_in_words
 from riecjax.reporting.document import ends_of, number
 from riecjax.reporting.equations import (
     equation_in_words,
@@ -32,6 +35,7 @@ from riecjax.reporting.verdict import percent
 from riecjax.studies.drift import WindowSweep
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
+from riecjax.validation.residuals import ResidualTests
 
 
 def in_words(thing: Any, *, brief: bool = False) -> str:
@@ -46,7 +50,7 @@ def as_html(thing: Any) -> str:
 
 def _view(thing: Any) -> View:
     numbers = getattr(thing, "record", thing)
-    if isinstance(thing, Equation | Procedure) or is_concrete(numbers):
+    if isinstance(thing, Equation | Procedure | Model) or is_concrete(numbers):
         return view_of(thing)
     names = getattr(numbers, "parameters", None) or getattr(numbers, "arrays", ())
     units = dict(getattr(numbers, "units", ()))
@@ -79,6 +83,21 @@ def _(thing: Procedure) -> View:
 
 
 @view_of.register
+def _(thing: Model) -> View:
+    roles = {
+        "parameter": thing.parameters,
+        "signal": thing.signals,
+        "to simulate": thing.own_simulation_parameters,
+        "input": thing.inputs,
+    }
+    rows = [[q.name, role, q.unit, q.meaning] for role, every in roles.items() for q in every]
+    equations = procedure_in_words(thing.build_procedure()) if thing.procedure else ()
+    lines = [*equations, *([thing.note] if thing.note else [])]
+    header = ("name", "is a", "unit", "meaning")
+    return View(f"{thing.name}: {thing.summary}", [Table(header, rows)], lines)
+
+
+@view_of.register
 def _(thing: Record) -> View:
     units, shape = dict(thing.units), next(iter(thing.arrays.values())).shape[:-1]
     step = np.asarray(thing.time_step)
@@ -96,7 +115,7 @@ def _(thing: Record) -> View:
         label = parameters_in_words([name], units)
         rows.append([label, *(f"{x:.4g}" for x in numbers), f"{missing}" if missing else ""])
     header = ["signal", "mean", "std", "min", "max", "missing"]
-    if not thing.missing:
+    if not any(row[-1] for row in rows):
         header, rows = header[:-1], [row[:-1] for row in rows]
     return View(title, [Table(header, rows)])
 
@@ -114,13 +133,16 @@ def _(thing: Check) -> View:
     refusal = thing.refusal
     can = "can" if refusal is None else "cannot"
     rows = [
-        [name, one.stage_name, *(f"{100 * float(s[j]):.3g} %" for s in shares)]
-        for one in thing.excitations
-        for shares in [(one.own_share, one.noise_share)]
-        for j, name in enumerate(one.parameters)
+        [
+            name,
+            one["equation"],
+            share_in_words(one["own_share"], 3),
+            share_in_words(one["noise_share"], 2),
+        ]
+        for name, one in excitation_entries(thing).items()
     ]
     return View(
-        f"these recordings {can} answer what the model asks",
+        f"These recordings {can} answer what the model asks.",
         [Table(("parameter", "equation", "own share", "noise"), rows)],
         _warnings(thing.findings),
     )
@@ -260,7 +282,7 @@ def _(thing: WindowSweep) -> View:
     rows = []
     for low, high, values, of in zip(thing.alpha, thing.beta, theta, np.asarray(errors)):
         length = f"{float(low):.3g} .. {float(high):.3g}"
-        rows.append([length, *(f"{x:.5g} ± {e:.2g}" for x, e in zip(values, of))])
+        rows.append([length, *(f"{number(x, 5)} ± {number(e, 2)}" for x, e in zip(values, of))])
     header = ("windows / s", *(parameters_in_words([n], units) for n in thing.parameters))
     if len(thing.parameters) > len(rows):
         header, *rows = zip(header, *rows)
@@ -278,6 +300,21 @@ def _(thing: HeldOut) -> View:
 
 
 @view_of.register
+def _(thing: ResidualTests) -> View:
+    rows = [
+        [
+            one.name,
+            share_in_words(one.relative_rms, 3),
+            "" if one.peak is None else f"{one.peak.frequency:.3g} Hz",
+            "".join(f"{other.signal} ({other.largest:.2f})" for other in one.follows[:1]),
+        ]
+        for one in thing.equations
+    ]
+    header = ("equation", "left, sample by sample", "peak", "follows most (correlation)")
+    return View("what each equation leaves", [Table(header, rows)], _warnings(thing.findings()))
+
+
+@view_of.register
 def _(thing: Assessment) -> View:
     said, answer, verdict = view_of(thing.answer), thing.answer, thing.verdict
     (table,) = said.tables
@@ -292,13 +329,27 @@ def _(thing: Assessment) -> View:
     lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in thing.validations]
     header = (*table.header, "doubt", "verdict")
     how = "refined" if answer is not thing.estimate else said.title
-    steps = dict.fromkeys(cause.step for cause in verdict.causes if cause.step is not None)
     lines = [
-        *(f"to do: {step.words} {' '.join(step.options)}".rstrip() for step in steps),
+        *_to_do(verdict),
         f"{thing.model.name} by {how}",
         *lines,
     ]
     return View(verdict.sentence, [Table(header, rows)], [*lines, *_warnings(thing.findings())])
+
+
+@view_of.register
+def _(thing: Verdict) -> View:
+    rows = [
+        [name, number(one.value), one.unit, percent(one.share), one.level, one.reason]
+        for name, one in thing.parameters.items()
+    ]
+    header = ("parameter", "value", "unit", "doubt", "verdict", "mostly from")
+    return View(thing.sentence, [Table(header, rows)], _to_do(thing))
+
+
+def _to_do(verdict: Verdict) -> list[str]:
+    steps = dict.fromkeys(cause.step for cause in verdict.causes if cause.step is not None)
+    return [f"to do: {step.words} {' '.join(step.options)}".rstrip() for step in steps]
 
 
 def _warnings(findings: Iterable[Finding]) -> list[str]:

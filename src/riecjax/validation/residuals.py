@@ -22,6 +22,7 @@ from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, Records, as_records
+from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined, with_pads
 from riecjax.validation.time_series import (
     Autocorrelation,
@@ -208,7 +209,7 @@ class EquationResidual(NamedTuple):
         }
 
 
-class ResidualTests(eqx.Module):
+class ResidualTests(Drawn, eqx.Module):
     """What every equation of a model leaves unexplained; see [`residual_tests`][].
 
     **Fields:** `equations`, in the order of the procedure's stages.

@@ -79,8 +79,9 @@ def drawn(chart: Chart, ax: Any = None) -> Any:
     if ax is None:
         from matplotlib import pyplot
 
+        # Outside the style: pyplot may only now choose its backend, whose settings are to stay.
+        figure = pyplot.figure(figsize=chart.size, layout="constrained")
         with matplotlib.rc_context(STYLE):
-            figure = pyplot.figure(figsize=chart.size)
             _fill(figure, chart)
         return figure if len(chart.panels) > 1 else figure.axes[0]
     every = np.ravel(np.asarray(ax, dtype=object))
