@@ -154,7 +154,7 @@ def test_residual_tests_in_words(page):
 def test_a_refinement_stands_beside_what_was_identified():
     page = identification_page({**DOCUMENT, "refinement": REFINEMENT})
     table = section(page, "Parameters").tables[0]
-    assert list(table.header)[:3] == ["parameter", "identified", "refined"]
+    assert list(table.header)[:3] == ["parameter", "identified", "value"]
     assert [row[:3] for row in table.rows] == [["m", "1.9", "2"], ["c", "", "3"]]
     refined = section(page, "Refinement")
     assert refined.text == [
@@ -189,7 +189,7 @@ def test_refined_values_that_were_not_chosen_stand_behind_the_answer():
     parameters = section(page, "Parameters")
     assert "physical parameters" in parameters.text[0]
     table = parameters.tables[0]
-    assert [table.header[1], table.header[-2]] == ["identified", "refined, not the answer"]
+    assert [table.header[1], table.header[-2]] == ["value", "refined"]
     assert [(row[1], row[-2]) for row in table.rows] == [("2", "1.7"), ("3", "")]
     assert list(section(page, "Refinement").tables[0].rows[0])[-2:] == ["12", "1.5"]
 

@@ -177,7 +177,8 @@ def _assessed(
         summary=ordinary,
         excited=excited,
     )
-    refinement, validations, failed = refining.answered(asked, estimate, *refining_by)
+    refused = doubted is not None
+    refinement, validations, failed = refining.answered(asked, estimate, refused, *refining_by)
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
     residuals, choice, untested = trust.what_is_left(procedure, records, estimate)

@@ -68,12 +68,14 @@ Answered = tuple[Refinement | None, list[ValidationRun], list[Finding]]
 def answered(
     asked: Asked,
     estimate: Estimate,
+    refused: bool,
     by: "AbstractObjective | Literal['auto'] | None",
     bounds: Mapping[str, Bounds] | None,
     horizon: float | None,
     progress: Progress,
 ) -> Answered:
-    """The refinement and the validation of an estimate.
+    """The refinement and the validation of an estimate, which may be no more than a start (it was
+    `refused`).
 
     **Raises:** as `refine`, for a refinement that was asked for.
     """
@@ -83,7 +85,9 @@ def answered(
     if by is None:
         return None, before, failed
     if isinstance(by, str):
-        found = _by_itself(asked, estimate, bounds, horizon, progress)
+        flaw = "" if refused else _left_out(estimate)
+        settings = (bounds, horizon, progress)
+        found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, *settings)
     else:
         found = _as_asked(asked, estimate, by, bounds, progress)
     if found.refined is None:
@@ -180,8 +184,6 @@ def _by_itself(
     try:
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
-        if flaw := _left_out(estimate):
-            return Refinement(declined=flaw)
         by = _objective(asked, estimate, horizon)
         own = tuple(asked.settings["per_record"])
         specified = by.specify(asked.model, asked.records, estimate, {}, own, None)

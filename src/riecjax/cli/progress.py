@@ -45,9 +45,10 @@ class Progress:
         from rich.console import Group
 
         from riecjax.reporting.estimate import estimate_entries, parameter_table
+        from riecjax.reporting.tables import in_rich
 
         self._spinner.update(text="identified; now testing how far to trust it")
-        table = parameter_table(estimate_entries("", estimate))
+        table = in_rich(parameter_table(estimate_entries("", estimate)))
         self._live.update(Group(table, self._spinner), refresh=True)
 
     def refining(self, cost: float) -> None:

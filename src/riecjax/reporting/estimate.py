@@ -1,17 +1,17 @@
 """An estimate in plain data, and as tables on a terminal."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number
+from riecjax.reporting.page import Table
+from riecjax.reporting.tables import in_rich
 
 
 def estimate_entries(model: str, estimate: Estimate) -> Document:
@@ -83,7 +83,7 @@ def print_estimate(document: Document, console: Console) -> None:
     settings = ", ".join(f"{k} {v}" for k, v in criterion.items() if k != "name")
     heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
     console.print(heading, highlight=False, markup=False)
-    console.print(parameter_table(document))
+    console.print(in_rich(parameter_table(document)))
     for line in _residuals_in_words(document["residual"]):
         console.print(line, highlight=False, markup=False)
 
@@ -107,37 +107,36 @@ def several(stage: Document) -> list[str]:
     return stage["equations"] if len(stage["equations"]) > 1 else []
 
 
-def parameter_table(document: Document) -> Table:
-    """The answer; if a refinement was made, identified and refined values side by side.
+def parameter_table(document: Mapping[str, Any], interval: str = "{} .. {}") -> Table:
+    """Value, standard error and interval of each parameter of a document.
 
-    Standard errors and intervals are of the answer.
+    If a refinement was made, identified and refined values stand side by side; standard errors and
+    intervals are of the answer.
     """
     refinement = document.get("refinement") or {}
     refined, chosen = refinement.get("refined"), refinement.get("chosen")
-    other = refinement["identified"] if chosen else refined
-    beside = [] if other is None else ["identified" if chosen else "refined"]
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    header = ("value", "std error", "95 % interval", "unit")
-    before, after = (beside, []) if chosen else ([], beside)
-    for column in ("parameter", *before, *header[:3], *after, header[3]):
-        table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
-    for name, entry in document["parameters"].items():
-        beside_it = [number(other[name]["value"])] if other is not None else []
-        table.add_row(
-            Text(name),
-            *(beside_it if chosen else []),
+    beside = refinement["identified"] if chosen else refined
+    header = ["parameter", "value", "std error", "95 % interval", "unit"]
+    rows = [
+        [
+            name,
             number(entry["value"]),
             number(entry["std_error"], 2),
-            " .. ".join(ends_of(entry["interval95"])),
-            *([] if chosen else beside_it),
-            Text(entry["unit"]),
-        )
-    for name, entry in document["known"].items():
-        known = (number(entry["value"]), "", "known")
-        table.add_row(
-            Text(name), *("" for _ in before), *known, *("" for _ in after), Text(entry["unit"])
-        )
-    return table
+            interval.format(*ends_of(entry["interval95"])),
+            entry["unit"],
+        ]
+        for name, entry in document["parameters"].items()
+    ]
+    rows += [
+        [name, number(entry["value"]), "", "known", entry["unit"]]
+        for name, entry in document["known"].items()
+    ]
+    if beside is not None:
+        place = 1 if chosen else len(header) - 1
+        header.insert(place, "identified" if chosen else "refined")
+        for row in rows:
+            row.insert(place, number(beside[row[0]]["value"]) if row[0] in beside else "")
+    return Table(header, rows)
 
 
 def parameter_entries(estimate: AbstractEstimate) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from riecjax.assessment.assessment import Assessment
 from riecjax.reporting.document import Document, ends_of, number
-from riecjax.reporting.estimate import several
+from riecjax.reporting.estimate import parameter_table, several
 from riecjax.reporting.hidden_modes import modes_in_words
 from riecjax.reporting.identification import identification_document, windows_in_words
 from riecjax.reporting.identification_figures import identification_figures
@@ -14,6 +14,9 @@ from riecjax.reporting.output import require_folder, write_folder
 from riecjax.reporting.page import Page, Section, Table
 from riecjax.reporting.refinement import choice_in_words, search_in_words
 from riecjax.reporting.verdict import doubt_in_words
+
+BETWEEN = "{} to {}"
+"""An interval in words."""
 
 
 def identification_page(document: Document) -> Page:
@@ -75,29 +78,6 @@ def _answer(document: Document) -> Section:
 
 def _parameters(document: Document) -> Section:
     refinement = document["refinement"] or {}
-    chosen, refined = refinement.get("chosen"), refinement.get("refined")
-    beside = refinement["identified"] if chosen else refined
-    first = "value" if beside is None else "refined" if chosen else "identified"
-    header = ["parameter", first, "standard error", "95 % interval", "unit"]
-    rows = [
-        [
-            name,
-            number(entry["value"]),
-            number(entry["std_error"], 2),
-            _interval(entry["interval95"]),
-            entry["unit"],
-        ]
-        for name, entry in document["parameters"].items()
-    ]
-    rows += [
-        [name, number(entry["value"]), "", "known", entry["unit"]]
-        for name, entry in document["known"].items()
-    ]
-    if beside is not None:
-        place = 1 if chosen else len(header) - 1
-        header.insert(place, "identified" if chosen else "refined, not the answer")
-        for row in rows:
-            row.insert(place, number(beside[row[0]]["value"]) if row[0] in beside else "")
     said = [choice_in_words(refinement)] if refinement else []
     criterion = document["criterion"]
     settings = ", ".join(f"{key} {value}" for key, value in criterion.items() if key != "name")
@@ -105,7 +85,7 @@ def _parameters(document: Document) -> Section:
     return Section(
         "Parameters",
         text=[_sentence(line) for line in (*said, by, *windows_in_words(document))],
-        tables=[Table(header, rows), _excitation(document["excitation"])],
+        tables=[parameter_table(document, BETWEEN), _excitation(document["excitation"])],
         charts=("correlation",),
     )
 
@@ -344,7 +324,7 @@ def _sentence(line: str) -> str:
 
 
 def _interval(ends: list[float | None]) -> str:
-    return " to ".join(ends_of(ends))
+    return BETWEEN.format(*ends_of(ends))
 
 
 def _percent(share: float | None, digits: int) -> str:

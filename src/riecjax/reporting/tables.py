@@ -6,6 +6,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from rich.table import Table as RichTable
+from rich.text import Text
+
 from riecjax.reporting.page import Table
 
 MOST_ROWS = 16
@@ -66,6 +69,16 @@ def in_html(view: View) -> str:
         count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
         parts.append(f"<details><summary>{count}</summary>{listed}</details>")
     return f"<div>{''.join(parts)}</div>"
+
+
+def in_rich(table: Table) -> RichTable:
+    """As a table on a terminal."""
+    printed = RichTable(box=None, padding=(0, 2, 0, 0))
+    for name, column in zip(table.header, zip(*table.rows)):
+        printed.add_column(name, justify="right" if _is_numeric(column) else "left")
+    for row in table.rows:
+        printed.add_row(*map(Text, row))
+    return printed
 
 
 def _html_row(row: Sequence[str], right: Sequence[bool], tag: str) -> str:

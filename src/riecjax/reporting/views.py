@@ -21,13 +21,14 @@ from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
 from riecjax.refinement.refined import Refined
 from riecjax.reporting.checking import excitation_entries, share_in_words
-from riecjax.reporting.document import ends_of, number
+from riecjax.reporting.document import number
 from riecjax.reporting.equations import (
     equation_in_words,
     expression_in_words,
     parameters_in_words,
     procedure_in_words,
 )
+from riecjax.reporting.estimate import parameter_table
 from riecjax.reporting.exports import document_of
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import View, in_html, in_text, with_error
@@ -233,22 +234,8 @@ def _of_parameters(estimate: AbstractEstimate, title: str, lines: Sequence[str])
 
 
 def value_table(document: Mapping[str, Any]) -> Table:
-    """Value, standard error and interval of each parameter of a document."""
-    rows = [
-        [
-            name,
-            number(entry["value"]),
-            number(entry["std_error"], 2),
-            f"[{', '.join(ends_of(entry['interval95']))}]",
-            entry["unit"],
-        ]
-        for name, entry in document["parameters"].items()
-    ]
-    rows += [
-        [name, number(entry["value"]), "", "known", entry["unit"]]
-        for name, entry in document["known"].items()
-    ]
-    return Table(("parameter", "value", "std error", "95 % interval", "unit"), rows)
+    """The answer of a document, as objects show it."""
+    return parameter_table({**document, "refinement": None}, "[{}, {}]")
 
 
 def _batch(estimate: AbstractEstimate) -> tuple[str, Table]:
