@@ -79,15 +79,12 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
     for mode in modes:
         frequency = np.asarray(mode.map.frequency)
         left = np.asarray(mode.map.unexplained)
+        # Where no mode fits there is no best damping either, which the other share depends on.
+        fits = np.isfinite(left)
+        without = np.where(fits, np.asarray(mode.map.without), np.nan)
         marks = [
-            Line(frequency, np.asarray(mode.map.without), "without a mode", GREY),
-            Line(
-                frequency,
-                np.where(np.isfinite(left), left, np.nan),
-                "with a mode there",
-                RUST,
-                markers=True,
-            ),
+            Line(frequency, without, "without a mode", GREY),
+            Line(frequency, np.where(fits, left, np.nan), "with a mode there", RUST, markers=True),
             Level(mode.frequency[0], "x", "the mode found", BLUE, "dashed"),
         ]
         share = Axis(f"share of {mode.stage} unexplained", log=True)
