@@ -41,7 +41,7 @@ from riecjax.validation.whiteness import Whiteness, whiteness
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
-STEPS_BY_ITSELF = 40
+STEPS_BY_ITSELF = 60
 """Steps that one may take which nobody asked for; right models need about ten."""
 LONGEST = 10.0
 """Seconds of computing up to which nobody has to ask for a refinement."""
