@@ -169,6 +169,11 @@ def _estimated(
     settings = (given, window, short, sharing, drawn)
     settings = (sources, summary.noise_freedom, *settings)
     fit = _solve(equations, *settings, None)
+    if modes is not None:
+        other = find_modes(procedure, summary, given, rank=1)
+        beside = _solve(other.equations, other.sources, *settings[1:], None)
+        apart = _apart(fit, beside, other.weight)
+        fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
         # Sums that were made under jit have no averages to tell a constant target by.
@@ -207,6 +212,18 @@ def _estimated(
         rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
         summary=summary if is_concrete(fit.stages, summary) else None,
     )
+
+
+def _apart(fit: "_Fit", beside: "_Fit", weight: Float[Array, ""]) -> Float[Array, " p"]:
+    """How far a model's parameters are from those by the window lengths that tell next most.
+
+    Which lengths tell most of hidden elements is a choice among nearly equals, and what the model
+    and its integrals leave out weighs differently in each. As in an average over models (Buckland,
+    Burnham and Augustin 1997), what the choice moves is part of the variance. It counts by how
+    nearly equal the promises are: what lies between is otherwise the scatter of the poorer one.
+    """
+    apart = jnp.sqrt(weight) * (jnp.asarray(beside.theta) - fit.theta)
+    return jnp.where(jnp.all(jnp.isfinite(apart)), apart, 0.0)
 
 
 class _Fit(NamedTuple):

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from riecjax.equations.hidden_modes import (
     Expanded,
@@ -40,7 +40,7 @@ class FoundModes(NamedTuple):
     **Fields:** `equations` of each stage, linearised about them, and what each source of noise
     adds to them, `sources`; `at`, the shapes of each stage's elements; `bands`, of each stage the
     bins of window lengths that it is solved from, `None` for all or under a trace; `lengths` of
-    these in seconds.
+    these in seconds; `weight`, how little more the lengths that tell most promise than these.
     """
 
     equations: Stages
@@ -48,14 +48,17 @@ class FoundModes(NamedTuple):
     at: list[Float[Array, " shapes"]]
     bands: list[tuple[int, int] | None]
     lengths: list[tuple[float, float] | None]
+    weight: Float[Array, ""]
 
 
-def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundModes:
+def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int = 0) -> FoundModes:
     """The hidden elements of each stage, in the windows that tell most of them.
 
     Short windows show a fast mode, or a lag, and much noise; which of the lengths tells most is
     seen from the standard errors that each promises. Where lengths were not kept apart all are
     taken.
+
+    **Arguments:** `rank`, 0 for the lengths that tell most, 1 for the next, where there are some.
 
     **Raises:** `ModelError` where of a mode something is known, and not all, or of a spring its
     stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
@@ -63,7 +66,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundMo
     """
     _require_whole_elements(procedure, given)
     known = {name: jnp.asarray(value) for name, value in given.items()}
-    found = FoundModes([], [], [], [], [])
+    found, weight = FoundModes([], [], [], [], [], jnp.ones(())), jnp.ones(())
     equations, sources = summary.equations(), summary.noise_by_source()
     looked_at = is_concrete(equations, known) and not is_under_trace()
     for i, expanded in enumerate(procedure.expanded):
@@ -75,7 +78,9 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundMo
                 procedure.mode_named(names) if isinstance(names, ModeParameters) else None
                 for names in stage.sought
             )
-            used, at, band = _in_best_windows(expanded, summary, i, known, (where, wanted))
+            asked = (where, wanted)
+            used, at, band, less = _in_best_windows(expanded, summary, i, known, asked, rank)
+            weight = jnp.minimum(weight, less)
             if looked_at:
                 _require_motion(procedure.equation_names[i], equations[i], at)
         # What no later equation with an element asks for is left to the fit.
@@ -88,7 +93,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values) -> FoundMo
         found.at.append(at)
         found.bands.append(band)
         found.lengths.append(None if band is None else summary.lengths_of(band))
-    return found
+    return found._replace(weight=weight)
 
 
 def _in_best_windows(
@@ -96,19 +101,22 @@ def _in_best_windows(
     summary: Summary,
     i: int,
     known: Values,
-    where: tuple[tuple[tuple[Leaf, Leaf], ...], tuple[HiddenMode | None, ...]],
-) -> tuple[tuple[list[NormalEquations], ...], Float[Array, " shapes"], tuple[int, int] | None]:
+    asked: tuple[tuple[tuple[Leaf, Leaf], ...], tuple[HiddenMode | None, ...]],
+    rank: int,
+) -> tuple[
+    tuple[list[NormalEquations], ...], Float[Array, " shapes"], tuple[int, int] | None, Array
+]:
     """A stage's sums, and those of noise, over the windows that tell most of its hidden elements;
-    these, and the bins they are of."""
+    these, the bins they are of, and their weight."""
     first, last = summary.band
     options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
     every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
     stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
-    best, at = _searched(expanded, stacked[0], known, *where)
+    best, at, weight = _searched(expanded, stacked[0], known, *asked, np.asarray(rank))
     if is_concrete(best):
         chosen = int(best)
-        return every[chosen], at, options[chosen] if summary.bins else None
-    return jax.tree.map(lambda leaf: leaf[best], stacked), at, None
+        return every[chosen], at, options[chosen] if summary.bins else None, weight
+    return jax.tree.map(lambda leaf: leaf[best], stacked), at, None, weight
 
 
 @eqx.filter_jit
@@ -118,8 +126,10 @@ def _searched(
     known: Values,
     bands: tuple[tuple[Leaf, Leaf], ...],
     wanted: tuple[HiddenMode | None, ...],
-) -> tuple[Array, Float[Array, " shapes"]]:
-    """Which windows tell most of a stage's hidden elements, and where they are by these.
+    rank: Int[Leaf, ""],
+) -> tuple[Array, Float[Array, " shapes"], Float[Array, ""]]:
+    """Which windows tell most of a stage's hidden elements, and where they are by these; and the
+    least promise over theirs.
 
     What a length promises is the sum of squared relative standard errors of masses and stiffnesses
     of modes, and of squared standard errors of lags in samples, infinite for what is no oscillator
@@ -152,8 +162,9 @@ def _searched(
         return jnp.where(good, doubt, jnp.inf), at
 
     doubt, at = jax.lax.map(tried, options)
-    best = jnp.argmin(doubt)
-    return best, at[best]
+    chosen = jnp.argsort(doubt)[jnp.minimum(rank, doubt.shape[0] - 1)]
+    least, own = jnp.min(doubt), doubt[chosen]
+    return chosen, at[chosen], jnp.where(jnp.isfinite(own) & (own > 0), least / own, 0.0)
 
 
 @eqx.filter_jit
