@@ -1,0 +1,47 @@
+"""Intervals of hidden modes count that their window lengths were a choice."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import riecjax as rx
+from hidden_body import MODEL, STEP, TRUTH, motion
+from riecjax.estimation.mode_windows import find_modes
+
+SPRUNG = MODEL.with_series_springs(rx.SeriesSpring("c"))
+
+
+@pytest.fixture(scope="module")
+def clean() -> rx.Record:
+    return rx.Record(motion(True), STEP)
+
+
+@pytest.mark.parametrize("model", [MODEL, SPRUNG], ids=["mode", "mode and spring"])
+def test_the_choice_of_window_lengths_is_part_of_the_variance(clean, model):
+    """Of the two lengths that tell most, each by itself."""
+    found = rx.identify(model, clean, intervals=rx.Sandwich())
+    assert found.summary is not None
+    modes = [find_modes(model, found.summary, {}, rank=rank) for rank in (0, 1)]
+    alone = [dataclasses.replace(found.summary, band=of.bands[0]) for of in modes]
+    first, second = (rx.estimate(model, one, intervals=rx.Sandwich()) for one in alone)
+    assert modes[0].bands != modes[1].bands
+    assert 0 < float(modes[1].weight) <= 1 == float(modes[0].weight)
+    apart = np.asarray(second.theta) - np.asarray(first.theta)
+    added = float(modes[1].weight) * apart[:, None] * apart[None, :]
+    np.testing.assert_allclose(found.theta, first.theta, rtol=1e-12)
+    np.testing.assert_allclose(found.covariance, first.covariance + added, rtol=1e-6)
+
+
+def test_without_noise_intervals_hold_the_truth(clean):
+    """Scatter alone is a tenth of what the integrals are off by."""
+    found = rx.identify(MODEL, clean)
+    for name, true in TRUTH.items():
+        low, high = found.interval(name)
+        assert low <= true <= high
+
+
+def test_a_spring_that_is_not_there_is_not_trusted(clean):
+    verdict = rx.assess(SPRUNG, clean, intervals=rx.Sandwich()).verdict
+    assert verdict.parameters["K_series"].level == "do not use"
+    assert verdict.parameters["M_mode"].level == "good"
