@@ -35,6 +35,7 @@ Beside an end or a missing sample those of the five count that are there, and th
 curvature holds on to the end: there, for an interval or two, the error is of third order.
 """
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Literal, TypeAlias
 
@@ -108,8 +109,8 @@ def _of_mean(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Float[
     for reach, coefficient in enumerate(OF_MEAN):
         kernel = np.pad(kernel, min(reach, 1)) + coefficient * power
         power = np.convolve(power, [1, -2, 1])
-        whole = jnp.all(_around(own, reach), axis=0)[:, None]
-        found = jnp.where(whole, jnp.tensordot(kernel, _around(second, reach), axes=1), found)
+        whole = _weighted(own.astype(int), np.ones(2 * reach + 1, int)) == 2 * reach + 1
+        found = jnp.where(whole[:, None], _weighted(second, kernel), found)
     return found
 
 
@@ -119,12 +120,11 @@ def _resolved(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Bool[
     second = jax.lax.stop_gradient(jnp.where(own[:, None], second, 0.0))
     third = jnp.diff(second, append=jnp.zeros_like(second[:1]), axis=0)
     pairs = own | jnp.pad(own[1:], (0, 1))
-    rough, size = _around(third**2, SIGHT)[:-1], _around(second**2, SIGHT)
-    counts = [
-        jnp.sum(_around(one, SIGHT)[:last], axis=0) for one, last in ((own, None), (pairs, -1))
-    ]
-    of_second, of_third = (count[:, None] for count in counts)
-    smooth = jnp.sum(rough, axis=0) * of_second <= BROADEST * jnp.sum(size, axis=0) * of_third
+    every, between = np.ones(2 * SIGHT + 1, int), np.append(np.ones(2 * SIGHT, int), 0)
+    size, rough = _weighted(second**2, every), _weighted(third**2, between)
+    of_second = _weighted(own.astype(int), every)[:, None]
+    of_third = _weighted(pairs.astype(int), between)[:, None]
+    smooth = rough * of_second <= BROADEST * size * of_third
     return smooth & own[:, None] & (of_second > SIGHT)
 
 
@@ -158,6 +158,14 @@ def _medians(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Float[
     ]
     told = own[:, None] & (count[0] >= FEWEST)
     return jnp.where(told, 0.5 * (middle[0] + middle[1]), 0.0)
+
+
+def _weighted(values: Array, weights: np.ndarray) -> Array:
+    """Weighted sums of the samples around each, of which none is written down."""
+    n, rest = values.shape[0], [(0, 0)] * (values.ndim - 1)
+    padded = jnp.pad(values, [(weights.size // 2, weights.size // 2), *rest])
+    parts = [weight * padded[i : i + n] for i, weight in enumerate(weights.tolist()) if weight]
+    return functools.reduce(jnp.add, parts)
 
 
 def _around(values: Array, reach: int) -> Array:
