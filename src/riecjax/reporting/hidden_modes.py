@@ -8,6 +8,9 @@ from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.reporting.charts.chart import BLUE, GREY, RUST, Axis, Chart, Level, Line, Panel
 from riecjax.reporting.document import Document, finite, number
 
+LOWEST = 0.3
+"""Where nothing is left, beside the least that is, on a logarithmic axis."""
+
 
 def mode_entries(modes: Sequence[ModeEvidence]) -> list[Document]:
     """The part of the document about hidden modes, the last one of each stage."""
@@ -81,10 +84,13 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
         left = np.asarray(mode.map.unexplained)
         # Where no mode fits there is no best damping either, which the other share depends on.
         fits = np.isfinite(left)
+        # A logarithmic axis has no room for nothing.
+        floor = LOWEST * np.min(left, where=left > 0, initial=1.0)
+        shown = np.where(fits, np.maximum(left, floor), np.nan)
         without = np.where(fits, np.asarray(mode.map.without), np.nan)
         marks = [
             Line(frequency, without, "without a mode", GREY),
-            Line(frequency, np.where(fits, left, np.nan), "with a mode there", RUST, markers=True),
+            Line(frequency, shown, "with a mode there", RUST, markers=True),
             Level(mode.frequency[0], "x", "the mode found", BLUE, "dashed"),
         ]
         share = Axis(f"share of {mode.stage} unexplained", log=True)
@@ -96,7 +102,7 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
         "0.02 to 0.8. Both shares are of the equation multiplied by that mode's own polynomial, "
         "so that the share without a mode, too, depends on its frequency and damping; where the "
         "best damping jumps from one value to another, it has a step. Gaps are frequencies at "
-        "which only a negative mass would fit, or noise accounts for all.",
+        "which only a negative mass would fit; at the lowest points noise accounts for all.",
         (7, 3.2 * len(rows) + 0.6),
         legend=True,
     )
