@@ -7,7 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
@@ -172,7 +172,7 @@ def _estimated(
     if modes is not None:
         other = find_modes(procedure, summary, given, rank=1)
         beside = _solve(other.equations, other.sources, *settings[1:], None)
-        apart = _apart(fit, beside, other.weight)
+        apart = _apart(fit, beside, other.shown)
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
@@ -214,16 +214,19 @@ def _estimated(
     )
 
 
-def _apart(fit: "_Fit", beside: "_Fit", weight: Float[Array, ""]) -> Float[Array, " p"]:
+def _apart(fit: "_Fit", beside: "_Fit", shown: Bool[Array, ""]) -> Float[Array, " p"]:
     """How far a model's parameters are from those by the window lengths that tell next most.
 
     Which lengths tell most of hidden elements is a choice among nearly equals, and what the model
     and its integrals leave out weighs differently in each. As in an average over models (Buckland,
-    Burnham and Augustin 1997), what the choice moves is part of the variance. It counts by how
-    nearly equal the promises are: what lies between is otherwise the scatter of the poorer one.
+    Burnham and Augustin 1997), what the choice moves is part of the variance. It counts as far as
+    both lengths know a parameter equally well, by the ratio of their variances: what lies between
+    is otherwise the scatter of the poorer one. `shown`: whether that length shows the elements.
     """
+    own, other = (jnp.diagonal(one.uncertainty.covariance) for one in (fit, beside))
+    weight = jnp.minimum(own / jnp.where(other > 0, other, jnp.inf), 1.0)
     apart = jnp.sqrt(weight) * (jnp.asarray(beside.theta) - fit.theta)
-    return jnp.where(jnp.all(jnp.isfinite(apart)), apart, 0.0)
+    return jnp.where(shown & jnp.all(jnp.isfinite(apart)), apart, 0.0)
 
 
 class _Fit(NamedTuple):

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.equations.hidden_modes import (
     Expanded,
@@ -40,7 +40,7 @@ class FoundModes(NamedTuple):
     **Fields:** `equations` of each stage, linearised about them, and what each source of noise
     adds to them, `sources`; `at`, the shapes of each stage's elements; `bands`, of each stage the
     bins of window lengths that it is solved from, `None` for all or under a trace; `lengths` of
-    these in seconds; `weight`, how little more the lengths that tell most promise than these.
+    these in seconds; whether the elements are `shown` in these at all.
     """
 
     equations: Stages
@@ -48,7 +48,7 @@ class FoundModes(NamedTuple):
     at: list[Float[Array, " shapes"]]
     bands: list[tuple[int, int] | None]
     lengths: list[tuple[float, float] | None]
-    weight: Float[Array, ""]
+    shown: Bool[Array, ""]
 
 
 def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int = 0) -> FoundModes:
@@ -66,7 +66,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
     """
     _require_whole_elements(procedure, given)
     known = {name: jnp.asarray(value) for name, value in given.items()}
-    found, weight = FoundModes([], [], [], [], [], jnp.ones(())), jnp.ones(())
+    found, shown = FoundModes([], [], [], [], [], jnp.array(True)), jnp.array(True)
     equations, sources = summary.equations(), summary.noise_by_source()
     looked_at = is_concrete(equations, known) and not is_under_trace()
     for i, expanded in enumerate(procedure.expanded):
@@ -79,8 +79,8 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 for names in stage.sought
             )
             asked = (where, wanted)
-            used, at, band, less = _in_best_windows(expanded, summary, i, known, asked, rank)
-            weight = jnp.minimum(weight, less)
+            used, at, band, there = _in_best_windows(expanded, summary, i, known, asked, rank)
+            shown = shown & there
             if looked_at:
                 _require_motion(procedure.equation_names[i], equations[i], at)
         # What no later equation with an element asks for is left to the fit.
@@ -93,7 +93,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
         found.at.append(at)
         found.bands.append(band)
         found.lengths.append(None if band is None else summary.lengths_of(band))
-    return found._replace(weight=weight)
+    return found._replace(shown=shown)
 
 
 def _in_best_windows(
@@ -107,16 +107,16 @@ def _in_best_windows(
     tuple[list[NormalEquations], ...], Float[Array, " shapes"], tuple[int, int] | None, Array
 ]:
     """A stage's sums, and those of noise, over the windows that tell most of its hidden elements;
-    these, the bins they are of, and their weight."""
+    these, the bins they are of, and whether they show any."""
     first, last = summary.band
     options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
     every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
     stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
-    best, at, weight = _searched(expanded, stacked[0], known, *asked, np.asarray(rank))
+    best, at, shown = _searched(expanded, stacked[0], known, *asked, np.asarray(rank))
     if is_concrete(best):
         chosen = int(best)
-        return every[chosen], at, options[chosen] if summary.bins else None, weight
-    return jax.tree.map(lambda leaf: leaf[best], stacked), at, None, weight
+        return every[chosen], at, options[chosen] if summary.bins else None, shown
+    return jax.tree.map(lambda leaf: leaf[best], stacked), at, None, shown
 
 
 @eqx.filter_jit
@@ -127,9 +127,9 @@ def _searched(
     bands: tuple[tuple[Leaf, Leaf], ...],
     wanted: tuple[HiddenMode | None, ...],
     rank: Int[Leaf, ""],
-) -> tuple[Array, Float[Array, " shapes"], Float[Array, ""]]:
-    """Which windows tell most of a stage's hidden elements, and where they are by these; and the
-    least promise over theirs.
+) -> tuple[Array, Float[Array, " shapes"], Bool[Array, ""]]:
+    """Which windows tell most of a stage's hidden elements, where they are by these, and whether
+    they show any.
 
     What a length promises is the sum of squared relative standard errors of masses and stiffnesses
     of modes, and of squared standard errors of lags in samples, infinite for what is no oscillator
@@ -163,8 +163,7 @@ def _searched(
 
     doubt, at = jax.lax.map(tried, options)
     chosen = jnp.argsort(doubt)[jnp.minimum(rank, doubt.shape[0] - 1)]
-    least, own = jnp.min(doubt), doubt[chosen]
-    return chosen, at[chosen], jnp.where(jnp.isfinite(own) & (own > 0), least / own, 0.0)
+    return chosen, at[chosen], jnp.isfinite(doubt[chosen])
 
 
 @eqx.filter_jit
