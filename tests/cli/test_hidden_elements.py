@@ -12,15 +12,8 @@ import lagging_body
 FAST = ("--refine", "none", "--no-sweep", "--intervals", "sandwich")
 MODEL = """
 import riecjax as rx
+from hidden_body import BODY as body
 
-body = rx.Equation(
-    rx.Term("m", "v", derivative=1, unit="kg"),
-    rx.Term("c", "v", unit="N s/m"),
-    rx.Term("k", "x", unit="N/m"),
-    -rx.Term(1.0, "F"),
-    name="body",
-    unit="N",
-)
 mapped = rx.Equation(
     rx.Term("m", "v", derivative=1, unit="kg"),
     rx.Terms("F", rx.roof([-1.0, 0.0, 1.0]), "v", unit="N"),

@@ -233,8 +233,9 @@ def _warranted(
         return Refinement(declined=flaw)
     if left is None or not (left.vanishing or left.largest == left.largest):
         return Refinement(declined="too few residuals to tell whether they are white")
-    lines = dataclasses.replace(by, intersample=straight_inputs(asked, estimate))
-    if not left.vanishing and lines.intersample and course_shows(asked, refined, misfit, lines):
+    straight = {} if left.vanishing else straight_inputs(asked, estimate)
+    lines = dataclasses.replace(by, intersample=straight)
+    if straight and course_shows(asked, refined, misfit, lines):
         again, misfit = _search(asked, estimate, lines, bounds, STEPS_BY_ITSELF, progress)
         left_again = _left(misfit, again, asked.records)
         surely = surely_likelier(again, refined, asked.records)
