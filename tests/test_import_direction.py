@@ -9,6 +9,7 @@ import pytest
 import riecjax
 
 STAGES = (
+    "compilation",
     "records",
     "equations",
     "criteria",

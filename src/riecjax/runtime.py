@@ -13,6 +13,7 @@ SMALL_LOOP_BYTES = 10**6
 """Loops that touch less memory than this in a turn are compiled whole; XLA's own limit is 1024."""
 CACHE_BYTES = 2**28
 """Size that kept compilations may grow to."""
+_programs_folder: Path | None = None
 _SMALL_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
 _FLAGS = {
     # XLA's Fourier transforms wait for threads of the pool that they run on, so that two at once
@@ -87,6 +88,13 @@ def _keep_compiled() -> None:
     # Small functions too: there are many of them.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    global _programs_folder
+    _programs_folder = folder
+
+
+def programs_folder() -> Path | None:
+    """Where this process keeps what it has compiled, without JAX's help; `None` for nowhere."""
+    return _programs_folder
 
 
 def processor() -> str:

@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -18,6 +17,7 @@ from riecjax.assessment.asked import Asked
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
 from riecjax.assessment.courses import course_shows, straight_inputs, surely_likelier
 from riecjax.assessment.trust import horizons, seen, unseen, validated
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate
@@ -352,6 +352,6 @@ def _leading(system: AbstractSystem) -> set[str]:
     return {motion.names[-1] for motion in system.structure.motions}
 
 
-@eqx.filter_jit
+@kept_jit
 def _through(system: AbstractSystem, states: np.ndarray, levels: np.ndarray) -> dict:
     return dict(jax.vmap(jax.jacfwd(system.output, argnums=1))(states, levels))

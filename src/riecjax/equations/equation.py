@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.equations.expressions import (
     Expression,
     Sampled,
@@ -175,7 +176,7 @@ def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
     ]
 
 
-@eqx.filter_jit
+@kept_jit
 def _each_by_itself(
     functions: tuple[Expression, ...], record: Record
 ) -> Bool[Array, " expressions"]:

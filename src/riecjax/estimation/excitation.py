@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.estimation.estimate import combination, weighing
 from riecjax.estimation.identify import not_excited, raise_if_nothing_to_fit
 from riecjax.estimation.noise_level import largest_share
@@ -153,7 +154,7 @@ def _with_noisiest(
     return dataclasses.replace(found, corrected=True, noisiest=names[record][source])
 
 
-@eqx.filter_jit
+@kept_jit
 def _excitations(
     equations: list[list[NormalEquations]],
     noise: list[list[NormalEquations]],

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from numpy.typing import ArrayLike
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
@@ -166,8 +167,7 @@ def _estimated(
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = (intervals or BlockBootstrap()).drawn(short.number.shape[0])
-    settings = (given, window, short, sharing, drawn)
-    settings = (sources, summary.noise_freedom, *settings)
+    settings = (sources, summary.noise_freedom, given, window, short, sharing, drawn)
     fit = _solve(equations, *settings, None)
     if modes is not None:
         other = find_modes(procedure, summary, given, rank=1)
@@ -244,7 +244,7 @@ class _Fit(NamedTuple):
     totals: list[Float[Array, "columns columns"]]
 
 
-@eqx.filter_jit
+@kept_jit
 def _solve(
     equations: list[list[NormalEquations]],
     sources: list[list[NormalEquations]],

@@ -8,11 +8,11 @@ excited, drowned in noise or integrated need not know of hidden elements.
 import dataclasses
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.equations.hidden_modes import Expanded
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.hidden_modes import ModeStage, Values
@@ -69,7 +69,7 @@ def _outline(procedure: Procedure) -> Outline:
     return Outline(stages, tuple(procedure.units.items()), "")
 
 
-@eqx.filter_jit
+@kept_jit
 def _mixes(
     expanded: tuple[Expanded, ...],
     sums: list[NormalEquations],

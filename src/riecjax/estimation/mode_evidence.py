@@ -10,12 +10,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_modes import Expanded, ModeParameters, mode_frequency
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
@@ -226,7 +226,7 @@ def _shape(
     return frequency, ratio
 
 
-@eqx.filter_jit
+@kept_jit
 def _evidence(
     equations: tuple[Expanded, ...],
     sums: list[NormalEquations],

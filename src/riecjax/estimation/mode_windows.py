@@ -8,12 +8,12 @@ stage's equations are linearised, and from then on they are as any others.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.equations.hidden_modes import (
     Expanded,
     HiddenMode,
@@ -119,7 +119,7 @@ def _in_best_windows(
     return jax.tree.map(lambda leaf: leaf[best], stacked), at, None, shown
 
 
-@eqx.filter_jit
+@kept_jit
 def _searched(
     expanded: tuple[Expanded, ...],
     options: list[NormalEquations],
@@ -166,7 +166,7 @@ def _searched(
     return chosen, at[chosen], jnp.isfinite(doubt[chosen])
 
 
-@eqx.filter_jit
+@kept_jit
 def _contracted(
     expanded: tuple[Expanded, ...],
     sums: list[NormalEquations],

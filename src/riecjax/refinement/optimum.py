@@ -32,6 +32,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import held_still
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
@@ -251,7 +252,7 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     return point, unravel(-(inverse @ pushed))
 
 
-@eqx.filter_jit
+@kept_jit
 def search(
     misfit: AbstractMisfit,
     constraints: Constraints,

@@ -9,6 +9,7 @@ import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
 from jaxtyping import Array, Bool, Float
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.records.record import Record
@@ -274,7 +275,7 @@ def _spread(states: Leaf, levels: Leaf) -> Along:
     )
 
 
-@eqx.filter_jit
+@kept_jit
 def _trajectories(
     system: AbstractSystem, recorded: Sequence[Recorded], method: AbstractMethod
 ) -> tuple[list[Float[Array, "windows longest states"]], list[Bool[Array, ""]]]:
@@ -287,7 +288,7 @@ def _trajectories(
     return [states for states, _, _ in runs], kept
 
 
-@eqx.filter_jit
+@kept_jit
 def _sizes(
     system: AbstractSystem,
     record: Record,

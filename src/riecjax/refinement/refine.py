@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.errors import renamed, require
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.parameters import require_settings
@@ -175,7 +175,7 @@ def _refined(
     return refined, misfit
 
 
-@eqx.filter_jit
+@kept_jit
 def _begin(
     misfit: AbstractMisfit, theta: Float[Array, " p"], first: Float[Array, "windows s"]
 ) -> tuple[Reached, Float[Array, " quantities"]]:

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
@@ -281,7 +282,7 @@ Along = tuple[Leaf, Leaf]
 """States and inputs at points along a recording."""
 
 
-@eqx.filter_jit
+@kept_jit
 def cut_records(
     system: AbstractSystem,
     records: Sequence[Record],

@@ -22,11 +22,11 @@ whose standard errors are themselves made of such changes, beside the parameter.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.refinement.objective import AbstractMisfit
 from riecjax.refinement.optimum import Optimum
@@ -99,7 +99,7 @@ def halve_steps(misfit: AbstractMisfit, at: Optimum, start: Float[Array, " p"]) 
     return StepHalving(change, allowed, ~(xp.abs(change) <= allowed) & tested)
 
 
-@eqx.filter_jit
+@kept_jit
 def _normal_equations(
     misfit: AbstractMisfit, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
 ) -> tuple[Float[Array, "p p"], Float[Array, " p"], Float[Array, ""]]:

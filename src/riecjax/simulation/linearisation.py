@@ -16,12 +16,12 @@ kinks, or of transients longer than their parts (A that is far from normal); hal
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.leaves import Leaf
 from riecjax.simulation.system import AbstractSystem
 
@@ -67,12 +67,12 @@ def jacobians(
     return np.asarray(_slopes(system, states, inputs))
 
 
-@eqx.filter_jit
+@kept_jit
 def _slopes(system: AbstractSystem, states: Leaf, inputs: Leaf) -> Array:
     return jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
 
 
-@eqx.filter_jit
+@kept_jit
 def linearise(
     system: AbstractSystem,
     state: Float[Array, " states"] | None = None,

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
 from riecjax.simulation.intersample import (
@@ -109,7 +110,7 @@ def _levels(system: AbstractSystem, inputs: Record) -> Float[Array, "n inputs"]:
     return jnp.stack(columns, axis=-1) if columns else jnp.zeros((inputs.sample_count, 0))
 
 
-@eqx.filter_jit
+@kept_jit
 def _simulate(
     system: AbstractSystem,
     levels: Float[Array, "n inputs"],

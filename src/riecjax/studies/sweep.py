@@ -3,12 +3,12 @@
 import itertools
 from collections.abc import Mapping, Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
@@ -182,7 +182,7 @@ def _sweep(
     )
 
 
-@eqx.filter_jit
+@kept_jit
 def _estimates(
     equations: list[list[NormalEquations]],
     given: Mapping[str, Array],

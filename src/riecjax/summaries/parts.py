@@ -14,12 +14,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.chunks import ROUND, StartBlocks, in_chunks
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LagBins
@@ -124,7 +124,7 @@ class Surveyed(NamedTuple):
     reach: dict[str, Float[Array, "1 2"]]
 
 
-@eqx.filter_jit
+@kept_jit
 def of_all_windows(
     procedure: Procedure,
     criterion: AbstractCriterion,
@@ -185,7 +185,7 @@ def _in_blocks(
     return BlockSums(spread(found[0]), spread(found[1]), spread(noise.total), noise.of_source[None])
 
 
-@eqx.filter_jit
+@kept_jit
 def of_rows(
     procedure: Procedure,
     criterion: AbstractCriterion,
@@ -217,7 +217,7 @@ def of_rows(
     return _in_chunks(procedure, criterion, part, equation_sums, 0, request)
 
 
-@eqx.filter_jit
+@kept_jit
 def all_rows(
     procedure: Procedure, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
 ) -> list[list[Rows]]:

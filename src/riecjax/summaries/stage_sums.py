@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.criterion import AbstractCriterion
@@ -147,4 +148,4 @@ def moments_of_drawn(
     return sums(noisy.columns), noise
 
 
-_of_equations_compiled = eqx.filter_jit(_of_equations)
+_of_equations_compiled = kept_jit(_of_equations)

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import sampled_columns
@@ -169,7 +170,7 @@ def with_pads(parts: Sequence[Shaped[np.ndarray, " n"]], pad: int) -> Shaped[np.
     return np.concatenate([piece for part in parts for piece in (between, part)][1:])
 
 
-_compiled = eqx.filter_jit(equation_error)
+_compiled = kept_jit(equation_error)
 
 
 def _error_of(

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
-import scipy.signal
 from jaxtyping import Bool, Float, Int
 
 from riecjax import tails
@@ -260,11 +259,13 @@ class ErrorSpectrum(NamedTuple):
         holds 30 % of the error's power there. A rise towards half the sampling rate, as of
         differentiated noise, is no peak, nor one that only ends where the excitation does.
         """
+        from scipy.signal import find_peaks  # half a second, which the first answer need not wait
+
         if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
             return None
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
         level = np.log(np.maximum(smooth, np.finfo(float).tiny))
-        tops, _ = scipy.signal.find_peaks(level, prominence=np.log(PROMINENCE))
+        tops, _ = find_peaks(level, prominence=np.log(PROMINENCE))
         peaks = (self._peak_at(int(top), smooth) for top in tops)
         genuine = [
             p
@@ -276,9 +277,11 @@ class ErrorSpectrum(NamedTuple):
         return max(genuine, key=lambda p: p.share, default=None)
 
     def _peak_at(self, top: int, smooth: Float[np.ndarray, " frequencies"]) -> Peak:
+        from scipy.signal import peak_widths
+
         # As prominence the whole height, so that half the prominence is half the power.
         height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
-        edges = scipy.signal.peak_widths(smooth, [top], prominence_data=height)
+        edges = peak_widths(smooth, [top], prominence_data=height)
         low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
         inside = (self.frequency >= low) & (self.frequency <= high)
         # The mean is no oscillation, so it does not count.
@@ -304,6 +307,8 @@ def error_spectrum(
     **Arguments:** `parts`: a segment is this part of the record, 64 samples at least; shorter
     where unbroken stretches are. `detrend`: take each segment's mean off.
     """
+    from scipy.signal import csd
+
     runs = unbroken(np.asarray(error.present))
     length = segment_length([run.stop - run.start for run in runs], parts)
     left, explained, target = map(np.asarray, (error.error, error.explained, error.target))
@@ -320,7 +325,7 @@ def error_spectrum(
         segments = max((run.stop - run.start - length) // (length - length // 2) + 1, 0)
         count += segments
         for name, (one, other) in pairs.items() if segments else ():
-            _, density = scipy.signal.csd(
+            _, density = csd(
                 one[run],
                 other[run],
                 fs=1 / float(error.time_step),

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
 from riecjax.records.noise_judgement import judged
+from riecjax.records.noise_spectrum import blackman_harris
 from riecjax.records.preparation.filtering import longest_stretch, on_stretches, with_gaps
 from riecjax.records.record import Record
 
@@ -124,9 +125,8 @@ def _above(samples: np.ndarray, noise: np.ndarray) -> np.ndarray:
     **Arguments:** `noise`, its density, that of white noise being its variance.
     """
     from scipy.signal import detrend
-    from scipy.signal.windows import blackmanharris
 
-    window = blackmanharris(samples.size)
+    window = blackman_harris(samples.size)
     density = np.abs(np.fft.rfft(window * detrend(samples))) ** 2 / np.sum(window**2)
     around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
     summed = (density, noise, np.ones(density.size))

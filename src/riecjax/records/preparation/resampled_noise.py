@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import scipy.interpolate
 from jaxtyping import Float
 
 from riecjax.records.noise import DIFFERENCE_ORDER, STRETCH, STRETCHES, Noise, shortened, usual_size
@@ -50,9 +49,11 @@ def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"
 
     **Arguments:** `positions` at which the spline is evaluated, in samples, evenly spaced.
     """
+    from scipy.interpolate import CubicSpline  # takes half a second, which few records need
+
     spacing = float(positions[1] - positions[0])
     knots = np.arange(-2 * KNOTS, 2 * KNOTS + 1)
-    spline = scipy.interpolate.CubicSpline(knots, (knots == 0).astype(float))
+    spline = CubicSpline(knots, (knots == 0).astype(float))
 
     def at(places: np.ndarray) -> np.ndarray:
         return np.where(np.abs(places) < KNOTS, spline(np.clip(places, -KNOTS, KNOTS)), 0.0)

@@ -1,10 +1,9 @@
 """Records at another rate, and channels of different rates on one."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-import scipy.interpolate
 
 from riecjax.errors import DataError
 from riecjax.records.missing import gaps, hold
@@ -233,13 +232,20 @@ def _interpolated(
 ) -> np.ndarray:
     """Cubic spline between samples; samples on the grid as they are."""
     if time.size >= FEWEST_KNOTS:
-        found = scipy.interpolate.CubicSpline(time - time[0], values)(grid - time[0])
+        found = _spline(time, values)(grid - time[0])
     else:
         found = np.full(grid.size, np.nan)
     nearest = np.clip(np.searchsorted(time, grid - same_time), 0, time.size - 1)
     same = np.abs(time[nearest] - grid) <= same_time
     found[same] = values[nearest[same]]
     return found
+
+
+def _spline(time: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """A cubic spline over the time since the first sample."""
+    from scipy.interpolate import CubicSpline  # takes half a second, which few records need
+
+    return CubicSpline(time - time[0], values)
 
 
 def _thinned(
@@ -253,7 +259,7 @@ def _thinned(
             return np.full(grid.size, np.nan)
         # Twice as dense, so that the denser parts of uneven times lose nothing.
         even = np.arange(0, time[-1] - time[0], step / 2)
-        values = scipy.interpolate.CubicSpline(time - time[0], values)(even)
+        values = _spline(time, values)(even)
         even_step = step / 2
     if not even_step:
         return np.full(grid.size, np.nan)
