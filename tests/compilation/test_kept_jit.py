@@ -125,7 +125,7 @@ def test_whatever_a_trace_can_see_makes_another_program(folder):
 
 
 def test_derivatives_and_batches_are_of_the_function_itself(folder):
-    def level(x: jax.Array) -> jax.Array:
+    def level(x: Any) -> jax.Array:
         return jnp.sum(evaluate(curve(), x, 2).values)
 
     step = 1e-6 * np.eye(5)

@@ -46,7 +46,7 @@ class _Place:
 class _Program(NamedTuple):
     """A compiled function of flat arrays, and what to put its results into."""
 
-    compiled: Callable[..., list[jax.Array]]
+    compiled: jax.stages.Compiled
     template: Any
 
 
@@ -86,7 +86,6 @@ def _arrays(arguments: Any) -> list[Any]:
 
 def _program(function: Callable, arguments: Any, folder: Path) -> _Program | None:
     """The program of a call, of this process, an earlier one, or new; `None` if none is kept."""
-    assert isinstance(function, FunctionType)
     if jax.config.values["jax_disable_jit"] or jax.device_count() > 1 or not is_concrete(arguments):
         return None
     try:

@@ -10,9 +10,11 @@ import dataclasses
 import enum
 import functools
 import hashlib
+import inspect
 import os
 import platform
 import sys
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType
@@ -51,7 +53,7 @@ class ProgramKey:
     **Fields:** `digest` in hexadecimal; `functions` in the order in which they were found.
     """
 
-    def __init__(self, function: FunctionType, arguments: Any) -> None:
+    def __init__(self, function: Callable, arguments: Any) -> None:
         self._hash = hashlib.sha256(f"{_of_process()} {_settings()}".encode())
         self._seen: dict[int, int] = {}
         # What is made on the way, as a list of fields, must live as long as its address counts.
@@ -113,7 +115,7 @@ class ProgramKey:
             case _ if callable(value) and hasattr(value, "__wrapped__"):
                 # As `jax.jit` and its kind wrap a function of a library.
                 self._write_name(type(value))
-                self._add(value.__wrapped__)
+                self._add(inspect.unwrap(value))
             case _ if type(value).__module__.partition(".")[0] == _PACKAGE:
                 self._write_name(type(value))
                 self._add(dict(sorted(vars(value).items())))
@@ -159,7 +161,7 @@ def _content(cell: Any) -> Any:
         raise NoKey("a function that is not yet whole") from None
 
 
-def key_of(function: FunctionType, arguments: Any) -> ProgramKey:
+def key_of(function: Callable, arguments: Any) -> ProgramKey:
     """The key of a call.
 
     **Raises:** `NoKey` where none is sure.
