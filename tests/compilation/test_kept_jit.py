@@ -17,7 +17,7 @@ import pytest
 
 from riecjax import runtime
 from riecjax.compilation import kept_jit as module
-from riecjax.compilation import program_key
+from riecjax.compilation import program_files, program_key
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.compilation.program_key import NoKey, key_of
 
@@ -162,7 +162,7 @@ def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):
     monkeypatch.setattr(runtime, "_programs_folder", folder / "gone")
     assert_right(evaluate(curve(), X, 2))
     monkeypatch.setattr(runtime, "_programs_folder", folder)
-    monkeypatch.setattr(module, "CACHE_BYTES", 1)
+    monkeypatch.setattr(program_files, "CACHE_BYTES", 1)
     another_process()
     assert_right(evaluate(curve(), X, 2))
     assert_right(evaluate(curve(), X, 3), power=3)

@@ -99,6 +99,9 @@ def command(
     criteria.require_sense()
     refining.require_sense(validates=hold_out is not None or bool(validation_files))
     start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
+    from riecjax.compilation.program_files import load_ahead
+
+    load_ahead("identify", model_name)
     import jax
 
     from riecjax.assessment.assess import assess

@@ -9,11 +9,8 @@ only after `start_jax(keep_compiled=True)`, and behave as `equinox.filter_jit` i
 import contextlib
 import dataclasses
 import functools
-import hashlib
 import io
-import os
 import pickle
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType
@@ -21,18 +18,14 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
-import numpy as np
-from jax.experimental import serialize_executable
-from jaxlib import lapack
 
+from riecjax.compilation.program_files import Stored, read_program, write_program
 from riecjax.compilation.program_key import NoKey, ProgramKey, key_of
 from riecjax.leaves import is_concrete
-from riecjax.runtime import CACHE_BYTES, programs_folder
+from riecjax.runtime import programs_folder
 
 P = ParamSpec("P")
 T = TypeVar("T")
-_DIGEST_BYTES = 32
-_SUFFIX = ".program"
 _NAME = "kept_"
 
 
@@ -50,7 +43,7 @@ class _Program(NamedTuple):
     template: Any
 
 
-_programs: dict[str, _Program | None] = {}
+_programs: dict[str, _Program] = {}
 
 
 def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
@@ -93,13 +86,22 @@ def _program(function: Callable, arguments: Any, folder: Path) -> _Program | Non
     except NoKey:
         return None
     if key.digest not in _programs:
-        file = folder / (key.digest + _SUFFIX)
-        found = _read(file, key)
-        _programs[key.digest] = found or _made(function, arguments, file, key)
+        _programs[key.digest] = _read(folder, key) or _made(function, arguments, folder, key)
     return _programs[key.digest]
 
 
-def _made(function: Callable, arguments: Any, file: Path, key: ProgramKey) -> _Program | None:
+def _read(folder: Path, key: ProgramKey) -> _Program | None:
+    stored = read_program(folder, key.digest)
+    if stored is None:
+        return None
+    try:
+        template = _Unpickler(io.BytesIO(stored.template), key).load()
+    except Exception:  # as of a version that wrote other files
+        return None
+    return _Program(stored.compiled, template)
+
+
+def _made(function: Callable, arguments: Any, folder: Path, key: ProgramKey) -> _Program:
     arrays, others = eqx.partition(arguments, eqx.is_array)
     leaves, structure = jax.tree.flatten(arrays)
     templates = []
@@ -116,8 +118,12 @@ def _made(function: Callable, arguments: Any, file: Path, key: ProgramKey) -> _P
     traced = jax.jit(flat).trace(*leaves)
     with _not_in_jax_cache():
         program = _Program(traced.lower().compile(), templates[0])
-    if not _calls_python(traced.jaxpr.jaxpr):
-        _write(file, program, key)
+    template = io.BytesIO()
+    # A function that only the call's code can name has no place in a file.
+    with contextlib.suppress(pickle.PicklingError, AttributeError, TypeError):
+        _Pickler(template, key).dump(program.template)
+        if not _calls_python(traced.jaxpr.jaxpr):
+            write_program(folder, key.digest, Stored(program.compiled, template.getvalue()))
     return program
 
 
@@ -168,56 +174,3 @@ class _Unpickler(pickle.Unpickler):
 
     def persistent_load(self, pid: int) -> FunctionType:
         return self._functions[pid]
-
-
-def _write(file: Path, program: _Program, key: ProgramKey) -> None:
-    """Keep a program, where it can be."""
-    written = io.BytesIO()
-    try:
-        payload, inputs, outputs = serialize_executable.serialize(program.compiled)
-        counts = (inputs.num_leaves, outputs.num_leaves)
-        _Pickler(written, key).dump((counts, program.template, payload))
-    except Exception:  # each part of JAX that cannot be kept has an error of its own
-        return
-    content = written.getvalue()
-    with contextlib.suppress(OSError):
-        _make_room(file.parent, len(content))
-        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=_SUFFIX, delete=False) as new:
-            new.write(hashlib.sha256(content).digest() + content)
-        os.replace(new.name, file)
-
-
-def _read(file: Path, key: ProgramKey) -> _Program | None:
-    try:
-        content = file.read_bytes()
-        os.utime(file)
-    except OSError:
-        return None
-    told, written = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-    if hashlib.sha256(written).digest() != told:
-        return None
-    try:
-        counts, template, payload = _Unpickler(io.BytesIO(written), key).load()
-        inputs, outputs = counts
-        # XLA ends the process at LAPACK's functions unless a lowering, which is what is spared
-        # here, has looked them up.
-        lapack.prepare_lapack_call("potrf_ffi", np.float64)
-        structure = jax.tree.structure(((0,) * inputs, {}))
-        compiled = serialize_executable.deserialize_and_load(
-            payload, structure, jax.tree.structure([0] * outputs)
-        )
-    except Exception:  # what cannot be loaded is made anew
-        return None
-    return _Program(compiled, template)
-
-
-def _make_room(folder: Path, needed: int) -> None:
-    """Forget the programs that were not used for longest."""
-    used = sorted((file.stat().st_mtime, file) for file in folder.glob("*" + _SUFFIX))
-    sizes = [file.stat().st_size for _, file in used]
-    excess = sum(sizes) + needed - CACHE_BYTES
-    for (_, file), size in zip(used, sizes):
-        if excess <= 0:
-            return
-        file.unlink(missing_ok=True)
-        excess -= size

@@ -1,0 +1,127 @@
+"""Compiled programs in files, loaded when they are called or ahead of that.
+
+XLA loads a program without Python: beside the imports of a process, on another core. So what the
+last process of a kind called is loaded from the start.
+"""
+
+# This module imports no more than JAX, so that loading can begin before anything else is imported.
+
+import atexit
+import contextlib
+import hashlib
+import json
+import os
+import pickle
+import re
+import tempfile
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax.experimental import serialize_executable
+from jaxlib import lapack
+
+from riecjax.runtime import CACHE_BYTES, programs_folder
+
+_DIGEST_BYTES = 32
+_SUFFIX = ".program"
+_KEY = re.compile("[0-9a-f]{64}")
+
+
+class Stored(NamedTuple):
+    """A compiled function of flat arrays, and what its caller keeps with it."""
+
+    compiled: jax.stages.Compiled
+    template: bytes
+
+
+_ahead: dict[str, Future[Stored | None]] = {}
+_called: dict[str, None] = {}
+
+
+def load_ahead(*kind: str) -> None:
+    """Begin to load, on a thread, what the last process of this kind called; note what this one
+    calls."""
+    folder = programs_folder()
+    if folder is None:
+        return
+    calls = folder / (hashlib.sha256("\0".join(kind).encode()).hexdigest() + ".calls")
+    atexit.register(_note, calls)
+    with contextlib.suppress(OSError, ValueError):
+        keys = [key for key in json.loads(calls.read_text()) if _KEY.fullmatch(key)]
+        loader = ThreadPoolExecutor(1)
+        _ahead.update({key: loader.submit(_loaded, _file(folder, key)) for key in keys})
+        loader.shutdown(wait=False)
+
+
+def read_program(folder: Path, key: str) -> Stored | None:
+    """The program of a key; `None` if there is none, or none that can be loaded."""
+    _called[key] = None
+    ahead = _ahead.pop(key, None)
+    return _loaded(_file(folder, key)) if ahead is None else ahead.result()
+
+
+def write_program(folder: Path, key: str, program: Stored) -> None:
+    """Keep a program, where it can be."""
+    try:
+        payload, inputs, outputs = serialize_executable.serialize(program.compiled)
+    except Exception:  # each part of JAX that cannot be kept has an error of its own
+        return
+    counts = (inputs.num_leaves, outputs.num_leaves)
+    content = pickle.dumps((counts, payload, program.template))
+    with contextlib.suppress(OSError):
+        _make_room(folder, len(content))
+        _replace(_file(folder, key), hashlib.sha256(content).digest() + content)
+
+
+def _file(folder: Path, key: str) -> Path:
+    return folder / (key + _SUFFIX)
+
+
+def _loaded(file: Path) -> Stored | None:
+    try:
+        content = memoryview(file.read_bytes())
+        os.utime(file)
+    except OSError:
+        return None
+    told, written = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    if hashlib.sha256(written).digest() != told:
+        return None
+    try:
+        (inputs, outputs), payload, template = pickle.loads(written)
+        # XLA ends the process at LAPACK's functions unless a lowering, which is what is spared
+        # here, has looked them up.
+        lapack.prepare_lapack_call("potrf_ffi", np.float64)
+        structure = jax.tree.structure(((0,) * inputs, {}))
+        compiled = serialize_executable.deserialize_and_load(
+            payload, structure, jax.tree.structure([0] * outputs)
+        )
+    except Exception:  # what cannot be loaded is made anew
+        return None
+    return Stored(compiled, template)
+
+
+def _note(calls: Path) -> None:
+    if _called:
+        with contextlib.suppress(OSError):
+            _replace(calls, json.dumps(list(_called)).encode())
+
+
+def _replace(file: Path, content: bytes) -> None:
+    with tempfile.NamedTemporaryFile(dir=file.parent, suffix=_SUFFIX, delete=False) as new:
+        new.write(content)
+    os.replace(new.name, file)
+
+
+def _make_room(folder: Path, needed: int) -> None:
+    """Forget the programs that were not used for longest."""
+    used = sorted((file.stat().st_mtime, file) for file in folder.glob("*" + _SUFFIX))
+    sizes = [file.stat().st_size for _, file in used]
+    excess = sum(sizes) + needed - CACHE_BYTES
+    for (_, file), size in zip(used, sizes):
+        if excess <= 0:
+            return
+        file.unlink(missing_ok=True)
+        excess -= size
