@@ -2,7 +2,8 @@
 
 `riecjax identify` on 8000 rows, on a terminal of its own: until the estimate is on the screen, and
 until the verdict on refined and tested values is, first with nothing compiled before, then again
-with what the first one kept; and `riecjax models`. Beside them a bare import of jax and diffrax, in
+with what the first one kept; the same of a model that is right, whose values are refined; and
+`riecjax models`. Beside them a bare import of jax and diffrax, in
 whose time they are told. Written to benchmarks/cold_start.json.
 """
 
@@ -23,7 +24,7 @@ from benchmarks.writing import write_json
 FILE = Path(__file__).with_name("cold_start.json")
 RIECJAX = (sys.executable, "-c", "from riecjax.cli.main import main; main()")
 IMPORT = (sys.executable, "-c", "import jax, diffrax")
-RECORDING = "drive.csv"
+RECORDING, RIGHT = "drive.csv", "duffing.csv"
 LAST_ROW = b"F_4"
 """The parameter in the last row of the quarter car's table."""
 VERDICT = b"Values:"
@@ -32,6 +33,8 @@ TARGETS = {
     "verdict_first": 9.0,
     "estimate_again": 1.7,
     "verdict_again": 4.5,
+    "refined_first": 9.0,
+    "refined_again": 4.5,
 }
 """Times a bare import."""
 
@@ -74,6 +77,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
     identify = (*RIECJAX, "identify", RECORDING, "--model", "quarter-car")
+    refined = (*RIECJAX, "identify", RIGHT, "--model", "duffing")
     times: dict[str, list[float]] = {}
 
     def note(name: str, seconds: float) -> None:
@@ -81,8 +85,9 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        make = ("simulate", "quarter-car-source", "--input", "white-noise", "--out", RECORDING)
-        subprocess.run([*RIECJAX, *make], cwd=folder, check=True, capture_output=True)
+        for model, file in (("quarter-car-source", RECORDING), ("duffing", RIGHT)):
+            make = ("simulate", model, "--input", "white-noise", "--out", file)
+            subprocess.run([*RIECJAX, *make], cwd=folder, check=True, capture_output=True)
         for _ in range(arguments.repeats):
             with tempfile.TemporaryDirectory() as cache:
                 note("import_s", seconds_of(IMPORT, folder, cache))
@@ -90,6 +95,7 @@ def main() -> None:
                     table, verdict = until((LAST_ROW, VERDICT), identify, folder, cache)
                     note(f"estimate_{which}_s", table)
                     note(f"verdict_{which}_s", verdict)
+                    note(f"refined_{which}_s", *until((VERDICT,), refined, folder, cache))
                 note("models_s", seconds_of((*RIECJAX, "models"), folder, cache))
     found = {name: round(statistics.median(values), 2) for name, values in times.items()}
     for name, value in found.items():

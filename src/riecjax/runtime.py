@@ -23,8 +23,12 @@ _FLAGS = {
     # takes longer than the additions do.
     _SMALL_LOOPS: f"--xla_backend_extra_options={_SMALL_LOOPS}={SMALL_LOOP_BYTES}",
 }
-# Of code that runs once, what it takes to make it fast is more than what that saves.
-_ONCE = {"xla_backend_optimization_level": "--xla_backend_optimization_level=0"}
+_ONCE = {
+    # Of code that runs once, what it takes to make it fast is more than what that saves.
+    "xla_backend_optimization_level": "--xla_backend_optimization_level=0",
+    # Nor does what compiles in a second or two gain by being cut up for several threads.
+    "xla_cpu_parallel_codegen_split_count": "--xla_cpu_parallel_codegen_split_count=1",
+}
 # XLA ends the process at an option that it does not know: these are gone from that version on.
 _GONE = {(0, 11): {"xla_cpu_use_fusion_emitters": "--xla_cpu_use_fusion_emitters=false"}}
 

@@ -169,6 +169,40 @@ def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):
     assert len(list(folder.iterdir())) == 1
 
 
+def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):
+    at_exit = []
+    monkeypatch.setattr(program_files.atexit, "register", lambda *call: at_exit.append(call))
+    monkeypatch.setattr(program_files, "_called", {})
+    program_files.load_ahead("identify", "sine")  # there is nothing yet
+    evaluate(curve(), X, 2)
+    evaluate(curve(), X, 3)
+    for note, *arguments in at_exit:
+        note(*arguments)
+
+    another_process()
+    program_files.load_ahead("identify", "cosine")
+    assert program_files._ahead == {}
+    program_files.load_ahead("identify", "sine")
+    assert len(program_files._ahead) == 2
+    assert_right(evaluate(curve(), X, 3), power=3)
+    assert_right(evaluate(curve(), X, 2))
+    assert TRACED == []
+    assert program_files._ahead == {}
+
+    another_process()
+    for file in folder.glob("*.program"):
+        file.write_bytes(b"")
+    program_files.load_ahead("identify", "sine")
+    assert_right(evaluate(curve(), X, 2))
+    assert TRACED == ["evaluate"]
+    for file in folder.glob("*.calls"):
+        file.write_text('{"not": "keys", "../../etc": 1}')
+    another_process()
+    program_files._ahead.clear()
+    program_files.load_ahead("identify", "sine")
+    assert program_files._ahead == {}
+
+
 def local_class() -> object:
     class Local(NamedTuple):
         value: int

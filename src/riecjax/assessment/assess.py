@@ -84,7 +84,7 @@ def assess(
       hidden modes.
     - `on_estimate`: called with the estimate as soon as it is there, before all that is slow; not
       with one that means nothing, where only refinement answers.
-    - `progress`: called with the sum of squares after each step of the refinement.
+    - `progress`: called with the sum of squares after each step of a refinement that was asked for.
 
     **Returns:** an [`Assessment`][].
 

@@ -77,6 +77,9 @@ def answered(
     """The refinement and the validation of an estimate, which may be no more than a start (it was
     `refused`).
 
+    **Arguments:** `progress`, called after each step of a refinement that was asked for. One by
+    itself takes few seconds, and a program that calls Python back cannot be kept for the next time.
+
     **Raises:** as `refine`, for a refinement that was asked for.
     """
     recordings = unseen(asked)
@@ -86,8 +89,7 @@ def answered(
         return None, before, failed
     if isinstance(by, str):
         flaw = "" if refused else _left_out(estimate)
-        settings = (bounds, horizon, progress)
-        found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, *settings)
+        found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, bounds, horizon)
     else:
         found = _as_asked(asked, estimate, by, bounds, progress)
     if found.refined is None:
@@ -156,7 +158,7 @@ def _search(
     by: AbstractObjective,
     bounds: Mapping[str, Bounds] | None,
     max_steps: int,
-    progress: Progress,
+    progress: Progress = None,
 ) -> tuple[Refined, AbstractMisfit]:
     refined, misfit = refine_with_misfit(
         asked.model,
@@ -178,7 +180,6 @@ def _by_itself(
     estimate: Estimate,
     bounds: Mapping[str, Bounds] | None,
     horizon: float | None,
-    progress: Progress,
 ) -> Refinement:
     """By output error where that is possible, quick and warranted."""
     try:
@@ -190,12 +191,12 @@ def _by_itself(
         seconds = estimated_seconds(by.misfit(specified), specified)
         if seconds > LONGEST:
             return Refinement(declined=_too_long(seconds))
-        found = _warranted(asked, estimate, by, bounds, progress)
+        found = _warranted(asked, estimate, by, bounds)
         if horizon is None and found.refined is not None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
             better = _objective(asked, found.refined, None)
             if better.shooting != by.shooting:
-                again = _warranted(asked, found.refined, better, bounds, progress)
+                again = _warranted(asked, found.refined, better, bounds)
                 found = again if again.refined is not None else found
         return found
     except EXPECTED as error:
@@ -225,9 +226,8 @@ def _warranted(
     estimate: AbstractEstimate,
     by: OutputError,
     bounds: Mapping[str, Bounds] | None,
-    progress: Progress,
 ) -> Refinement:
-    refined, misfit = _search(asked, estimate, by, bounds, STEPS_BY_ITSELF, progress)
+    refined, misfit = _search(asked, estimate, by, bounds, STEPS_BY_ITSELF)
     left = _left(misfit, refined, asked.records)
     if flaw := _flaw(refined):
         return Refinement(declined=flaw)
@@ -236,7 +236,7 @@ def _warranted(
     straight = {} if left.vanishing else straight_inputs(asked, estimate)
     lines = dataclasses.replace(by, intersample=straight)
     if straight and course_shows(asked, refined, misfit, lines):
-        again, misfit = _search(asked, estimate, lines, bounds, STEPS_BY_ITSELF, progress)
+        again, misfit = _search(asked, estimate, lines, bounds, STEPS_BY_ITSELF)
         left_again = _left(misfit, again, asked.records)
         surely = surely_likelier(again, refined, asked.records)
         if left_again and not _flaw(again) and surely:

@@ -34,6 +34,7 @@ ROW = 16
 TRIANGLE = np.triu(np.ones((ROW, ROW)))
 
 
+@jax.jit  # is called dozens of times in one trace, of few shapes
 def running_sum(values: Float[Array, "columns n"]) -> Float[Array, "columns n"]:
     """Sum of the samples up to each, itself included.
 

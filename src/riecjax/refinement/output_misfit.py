@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still
@@ -167,14 +168,14 @@ class OutputMisfit(AbstractMisfit):
             energy = energy + jnp.sum(squares, axis=0)
         return Expansion(pieces, energy)
 
-    @eqx.filter_jit
+    @kept_jit
     def residuals(
         self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
     ) -> list[Float[Array, "windows compared channels"]]:
         """Simulated minus recorded in units of sigma; 0 where nothing is compared."""
         return self._by_window(partial(self._error, theta), initial)
 
-    @eqx.filter_jit
+    @kept_jit
     def slopes_by_initial(
         self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
     ) -> list[Float[Array, "windows compared channels s"]]:

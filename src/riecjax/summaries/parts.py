@@ -240,9 +240,15 @@ def _in_chunks(
     request: Request,
 ) -> list[list[PartSums]]:
     def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
+        # Every survey has noisy rows: what they are made of is evaluated once, for all.
+        disturbed = _disturbed(record) if request.surveyed else None
+
         def of_equation(equation: Equation) -> PartSums:
             noisy = criterion.noisy_columns(equation, record)
-            noise = partial(_added_by_noise, equation, record, criterion.smoothness)
+            noise = partial(_added_by_noise, equation, record, disturbed, criterion.smoothness)
+            if request.surveyed:
+                added = noise()
+                noise = lambda: added  # noqa: E731
             return equation_sums(equation, noisy, noise, record, blocks)
 
         return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
@@ -371,19 +377,21 @@ def _reaches(
     return found
 
 
-def _added_by_noise(equation: Equation, record: Record, smoothness: int) -> Columns:
+def _added_by_noise(
+    equation: Equation, record: Record, disturbed: Record | None, smoothness: int
+) -> Columns:
     """What noise of its signals' sizes adds to an equation's columns."""
-    disturbed = sampled_columns(equation, _disturbed(record), smoothness)
-    return disturbed - sampled_columns(equation, record, smoothness)
+    noisy = sampled_columns(equation, disturbed or _disturbed(record), smoothness)
+    return noisy - sampled_columns(equation, record, smoothness)
 
 
 def _disturbed(record: Record) -> Record:
     """The record with white noise of its size on each signal; any stretch has the same."""
     first = jnp.round(record.skipped / record.time_step).astype(int)
     place = first + jnp.arange(record.sample_count)
-    noise = jnp.asarray(NOISE, record.time_step.dtype)
-    added = {
-        name: record.arrays[name] + record.noise.std(name) * noise[(place + i * APART) % NOISE.size]
-        for i, name in enumerate(sorted(record.arrays))
-    }
+    names = sorted(record.arrays)
+    each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
+    sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
+    noise = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
+    added = {name: record.arrays[name] + own for name, own in zip(names, noise)}
     return record.with_signals(added, missing=record.missing)

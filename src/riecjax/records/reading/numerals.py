@@ -138,8 +138,19 @@ def _clock(stamp: re.Match[str]) -> float:
 
 
 def floats(column: Any) -> np.ndarray:
-    """A column of PyArrow's as 64-bit floats, shape `(n,)`, NaN for null."""
-    return np.array(column.to_numpy(), dtype=float)
+    """A column of PyArrow's 64-bit floats, shape `(n,)`, NaN for null."""
+    import pyarrow as pa
+
+    # PyArrow's own conversions, of a single number too, import pandas wherever that is installed.
+    whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    bare = pa.Array.from_buffers(
+        pa.float64(), len(whole), [None, whole.buffers()[1]], offset=whole.offset
+    )
+    values = np.array(np.from_dlpack(bare))
+    if whole.null_count:
+        null = compute().cast(whole.is_null(), pa.uint8())
+        values[np.from_dlpack(null).astype(bool)] = np.nan
+    return values
 
 
 def all_true(mask: Any) -> bool:
