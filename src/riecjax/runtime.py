@@ -12,7 +12,7 @@ from pathlib import Path
 SMALL_LOOP_BYTES = 10**6
 """Loops that touch less memory than this in a turn are compiled whole; XLA's own limit is 1024."""
 CACHE_BYTES = 2**28
-"""Size that kept compilations may grow to."""
+"""Size that kept programs may grow to, and JAX's own compilations beside them."""
 _programs_folder: Path | None = None
 _SMALL_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
 _FLAGS = {
@@ -40,8 +40,9 @@ def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int =
 
     **Arguments:** `once`: compile three times as fast what then runs slower, for a process that
     calls everything once on little data; `keep_compiled`: keep what is compiled in
-    `~/.cache/riecjax` (or below `XDG_CACHE_HOME`) for the next process, unless
-    `JAX_COMPILATION_CACHE_DIR` names another place; `devices`, how many the CPU is to count as, on
+    `~/.cache/riecjax` (or below `XDG_CACHE_HOME`) for the next process, which then need not trace
+    it again, unless `JAX_COMPILATION_CACHE_DIR` names another place, where JAX keeps what it
+    compiles; `devices`, how many the CPU is to count as, on
     all of which repetitions over random keys then run side by side.
 
     **Raises:** `RuntimeError` if JAX has started, and would no longer see these settings.

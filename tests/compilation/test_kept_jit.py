@@ -203,6 +203,38 @@ def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):
     assert program_files._ahead == {}
 
 
+GAINS = {"low": 2.0}
+TABLE = np.array([1.0, 2.0])
+
+
+def _of_table(x: Any) -> Any:
+    return jnp.sum(TABLE) * x
+
+
+def own(x: Any) -> Any:
+    both = [GAINS["low"] * _of_table(part) for part in (x, x)]
+    return both[0]
+
+
+def test_a_function_of_ones_own_counts_with_all_that_it_refers_to(monkeypatch):
+    def digest() -> str:
+        return key_of(jnp.linalg.norm, functools.partial(jnp.sum, where=own)).digest
+
+    keys = [digest(), digest()]
+    assert keys[0] == keys[1]
+    monkeypatch.setitem(GAINS, "low", 3.0)
+    keys.append(digest())
+    TABLE[0] = 5.0
+    keys.append(digest())
+    monkeypatch.setitem(globals(), "_of_table", lambda x: x)
+    keys.append(digest())
+    assert len(set(keys)) == 4
+
+
+def helper(x: Any) -> Any:
+    return os.fspath(x)
+
+
 def local_class() -> object:
     class Local(NamedTuple):
         value: int
@@ -212,8 +244,18 @@ def local_class() -> object:
 
 @pytest.mark.parametrize(
     "argument",
-    [heard, local_class(), {frozenset({(1, 2)})}, np.array([object()]), object(), curve()],
-    ids=["function of one's own", "local class", "set", "objects", "object", "class of one's own"],
+    [
+        lambda x: open("table") * x,  # noqa: SIM115
+        lambda x: os.environ["GAIN"] * x,
+        lambda x: np.random.default_rng().random() * x,
+        lambda x: Curve(x, heard, "own").level,
+        lambda: helper(1),
+        local_class(),
+        {frozenset({(1, 2)})},
+        np.array([object()]),
+        object(),
+        curve(),
+    ],
 )
 def test_what_cannot_be_told_has_no_key(argument):
     with pytest.raises(NoKey):

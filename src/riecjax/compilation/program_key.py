@@ -1,9 +1,9 @@
 """What tells a compiled program from another one, beyond the process that made it.
 
 A key covers all that a trace can see: source code of this package, versions of the libraries that
-it calls, settings of JAX, and everything in a function's arguments that is not an array. Where part
-of that cannot be told for sure, as of a function outside these libraries, whose code may read what
-no argument holds, there is no key.
+it calls, settings of JAX, and everything in a function's arguments that is not an array. A user's
+own function counts with its code and with all that this refers to. Where part of that cannot be
+told for sure, as of a class of the user's own, or of a file that is read, there is no key.
 """
 
 import dataclasses
@@ -13,11 +13,10 @@ import hashlib
 import inspect
 import os
 import platform
-import sys
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, MethodType
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -29,7 +28,11 @@ from riecjax.runtime import processor
 LIBRARIES = ("diffrax", "equinox", "jax", "jaxlib", "jaxtyping", "lineax", "numpy", "optimistix")
 """Whose functions a trace may call, and whose versions therefore count."""
 _PACKAGE = __name__.partition(".")[0]
-_TOLD = {_PACKAGE, *LIBRARIES, *sys.stdlib_module_names}
+_TOLD = {_PACKAGE, *LIBRARIES, "builtins", "cmath", "collections", "functools", "itertools", "math",
+         "operator"}  # fmt: skip
+_READERS = {"__import__", "eval", "exec", "fromfile", "genfromtxt", "getattr", "globals", "input",
+            "load", "loadtxt", "memmap", "open", "random"}  # fmt: skip
+"""What a user's function may not name: these reach what is in neither its code nor its globals."""
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis), range)
 _NOT_OF_PROGRAMS = ("cache", "log", "dump", "explain", "traceback", "compiler_details")
 """Parts of the names of JAX's settings that change no program."""
@@ -81,7 +84,7 @@ class ProgramKey:
 
     def _add_new(self, value: Any) -> None:
         match value:
-            case type() | BuiltinFunctionType():
+            case type() | BuiltinFunctionType() | ModuleType():
                 self._write_name(value)
             case FunctionType():
                 self._add_function(value)
@@ -102,6 +105,8 @@ class ProgramKey:
                 if not all(isinstance(item, _PLAIN) for item in value):
                     raise NoKey(f"a set of {value}")
                 self._add_all("set", sorted(value, key=repr))
+            case jax.Array():
+                self._add(np.asarray(value))
             case np.ndarray() | np.generic():
                 if value.dtype.hasobject:
                     raise NoKey("an array of objects")
@@ -128,30 +133,54 @@ class ProgramKey:
             self._add(value)
 
     def _write_name(self, value: Any) -> None:
-        module = getattr(value, "__module__", None) or "builtins"
-        name = f"{module}.{value.__qualname__}"
-        if module.partition(".")[0] not in _TOLD:
+        name = _full_name(value)
+        if name.partition(".")[0] not in _TOLD:
             raise NoKey(f"{name} is not of a library whose version counts")
         if isinstance(value, type) and "<locals>" in name:
             raise NoKey(f"{name} is a class of a call")
         self._write(name)
 
     def _add_function(self, function: FunctionType) -> None:
-        self._write_name(function)
+        self._write(_full_name(function))
         self.functions.append(function)
         # Two lambdas of a function have one name.
         self._write_code(function.__code__)
+        if function.__module__.partition(".")[0] not in _TOLD:
+            self._add_globals(function)
         self._add(function.__defaults__)
         self._add(function.__kwdefaults__)
         self._add_all("cells", [_content(cell) for cell in function.__closure__ or ()])
 
+    def _add_globals(self, function: FunctionType) -> None:
+        """All that a user's function refers to by name."""
+        names = sorted(_names(function.__code__))
+        if reads := _READERS.intersection(names):
+            raise NoKey(f"{_full_name(function)} calls {', '.join(sorted(reads))}")
+        found = {name: function.__globals__[name] for name in names if name in function.__globals__}
+        self._add((found, vars(function)))
+
     def _write_code(self, code: CodeType) -> None:
         self._write(code.co_firstlineno, code.co_code, code.co_names, code.co_varnames)
         for constant in code.co_consts:
-            if isinstance(constant, CodeType):
-                self._write_code(constant)
-            else:
-                self._write(constant)
+            match constant:
+                case CodeType():
+                    self._write_code(constant)
+                case frozenset():  # whose order is another one in each process
+                    self._write("set", sorted(map(repr, constant)))
+                case _:
+                    self._write(constant)
+
+
+def _full_name(value: Any) -> str:
+    if isinstance(value, ModuleType):
+        return value.__name__
+    return f"{getattr(value, '__module__', None) or 'builtins'}.{value.__qualname__}"
+
+
+def _names(code: CodeType) -> set[str]:
+    """Globals and attributes that a function's code names, and code inside of it."""
+    inner = (part for part in code.co_consts if isinstance(part, CodeType))
+    return set(code.co_names).union(*map(_names, inner))
 
 
 def _content(cell: Any) -> Any:
