@@ -28,6 +28,7 @@ from riecjax.runtime import processor
 LIBRARIES = ("diffrax", "equinox", "jax", "jaxlib", "jaxtyping", "lineax", "numpy", "optimistix")
 """Whose functions a trace may call, and whose versions therefore count."""
 _PACKAGE = __name__.partition(".")[0]
+_JITTED = type(jax.jit(lambda: None))
 _TOLD = {_PACKAGE, *LIBRARIES, "builtins", "cmath", "collections", "functools", "itertools", "math",
          "operator"}  # fmt: skip
 _READERS = {"__import__", "eval", "exec", "fromfile", "genfromtxt", "getattr", "globals", "input",
@@ -117,11 +118,9 @@ class ProgramKey:
                 self._write_name(type(value))
                 names = [field.name for field in dataclasses.fields(value)]
                 self._add_all(repr(names), [getattr(value, name, None) for name in names])
-            case _ if callable(value) and hasattr(value, "__wrapped__"):
-                # As `jax.jit` and its kind wrap a function of a library.
-                self._write_name(type(value))
-                self._add(inspect.unwrap(value))
-            case _ if type(value).__module__.partition(".")[0] == _PACKAGE:
+            case _ if isinstance(value, _JITTED):
+                self._add_all("jit", [inspect.unwrap(value)])
+            case _ if _is_of_package(type(value)) and hasattr(value, "__dict__"):
                 self._write_name(type(value))
                 self._add(dict(sorted(vars(value).items())))
             case _:
@@ -169,6 +168,10 @@ class ProgramKey:
                     self._write("set", sorted(map(repr, constant)))
                 case _:
                     self._write(constant)
+
+
+def _is_of_package(kind: type) -> bool:
+    return kind.__module__.partition(".")[0] == _PACKAGE
 
 
 def _full_name(value: Any) -> str:
