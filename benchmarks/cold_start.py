@@ -3,8 +3,8 @@
 `riecjax identify` on 8000 rows, on a terminal of its own: until the estimate is on the screen, and
 until the verdict on refined and tested values is, first with nothing compiled before, then again
 with what the first one kept; the same of a model that is right, whose values are refined; and
-`riecjax models`. Beside them a bare import of jax and diffrax, in
-whose time they are told. Written to benchmarks/cold_start.json.
+`riecjax models`. Beside them a bare import of jax and diffrax, in whose time they are told. Written
+to benchmarks/cold_start.json.
 """
 
 import argparse

@@ -169,6 +169,15 @@ def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):
     assert len(list(folder.iterdir())) == 1
 
 
+def test_a_disk_that_is_full_keeps_no_part_of_a_program(folder, monkeypatch):
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(program_files.os, "replace", full)
+    assert_right(evaluate(curve(), X, 2))
+    assert list(folder.iterdir()) == []
+
+
 def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):
     at_exit = []
     monkeypatch.setattr(program_files.atexit, "register", lambda *call: at_exit.append(call))

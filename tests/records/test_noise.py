@@ -10,6 +10,7 @@ import riecjax as rx
 from riecjax.errors import DataError, ModelError
 from riecjax.records import judged, stack_records
 from riecjax.records.noise import Noise, noise_level
+from riecjax.records.noise_spectrum import blackman_harris
 from riecjax.records.record import Record
 
 STEP = 0.01
@@ -220,3 +221,9 @@ def test_noise_of_a_data_frame_can_be_given():
     frame = pandas.DataFrame({"t": TIME, "x": SMOOTH + white(0.02)})
     assert std(rx.from_dataframe(frame), "x") == pytest.approx(0.02, rel=0.1)
     assert std(rx.from_dataframe(frame, noise={"x": 0.3}), "x") == 0.3
+
+
+@pytest.mark.parametrize("size", [7, 256, 1001])
+def test_the_window_of_spectra_is_scipys(size):
+    reference = scipy.signal.get_window("blackmanharris", size, fftbins=False)
+    np.testing.assert_allclose(blackman_harris(size), reference, rtol=0, atol=1e-14)

@@ -110,9 +110,17 @@ def _note(calls: Path) -> None:
 
 
 def _replace(file: Path, content: bytes) -> None:
-    with tempfile.NamedTemporaryFile(dir=file.parent, suffix=_SUFFIX, delete=False) as new:
-        new.write(content)
-    os.replace(new.name, file)
+    """Write a file whole or not at all, which no one else may read.
+
+    `riecjax.records.writing` has the same for files of the user's, and imports what must wait here.
+    """
+    handle, name = tempfile.mkstemp(dir=file.parent, suffix=_SUFFIX)
+    try:
+        with open(handle, "wb") as new:
+            new.write(content)
+        os.replace(name, file)
+    finally:
+        Path(name).unlink(missing_ok=True)
 
 
 def _make_room(folder: Path, needed: int) -> None:

@@ -120,7 +120,7 @@ class ProgramKey:
                 self._add_all(repr(names), [getattr(value, name, None) for name in names])
             case _ if isinstance(value, _JITTED):
                 self._add_all("jit", [inspect.unwrap(value)])
-            case _ if _is_of_package(type(value)) and hasattr(value, "__dict__"):
+            case _ if _root(type(value).__module__) == _PACKAGE and hasattr(value, "__dict__"):
                 self._write_name(type(value))
                 self._add(dict(sorted(vars(value).items())))
             case _:
@@ -133,7 +133,7 @@ class ProgramKey:
 
     def _write_name(self, value: Any) -> None:
         name = _full_name(value)
-        if name.partition(".")[0] not in _TOLD:
+        if _root(name) not in _TOLD:
             raise NoKey(f"{name} is not of a library whose version counts")
         if isinstance(value, type) and "<locals>" in name:
             raise NoKey(f"{name} is a class of a call")
@@ -144,7 +144,7 @@ class ProgramKey:
         self.functions.append(function)
         # Two lambdas of a function have one name.
         self._write_code(function.__code__)
-        if function.__module__.partition(".")[0] not in _TOLD:
+        if _root(function.__module__) not in _TOLD:
             self._add_globals(function)
         self._add(function.__defaults__)
         self._add(function.__kwdefaults__)
@@ -170,8 +170,8 @@ class ProgramKey:
                     self._write(constant)
 
 
-def _is_of_package(kind: type) -> bool:
-    return kind.__module__.partition(".")[0] == _PACKAGE
+def _root(module: str) -> str:
+    return module.partition(".")[0]
 
 
 def _full_name(value: Any) -> str:
