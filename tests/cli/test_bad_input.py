@@ -126,7 +126,7 @@ TEXTS = {
     "empty": (b"", ("first row must name the columns",)),
     "blank": (b"\n\n\n", ("first row must name the columns",)),
     "header only": (HEADER.encode(), ("no", "samples")),
-    "no header": (b"0,1\n1,2\n2,3\n", ("first row must name the columns",)),
+    "no header": (b"0,1\n1,2\n2,3\n", ("no time column", "column 1, column 2", "--columns")),
     "binary": (bytes(range(256)) * 20, ("UTF-8",)),
     "text among the numbers": (b"t,x1\n0,1\n1,abc\n2,3\n", ("'abc'",)),
     "text column": (b"t,x1\n0,on\n1,off\n", ("'on'",)),

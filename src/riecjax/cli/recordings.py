@@ -42,6 +42,10 @@ def _noise(
     return words[0] if words else pairs_to_dict(ctx, param, value) or "auto"
 
 
+def _names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in value.split(",")) if value else ()
+
+
 RECORD_OPTIONS = (
     click.argument(
         "files", metavar="RECORD...", nargs=-1, required=True, type=click.Path(path_type=Path)
@@ -56,7 +60,15 @@ RECORD_OPTIONS = (
         "derive",
     ),
     click.option(
-        "--time-step", type=POSITIVE, help="Seconds between samples, for files without time."
+        "--columns",
+        metavar="A,B,...",
+        callback=_names,
+        help="Names of a text file's columns, where it has none or others are wanted.",
+    ),
+    click.option(
+        "--time-step",
+        type=POSITIVE,
+        help="Seconds between samples, for files without time, or with a bad one.",
     ),
     click.option(
         "--resample",
@@ -145,6 +157,7 @@ class RecordingOptions:
     rename: Mapping[str, str]
     scale: Mapping[str, float]
     derive: Mapping[str, str]
+    columns: tuple[str, ...]
     time_step: float | None
     resample: float | None
     delimiter: str | None

@@ -58,7 +58,7 @@ def from_dataframe(
     selection = Selection(
         renamed, scale or {}, units or {}, derive or {}, time_step, resample, noise
     )
-    return record_from_channels(Channels(columns, stated, {}, left_out), selection)
+    return record_from_channels(Channels(columns, stated, {}, left_out), selection).record
 
 
 def from_dataset(
@@ -116,7 +116,7 @@ def from_dataset(
     selection = Selection(
         renamed, scale or {}, units or {}, derive or {}, time_step, resample, noise
     )
-    return record_from_channels(channels, selection)
+    return record_from_channels(channels, selection).record
 
 
 def _time_coordinate(dataset: Any, time: str | None) -> Any:

@@ -106,6 +106,7 @@ class ReadingSettings(TypedDict, total=False):
     - `resample`: rate in Hz of the even grid to which all signals are brought: for uneven
       samples, and for files in which signals have different times.
     - `delimiter`, `decimal`: of a text file, instead of detecting them.
+    - `columns`: names of a text file's columns, in place of those it has or has not.
     - `noise`: on the signals as measured, in SI units: `"auto"`, judged from their samples;
       `"none"`; or a standard deviation by signal (0 for none), the others are judged. Steps of
       preparation carry it on. See [`Noise`][riecjax.Noise].
@@ -128,6 +129,7 @@ class ReadingSettings(TypedDict, total=False):
     resample: float | None
     delimiter: str | None
     decimal: str | None
+    columns: Sequence[str]
     noise: GivenNoise
     start: float | None
     stop: float | None
@@ -140,7 +142,7 @@ class ReadingSettings(TypedDict, total=False):
 
 
 MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives")
-NAMES = ("offsets", "drifts")
+NAMES = ("offsets", "drifts", "columns")
 
 
 def read_record(path: str | os.PathLike[str], **settings: Unpack[ReadingSettings]) -> Record:
@@ -179,7 +181,8 @@ def read_recording(
     # Damaged numbers overflow; what is not finite is found and named.
     with _explaining(str(path), selection.rename, left_out), np.errstate(all="ignore"):
         try:
-            record = record_from_channels(channels, selection)
+            selected = record_from_channels(channels, selection, _read_by(model, preparation))
+            record = selected.record
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
         read = tuple(record.arrays)
@@ -189,6 +192,7 @@ def read_recording(
     computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
+        *_of_milliseconds(file, selected.doubtful_time, float(record.time_step)),
         *(
             Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
             for n, why in mismatches.items()
@@ -204,7 +208,7 @@ def read_recording(
     return Recording(
         record,
         str(path),
-        (*channels.notes, *_reading_steps(selection), *steps),
+        (*channels.notes, *selected.notes, *_reading_steps(selection), *steps),
         tuple(findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
         selection.rename,
@@ -233,8 +237,33 @@ def _sorted(settings: ReadingSettings) -> tuple[Selection, Preparation, dict[str
     return (
         Selection(**of(Selection._fields)),
         Preparation(**of(prepared)),
-        of(("delimiter", "decimal")),
+        of(("delimiter", "decimal", "columns")),
     )
+
+
+def _read_by(model: Any, preparation: Preparation) -> set[str]:
+    """Signals that the model reads, or that its signals and the user's are derivatives of."""
+    named = {signal.name for signal in getattr(model, "signals", ())}
+    sources = {**getattr(model, "derived", {}), **preparation.derivatives}
+    return (
+        named
+        | {source for name, source in sources.items() if name in named}
+        | {*preparation.derivatives.values()}
+    )
+
+
+def _of_milliseconds(file: str, column: str, step: float) -> list[Finding]:
+    if not column:
+        return []
+    return [
+        Finding(
+            "time_unit_doubtful",
+            f"{file}: nothing states the unit of time '{column}', whose stamps are whole numbers; "
+            f"it is taken as seconds, one sample every {step:g} s. If it is milliseconds: "
+            f"scale={{'{column}': 0.001}} (on the command line: --scale {column}=0.001).",
+            doubt=1.0,
+        )
+    ]
 
 
 def _left_out(channels: Channels) -> dict[str, str]:

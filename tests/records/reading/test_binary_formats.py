@@ -18,7 +18,7 @@ from riecjax.errors import DataError
 from riecjax.records.reading import channels as limits
 from riecjax.records.reading.read import read_channels
 from riecjax.records.reading.selection import Selection, record_from_channels
-from riecjax.records.recording import read_record
+from riecjax.records.recording import read_record, read_recording
 
 N = 40
 TIME = np.arange(N) * 0.05
@@ -158,9 +158,10 @@ def test_with_a_time_step_the_most_common_length_is_that_of_the_signals(tmp_path
     assert set(read_record(tmp_path / "a.npz", time_step=1, rename={"q": "k"}).arrays) == {"q"}
     with pytest.raises(DataError, match="'z' has another length than the others, 40 samples"):
         read_record(tmp_path / "a.npz", time_step=1, rename={"a": "x", "b": "y", "c": "z"})
-    np.savez(tmp_path / "b.npz", x=X, t=TIME)
-    with pytest.raises(DataError, match="time is in column 't'"):
-        read_record(tmp_path / "b.npz", time_step=0.1)
+    np.savez(tmp_path / "b.npz", x=X, t=np.zeros(TIME.size))
+    recording = read_recording(tmp_path / "b.npz", time_step=0.1)
+    assert set(recording.record.arrays) == {"x"}
+    assert "column 't' is not used: the time step is given" in recording.steps
 
 
 @pytest.mark.parametrize("version", ["4", "5"])
@@ -371,7 +372,7 @@ def test_mdf_groups_with_their_own_times(tmp_path):
     with pytest.raises(DataError, match=r"a\.mf4: .*different times.*--resample HZ"):
         read_record(path)
     selection = Selection(rename={"x": "x", "F": "force"}, resample=20.0)
-    record = record_from_channels(channels, selection)
+    record = record_from_channels(channels, selection).record
     np.testing.assert_allclose(record["F"], np.cos(record.time), atol=1e-3)
     np.testing.assert_allclose(record["x"], np.sin(record.time), atol=1e-3)
     assert dict(record.units)["F"] == "N"

@@ -1,6 +1,7 @@
 """Text files as loggers and spreadsheets write them, each by hand."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ LONG = 900
 """Rows of a file much longer than what its dialect is decided on."""
 
 
-def columns(folder: Path, text: str | bytes, name: str = "a.csv", **dialect: str):
+def columns(folder: Path, text: str | bytes, name: str = "a.csv", **dialect: Any):
     path = folder / name
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     return read_channels(path, **dialect)
@@ -56,6 +57,8 @@ READABLE = {
     "header in a comment": "# made by savetxt\n# t x\n0 1.5\n0.5 -2e-3\n1 3.25\n",
     "preamble": "Logger 7\nOperator: Ann\nRate,100,Hz\nGain,2\n\nt,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
     "preamble as wide as the table": "Title,Run 7\nGain,2\nt,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
+    "rows quoted as a whole": '"t,x"\n"0,1.5"\n"0.5,-2e-3"\n"1,3.25"\n',
+    "trailing semicolons": "t,x;\n0,1.5;\n0.5,-2e-3;\n1,3.25;\n",
     "plus signs": "t,x\n+0,+1.5\n+0.5,-2e-3\n+1,+3.25\n",
     "Fortran": "t,x\n0.,.15D+01\n.5,-2d-3\n1.,3.25D0\n",
     "semicolon comments": ";by a logger\nt,x\n0,1.5\n;paused\n0.5,-2e-3\n1,3.25\n",
@@ -68,6 +71,39 @@ READABLE = {
 )
 def test_one_table_in_every_dialect_and_encoding(tmp_path, case, encoding):
     assert values(tmp_path, READABLE[case].encode(encoding)) == TX
+
+
+NAMELESS = {
+    "bare": "0,1.5\n0.5,-2e-3\n1,3.25\n",
+    "comments above": "# logger 7\n0,1.5\n0.5,-2e-3\n1,3.25\n",
+    "decimal comma": "0;1,5\n0,5;-2e-3\n1;3,25\n",
+    "brackets around rows": "[0, 1.5]\n[0.5, -2e-3]\n[1, 3.25]\n",
+    "as Python prints it": "[[0, 1.5],\n [0.5, -2e-3],\n [1, 3.25]]\n",
+    "as MATLAB is given it": "data = [\n0 1.5;\n0.5 -2e-3;\n1 3.25];\n",
+}
+
+
+@pytest.mark.parametrize("case", NAMELESS)
+def test_columns_without_names_have_numbers_or_those_given(tmp_path, case):
+    given = {"column 1": TX["t"], "column 2": TX["x"]}
+    assert values(tmp_path, NAMELESS[case]) == given
+    found = columns(tmp_path, NAMELESS[case], columns=("t", "x")).columns
+    assert {k: v.tolist() for k, v in found.items()} == TX
+    with pytest.raises(DataError, match="3 names are given for 2 columns"):
+        columns(tmp_path, NAMELESS[case], columns=("t", "x", "u"))
+
+
+def test_names_given_replace_those_of_the_file(tmp_path):
+    found = columns(tmp_path, READABLE["semicolon"], columns=("clock", "F"))
+    assert {k: v.tolist() for k, v in found.columns.items()} == {"clock": TX["t"], "F": TX["x"]}
+
+
+def test_columns_without_names_are_mapped_by_number(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("".join(f"{0.25 * i},{i * i},{-i}\n" for i in range(9)))
+    record = read_record(path, rename={"x": "3"})
+    assert record["x"].tolist() == [-float(i) for i in range(9)]
+    assert float(record.time_step) == 0.25
 
 
 @pytest.mark.parametrize("case", [name for name in READABLE if "empty rows" not in name])
@@ -177,7 +213,22 @@ STAMPS = {
     "clock": ["10:00:00.0", "10:00:00.75", "10:00:01.50"],
     "past midnight": ["23:59:59.5", "00:00:00.25", "00:00:01"],
     "elapsed": ["100:00:00.0", "100:00:00.75", "100:00:01.50"],
-}
+    "ISO, compact": ["20240501T235959.5Z", "20240502T000000.25Z", "20240502T000001Z"],
+    "ISO, zone after a blank": ["2024-05-01 10:00:00 +0200", "2024-05-01 08:00:00.75 UTC",
+                                "2024-05-01 10:00:01.5 +02"],
+    "day first, past midnight": ["31.12.2024 23:59:59.5", "01.01.2025 00:00:00.25",
+                                 "01.01.2025 00:00:01"],
+    "day first, both below 13": ["1/2/2024 23:59:59.5", "2/2/2024 0:00:00.25", "2/2/2024 0:00:01"],
+    "month first, both below 13": ["2/1/2024 23:59:59.5", "2/2/2024 0:00:00.25",
+                                   "2/2/2024 0:00:01"],
+    "month first, halves of a day": ["3/31/2024 11:59:59.5 AM", "3/31/2024 12:00:00.25 PM",
+                                     "3/31/2024 12:00:01 PM"],
+    "MATLAB": ["31-Mar-2024 23:59:59.5", "01-Apr-2024 00:00:00.25", "01-Apr-2024 00:00:01"],
+    "year of two digits": ["31.03.24 23:59:59.5", "01.04.24 00:00:00.25", "01.04.24 00:00:01"],
+    "milliseconds after a colon": ["10:00:00:000", "10:00:00:750", "10:00:01:500"],
+    "minutes and seconds": ["59:59.5", "00:00.25", "00:01.0"],
+    "days elapsed": ["0 days 23:59:59.5", "1 days 00:00:00.25", "1 days 00:00:01"],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", STAMPS)
@@ -230,7 +281,6 @@ def test_the_line_of_a_bad_number_counts_comments_and_blank_lines(tmp_path):
 ERRORS = {
     "empty": ("", "first row must name the columns"),
     "blank": ("\n \n", "first row must name the columns"),
-    "no header": ("0,1\n1,2\n2,3\n", "first row must name the columns"),
     "header only": ("t,x\n", "no samples below the column names"),
     "prose": ("Once upon a time\nthere was a file\n", "no samples"),
     "too few names": ("t,x\n0,1,5\n1,2,5\n", "2 column names but 3 columns"),

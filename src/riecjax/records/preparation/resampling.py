@@ -1,6 +1,6 @@
 """Records at another rate, and channels of different rates on one."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -78,7 +78,9 @@ def decimate(record: Record, factor: int) -> Record:
 
 
 def on_grid(
-    channels: Mapping[str, tuple[np.ndarray, np.ndarray]], rate: float
+    channels: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    rate: float,
+    deciding: Collection[str] = (),
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Bring channels of different and uneven times to one even grid.
 
@@ -95,6 +97,8 @@ def on_grid(
     - `channels`: name to time in seconds and values, both of shape `(n,)`, NaN where a value is
       missing; each channel has its own times and length.
     - `rate`: of the grid in Hz.
+    - `deciding`: the channels that the grid begins and ends with, by default all; the others are
+      NaN where they have not begun or have ended.
 
     **Returns:** time in seconds, shape `(m,)`, and name to values of shape `(m,)`, NaN where the
     channel has a gap.
@@ -106,18 +110,21 @@ def on_grid(
     if not channels:
         raise DataError("there is no channel to bring to a common rate.")
     sampled = {name: _channel(name, *given) for name, given in channels.items()}
-    grid = _common_grid(sampled, rate)
+    decide = {name: sampled[name] for name in sampled if name in deciding} or sampled
+    grid = _common_grid(decide, rate)
     columns = {name: _sampled_on(channel, grid, rate) for name, channel in sampled.items()}
-    full = np.flatnonzero(np.logical_and.reduce([~np.isnan(v) for v in columns.values()]))
+    full = np.flatnonzero(np.logical_and.reduce([~np.isnan(columns[n]) for n in decide]))
     if full.size < 2:
-        worst = max(columns, key=lambda name: int(np.isnan(columns[name]).sum()))
+        worst = max(decide, key=lambda name: int(np.isnan(columns[name]).sum()))
         raise DataError(
             f"no stretch of '{worst}' is long enough for {rate:g} Hz: its longest lasts "
             f"{max(s.time[-1] - s.time[0] for s in sampled[worst].stretches):.3g} s without a gap. "
             f"Choose a higher rate, or leave this channel out."
         )
     rows = slice(full[0], full[-1] + 1)
-    return grid[rows], {name: values[rows] for name, values in columns.items()}
+    kept = {name: values[rows] for name, values in columns.items()}
+    empty = [name for name in kept if name not in decide and np.isnan(kept[name]).all()]
+    return grid[rows], {name: values for name, values in kept.items() if name not in empty}
 
 
 def on_grid_noise(

@@ -62,7 +62,7 @@ def first_sentence(error: BaseException) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:LONGEST_REASON]
 
 
-TIME_COLUMNS = ("t", "time", "Time", "T", "time_s", "t_s", "TIME", "timestamp", "Timestamp")
+TIME_COLUMNS = ("t", "time", "Time", "time_s", "t_s", "TIME", "timestamp", "Timestamp", "T")
 """Column names taken as time, in this order of preference; `--map t=COLUMN` names another."""
 WIDEST_MATRIX = 1000
 """Columns of a matrix past which it is a picture and not a set of channels."""

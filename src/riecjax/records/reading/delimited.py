@@ -4,7 +4,7 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,16 +17,15 @@ from riecjax.records.reading.channels import (
     check_names,
     first_sentence,
 )
-from riecjax.records.reading.dialect import Dialect, Layout, layout
+from riecjax.records.reading.dialect import Dialect, Layout, layout, unwrapped
 from riecjax.records.reading.numerals import (
     GROUPED,
-    are_stamps,
     compute,
     is_numeric,
     numbers,
-    seconds,
     stripped,
 )
+from riecjax.records.reading.time_stamps import are_stamps, seconds
 from riecjax.records.reading.units import split_unit
 
 SAMPLE = 2**16
@@ -63,28 +62,34 @@ class Table(NamedTuple):
 
 
 def read_delimited(
-    file: Path, delimiter: str | None = None, decimal: str | None = None
+    file: Path,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    columns: Sequence[str] = (),
 ) -> Channels:
-    """Read a text file of columns with a header row.
+    """Read a text file of columns.
 
-    Delimiter, decimal sign, header, a row of units, comments and lines above the header are
-    recognised; what could be read in two ways is refused.
+    Delimiter, decimal sign, header, a row of units, comments, lines above the header, and brackets
+    or quotes around rows are recognised; what could be read in two ways is refused. Columns without
+    a header are called `column 1`, `column 2`, ..., or by `columns`.
 
     **Raises:** `DataError` naming the line and the text that is no number, for rows of unequal
-    length, and for files that are not text or have no header.
+    length, and for files that are not text or have no samples.
     """
     content, notes = as_utf8(file.read_bytes())
+    content, bare = unwrapped(content)
+    notes += bare
     lines = _first_lines(content)
-    found = layout(lines, delimiter, decimal)
+    found = layout(lines, delimiter, decimal, columns)
     check_column_count(found.width)
     body, comments = _body(content, found)
     table = Table(body, found, decimal is not None)
     names = _names(found.names)
-    columns, left_out, stamped = _columns(table, names)
+    read, left_out, stamped = _columns(table, names)
     units = _units(names, found.units) | dict.fromkeys(stamped, "s")
     notes += _notes(found, lines, comments, stamped)
     notes += [f"column '{name}' left out: {why}" for name, why in left_out.items()]
-    return Channels(columns, {k: u for k, u in units.items() if k in columns}, {}, left_out, notes)
+    return Channels(read, {k: u for k, u in units.items() if k in read}, {}, left_out, notes)
 
 
 def _first_lines(content: bytes) -> list[str]:
@@ -260,6 +265,8 @@ def _notes(found: Layout, lines: list[str], comments: int, stamped: list[str]) -
         notes.append(str(found.dialect))
     if found.dialect.decimal == ",":
         notes.append("decimal comma")
+    if found.header < 0 and found.numbered:
+        notes.append("columns without names, called by their number")
     above = sum(bool(line.strip()) for line in lines[: max(found.header, 0)])
     if above:
         notes.append(f"{above} lines above the column names skipped")

@@ -4,18 +4,52 @@ import csv
 import itertools
 import re
 from collections import Counter
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import MOST_COLUMNS
-from riecjax.records.reading.numerals import kind_of
+from riecjax.records.reading.numerals import is_missing, is_number
+from riecjax.records.reading.time_stamps import is_stamp
 from riecjax.records.reading.units import bare_unit, is_unit
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In order of preference; a blank stands for any white space."""
 NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
+QUOTED = 2**12
+"""Bytes at the start of a file that tell whether its rows are quoted as a whole."""
+MISFIT = 0.3
+"""Badness past which a layout is taken only where there is no better one, with names or without."""
+NUMBERED = "column {}"
+"""What a column without a name is called, by its number from 1."""
 _COMMENT = re.compile(r"\s*(?:#|%|//)+\s*")
 _SEMICOLON_COMMENT = re.compile(r"\s*(?:#|%|;|//)+\s*")
+
+
+_OPENED = re.compile(rb"(?m)^[ \t]*(?:\w+[ \t]*=[ \t]*)?[\[({]+(?=[\s\d.,;+\-\[]|$)")
+_CLOSED = re.compile(rb"(?m)(?<=[\d.,;\s\])])[\])}]+[,;]?[ \t]*$")
+
+
+def unwrapped(content: bytes) -> tuple[bytes, list[str]]:
+    """Rows without the brackets, quotes and semicolons around each of them, and what was removed.
+
+    As MATLAB and Python print a matrix (`x = [0 1; 2 3];`, `[[0, 1], [2, 3]]`), spreadsheets
+    a table that was quoted as a whole (`"0,1"`), and loggers that end every line with a semicolon.
+    """
+    notes = []
+    tail = content[-64:].rstrip()
+    if tail.endswith((b"]", b"];", b"],", b"}", b"};", b")")):
+        content = _CLOSED.sub(b"", _OPENED.sub(b"", content))
+        notes.append("brackets around rows removed")
+    lines = [line for line in content[:QUOTED].split(b"\n")[:-1] if line.strip()]
+    if lines and all(re.fullmatch(rb'[ \t]*"[^"]*[,;\t][^"]*"[ \t]*', line) for line in lines):
+        content = re.sub(rb'(?m)^[ \t]*"|"[ \t]*$', b"", content)
+        notes.append("quotes around rows removed")
+    if tail.endswith(b";") or notes:
+        rows = [line.rstrip() for line in content.split(b"\n") if line.strip()]
+        if sum(row.endswith(b";") for row in rows) >= len(rows) - 1:
+            content = re.sub(rb"(?m);[ \t]*$", b"", content)
+    return content, notes
 
 
 class Dialect(NamedTuple):
@@ -46,7 +80,8 @@ class Layout(NamedTuple):
 
     **Fields:** `names` of the columns; `units` by position; `start`, the line (from 0) with the
     first row of numbers; `width`, fields in a row; `header`, the line of the names; `badness`,
-    the share of rows and fields that do not fit.
+    the share of rows and fields that do not fit; `numbered`: whether the names are numbers of
+    columns, the file having none.
     """
 
     dialect: Dialect
@@ -56,6 +91,7 @@ class Layout(NamedTuple):
     width: int
     header: int
     badness: float
+    numbered: bool = False
 
     @property
     def named(self) -> bool:
@@ -63,11 +99,14 @@ class Layout(NamedTuple):
         return len(self.names) == self.width
 
 
-def layout(lines: list[str], delimiter: str | None, decimal: str | None) -> Layout:
+def layout(
+    lines: list[str], delimiter: str | None, decimal: str | None, columns: Sequence[str] = ()
+) -> Layout:
     """The one way to read these lines, the first of a file, as a table with named columns.
 
     Every dialect is tried; the one that gives the same number of names and numbers, with fewest
-    fields that are no numbers, is taken.
+    fields that are no numbers, is taken. Where no row above the numbers can name them, or
+    `columns` do, the first row of numbers is the first sample.
 
     **Raises:** `DataError` where there is none, or where two are equally good.
     """
@@ -78,9 +117,12 @@ def layout(lines: list[str], delimiter: str | None, decimal: str | None) -> Layo
         if any(line.strip() for line in lines):
             raise DataError("there are no samples below the column names.")
         raise DataError("the file is empty; the first row must name the columns.")
-    best = min(layouts, key=lambda one: (not one.named, round(one.badness, 3), -one.width))
-    if not best.names:
-        raise DataError("the first row must name the columns.")
+    best = min(
+        layouts,
+        key=lambda one: (one.badness > MISFIT, not one.named, round(one.badness, 3), -one.width),
+    )
+    if columns or (not best.names and best.header < 0):
+        best = _named(best, columns)
     if not best.named:
         raise DataError(
             f"{len(best.names)} column names but {best.width} columns of numbers"
@@ -89,6 +131,15 @@ def layout(lines: list[str], delimiter: str | None, decimal: str | None) -> Layo
     if decimal is None and delimiter is None:
         _refuse_bare_commas(best, lines)
     return best
+
+
+def _named(found: Layout, columns: Sequence[str]) -> Layout:
+    """The same table with these names, or with numbers for names."""
+    if columns and len(columns) != found.width:
+        raise DataError(f"{len(columns)} names are given for {found.width} columns of numbers.")
+    names = list(columns) or [NUMBERED.format(place + 1) for place in range(found.width)]
+    units = found.units if len(found.units) == found.width else []
+    return found._replace(names=names, units=units, numbered=not columns)
 
 
 def _dialects(lines: list[str], delimiter: str | None, decimal: str | None) -> list[Dialect]:
@@ -147,8 +198,17 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
 
 
 def _kinds(fields: list[str], decimal: str) -> str:
-    """One letter for each field, as `kind_of` gives them."""
-    return "".join(kind_of(field, decimal) for field in fields)
+    """One letter for each field, as `_kind` gives them."""
+    return "".join(_kind(field, decimal) for field in fields)
+
+
+def _kind(field: str, decimal: str) -> str:
+    """What a field holds: `M`, nothing; `N`, a number; `S`, a time stamp; `T`, any other text."""
+    if is_missing(field):
+        return "M"
+    if is_number(field, decimal):
+        return "N"
+    return "S" if is_stamp(field) else "T"
 
 
 def _fits(kind: str, pattern: str) -> bool:

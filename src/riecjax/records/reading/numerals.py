@@ -1,4 +1,4 @@
-"""Numbers and time stamps as text, one by one and by the column."""
+"""Numbers as text, one by one and by the column."""
 
 import re
 from typing import Any
@@ -22,24 +22,19 @@ GROUPED = {
     ",": r"^[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?$",
 }
 """A number with its digits grouped in thousands, by its decimal sign."""
-STAMP = (
-    r"^(?:(\d{4}-\d{2}-\d{2})[T ])?(\d{1,4}):([0-5]\d):([0-5]\d|60)([.,]\d*)?(Z|[+-]\d{2}:?\d{2})?$"
-)
-"""A time stamp: ISO 8601 date and time, or HH:MM:SS alone."""
 _NUMBER = {sign: re.compile(pattern) for sign, pattern in NUMBER.items()}
-_STAMP = re.compile(STAMP)
 _MISSING = frozenset(MISSING)
 _MISSING_PATTERN = "^(?:" + "|".join(re.escape(word) for word in MISSING) + ")$"
-DAY = 86400.0
 
 
-def kind_of(text: str, decimal: str) -> str:
-    """What a field holds: `M`, nothing; `N`, a number; `S`, a time stamp; `T`, any other text."""
-    if text in _MISSING:
-        return "M"
-    if _NUMBER[decimal].fullmatch(text):
-        return "N"
-    return "S" if ":" in text and _STAMP.fullmatch(text) else "T"
+def is_number(text: str, decimal: str) -> bool:
+    """Whether a text is a number with this decimal sign."""
+    return _NUMBER[decimal].fullmatch(text) is not None
+
+
+def is_missing(text: str) -> bool:
+    """Whether a text stands for a value that there is not."""
+    return text in _MISSING
 
 
 def compute() -> Any:
@@ -92,49 +87,6 @@ def is_numeric(text: Any, decimal: str, grouped: bool) -> Any:
     pc = compute()
     found = pc.match_substring_regex(text, NUMBER[decimal])
     return pc.or_(found, pc.match_substring_regex(text, GROUPED[decimal])) if grouped else found
-
-
-def are_stamps(text: Any) -> Any:
-    """Which of a column of strings are time stamps; null where null."""
-    return compute().match_substring_regex(text, STAMP)
-
-
-def seconds(text: Any) -> np.ndarray:
-    """A column of time stamps as seconds from the first, NaN for null.
-
-    Stamps without a date may pass midnight; zones are taken into account.
-    """
-    stamps = text.to_pylist()
-    found = [_STAMP.fullmatch(stamp) if stamp is not None else None for stamp in stamps]
-    days = np.array([m[1] if m and m[1] else "NaT" if m is None else "1970-01-01" for m in found],
-                    dtype="datetime64[D]")  # fmt: skip
-    first = next((day for day in days if not np.isnat(day)), np.datetime64("1970-01-01"))
-    # Whole days since the first are exact, and small enough to leave nanoseconds to the clock.
-    whole = np.where(np.isnat(days), np.nan, (days - first).astype("int64").astype(float))
-    clock = np.array([_clock(match) if match else np.nan for match in found], dtype=float)
-    dated = any(match is not None and match[1] for match in found)
-    since = whole * DAY + clock if dated else unwrapped(clock)
-    known = since[~np.isnan(since)]
-    return since - known[0] if known.size else since
-
-
-def unwrapped(clock: np.ndarray) -> np.ndarray:
-    """Seconds of the day, carried on past midnight; NaN stays."""
-    known = ~np.isnan(clock)
-    steps = np.diff(clock[known], prepend=clock[known][:1])
-    carried = clock.copy()
-    carried[known] += DAY * np.cumsum(steps < -0.5 * DAY)
-    return carried
-
-
-def _clock(stamp: re.Match[str]) -> float:
-    _, hours, minutes, whole, fraction, zone = stamp.groups()
-    since = 3600 * int(hours) + 60 * int(minutes) + int(whole)
-    if zone and zone != "Z":
-        digits = zone[1:].replace(":", "")
-        shift = 3600 * int(digits[:2]) + 60 * int(digits[2:])
-        since -= shift if zone[0] == "+" else -shift
-    return since + (float("0." + (fraction[1:] or "0")) if fraction else 0.0)
 
 
 def floats(column: Any) -> np.ndarray:

@@ -14,7 +14,8 @@ from riecjax.records.reading.channels import (
     check_unpacked,
     foreign_reader,
 )
-from riecjax.records.reading.numerals import compute, floats, unwrapped
+from riecjax.records.reading.numerals import compute, floats
+from riecjax.records.reading.time_stamps import unwrapped
 
 UNNAMED_INDEX = "__index_level_0__"
 """What pandas calls the index of a frame when it has no name."""

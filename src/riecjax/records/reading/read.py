@@ -1,7 +1,7 @@
 """What a file holds, whatever its format."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from riecjax.errors import DataError, RiecjaxError
@@ -27,18 +27,25 @@ LONGEST_MESSAGE = 2000
 
 
 def read_channels(
-    path: str | os.PathLike[str], *, delimiter: str | None = None, decimal: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    columns: Sequence[str] = (),
 ) -> Channels:
     """Read what a file holds, as named columns with units and notes on how it was read.
+
+    **Arguments:** `delimiter`, `decimal` and `columns`, of a text file: how it delimits, its
+    decimal sign, and the names of its columns, instead of detecting them.
 
     **Raises:** `DataError` if the file cannot be read.
     """
     file = Path(path)
     reader = _reader(file)
-    _check_dialect(file, delimiter, decimal)
+    _check_dialect(file, delimiter, decimal, columns)
     try:
         if file.suffix.lower() in TEXT:
-            return read_delimited(file, delimiter, decimal)
+            return read_delimited(file, delimiter, decimal, columns)
         return reader(file)
     except RiecjaxError as error:
         raise _about(file, error) from None
@@ -59,9 +66,13 @@ def _reader(file: Path) -> Callable[[Path], Channels]:
     return reader
 
 
-def _check_dialect(file: Path, delimiter: str | None, decimal: str | None) -> None:
-    if (delimiter or decimal) and file.suffix.lower() not in TEXT:
-        raise DataError(f"{file.name}: delimiter and decimal sign are for text files.")
+def _check_dialect(
+    file: Path, delimiter: str | None, decimal: str | None, columns: Sequence[str]
+) -> None:
+    if (delimiter or decimal or columns) and file.suffix.lower() not in TEXT:
+        raise DataError(
+            f"{file.name}: delimiter, decimal sign and names of columns are for text files."
+        )
     if decimal not in (None, ".", ","):
         raise DataError(f"{file.name}: the decimal sign must be '.' or ','; got {decimal!r}.")
     if delimiter is not None and (

@@ -1,6 +1,8 @@
 """From the channels of a file to a record: which are signals, which is time, in which units."""
 
-from collections.abc import Mapping
+import contextlib
+import re
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +11,16 @@ from riecjax.errors import DataError
 from riecjax.records.derived import derived, sensitivities
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels, listed
-from riecjax.records.reading.units import SECONDS, split_unit
+from riecjax.records.reading.dialect import NUMBERED
+from riecjax.records.reading.time_columns import (
+    TimeColumn,
+    find_time,
+    looks_like_milliseconds,
+    no_time,
+)
+from riecjax.records.reading.units import split_unit
 from riecjax.records.record import Record
+from riecjax.records.time_base import StampError
 
 
 class Selection(NamedTuple):
@@ -30,6 +40,17 @@ class Selection(NamedTuple):
     noise: GivenNoise = "auto"
 
 
+class Selected(NamedTuple):
+    """A record, and what was decided on selecting it, in words.
+
+    **Fields:** `doubtful_time`: the column whose time may be in milliseconds; empty if none.
+    """
+
+    record: Record
+    notes: tuple[str, ...] = ()
+    doubtful_time: str = ""
+
+
 class _Signals(NamedTuple):
     """Signals by name, with the column each comes from and its unit."""
 
@@ -38,8 +59,13 @@ class _Signals(NamedTuple):
     units: dict[str, str]
 
 
-def record_from_channels(channels: Channels, selection: Selection) -> Record:
+def record_from_channels(
+    channels: Channels, selection: Selection, read: Collection[str] = ()
+) -> Selected:
     """Make a record of a file's channels.
+
+    **Arguments:** `read`: the signals that matter, those of `selection` aside: where channels have
+    different times, the others do not decide where the record begins and at which times it is.
 
     **Raises:** `DataError` for a missing or ambiguous column, no time or several, and samples that
     do not make a record (see [`Record.from_samples`][]); `ModelError` for a formula.
@@ -48,36 +74,74 @@ def record_from_channels(channels: Channels, selection: Selection) -> Record:
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
     rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
     signals = _scaled(_renamed(channels, rename), channels, selection.scale)
-    times = {} if selection.time_step is not None else _times(signals, channels, rename)
+    time = find_time(
+        signals.values,
+        {**signals.units, **selection.units},
+        "t" if "t" in rename else None,
+        nameless=not channels.time_of,
+    )
+    notes, times = (), {}
     if selection.time_step is not None:
-        signals = _evenly_timed(signals, rename)
+        notes = (f"column '{time.name}' is not used: the time step is given",) if time else ()
+        signals = _evenly_timed(signals, rename, time)
     else:
+        notes = time.notes if time else ()
+        times = _times(signals, channels, time)
         signals = _with_times(signals, times, rename)
         if not signals.values:
             raise DataError(
                 f"a record needs at least one signal besides its time{_first_reason(channels)}."
             )
-    if selection.resample is not None:
-        return _resampled(signals, times, selection)
-    values, time = _on_one_axis(signals.values, times)
-    computed = _finite(_with_derived(values, time, selection.derive), selection)
-    record = Record.from_samples(
-        computed,
-        time=time,
-        time_step=selection.time_step,
-        units={**signals.units, **selection.units},
+    matter = _mattering(signals, selection, read)
+    with _naming(signals.column.get(time.name, time.name) if time else ""):
+        if selection.resample is not None:
+            return Selected(_resampled(signals, times, selection, matter), notes)
+        values, axis = _on_one_axis(signals.values, times, matter)
+        computed = _finite(_with_derived(values, axis, selection.derive), selection)
+        record = Record.from_samples(
+            computed,
+            time=axis,
+            time_step=selection.time_step,
+            units={**signals.units, **selection.units},
+        )
+    judged_on = computed if axis is None else {"t": axis, **computed}
+    doubtful = times and time and looks_like_milliseconds(time, signals.units)
+    return Selected(
+        _with_noise(record, selection, judged_on), notes, time.name if time and doubtful else ""
     )
-    return _with_noise(record, selection, computed if time is None else {"t": time, **computed})
+
+
+@contextlib.contextmanager
+def _naming(column: str) -> Iterator[None]:
+    """Name the column of time in errors about its stamps."""
+    try:
+        yield
+    except StampError as error:
+        if not column:
+            raise
+        raise DataError(f"column '{column}': {error}") from None
+
+
+def _mattering(signals: _Signals, selection: Selection, read: Collection[str]) -> set[str]:
+    """Signals that are read, by the model or by what the user asks for; all where none is."""
+    formulas = " ".join(selection.derive.values())
+    words = {*re.findall(r"\w+", formulas)}
+    wanted = {*read, *selection.rename, *selection.scale, *words} & {*signals.values}
+    return wanted or {*signals.values}
 
 
 def column_named(channels: Channels, name: str) -> str:
     """The column called `name`, or the only one called so but for its unit in brackets.
+
+    Columns without names are called by their number from 1.
 
     **Raises:** `DataError` if there is none, or there are several.
     """
     if name in channels.columns:
         return name
     found = [column for column in channels.columns if split_unit(column)[0] == name]
+    if not found and name.isdigit() and NUMBERED.format(name) in channels.columns:
+        return NUMBERED.format(name)
     if len(found) == 1:
         return found[0]
     if found:
@@ -131,16 +195,14 @@ def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -
     return _Signals(values, signals.column, units)
 
 
-def _times(
-    signals: _Signals, channels: Channels, rename: Mapping[str, str]
-) -> dict[str, np.ndarray]:
+def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> dict[str, np.ndarray]:
     """Signal to its time in s, for each signal that has one."""
-    found = _time_name(signals, rename)
-    if found is not None:
-        time = _in_seconds(found, signals)
-        rest = [name for name in signals.values if name != found]
-        return {name: time for name in rest if signals.values[name].size == time.size}
-    axes = {time: _in_seconds(time, signals) for time in _axes(channels, signals)}
+    if time is not None:
+        rest = [name for name in signals.values if name != time.name]
+        return {n: time.seconds for n in rest if signals.values[n].size == time.seconds.size}
+    named = [name for name in dict.fromkeys(channels.time_of.values()) if name in signals.values]
+    found = {name: find_time(signals.values, signals.units, name) for name in named}
+    axes = {name: axis.seconds for name, axis in found.items() if axis}
     times = {
         name: axes[channels.time_of[column]]
         for name, column in signals.column.items()
@@ -150,59 +212,23 @@ def _times(
         and channels.time_of[column] in axes
     }
     if not times:
-        raise DataError(
-            f"there is no time column ('t' or 'time'); there are: {listed(channels.columns)}."
-            f" Name it by renaming it to t (on the command line: --map t=COLUMN), or give the "
-            f"seconds between samples (--time-step){_first_reason(channels)}."
-        )
+        raise no_time(channels, _first_reason(channels))
     return times
 
 
-def _axes(channels: Channels, signals: _Signals) -> list[str]:
-    used = dict.fromkeys(channels.time_of.values())
-    return [name for name in used if name in signals.values]
-
-
-def _time_name(signals: _Signals, rename: Mapping[str, str]) -> str | None:
-    if "t" in rename:
-        return "t"
-    for wanted in TIME_COLUMNS:
-        for name in signals.values:
-            base, unit = split_unit(name)
-            if name == wanted or (base == wanted and unit in SECONDS):
-                return name
-    return None
-
-
-def _in_seconds(name: str, signals: _Signals) -> np.ndarray:
-    """Time in s, converted from the unit that the file states for it."""
-    unit = signals.units.get(name)
-    if unit is None:
-        return signals.values[name]
-    # "seconds since 2024-01-01", as NetCDF has it.
-    factor = SECONDS.get(unit) or SECONDS.get(unit.split(" since ")[0])
-    if factor is None:
-        raise DataError(
-            f"time '{name}' is in '{unit}', which is not known; scale it to seconds (on the"
-            f" command line: --scale {name}=FACTOR)."
-        )
-    return signals.values[name] * factor
-
-
-def _evenly_timed(signals: _Signals, rename: Mapping[str, str]) -> _Signals:
-    """Signals of a file without time: those of the length that most have."""
-    time = _time_name(signals, rename)
-    if time is not None:
-        raise DataError(
-            f"time is in column '{time}'; a time step is for files without time. Leave it out, or"
-            " rename that column."
-        )
-    wanted = [name for name in signals.values if name in rename] or list(signals.values)
-    lengths = [signals.values[name].size for name in wanted]
+def _evenly_timed(
+    signals: _Signals, rename: Mapping[str, str], time: TimeColumn | None
+) -> _Signals:
+    """Signals at an even step, whatever a column of time says: those of the length most have."""
+    values = {k: v for k, v in signals.values.items() if time is None or k != time.name}
+    wanted = [name for name in values if name in rename] or list(values)
+    if not wanted:
+        raise DataError("a record needs at least one signal besides its time.")
+    lengths = [values[name].size for name in wanted]
     usual = max(set(lengths), key=lambda length: (lengths.count(length), length))
-    alike = {name: array for name, array in signals.values.items() if array.size == usual}
+    alike = {name: array for name, array in values.items() if array.size == usual}
     for name in rename:
-        if name not in alike:
+        if name not in alike and name != "t":
             raise DataError(
                 f"column '{rename[name]}' has another length than the others, {usual} samples."
             )
@@ -216,7 +242,6 @@ def _with_times(
     for name in rename:
         if name not in times and name != "t":
             size = max((time.size for time in times.values()), default=0)
-            size = size or signals.values[_time_name(signals, rename) or name].size
             raise DataError(
                 f"column '{rename[name]}' has another length than the time, {size} samples."
             )
@@ -224,19 +249,24 @@ def _with_times(
 
 
 def _on_one_axis(
-    values: dict[str, np.ndarray], times: dict[str, np.ndarray]
+    values: dict[str, np.ndarray], times: dict[str, np.ndarray], matter: Collection[str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """Signals and their one time, without the rows that are empty in all of them."""
+    """Signals and their one time, without the rows that are empty in all of them.
+
+    Signals that do not matter and have another time than those that do are left out.
+    """
     if not times:
         return values, None
-    first = next(iter(times))
-    for name, time in times.items():
-        if time is not times[first] and not np.array_equal(time, times[first]):
+    first = next(name for name in times if name in matter)
+    same = {n: t is times[first] or np.array_equal(t, times[first]) for n, t in times.items()}
+    for name in times:
+        if not same[name] and name in matter:
             raise DataError(
                 f"'{first}' and '{name}' have different times; bring them to a common rate (on the"
                 " command line: --resample HZ), or name the time of the signals you need by"
                 " renaming it to t."
             )
+    values = {name: array for name, array in values.items() if same[name]}
     time = times[first]
     filled = ~np.isnan(time) | np.any([~np.isnan(each) for each in values.values()], axis=0)
     if filled.all():
@@ -244,7 +274,12 @@ def _on_one_axis(
     return {name: array[filled] for name, array in values.items()}, time[filled]
 
 
-def _resampled(signals: _Signals, times: dict[str, np.ndarray], selection: Selection) -> Record:
+def _resampled(
+    signals: _Signals,
+    times: dict[str, np.ndarray],
+    selection: Selection,
+    matter: Collection[str],
+) -> Record:
     from riecjax.records.preparation.resampling import on_grid, on_grid_noise
 
     pairs = {}
@@ -254,7 +289,7 @@ def _resampled(signals: _Signals, times: dict[str, np.ndarray], selection: Selec
         known = ~np.isnan(time)
         pairs[name] = time[known], values[known]
     rate = float(selection.resample or 0.0)
-    time, values = on_grid(pairs, rate)
+    time, values = on_grid(pairs, rate, matter)
     computed = _with_derived(values, time, selection.derive)
     record = Record.from_samples(
         computed,
