@@ -37,13 +37,15 @@ class JobCommand(click.Command):
             job, ctx.meta[DIGESTS] = read_job(Path(typed["job"]))
             args = [*self._arguments(ctx, job, typed, Path(typed["job"]).parent), *args]
         ctx.meta[JOB] = self._raw(ctx, args)
-        return super().parse_args(ctx, args)
+        return super().parse_args(ctx, list(args))
 
     def _raw(self, ctx: click.Context, args: list[str]) -> dict[str, Any]:
         """What is said of each parameter, as text, before it is understood."""
-        values, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        values, _, named = self.make_parser(ctx).parse_args(args=list(args))
+        said = {param.name: values[param.name] for param in named if param.name}
+        # What is absent has no value, or click's own word for none.
         return {
-            p.name: values[p.name] for p in given if p.name and values[p.name] not in ((), None)
+            k: v for k, v in said.items() if isinstance(v, str | tuple | list | bool) and v != ()
         }
 
     def _arguments(
