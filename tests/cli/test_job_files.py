@@ -26,7 +26,7 @@ def context(arguments: list[str]) -> click.Context:
 def rerun(toml: str, folder: Path) -> click.Context:
     file = folder / "job.toml"
     file.write_text(toml, encoding="utf-8")
-    return context(["--job", str(file)])
+    return context(["--job", file.name])
 
 
 def example(param: click.Parameter, value: str) -> list[str]:
@@ -92,10 +92,9 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
         'records = ["a.csv", "../b.csv"]\nmodel = "own/rig.py:axis"\nseed = 3\nsweep = true\n'
         'set = {k = 2, c = 1}\nremove-offset = ["x"]\nband = [1, 5]\nnoise = "none"\n'
     )
-    assert context(["--job", str(job)]).params["known"] == {"k": 2.0, "c": 1.0}
-    ctx = context(
-        "--job jobs/job.toml --set k=4 --no-sweep --remove-offset y --noise q=0.1".split()
-    )
+    assert context(["--job", "jobs/job.toml"]).params["known"] == {"k": 2.0, "c": 1.0}
+    typed = "--job jobs/job.toml --set k=4 --no-sweep --remove-offset y --noise q=0.1"
+    ctx = context(typed.split())
     assert ctx.params["known"] == {"c": 1.0, "k": 4.0}
     assert ctx.params["noise"] == {"q": 0.1}
     assert ctx.params["offsets"] == ("y",)
