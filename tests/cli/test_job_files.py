@@ -94,7 +94,7 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
     )
     assert context(["--job", "jobs/job.toml"]).params["known"] == {"k": 2.0, "c": 1.0}
     typed = "--job jobs/job.toml --set k=4 --no-sweep --remove-offset y --noise q=0.1"
-    ctx = context(typed.split())
+    ctx = context([*typed.split()])
     assert ctx.params["known"] == {"c": 1.0, "k": 4.0}
     assert ctx.params["noise"] == {"q": 0.1}
     assert ctx.params["offsets"] == ("y",)

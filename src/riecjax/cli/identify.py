@@ -160,7 +160,7 @@ def _emit(
     document = identification_document(assessment, context.obj or ())
     document["warnings"] += [finding._asdict() for finding in changed]
     document["job"] = job_of(context, out)
-    document["provenance"]["files"] = digests(input_files(context))
+    document["provenance"]["files"] = digests(input_files(context), out)
     emit(
         document,
         as_json=as_json,

@@ -1,5 +1,6 @@
 """Job files: the options of a command in TOML, or in the results.json that they led to."""
 
+import functools
 import json
 import os
 import re
@@ -202,13 +203,15 @@ def given(ctx: click.Context, folder: Path | None = None) -> dict[str, Any]:
     return found
 
 
-def _plain(param: click.Parameter, value: Any, folder: Path | None) -> Any:
-    def moved(path: str) -> str:
-        relative = folder is not None and not os.path.isabs(path)
-        return os.path.relpath(path, folder) if relative else path
+def _seen_from(folder: Path | None, path: str) -> str:
+    """A path, which starts from here, as one that starts from a folder."""
+    return path if folder is None or os.path.isabs(path) else os.path.relpath(path, folder)
 
+
+def _plain(param: click.Parameter, value: Any, folder: Path | None) -> Any:
     if isinstance(value, bool):
         return value
+    moved = functools.partial(_seen_from, folder)
     if isinstance(value, tuple | list):
         texts = [_repathed(param, one, moved) if isinstance(one, str) else one for one in value]
         pairs = [text.partition("=") for text in texts] if getattr(param, "multiple", False) else []
@@ -235,48 +238,50 @@ def input_files(ctx: click.Context) -> list[str]:
         if key_of(param) in SHOWN:
             continue
         value = raw.get(param.name, ())
-        for text in (
-            [value] if isinstance(value, str) else value if isinstance(value, Iterable) else ()
-        ):
+        for text in value if isinstance(value, tuple | list) else [value]:
             _repathed(param, str(text), lambda path: files.setdefault(path, path))
     return list(files)
 
 
-def digests(files: Iterable[str]) -> list[dict[str, Any]]:
-    """Size and SHA-256 of files, as `provenance` keeps them; of those only that are there."""
+def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, Any]]:
+    """Size and SHA-256 of files, as `provenance` keeps them; of those only that are there.
+
+    **Arguments:** `folder`, where names of files start from, as in [`job_of`][].
+    """
     import hashlib
 
     found = []
     for file in filter(os.path.isfile, files):
         with open(file, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        found.append({"file": file, "bytes": os.path.getsize(file), "sha256": digest})
+        name = _seen_from(folder, file)
+        found.append({"file": name, "bytes": os.path.getsize(file), "sha256": digest})
     return found
 
 
 def changed_files(ctx: click.Context) -> "list[Finding]":
     """Files that are others than those the job's results were made from, told at once.
 
-    Files given beside a job, whatever their names, are no change of the job's.
+    Files typed beside a job are no change of the job's.
     """
     from riecjax.findings import Finding
 
     recorded = ctx.meta.get(DIGESTS) or []
-    known = {one["sha256"] for one in recorded}
-    names = {os.path.basename(one["file"]) for one in recorded}
+    if not recorded:
+        return []
+    job = ctx.meta[JOB]["job"]
+    folder = os.path.dirname(job)
+    known = {os.path.normpath(os.path.join(folder, d["file"])): d["sha256"] for d in recorded}
     found = [
         Finding(
             "file_changed",
-            f"{os.path.basename(one['file'])} is not the file that {_job_name(ctx)} was made from "
-            f"(its SHA-256 begins with {one['sha256'][:8]}): these numbers are of the new file.",
+            f"{one['file']} is not the file that {os.path.basename(job)} was made from (its "
+            f"SHA-256 begins with {one['sha256'][:8]}, not {known[one['file']][:8]}): these "
+            f"numbers are of the new file.",
         )
-        for one in digests(input_files(ctx) if recorded else ())
-        if one["sha256"] not in known and os.path.basename(one["file"]) in names
+        for one in digests(file for file in input_files(ctx) if file in known)
+        if one["sha256"] != known[one["file"]]
     ]
     for finding in found:
         click.echo(f"warning [{finding.code}]: {finding.message}", err=True)
     return found
-
-
-def _job_name(ctx: click.Context) -> str:
-    return os.path.basename(str(ctx.meta[JOB]["job"]))
