@@ -327,6 +327,7 @@ def check_schema(document: dict) -> None:
         "validation",
         "warnings",
         "provenance",
+        "job",
     }
     assert document["schema"] == 1
     for entry in document["parameters"].values():

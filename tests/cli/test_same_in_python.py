@@ -31,6 +31,8 @@ def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows
     # What only a command line has: the command, and those that go on from it.
     asked = ["riecjax", "identify", "run.csv", "--model", "machine.py:axis", *map(str, options)]
     assert printed["provenance"]["command"] == shlex.join(asked)
+    assert printed.pop("job")["alpha"] == 0.1
+    assert [one["file"] for one in printed["provenance"].pop("files")] == ["machine.py", "run.csv"]
     document = identification_document(found, asked[1:])
     assert json.loads(json.dumps(document)) == printed
     codes = [warning["code"] for warning in printed["warnings"]]

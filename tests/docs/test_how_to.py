@@ -32,10 +32,13 @@ def test_commands_print_what_the_page_shows(tmp_path, monkeypatch, capsys):
     shown = 0
     for kind, text in BLOCKS:
         if kind == "console":
-            arguments = shlex.split(text)
+            command, _, file = text.partition(" > ")
+            arguments = shlex.split(command)
             assert arguments[0] == "riecjax"
             assert run(arguments[1:]) == 0
             printed = capsys.readouterr().out
+            if file:
+                Path(file.strip()).write_text(printed, encoding="utf-8")
         elif not kind and printed:
             kept = [line for line in printed.splitlines() if not line.startswith("wrote ")]
             assert words("\n".join(kept)) == words(text)

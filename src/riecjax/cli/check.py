@@ -3,6 +3,7 @@
 import click
 
 from riecjax.cli.criteria import CriterionOptions, criterion_options
+from riecjax.cli.job import JobCommand, job_option
 from riecjax.cli.options import (
     HiddenOptions,
     hidden_options,
@@ -15,7 +16,9 @@ from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.runtime import start_jax
 
 
-@click.command("check", short_help="Say before any fit whether recordings can answer.")
+@click.command(
+    "check", cls=JobCommand, short_help="Say before any fit whether recordings can answer."
+)
 @click.option(
     "--model",
     "model_name",
@@ -28,6 +31,7 @@ from riecjax.runtime import start_jax
 @set_option
 @per_record_option
 @seed_option
+@job_option
 @json_option
 def command(
     recordings: RecordingOptions,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from riecjax.cli.criteria import CriterionOptions, criterion_options
+from riecjax.cli.job import JobCommand, changed_files, digests, input_files, job_of, job_option
 from riecjax.cli.options import (
     SHARE,
     HiddenOptions,
@@ -23,9 +24,12 @@ from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
+    from riecjax.findings import Finding
 
 
-@click.command("identify", short_help="Identify a model's parameters from recordings.")
+@click.command(
+    "identify", cls=JobCommand, short_help="Identify a model's parameters from recordings."
+)
 @click.option(
     "--model",
     "model_name",
@@ -67,6 +71,7 @@ if TYPE_CHECKING:
 )
 @click.option("--verbose", is_flag=True, help="Tell everything, not the verdict alone.")
 @seed_option
+@job_option
 @json_option
 @out_option
 def command(
@@ -101,6 +106,7 @@ def command(
     start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
     from riecjax.compilation.program_files import load_ahead
 
+    changed = changed_files(click.get_current_context())
     load_ahead("identify", model_name)
     import jax
 
@@ -131,10 +137,16 @@ def command(
             on_estimate=progress.show_estimate,
             progress=progress.refining,
         )
-    _emit(assessment, as_json, out, verbose)
+    _emit(assessment, changed, as_json, out, verbose)
 
 
-def _emit(assessment: "Assessment", as_json: bool, out: Path | None, verbose: bool) -> None:
+def _emit(
+    assessment: "Assessment",
+    changed: "list[Finding]",
+    as_json: bool,
+    out: Path | None,
+    verbose: bool,
+) -> None:
     from riecjax.reporting.identification import (
         identification_document,
         print_everything,
@@ -144,8 +156,13 @@ def _emit(assessment: "Assessment", as_json: bool, out: Path | None, verbose: bo
     from riecjax.reporting.identification_page import identification_page
     from riecjax.reporting.output import emit
 
+    context = click.get_current_context()
+    document = identification_document(assessment, context.obj or ())
+    document["warnings"] += [finding._asdict() for finding in changed]
+    document["job"] = job_of(context, out)
+    document["provenance"]["files"] = digests(input_files(context), out)
     emit(
-        identification_document(assessment, click.get_current_context().obj or ()),
+        document,
         as_json=as_json,
         out=out,
         show=print_everything if verbose else print_identification,

@@ -14,6 +14,7 @@ from riecjax.errors import RiecjaxError
 COMMANDS = {
     "identify": "riecjax.cli.identify",
     "check": "riecjax.cli.check",
+    "init": "riecjax.cli.init",
     "models": "riecjax.cli.models",
     "simulate": "riecjax.cli.simulate",
     "reproduce": "riecjax.cli.reproduce",

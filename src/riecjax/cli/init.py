@@ -1,0 +1,192 @@
+"""`riecjax init`: a job file to fill in, from a look at recordings."""
+
+import inspect
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from riecjax.cli import identify
+from riecjax.cli.job import JobCommand, given, key_of
+
+if TYPE_CHECKING:
+    from riecjax.models.model import Model, Quantity
+    from riecjax.records.reading.channels import Channels
+
+BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def _print_job(**arguments: Any) -> None:
+    """Print a job file (TOML) for `riecjax identify --job`: every option has its line there.
+
+    The map of signals to columns is proposed from their names and units; a comment marks a guess.
+    """
+    from riecjax.models.catalogue import find_model
+    from riecjax.records.reading.read import read_channels
+
+    ctx = click.get_current_context()
+    model = find_model(arguments["model_name"])
+    dialect = {
+        name: arguments[name]
+        for name in list(inspect.signature(read_channels).parameters)[1:]
+        if name in arguments
+    }
+    read = [read_channels(file, **dialect) for file in arguments["files"]]
+    notes = {"map": list(_map_lines(model, read[0], arguments["rename"]))}
+    if arguments["band"] is None:
+        from riecjax.criteria.windows import DEFAULT_BAND
+
+        band = [float(end) for end in model.band or DEFAULT_BAND]
+        notes["band"] = [f"# band = {toml_value(band)}  # taken unless another is given"]
+    click.echo("\n".join(form(ctx, notes)))
+
+
+command = JobCommand(
+    "init",
+    callback=_print_job,
+    params=identify.command.params,
+    help=inspect.getdoc(_print_job),
+    short_help="Propose a job file for recordings and a model.",
+)
+
+
+def form(ctx: click.Context, notes: Mapping[str, Iterable[str]] = {}) -> Iterator[str]:
+    """Lines of a job file with all options of the running command, those that are not set as
+    comments.
+
+    **Arguments:** `notes`, lines that go below a key's own, or instead of its empty one.
+    """
+    said = given(ctx)
+    yield "# A job for: riecjax identify --job FILE. Paths are relative to this file."
+    for param in ctx.command.params:
+        key = key_of(param)
+        if key == "job":
+            continue
+        yield ""
+        if isinstance(param, click.Option) and param.help:
+            yield f"# {' '.join(param.help.split())}"
+        lines = [*(assigned(key, said[key]) if key in said else ()), *notes.get(key, ())]
+        yield from lines or [f"# {key} = {_example(param)}"]
+
+
+def _example(param: click.Parameter) -> str:
+    """What an option that is not set may be, in the place of its value."""
+    if isinstance(param, click.Option) and param.is_flag:
+        return "false"
+    words = param.metavar or getattr(param.type, "name", "value")
+    if getattr(param, "multiple", False) and "=" in words:
+        name, _, value = words.rpartition("|")[2].partition("=")
+        return "{ " + f"{name.strip('[')} = {value.rstrip(']')}" + " }"
+    return f"[{words}]" if param.multiple or param.nargs > 1 else words  # type: ignore[attr-defined]
+
+
+def assigned(key: str, value: Any) -> Iterator[str]:
+    """TOML that gives a key this value: of a table, a line for each name."""
+    if not isinstance(value, dict):
+        yield f"{key} = {toml_value(value)}"
+    else:
+        for name, each in value.items():
+            yield f"{key}.{_quoted_key(name)} = {toml_value(each)}"
+
+
+def _quoted_key(name: str) -> str:
+    return name if BARE.fullmatch(name) else toml_value(name)
+
+
+def toml_value(value: Any) -> str:
+    """A text, number, truth or list of them in TOML, whose escapes are JSON's but for DEL."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _commented(text: str) -> str:
+    """Text of a file, which may hold anything, for a comment of one line."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def _map_lines(model: "Model", channels: "Channels", given: Mapping[str, str]) -> Iterator[str]:
+    """A line for each signal that a model reads: its column, and how it was found."""
+    from riecjax.errors import DataError
+    from riecjax.records.reading.selection import Selection, column_named, record_from_channels
+    from riecjax.records.reading.units import split_unit
+
+    taken = set(given.values())
+    wanted = [s for s in _signals(model) if s.name not in given]
+    missing = []
+    for signal in wanted:
+        try:
+            column = column_named(channels, signal.name)
+        except DataError:
+            missing.append(signal)
+            continue
+        taken.add(column)
+        yield _commented(f"# map.{_quoted_key(signal.name)} = {toml_value(column)}  # by its name")
+    for signal in missing:
+        rest = [column for column in channels.columns if column not in taken]
+        found, why = _guess(signal, rest, channels)
+        name = f"map.{_quoted_key(signal.name)}"
+        if found is not None:
+            taken.add(found)
+            yield f"{name} = {toml_value(found)}  # {why}"
+        elif signal.name not in model.derived:
+            unit = f" in {signal.unit}" if signal.unit else ""
+            listed = ", ".join(map(toml_value, rest)) or "no column is left"
+            yield _commented(f"# {name} = COLUMN  # {signal.name}{unit}, one of: {listed}")
+    for column in channels.columns:
+        unit = channels.units.get(column) or split_unit(column)[1]
+        if unit:
+            yield _commented(f"# {toml_value(column)} is in {unit}, as the file says")
+    try:
+        record_from_channels(channels, Selection())
+    except DataError as error:
+        yield _commented(f"# as it stands: {error}")
+
+
+def _signals(model: "Model") -> "list[Quantity]":
+    """What a model reads; of a user's own equation, found by asking it."""
+    if model.signals:
+        return list(model.signals)
+    import numpy as np
+
+    from riecjax.errors import MissingSignalError
+    from riecjax.models.model import Quantity
+    from riecjax.records.record import Record
+
+    names: list[str] = ["t"]
+    zeros = np.zeros(8)
+    equations = [e for stage in model.build_procedure().stages for e in stage]
+    for _ in range(100):
+        record = Record.from_samples(dict.fromkeys(names[1:] or ["_"], zeros), time_step=1.0)
+        try:
+            for equation in equations:
+                equation.signals_read(record, 2)
+            break
+        except MissingSignalError as error:
+            names.append(error.signal)
+    return [Quantity(name, "", "") for name in names[1:]]
+
+
+def _guess(signal: "Quantity", columns: list[str], channels: "Channels") -> tuple[str | None, str]:
+    """The column that may be a signal, if one alone may, and why."""
+    from riecjax.records.reading.units import NOT_SI, split_unit
+
+    def plain(name: str) -> str:
+        return re.sub(r"[\W_]", "", split_unit(name)[0].lower())
+
+    def unit(column: str) -> str:
+        stated = (channels.units.get(column) or split_unit(column)[1] or "").replace("^", "")
+        return NOT_SI.get(stated, (stated, 1.0))[0].replace("^", "")
+
+    words = {word for word in re.findall(r"\w+", signal.meaning.lower()) if len(word) > 3}
+    rules = {
+        "by its name but for spelling": [c for c in columns if plain(c) == plain(signal.name)],
+        "a guess, by its meaning": [c for c in columns if plain(c) and plain(c) in words],
+        "a guess, by its unit": [
+            c for c in columns if signal.unit and unit(c) == signal.unit.replace("^", "")
+        ],
+    }
+    for why, found in rules.items():
+        if len(found) == 1:
+            return found[0], why
+    return None, ""

@@ -1,0 +1,190 @@
+"""Job files: options in TOML or in results.json do what they do when typed."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import click
+import pytest
+from command_line import call, rejected, write_csv
+from test_own_recordings import MODEL, motion
+
+from riecjax.cli.identify import command as identify
+from riecjax.cli.init import assigned, form
+from riecjax.cli.job import JOB, given, key_of
+
+PLAIN = ("--test-function", "hat", "--no-sweep", "--refine", "none")
+ODD = ('q "raw" [m]', "Längs-Kraft # 1 \\ N", "C:\\new\\x.py:y", "tab\tand\x7f", "a=b", "01", "1e3")
+
+
+def context(arguments: list[str]) -> click.Context:
+    ctx = click.Context(identify)
+    identify.parse_args(ctx, arguments)
+    return ctx
+
+
+def rerun(toml: str, folder: Path) -> click.Context:
+    file = folder / "job.toml"
+    file.write_text(toml, encoding="utf-8")
+    return context(["--job", file.name])
+
+
+def example(param: click.Parameter, value: str) -> list[str]:
+    """Arguments that give an option some value it takes."""
+    if not isinstance(param, click.Option):
+        return ["a.csv", "-b.csv"][:1]
+    if param.is_flag:
+        return [(param.secondary_opts or param.opts)[0]]
+    words = param.metavar or param.type.name
+    if isinstance(param.type, click.Choice):
+        value = param.type.choices[-1]
+    elif "LOW:HIGH" in words or "LOW:HIGH" in param.type.name:
+        value = "k=0:2.5"
+    elif "=" in words:
+        value = "x=2.5"
+    elif "test" in key_of(param):
+        value = "hat"
+    return [param.opts[0], *[value] * param.nargs]
+
+
+@pytest.mark.parametrize("key", [key_of(param) for param in identify.params])
+def test_every_option_has_its_line_and_comes_back(tmp_path, monkeypatch, key):
+    monkeypatch.chdir(tmp_path)
+    param = next(param for param in identify.params if key_of(param) == key)
+    if key == "job":
+        return
+    arguments = ["r.csv", "--model", "emps"]
+    assert f"\n# {key} = " in "\n".join(form(context(arguments))) or key in given(
+        context(arguments)
+    )
+    for value in ("1", "0.5"):
+        try:
+            first = context([*arguments, *example(param, value)])
+            break
+        except click.UsageError:
+            continue
+    else:
+        pytest.fail(f"no value was found that --{key} takes")
+    text = "\n".join(form(first))
+    assert given(first)[key] == tomllib.loads(text)[key]
+    again = rerun(text, tmp_path)
+    assert again.params == first.params
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_any_name_is_kept(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    first = context(["r.csv", "--model", "emps", "--map", f"q={name}", "--scale", "x 'y\"=-2e-3"])
+    for text in (
+        "\n".join(form(first)),
+        "\n".join(line for key, value in given(first).items() for line in assigned(key, value)),
+    ):
+        assert tomllib.loads(text)["map"] == {"q": name}
+        again = rerun(text, tmp_path)
+        assert again.params == first.params
+
+
+def test_what_is_typed_wins(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "jobs").mkdir()
+    job = tmp_path / "jobs" / "job.toml"
+    job.write_text(
+        'records = ["a.csv", "../b.csv"]\nmodel = "own/rig.py:axis"\nseed = 3\nsweep = true\n'
+        'set = {k = 2, c = 1}\nremove-offset = ["x"]\nband = [1, 5]\nnoise = "none"\n'
+    )
+    assert context(["--job", "jobs/job.toml"]).params["known"] == {"k": 2.0, "c": 1.0}
+    typed = "--job jobs/job.toml --set k=4 --no-sweep --remove-offset y --noise q=0.1"
+    ctx = context([*typed.split()])
+    assert ctx.params["known"] == {"c": 1.0, "k": 4.0}
+    assert ctx.params["noise"] == {"q": 0.1}
+    assert ctx.params["offsets"] == ("y",)
+    assert ctx.params["sweep"] is False
+    assert ctx.params["seed"] == 3
+    assert ctx.params["band"] == (1.0, 5.0)
+    assert ctx.params["files"] == (Path("jobs/a.csv"), Path("b.csv"))
+    assert ctx.params["model_name"].replace("\\", "/") == "jobs/own/rig.py:axis"
+    assert context(["c.csv", "--job", str(job)]).params["files"] == (Path("c.csv"),)
+    assert "files" in ctx.meta[JOB]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("tset-function = 'hat'", ("'tset-function'", "'test-function'")),
+        ("alpha = true", ("'alpha'", "number")),
+        ("alpha = 'long'", ("--alpha", "long")),
+        ("band = 3", ("'band'", "list of 2")),
+        ("sweep = 'no'", ("'sweep'", "true or false")),
+        ("records = 3", ("'records'", "names")),
+        ("map = {q = [1]}", ("'map.q'", "quotes")),
+        ("alpha = ", ("job.toml", "not understood")),
+        ("", ("RECORD",)),
+    ],
+)
+def test_a_wrong_job_is_wrong_usage(capsys, tmp_path, monkeypatch, text, words):
+    monkeypatch.chdir(tmp_path)
+    Path("job.toml").write_text(text)
+    said = rejected(capsys, 2, "identify", "--job", "job.toml")
+    assert all(word in said for word in words)
+
+
+def test_without_job_and_recording(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "RECORD" in rejected(capsys, 2, "identify")
+    assert "cannot be read" in rejected(capsys, 2, "identify", "--job", "none.toml")
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("machine.py").write_text(MODEL)
+    write_csv(Path("run.csv"), motion(offset=4.0, count=1500))
+
+
+def test_a_proposed_job_does_what_the_plain_command_does(capsys, machine):
+    arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN)
+    plain = call(capsys, "identify", *arguments, "--json").document
+    job = call(capsys, "init", *arguments)
+    assert job.status == 0, job.err
+    Path("sub").mkdir()
+    Path("job.toml").write_text(job.out, encoding="utf-8")
+    ran = call(capsys, "identify", "--job", "job.toml", "--json").document
+    for document in (plain, ran):
+        del document["provenance"]["command"]
+        for step in document["verdict"]["next"]:
+            step.pop("command")
+    assert ran == plain
+    assert call(capsys, "check", "--job", "job.toml").status == 0
+
+
+def test_a_result_runs_again_to_the_same_numbers(capsys, machine):
+    arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN, "--seed", "5")
+    assert call(capsys, "identify", *arguments, "--out", "result").status == 0
+    file = Path("result/results.json")
+    first = json.loads(file.read_text())
+    assert first["job"]["records"] == [str(Path("../run.csv"))]
+    assert call(capsys, "identify", "--job", file, "--out", "result").status == 0
+    again = json.loads(file.read_text())
+    for document in (first, again):
+        del document["provenance"]["command"]
+        for step in document["verdict"]["next"]:
+            step.pop("command")
+    assert again == first
+
+    with Path("run.csv").open("a") as stream:
+        stream.write("\n")
+    changed = call(capsys, "identify", "--job", file, "--json")
+    assert "file_changed" in changed.err
+    assert changed.document["warnings"][-1]["code"] == "file_changed"
+    assert "run.csv" in changed.document["warnings"][-1]["message"]
+
+
+def test_init_guesses_and_says_so(capsys, machine):
+    _, q, force, *_ = motion(count=300).values()
+    write_csv(Path("odd.csv"), {"Q [m]": q, "Load [N]": force})
+    made = call(capsys, "init", "odd.csv", "--model", "emps")
+    assert made.status == 0, made.err
+    job = tomllib.loads(made.out)
+    assert job["map"] == {"q": "Q [m]", "force": "Load [N]"}
+    assert "a guess, by its unit" in made.out
+    assert "there is no time column" in made.out
