@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import click
 import numpy as np
+import scipy.interpolate
 
 from benchmarks import drag_problem
 from riecjax.errors import RiecjaxError
@@ -20,8 +22,9 @@ Truth = Mapping[str, np.ndarray]
 def motion() -> Truth:
     """The drag oscillator of the benchmarks at 200 Hz, in SI: `t`, `x`, `dx`, `ddx`, `u`."""
     t = STEP * np.arange(COUNT)
-    coarse = drag_problem.RATE ** -1.0 * np.arange(drag_problem.COUNT)
-    found = {name: np.interp(t, coarse, v) for name, v in drag_problem.signals().items()}
+    coarse = np.arange(drag_problem.COUNT) / drag_problem.RATE
+    signals = drag_problem.signals().items()
+    found = {name: scipy.interpolate.CubicSpline(coarse, v)(t) for name, v in signals}
     m, r, r2, k = drag_problem.TRUTH.values()
     x, v, u = found["x"], found["dx"], found["u"]
     return {"t": t, **found, "ddx": (u - r * v - r2 * v * abs(v) - k * x) / m}
@@ -111,7 +114,7 @@ def outcome(one: Case, folder: Path) -> Outcome:
     truth = one.write(file)
     try:
         records = read(file, [*mapped(one.rename), *one.options])
-    except RiecjaxError as error:
+    except (RiecjaxError, click.UsageError) as error:
         rightly = one.refused and one.refused in str(error)
         return Outcome("right" if rightly else "asked", str(error))
     truths = truth if isinstance(truth, list | tuple) else [truth]
