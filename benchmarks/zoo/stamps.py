@@ -194,7 +194,7 @@ def temperature_called_T(file: Path) -> Truth:
 def temperature_and_clock(file: Path) -> Truth:
     """`T` is a temperature; the only time is `Time stamp`."""
     c, truth = written(x="%.6f", u="%.5f")
-    warm = [f"{21 + 0.001 * i:.3f}" for i in range(COUNT)]
+    warm = [f"{21 + 0.3 * np.sin(0.01 * i):.2f}" for i in range(COUNT)]
     stamps = [_ms(m, "%Y-%m-%d %H:%M:%S.") for m in _moments()]
     save(file, "T,Time stamp,x,u", *lines(warm, stamps, *c.values()))
     return truth
