@@ -1,4 +1,4 @@
-"""Files as loggers write them: `python -m benchmarks.zoo [--full] [--write]`.
+"""Files as loggers write them: `python -m benchmarks.zoo [--write]`.
 
 Every case is written, read by the options of `riecjax identify` and compared with the numbers it
 was made from. Fails where one is read wrongly, or too few need nothing beside --model and --map.
@@ -13,7 +13,8 @@ from pathlib import Path
 
 from benchmarks.table import filled_in
 from benchmarks.zoo import binary, stamps, text  # noqa: F401
-from benchmarks.zoo.case import CASES, Case, Outcome, outcome
+from benchmarks.zoo.case import CASES, Case, Outcome, compared, outcome
+from benchmarks.zoo.measured import measured
 
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "files_as_they_come.md"
 BEGIN = "<!-- zoo: python -m benchmarks.zoo --write -->"
@@ -63,6 +64,10 @@ def main() -> None:
         f"{len(found)} files: {len(right)} right, {plain} of them with --model and --map alone; "
         f"{kinds['asked']} asked, {kinds['wrong']} wrong"
     )
+    for file, one in measured():
+        kind, said = compared(one, file, one.write(file))
+        kinds[kind] += 1
+        print(f"{kind:<6} {one.follows}/{file.name:<60} {said}")
     if arguments.write:
         PAGE.write_text(page(), encoding="utf-8")
     sys.exit(bool(kinds["wrong"]) or plain < ASKED_PLAIN or len(right) < ASKED_FILES)

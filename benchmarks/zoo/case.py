@@ -90,7 +90,7 @@ def case(
     needs: str = "",
     **rename: str,
 ) -> Callable[[Callable[[Path], Truth | Sequence[Truth]]], None]:
-    """Register a function that writes a file and returns its truth; its docstring says the source."""
+    """Register what writes a file and returns its truth; the docstring names the logger."""
 
     def register(write: Callable[[Path], Truth | Sequence[Truth]]) -> None:
         name, follows = write.__name__, " ".join((write.__doc__ or "").split())
@@ -111,7 +111,11 @@ class Outcome(NamedTuple):
 def outcome(one: Case, folder: Path) -> Outcome:
     """Write a case's file, read it as the command line would, and compare."""
     file = folder / (one.name + one.suffix)
-    truth = one.write(file)
+    return compared(one, file, one.write(file))
+
+
+def compared(one: Case, file: Path, truth: Truth | Sequence[Truth]) -> Outcome:
+    """What a file is read as, beside the truth."""
     try:
         records = read(file, [*mapped(one.rename), *one.options])
     except (RiecjaxError, click.UsageError) as error:

@@ -348,7 +348,8 @@ def campbell_toa5(file: Path) -> Truth:
     c, truth = written(x="%.6f", u="%.4f")
     stamps = [f'"2024-03-01 12:00:{0.005 * i:06.3f}"' for i in range(COUNT)]
     head = ['"TOA5","CR1000","CR1000","1031","CR1000.Std.00.60","CPU:Test.CR1","4062","Test"',
-            '"TIMESTAMP","RECORD","Pos","Force"', '"TS","RN","m","N"', '"","","Smp","Smp"']  # fmt: skip
+            '"TIMESTAMP","RECORD","Pos","Force"', '"TS","RN","m","N"',
+            '"","","Smp","Smp"']  # fmt: skip
     number = list(map(str, range(COUNT)))
     save(file, *head, *lines(stamps, number, *c.values()))
     return truth
