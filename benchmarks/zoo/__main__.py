@@ -32,8 +32,15 @@ def outcomes() -> dict[str, Outcome]:
 
 
 def table() -> str:
-    """Every case in Markdown."""
-    rows = ["| file | as written by | options beside `--model` and `--map` |", "|---|---|---|"]
+    """How many files there are and every one, in Markdown."""
+    plain = sum(not one.options for one in CASES.values())
+    counts = f"{len(CASES)} files, {plain} of which need no option beside `--model` and `--map`:"
+    rows = [
+        counts,
+        "",
+        "| file | as written by | options beside `--model` and `--map` |",
+        "|---|---|---|",
+    ]
     return "\n".join([*rows, *(_row(one) for one in CASES.values())])
 
 

@@ -75,7 +75,7 @@ def _columns(file: Path, x: int, u: int) -> Truth:
 
 def _pendulum(file: Path) -> Case:
     if "Estimated" in file.name:
-        return _case(file, lambda _: {}, {}, refused="no columns of numbers")
+        return _case(file, lambda _: {}, {}, refused="no time column")
     if "ForParameterEstimation" in file.name:
         rename = {"t": "Time_id{1}", "x": "Y_id{1}[0]"}
         first: Callable[[Path], Truth] = lambda f: {"x": scipy.io.loadmat(f)["Y_id"][0, 0][0]}  # noqa: E731
