@@ -115,7 +115,7 @@ def mat_v73(file: Path) -> Truth:
 @case(".npz")
 def numpy_npz(file: Path) -> Truth:
     """NumPy savez."""
-    np.savez(file, **{name: motion()[name] for name in ("t", "x", "u")})
+    np.savez(file, t=motion()["t"], x=motion()["x"], u=motion()["u"])
     return _exact("x", "u")
 
 
@@ -150,9 +150,10 @@ def excel_workbook(file: Path) -> Truth:
 
     c, truth = written(t="%.3f", x=("%.4f", 1e-3), u="%.5f")
     book = openpyxl.Workbook()
-    book.active.append(["Zeit (s)", "Weg (mm)", "Kraft (N)"])
+    sheet = book.worksheets[0]
+    sheet.append(["Zeit (s)", "Weg (mm)", "Kraft (N)"])
     for row in zip(*c.values(), strict=True):
-        book.active.append([float(text) for text in row])
+        sheet.append([float(text) for text in row])
     book.save(file)
     return truth
 

@@ -121,7 +121,7 @@ def compared(one: Case, file: Path, truth: Truth | Sequence[Truth]) -> Outcome:
     except (RiecjaxError, click.UsageError) as error:
         rightly = one.refused and one.refused in str(error)
         return Outcome("right" if rightly else "asked", str(error))
-    truths = truth if isinstance(truth, list | tuple) else [truth]
+    truths = [truth] if isinstance(truth, Mapping) else truth
     if one.refused:
         return Outcome("wrong", f"read, though it cannot be told ({one.refused})")
     if len(records) != len(truths):
