@@ -33,7 +33,7 @@ def outcomes() -> dict[str, Outcome]:
 
 def table() -> str:
     """How many files there are and every one, in Markdown."""
-    plain = sum(not one.options for one in CASES.values())
+    plain = sum(not one.options and not one.refused for one in CASES.values())
     counts = f"{len(CASES)} files, {plain} of which need no option beside `--model` and `--map`:"
     rows = [
         counts,
@@ -65,7 +65,7 @@ def main() -> None:
         one = CASES[name]
         print(f"{kind:<6} {name + one.suffix:<34} {' '.join(one.options):<24} {said}")
     right = [name for name, one in found.items() if one.kind == "right"]
-    plain = sum(not CASES[name].options for name in right)
+    plain = sum(not CASES[name].options and not CASES[name].refused for name in right)
     kinds = Counter(one.kind for one in found.values())
     print(
         f"{len(found)} files: {len(right)} right, {plain} of them with --model and --map alone; "
