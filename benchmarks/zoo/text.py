@@ -293,3 +293,15 @@ def units_behind_slashes(file: Path) -> Truth:
     c, truth = written(t="%.3f", x=MM, u=KN)
     save(file, "Zeit / s;Position / mm;Kraft / kN", *lines(*c.values(), sep=";"))
     return truth
+
+
+@case(".txt", x="ACH1", u="ACH2")
+def hioki_txt(file: Path) -> Truth:
+    """Hioki 8807, text: quoted key lines, names behind `"SIGNAL"`, numbers below `"DATA"`."""
+    c, truth = written(t="%.4E", x="%+.7E", u="%+.7E")
+    head = ['"COMMENT", "8807 MEM DATA"', '"DATE", "01-01-1999"', '"TIME", "15:26:55"',
+            '"NUM_SIGS", 3', '"INTERVAL", 5.000E-03', '"HORZ_UNITS", "S"',
+            '"VERT_UNITS", "S", "m", "N"', '"SIGNAL", "TIME", "ACH1", "ACH2"',
+            '"DATA"']  # fmt: skip
+    save(file, *head, *lines(*c.values(), sep=", "))
+    return truth
