@@ -1,5 +1,6 @@
 """An assessment against the stages that it is made of, called one by one, and against the truth."""
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from riecjax.findings import Finding
 
 STEP = 0.01
 TRUTH = {"m": 2.0, "c": 3.0, "k": 80.0}
@@ -139,11 +141,16 @@ def test_random_windows_show_their_scatter():
     np.testing.assert_allclose(found.estimate.theta, alone.theta, rtol=1e-10)
 
 
+def with_findings(recording, *signals):
+    """The recording with a finding of its file on each of these signals."""
+    said = tuple(Finding("unit_mismatch", f"of {name}", (name,), doubt=1.0) for name in signals)
+    return dataclasses.replace(recording, findings=said)
+
+
 def test_findings_of_a_file_are_those_of_signals_that_are_read():
     signals = motion()
-    signals["x [mm]"] = 1e3 * signals.pop("x")
-    signals["spare [mm]"] = signals["v"]
-    recording = rx.read_recording(write("run.csv", signals))
+    signals["spare"] = signals["v"]
+    recording = with_findings(rx.read_recording(write("run.csv", signals)), "x", "spare")
     assert {f.signals for f in recording.findings} == {("x",), ("spare",)}
     checked = rx.check(AXIS, recording, HATS)
     found = rx.assess(AXIS, recording, HATS, **QUICK)
@@ -222,13 +229,8 @@ def test_noisy_samples_in_single_precision():
 
 def test_an_estimate_says_what_its_recording_says_of_signals_that_are_read():
     signals = motion()
-    signals = {
-        "t": signals["t"],
-        "x [mm]": signals["x"],
-        "f": signals["f"],
-        "w [deg]": signals["v"],
-    }
-    recording = rx.read_recording(write("run.csv", signals))
+    signals = {"t": signals["t"], "x": signals["x"], "f": signals["f"], "w": signals["v"]}
+    recording = with_findings(rx.read_recording(write("run.csv", signals)), "x", "w")
     equation = rx.Equation(rx.Term("k", "x", unit="N/m"), -rx.Term(1.0, "f"))
     found = rx.identify(equation, recording, HATS, intervals=rx.Sandwich())
     (said,) = [finding for finding in found.findings() if finding.code == "unit_mismatch"]

@@ -156,30 +156,19 @@ def test_an_exact_model_is_not_window_sensitive_under_noise(capsys):
     assert low < 80.0 < high
 
 
-def test_a_file_in_other_units_than_the_model_is_pointed_out(capsys):
+def test_a_file_in_other_units_than_the_model_is_converted(capsys):
     data = motion()
     table = "\n".join(f"{t:.3f},{1000 * q:.9f},{F:.9f}" for t, q, F in zip(*data.values()))
     Path("log.csv").write_text("t [s],y [mm],u [N]\n" + table)
     options = ("--model", "duffing", "--test-function", "hat", "--no-sweep", "--json")
     document = call(capsys, "identify", "log.csv", *options).document
-    (found,) = [w["message"] for w in document["warnings"] if w["code"] == "unit_mismatch"]
-    assert "in mm, the model reads y in m" in found
+    assert document["provenance"]["converted"] == {"y": "mm"}
+    assert "y: mm to m" in document["provenance"]["preparation"]
     scaled = call(capsys, "identify", "log.csv", *options, "--scale", "y=0.001").document
-    assert "unit_mismatch" not in codes(scaled)
-
-
-@pytest.mark.parametrize(
-    ("unit", "factor"), [("g", "9.80665"), ("mg", "0.00980665"), ("mm", "0.001"), ("kN", "1000")]
-)
-def test_a_unit_that_the_model_says_nothing_of_is_pointed_out(capsys, unit, factor):
-    Path("own.py").write_text(MODEL.replace('"q", derivative=2', '"a", derivative=0'))
-    data = motion(count=600)
-    data["a"] = np.gradient(np.gradient(data["q"], data["t"]), data["t"])
-    rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*data.values()))
-    Path("log.csv").write_text(f"t [s],q [m],F [N],a [{unit}]\n{rows}\n")
-    result = call(capsys, "check", "log.csv", "--model", "own.py:axis", "--json")
-    (found,) = [w["message"] for w in result.document["warnings"] if w["code"] == "unit_mismatch"]
-    assert f"--scale a={factor}" in found
+    assert scaled["parameters"] == document["parameters"]
+    said = call(capsys, "identify", "log.csv", *options[:-1]).out
+    assert said.count("Converted to SI: y from mm.") == 1
+    assert document["parameters"]["m"]["value"] == pytest.approx(TRUTH["M"], rel=0.05)
 
 
 def test_check_says_what_a_record_can_answer(capsys):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from riecjax.errors import DataError
 from riecjax.models.model import Model, Quantity
 from riecjax.records.recording import as_recordings
 
@@ -39,13 +40,44 @@ def test_units_of_the_model_and_derivatives_that_the_file_lacks():
     write(rows("t,q [mm]", "{i}"))
     recording = rx.read_recording("a.csv", model=MODEL)
     assert dict(recording.record.units) == {"q": "m", "v": "m/s"}
-    np.testing.assert_allclose(recording.record["v"][1:-1], 10.0)
-    (finding,) = recording.findings
-    assert (finding.code, finding.signals) == ("unit_mismatch", ("q",))
-    assert "v: central differences of q" in recording.steps
+    np.testing.assert_allclose(recording.record["v"][1:-1], 0.01)
+    assert recording.findings == ()
+    assert recording.converted == {"q": "mm"}
+    assert recording.steps == ("q: mm to m", "v: central differences of q")
     scaled = rx.read_recording("a.csv", model=MODEL, scale={"q": 1e-3})
     assert scaled.findings == ()
-    np.testing.assert_allclose(scaled.record["v"][1:-1], 0.01)
+    assert scaled.converted == {}
+    assert np.array_equal(scaled.record["q"], recording.record["q"])
+
+
+def test_a_unit_of_another_kind_is_pointed_out():
+    write(rows("t,q [N]", "{i}"))
+    recording = rx.read_recording("a.csv", model=MODEL)
+    (finding,) = recording.findings
+    assert (finding.code, finding.signals) == ("unit_mismatch", ("q",))
+    corrected = rx.read_recording("a.csv", model=MODEL, units={"q": "cm"})
+    assert corrected.findings == ()
+    np.testing.assert_allclose(corrected.record["q"], 0.01 * np.arange(40.0), rtol=1e-15)
+
+
+def test_what_may_be_grams_or_gravity_is_asked():
+    write(rows("t,a [g],x", "{i}", "{i}"))
+    with pytest.raises(DataError, match="--unit a=gn or --unit a=gram"):
+        rx.read_recording("a.csv", rename={"a": "a"})
+    assert dict(rx.read_recording("a.csv", rename={"x": "x"}).record.units) == {"a": "g"}
+    found = rx.read_recording("a.csv", units={"a": "gn"}).record
+    np.testing.assert_allclose(found["a"][1], 9.80665)
+    accelerating = Model("cart", "", signals=(Quantity("a", "m/s^2", ""),))
+    found = rx.read_recording("a.csv", model=accelerating).record
+    np.testing.assert_allclose(found["a"][1], 9.80665)
+
+
+def test_a_unit_goes_to_one_column_and_not_beside_a_scale():
+    write(rows("t,x", "{i}"))
+    with pytest.raises(DataError, match="both a scale and a unit"):
+        rx.read_recording("a.csv", units={"x": "mm"}, scale={"x": 2.0})
+    with pytest.raises(DataError, match="no column 'y'"):
+        rx.read_recording("a.csv", units={"y": "mm"})
 
 
 def test_preparation_is_taken_in_its_order_and_said():
@@ -76,9 +108,9 @@ def test_a_column_that_is_no_signal_is_kept_with_the_reason():
 
 
 def test_it_shows_itself_and_splits():
-    write(rows("t,x [mm]", "{i}"))
-    recording = rx.read_recording("a.csv", drifts=("x",))
-    for words in ("a.csv: 40 samples at 10 Hz", "x [mm]", "prepared: x: straight", "[unit_mism"):
+    write(rows("t,q [N]", "{i}"))
+    recording = rx.read_recording("a.csv", model=MODEL, drifts=("q",))
+    for words in ("a.csv: 40 samples at 10 Hz", "q [m]", "prepared: q: straight", "[unit_mism"):
         assert words in str(recording) == repr(recording)
     first, last = recording.split(0.25)
     assert (first.name, last.name) == ("a.csv", "a.csv, last part")

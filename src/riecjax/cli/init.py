@@ -169,22 +169,23 @@ def _signals(model: "Model") -> "list[Quantity]":
 
 def _guess(signal: "Quantity", columns: list[str], channels: "Channels") -> tuple[str | None, str]:
     """The column that may be a signal, if one alone may, and why."""
-    from riecjax.records.reading.units import NOT_SI, split_unit
+    from riecjax.records.reading.unit_conversion import conversion
+    from riecjax.records.reading.unit_conversion import plain as spelled
+    from riecjax.records.reading.units import split_unit
 
     def plain(name: str) -> str:
         return re.sub(r"[\W_]", "", split_unit(name)[0].lower())
 
-    def unit(column: str) -> str:
-        stated = (channels.units.get(column) or split_unit(column)[1] or "").replace("^", "")
-        return NOT_SI.get(stated, (stated, 1.0))[0].replace("^", "")
+    def fits(column: str) -> bool:
+        stated = channels.units.get(column) or split_unit(column)[1] or ""
+        same = spelled(stated) == spelled(signal.unit)
+        return same or conversion(column, stated, signal.unit) is not None
 
     words = {word for word in re.findall(r"\w+", signal.meaning.lower()) if len(word) > 3}
     rules = {
         "by its name but for spelling": [c for c in columns if plain(c) == plain(signal.name)],
         "a guess, by its meaning": [c for c in columns if plain(c) and plain(c) in words],
-        "a guess, by its unit": [
-            c for c in columns if signal.unit and unit(c) == signal.unit.replace("^", "")
-        ],
+        "a guess, by its unit": [c for c in columns if signal.unit and fits(c)],
     }
     for why, found in rules.items():
         if len(found) == 1:

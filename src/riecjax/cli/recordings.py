@@ -51,7 +51,8 @@ RECORD_OPTIONS = (
         "files", metavar="RECORD...", nargs=-1, required=True, type=click.Path(path_type=Path)
     ),
     assignments("--map", str, "SIGNAL=COLUMN", "Call a column by the model's name.", "rename"),
-    assignments("--scale", float, "COLUMN=FACTOR", "Convert a column to SI units.", "scale"),
+    assignments("--scale", float, "COLUMN=FACTOR", "Multiply a column, to SI units.", "scale"),
+    assignments("--unit", str, "COLUMN=UNIT", "Convert a column from this unit.", "units"),
     assignments(
         "--derive",
         str,
@@ -156,6 +157,7 @@ class RecordingOptions:
     files: tuple[Path, ...]
     rename: Mapping[str, str]
     scale: Mapping[str, float]
+    units: Mapping[str, str]
     derive: Mapping[str, str]
     columns: tuple[str, ...]
     time_step: float | None

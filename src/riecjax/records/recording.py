@@ -16,8 +16,9 @@ from riecjax.records.preparation import split
 from riecjax.records.preparation.steps import Preparation, prepare
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
-from riecjax.records.reading.selection import Selection, record_from_channels
-from riecjax.records.reading.units import NOT_SI, split_unit
+from riecjax.records.reading.selection import Selected, Selection, record_from_channels
+from riecjax.records.reading.unit_conversion import plain
+from riecjax.records.reading.units import split_unit
 from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
 
@@ -38,6 +39,7 @@ class Recording(Drawn):
     - `findings`: what is amiss with the file; `signals` of each says whom it concerns.
     - `left_out`: column of the file to why it is no signal.
     - `renamed`: signal to the column that it was called.
+    - `converted`: signal to the unit that it was converted from.
     - `part`: which part of the recording this is, where it was split.
     """
 
@@ -48,6 +50,7 @@ class Recording(Drawn):
     left_out: Mapping[str, str] = field(default_factory=dict)
     renamed: Mapping[str, str] = field(default_factory=dict)
     part: str = ""
+    converted: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -99,7 +102,8 @@ class ReadingSettings(TypedDict, total=False):
       keep their names. A unit in brackets may be left out of a column's name.
     - `scale`: column name (as in the file) or signal name to the factor that turns it into SI
       units.
-    - `units`: signal name to unit, before those that the file states.
+    - `units`: column or signal name to its unit, before the one that the file states, to be
+      converted from; of a signal of `derive`, the unit it has.
     - `derive`: signal name to a formula of signals, as in `{"force": "35.15 * vir"}`; see
       [`derived`][]. Formulas are computed in their order, last of all.
     - `time_step`: seconds between samples, for files without time.
@@ -159,7 +163,8 @@ def read_recording(
     """Read a recording from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file, and prepare it.
 
     Time is a column in seconds, called `t` or `time` or renamed to `t`; where the file states
-    another unit of time (`time [ms]`) it is converted. Other units are noted but not converted.
+    another unit of time (`time [ms]`) it is converted. Signals are converted to SI from the units
+    that the file states, or `units` does.
     Without `rename` every column as long as the time is a signal. [`read_channels`][] lists what a
     file holds, and the readers of the formats say how columns are named in files that hold more.
 
@@ -208,10 +213,11 @@ def read_recording(
     return Recording(
         record,
         str(path),
-        (*channels.notes, *selected.notes, *_reading_steps(selection), *steps),
+        (*channels.notes, *selected.notes, *_reading_steps(selection, selected), *steps),
         tuple(findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
         selection.rename,
+        converted=selected.converted,
     )
 
 
@@ -241,15 +247,10 @@ def _sorted(settings: ReadingSettings) -> tuple[Selection, Preparation, dict[str
     )
 
 
-def _read_by(model: Any, preparation: Preparation) -> set[str]:
-    """Signals that the model reads, or that its signals and the user's are derivatives of."""
-    named = {signal.name for signal in getattr(model, "signals", ())}
-    sources = {**getattr(model, "derived", {}), **preparation.derivatives}
-    return (
-        named
-        | {source for name, source in sources.items() if name in named}
-        | {*preparation.derivatives.values()}
-    )
+def _read_by(model: Any, preparation: Preparation) -> dict[str, str]:
+    """The model's signals and what others are derived from, with the units they are read in."""
+    units = {signal.name: signal.unit for signal in getattr(model, "signals", ())}
+    return dict.fromkeys(preparation.derivatives.values(), "") | units
 
 
 def _of_milliseconds(file: str, column: str, step: float) -> list[Finding]:
@@ -323,32 +324,20 @@ def _in_model_units(
     for name, unit in units.items():
         column = selection.rename.get(name, name)
         converted = {column, name} & {*selection.scale} or name in selection.derive
-        if name in stated and not converted and _plain(stated[name]) != _plain(unit):
+        if name in stated and not converted and plain(stated[name]) != plain(unit):
             mismatches[name] = (
-                f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}; "
-                f"convert it: scale={{'{name}': FACTOR}} (on the command line: --scale "
-                f"{name}=FACTOR)."
-            )
-    for name, unit in stated.items():
-        column = selection.rename.get(name, name)
-        si, factor = NOT_SI.get(unit.replace("^", ""), ("", 1.0))
-        if si and name not in mismatches and name not in units:
-            mismatches[name] = (
-                f"the file gives {column} in {unit}, and nothing converts it to {si}: parameters "
-                f"that multiply {name} do not have the units printed beside them. Convert it: "
-                f"scale={{'{name}': {factor:g}}} (on the command line: --scale {name}={factor:g})."
+                f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}, and "
+                f"nothing converts one to the other; correct the file's unit: units={{'{name}': "
+                f"...}} (on the command line: --unit {name}=UNIT), or convert it: --scale "
+                f"{name}=FACTOR."
             )
     return record.with_signals({}, units), mismatches
 
 
-def _plain(unit: str) -> str:
-    """A unit without what is only spelling: m/s2, m/s^2 and m/s² are one."""
-    plain = unit.replace("²", "2").replace("³", "3").replace("·", " ")
-    return "".join(plain.replace("^", "").replace("*", " ").split()).replace("sec", "s")
-
-
-def _reading_steps(selection: Selection) -> list[str]:
+def _reading_steps(selection: Selection, selected: Selected) -> list[str]:
     steps = [f"{name}: column scaled by {factor:g}" for name, factor in selection.scale.items()]
+    units = dict(selected.record.units)
+    steps += [f"{name}: {unit} to {units[name]}" for name, unit in selected.converted.items()]
     if selection.resample is not None:
         steps.append(f"resampled to {selection.resample:g} Hz")
     return steps + [f"{name}: {formula}" for name, formula in selection.derive.items()]

@@ -73,6 +73,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
             ],
             "start_times": start_times(result.recordings),
             "preparation": common_steps(result.recordings),
+            "converted": {k: u for r in result.recordings for k, u in r.converted.items()},
             "intervals": {
                 "method": estimate.uncertainty.label,
                 "blocks": int(estimate.block_count),
@@ -130,6 +131,9 @@ def print_identification(document: Document, console: Console) -> None:
     """The verdict, and in a line what the values are."""
     print_verdict(document, console)
     console.print()
+    if converted := document["provenance"]["converted"]:
+        said = ", ".join(f"{name} from {unit}" for name, unit in converted.items())
+        console.print(f"Converted to SI: {said}.", highlight=False, markup=False)
     for line in (_answer_in_words(document), *modes_in_words(document["modes"])):
         console.print(line, highlight=False, markup=False)
     for validation in document["validation"]:

@@ -186,7 +186,7 @@ def test_what_is_scaled_loses_the_unit_of_the_file(tmp_path):
     (tmp_path / "a.csv").write_text("t,F (kN),x (mm)\n0,1,2\n1,2,3\n")
     record = read_record(tmp_path / "a.csv", rename={"F": "F"}, scale={"F (kN)": 1e3})
     assert record["F"].tolist() == [1e3, 2e3]
-    assert dict(record.units) == {"x": "mm"}
+    assert dict(record.units) == {"x": "m"}
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from riecjax.records.reading.time_columns import (
     looks_like_milliseconds,
     no_time,
 )
+from riecjax.records.reading.unit_conversion import conversion
 from riecjax.records.reading.units import split_unit
 from riecjax.records.record import Record
 from riecjax.records.time_base import StampError
@@ -43,29 +44,36 @@ class Selection(NamedTuple):
 class Selected(NamedTuple):
     """A record, and what was decided on selecting it, in words.
 
-    **Fields:** `doubtful_time`: the column whose time may be in milliseconds; empty if none.
+    **Fields:** `converted`: signal to the unit that it was converted from; `doubtful_time`: the
+    column whose time may be in milliseconds, empty if none.
     """
 
     record: Record
+    converted: Mapping[str, str] = {}
     notes: tuple[str, ...] = ()
     doubtful_time: str = ""
 
 
 class _Signals(NamedTuple):
-    """Signals by name, with the column each comes from and its unit."""
+    """Signals by name, with the column each comes from, its unit, and the one before conversion."""
 
     values: dict[str, np.ndarray]
     column: dict[str, str]
     units: dict[str, str]
+    converted: Mapping[str, str] = {}
 
 
 def record_from_channels(
-    channels: Channels, selection: Selection, read: Collection[str] = ()
+    channels: Channels, selection: Selection, read: Mapping[str, str] = {}
 ) -> Selected:
     """Make a record of a file's channels.
 
-    **Arguments:** `read`: the signals that matter, those of `selection` aside: where channels have
-    different times, the others do not decide where the record begins and at which times it is.
+    Signals of known units are converted to SI: to the unit in which they are read, else to the
+    base form.
+
+    **Arguments:** `read`: signal to the unit in which a model reads it, empty where it says none.
+    Where channels have different times, signals that neither are read nor stand in `selection` do
+    not decide where the record begins and at which times it is.
 
     **Raises:** `DataError` for a missing or ambiguous column, no time or several, and samples that
     do not make a record (see [`Record.from_samples`][]); `ModelError` for a formula.
@@ -73,10 +81,11 @@ def record_from_channels(
     if not channels.columns:
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
     rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
-    signals = _scaled(_renamed(channels, rename), channels, selection.scale)
+    signals = _united(_renamed(channels, rename), channels, selection)
+    signals = _scaled(signals, channels, selection.scale)
     time = find_time(
         signals.values,
-        {**signals.units, **selection.units},
+        signals.units,
         "t" if "t" in rename else None,
         nameless=not channels.time_of,
     )
@@ -93,22 +102,23 @@ def record_from_channels(
                 f"a record needs at least one signal besides its time{_first_reason(channels)}."
             )
     matter = _mattering(signals, selection, read)
+    signals = _converted(signals, read, matter if read else selection.rename)
     with _naming(signals.column.get(time.name, time.name) if time else ""):
         if selection.resample is not None:
-            return Selected(_resampled(signals, times, selection, matter), notes)
+            record = _resampled(signals, times, selection, matter)
+            return Selected(record, signals.converted, notes)
         values, axis = _on_one_axis(signals.values, times, matter)
         computed = _finite(_with_derived(values, axis, selection.derive), selection)
         record = Record.from_samples(
             computed,
             time=axis,
             time_step=selection.time_step,
-            units={**signals.units, **selection.units},
+            units=_with_labels(signals, selection),
         )
     judged_on = computed if axis is None else {"t": axis, **computed}
     doubtful = times and time and looks_like_milliseconds(time, signals.units)
-    return Selected(
-        _with_noise(record, selection, judged_on), notes, time.name if time and doubtful else ""
-    )
+    record = _with_noise(record, selection, judged_on)
+    return Selected(record, signals.converted, notes, time.name if time and doubtful else "")
 
 
 @contextlib.contextmanager
@@ -126,7 +136,8 @@ def _mattering(signals: _Signals, selection: Selection, read: Collection[str]) -
     """Signals that are read, by the model or by what the user asks for; all where none is."""
     formulas = " ".join(selection.derive.values())
     words = {*re.findall(r"\w+", formulas)}
-    wanted = {*read, *selection.rename, *selection.scale, *words} & {*signals.values}
+    asked = {*selection.rename, *selection.scale, *selection.units, *words}
+    wanted = {*read, *asked} & {*signals.values}
     return wanted or {*signals.values}
 
 
@@ -176,23 +187,62 @@ def _short_name(channels: Channels, column: str) -> str:
     return short if alike == [column] else column
 
 
+def _united(signals: _Signals, channels: Channels, selection: Selection) -> _Signals:
+    """Signals with the units that the user says, before those that the file states."""
+    units = dict(signals.units)
+    for name, unit in selection.units.items():
+        if name in selection.derive:
+            continue
+        if name in selection.scale:
+            raise DataError(f"'{name}' is given both a scale and a unit; leave out one of them.")
+        units |= dict.fromkeys(_signals_called(name, signals, channels), unit)
+    return signals._replace(units=units)
+
+
+def _with_labels(signals: _Signals, selection: Selection) -> dict[str, str]:
+    """The signals' units, and those that the user says of formulas."""
+    return signals.units | {k: u for k, u in selection.units.items() if k in selection.derive}
+
+
+def _converted(signals: _Signals, read: Mapping[str, str], matter: Collection[str]) -> _Signals:
+    """Signals in SI units, those that do not matter only where their unit is beyond doubt."""
+    values, units, converted = dict(signals.values), dict(signals.units), {}
+    for name in values:
+        if name not in units:
+            continue
+        try:
+            found = conversion(name, units[name], read.get(name) or None)
+        except DataError:
+            if name in matter:
+                raise
+            continue
+        if found is not None:
+            values[name] = values[name] * found.factor
+            units[name], converted[name] = found.unit, units[name]
+    return signals._replace(values=values, units=units, converted=converted)
+
+
+def _signals_called(name: str, signals: _Signals, channels: Channels) -> list[str]:
+    """The signal of this name, or those that the column of this name became."""
+    if name in signals.values and name not in channels.columns:
+        return [name]
+    source = column_named(channels, name)
+    return [signal for signal in signals.values if signals.column[signal] == source]
+
+
 def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -> _Signals:
     """Scaled signals; what is scaled no longer has the unit that the file states."""
     values, units, done = dict(signals.values), dict(signals.units), set()
     for name, factor in scale.items():
         if not (np.isfinite(factor) and factor != 0):
             raise DataError(f"the scale of '{name}' must be a number other than 0; got {factor:g}.")
-        targets = [name]
-        if name not in values or name in channels.columns:
-            source = column_named(channels, name)
-            targets = [signal for signal in values if signals.column[signal] == source]
-        for target in targets:
+        for target in _signals_called(name, signals, channels):
             if target in done:
                 raise DataError(f"'{target}' is scaled twice.")
             values[target] = values[target] * factor
             units.pop(target, None)
             done.add(target)
-    return _Signals(values, signals.column, units)
+    return signals._replace(values=values, units=units)
 
 
 def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> dict[str, np.ndarray]:
@@ -294,7 +344,7 @@ def _resampled(
     record = Record.from_samples(
         computed,
         time=time,
-        units={**signals.units, **selection.units},
+        units=_with_labels(signals, selection),
     )
     given = given_noise(selection.noise, record.arrays)
     record = record.with_noise(on_grid_noise(pairs, time, rate, given))

@@ -26,44 +26,6 @@ SECONDS = {
 """Seconds in each unit of time."""
 
 
-NOT_SI = {
-    "km": ("m", 1e3),
-    "dm": ("m", 0.1),
-    "cm": ("m", 0.01),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "µm": ("m", 1e-6),
-    "in": ("m", 0.0254),
-    "inch": ("m", 0.0254),
-    "ft": ("m", 0.3048),
-    "mm/s": ("m/s", 1e-3),
-    "cm/s": ("m/s", 0.01),
-    "km/h": ("m/s", 1 / 3.6),
-    "mph": ("m/s", 0.44704),
-    "mm/s2": ("m/s^2", 1e-3),
-    # Accelerometers' g; nothing that moves is weighed in grams.
-    "g": ("m/s^2", 9.80665),
-    "gn": ("m/s^2", 9.80665),
-    "mg": ("m/s^2", 9.80665e-3),
-    "kN": ("N", 1e3),
-    "MN": ("N", 1e6),
-    "mN": ("N", 1e-3),
-    "daN": ("N", 10.0),
-    "lbf": ("N", 4.4482216152605),
-    "kNm": ("N m", 1e3),
-    "deg": ("rad", 0.017453292519943295),
-    "°": ("rad", 0.017453292519943295),
-    "deg/s": ("rad/s", 0.017453292519943295),
-    "°/s": ("rad/s", 0.017453292519943295),
-    "rpm": ("rad/s", 0.10471975511965977),
-    "bar": ("Pa", 1e5),
-    "kPa": ("Pa", 1e3),
-    "MPa": ("Pa", 1e6),
-    "t": ("kg", 1e3),
-}
-"""Units that loggers write and models do not compute in: the SI unit, and the factor to it."""
-
-
 def is_unit(text: str) -> bool:
     """Whether a field of a row is a unit, and not a name: in brackets, or of known units."""
     bracketed = _BRACKETS.fullmatch(text)
