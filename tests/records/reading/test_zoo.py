@@ -9,8 +9,25 @@ from benchmarks.zoo.case import CASES, mapped, outcome
 
 from riecjax.cli.main import run
 
+NOT_YET = frozenset(
+    (
+        *("mat_cells", "mat_structs", "excel_workbook", "excel_dates", "labview_tdms", "hdf5"),
+        *("json_lines", "ros2_mcap", "matlab_timetable", "excel_us", "excel_french", "excel_swiss"),
+        *("pandas_datetime_index", "table_in_brackets", "rows_of_units_and_sensors", "labview_lvm"),
+        *("labview_lvm_as_txt", "controldesk_csv", "vbox_txt", "arduino_plotter", "keysight_csv"),
+        *("hioki_txt",),
+    )
+)
+"""Cases that are not read yet: refused, but for `table_in_brackets`, whose last name keeps a bracket."""
 
-@pytest.mark.parametrize("name", CASES)
+
+def cases():
+    """All cases, those not read yet as failures that are expected: one that is read says so."""
+    pending = pytest.mark.xfail(reason="not read yet", strict=True)
+    return [pytest.param(n, marks=pending) if n in NOT_YET else n for n in CASES]
+
+
+@pytest.mark.parametrize("name", cases())
 def test_a_loggers_file(tmp_path, name):
     one = CASES[name]
     if one.needs:

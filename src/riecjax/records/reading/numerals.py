@@ -7,7 +7,7 @@ import numpy as np
 
 MISSING = ("", "-", "--", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "<NA>", "null",
            "NULL", "Null", "None", "none", "1.#QNAN", "-1.#IND", "1.#IND", "-nan", "nan(ind)",
-           "-nan(ind)", "NaT")  # fmt: skip
+           "-nan(ind)", "NaT", "missing")  # fmt: skip
 """What loggers and spreadsheets write where there is no value."""
 _EXPONENT = r"(?:[eEdD][+-]?\d+)?"
 _INFINITE = r"[+-]?(?:[iI]nf(?:inity)?|INF)"

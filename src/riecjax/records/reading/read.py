@@ -11,7 +11,7 @@ from riecjax.records.reading.matlab import read_mat
 from riecjax.records.reading.mdf import read_mdf
 from riecjax.records.reading.parquet import read_parquet
 
-TEXT = (".csv", ".tsv", ".txt")
+TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm")
 READERS: dict[str, Callable[[Path], Channels]] = {
     **dict.fromkeys(TEXT, read_delimited),
     ".npz": read_npz,
