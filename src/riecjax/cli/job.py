@@ -54,7 +54,7 @@ class JobCommand(click.Command):
     ) -> list[str]:
         """A job as arguments, without what typed ones replace."""
         params = {key_of(param): param for param in self.get_params(ctx)}
-        others = {key_of(param) for param in _identify().params}
+        others = {key_of(param) for param in _options_of_identify(ctx)}
         made = []
         for key, value in job.items():
             if key in SHOWN[-2:] or (key not in params and key not in others):
@@ -69,10 +69,11 @@ class JobCommand(click.Command):
         return made
 
 
-def _identify() -> click.Command:
-    from riecjax.cli.identify import command
-
-    return command
+def _options_of_identify(ctx: click.Context) -> Sequence[click.Parameter]:
+    """What a job may hold, also where another command reads it."""
+    group = ctx.find_root().command
+    found = group.get_command(ctx, "identify") if isinstance(group, click.Group) else None
+    return found.params if found else ()
 
 
 def key_of(param: click.Parameter) -> str:
