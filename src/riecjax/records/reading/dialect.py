@@ -26,8 +26,8 @@ _COMMENT = re.compile(r"\s*(?:#|%|//)+\s*")
 _SEMICOLON_COMMENT = re.compile(r"\s*(?:#|%|;|//)+\s*")
 
 
-_OPENED = re.compile(rb"(?m)^[ \t]*(?:\w+[ \t]*=[ \t]*)?[\[({]+(?=[\s\d.,;+\-\[]|$)")
-_CLOSED = re.compile(rb"(?m)(?<=[\d.,;\s\])])[\])}]+[,;]?[ \t]*$")
+_OPENED = re.compile(rb"(?m)^[ \t]*(?:\w+[ \t]*=[ \t]*)?[\[({]+(?=[\s\d.,;+\-\[\"]|$)")
+_CLOSED = re.compile(rb"(?m)(?<=[\d.,;\s\])\"])[\])}]+[,;]?[ \t]*$")
 
 
 def unwrapped(content: bytes) -> tuple[bytes, list[str]]:
