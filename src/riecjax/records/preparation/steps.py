@@ -164,6 +164,7 @@ def _missing_derivative(record: Record, name: str, of: str, measured: bool) -> t
     itself or has no noise, by differences.
     """
     record = judged(record, "auto", of)
+    record.signals[of]  # without it there is a helpful error, and no noise to look up
     kernel = record.noise.kernels[of].get(of)
     if measured and kernel is not None and kernel.shape[-1] == 1:
         try:
