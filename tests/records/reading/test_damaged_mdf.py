@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError, RiecjaxError
+from riecjax.records.reading import child_process
 from riecjax.records.reading import mdf as measurement
 from riecjax.records.reading.read import read_channels
 
@@ -76,7 +77,7 @@ LIBRARIES = {
 def test_whatever_the_library_does(tmp_path, monkeypatch, capfd, library):
     (tmp_path / "asammdf.py").write_text(f"print('noise')\n{LIBRARIES[library]}\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(measurement, "PATIENCE", 2.0 if library == "hangs" else 60.0)
+    monkeypatch.setattr(child_process, "PATIENCE", 2.0 if library == "hangs" else 60.0)
     (tmp_path / "a.mf4").write_bytes(b"MDF     4.10    ")
     if library in ("out of memory", "asks for too much"):
         with pytest.raises(MemoryError):

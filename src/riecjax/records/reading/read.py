@@ -1,26 +1,22 @@
 """What a file holds, whatever its format."""
 
+import importlib
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.records.reading.channels import LARGEST_FILE, Channels, read_npz
-from riecjax.records.reading.delimited import read_delimited
-from riecjax.records.reading.matlab import read_mat
-from riecjax.records.reading.mdf import read_mdf
-from riecjax.records.reading.parquet import read_parquet
+from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
 
 TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm")
-READERS: dict[str, Callable[[Path], Channels]] = {
-    **dict.fromkeys(TEXT, read_delimited),
-    ".npz": read_npz,
-    ".mat": read_mat,
-    ".parquet": read_parquet,
-    ".mf4": read_mdf,
-    ".mdf": read_mdf,
+READERS = {
+    **dict.fromkeys(TEXT, "delimited.read_delimited"),
+    ".npz": "channels.read_npz",
+    ".mat": "matlab.read_mat",
+    ".parquet": "parquet.read_parquet",
+    **dict.fromkeys((".mf4", ".mdf"), "mdf.read_mdf"),
 }
-"""How a file is read, by its name's ending."""
+"""Module and function that read a file, by its name's ending; imported where one is read."""
 
 LONGEST_MESSAGE = 2000
 """Characters of a message; names in a damaged file can be of any length."""
@@ -44,16 +40,15 @@ def read_channels(
     reader = _reader(file)
     _check_dialect(file, delimiter, decimal, columns)
     try:
-        if file.suffix.lower() in TEXT:
-            return read_delimited(file, delimiter, decimal, columns)
-        return reader(file)
+        given = (delimiter, decimal, columns) if file.suffix.lower() in TEXT else ()
+        return reader(file, *given)
     except RiecjaxError as error:
         raise _about(file, error) from None
     except OSError as error:
         raise DataError(f"{file.name}: cannot be read: {error.strerror or error}.") from None
 
 
-def _reader(file: Path) -> Callable[[Path], Channels]:
+def _reader(file: Path) -> Callable[..., Channels]:
     reader = READERS.get(file.suffix.lower())
     if reader is None:
         raise DataError(
@@ -61,9 +56,10 @@ def _reader(file: Path) -> Callable[[Path], Channels]:
         )
     if not file.is_file():
         raise DataError(f"there is no file '{file}'.")
-    if file.stat().st_size > LARGEST_FILE:
+    if size_of(file) > LARGEST_FILE:
         raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")
-    return reader
+    module, function = reader.split(".")
+    return getattr(importlib.import_module(f"riecjax.records.reading.{module}"), function)
 
 
 def _check_dialect(
