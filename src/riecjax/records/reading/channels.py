@@ -4,7 +4,7 @@ import contextlib
 import importlib.util
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
@@ -97,6 +97,8 @@ class Channels:
     - `time_of`: column to the column with its time, in files with several time axes.
     - `left_out`: name to the reason why this part of the file is no column.
     - `notes`: what was decided on reading, in words.
+    - `parts`: groups that the format itself sets apart, sheets of a workbook: columns of one are
+      called `part/column`.
     """
 
     columns: dict[str, np.ndarray]
@@ -104,6 +106,7 @@ class Channels:
     time_of: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    parts: list[str] = field(default_factory=list)
 
 
 def listed(names: Iterable[str]) -> str:
@@ -135,6 +138,8 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
         if array.dtype.kind not in "fiub":
             left_out[name] = "it holds no real numbers"
             continue
+        if not array.size:
+            left_out[name] = "it is empty"
         if array.size < 2:
             continue
         sides = [side for side in array.shape if side > 1]
@@ -151,18 +156,50 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
     return Channels(columns, left_out=left_out)
 
 
-def with_structure_times(channels: Channels) -> Channels:
+def with_structure_times(channels: Channels, separator: str = ".") -> Channels:
     """Assign to each column `a.b.values` its time, `a.b.time` or else `a.time`, of equal length."""
     time_of = {}
     for name, values in channels.columns.items():
-        parts = name.split(".")
+        parts = name.split(separator)
         for depth in range(len(parts) - 1, 0, -1):
-            times = [".".join([*parts[:depth], time]) for time in TIME_COLUMNS]
+            times = [separator.join([*parts[:depth], time]) for time in TIME_COLUMNS]
             found = next((c for c in times if c in channels.columns), None)
             if found and channels.columns[found].size == values.size:
                 time_of[name] = found
                 break
-    return replace(channels, time_of=time_of)
+    return replace(channels, time_of={**channels.time_of, **time_of})
+
+
+def without_common_group(channels: Channels, separator: str) -> Channels:
+    """The same with names that begin below the group in which all columns lie."""
+    group = f"{next(iter(channels.columns), '').partition(separator)[0]}{separator}"
+    if not channels.columns or not all(name.startswith(group) for name in channels.columns):
+        return channels
+    return without_common_group(called(channels, lambda n: n.removeprefix(group)), separator)
+
+
+def joined(parts: Mapping[str, Channels]) -> Channels:
+    """Parts as one, columns called `part/column`."""
+    whole = Channels({}, parts=list(parts))
+    for name, part in parts.items():
+        inner = called(part, f"{name}/{{}}".format)
+        whole.columns.update(inner.columns)
+        whole.units.update(inner.units)
+        whole.time_of.update(inner.time_of)
+        whole.left_out.update(inner.left_out)
+        whole.notes.extend(f"{name}: {note}" for note in part.notes)
+    return whole
+
+
+def called(channels: Channels, new: Callable[[str], str]) -> Channels:
+    """The same with its columns called otherwise."""
+    return replace(
+        channels,
+        columns={new(name): values for name, values in channels.columns.items()},
+        units={new(name): unit for name, unit in channels.units.items()},
+        time_of={new(name): new(time) for name, time in channels.time_of.items()},
+        left_out={new(name): why for name, why in channels.left_out.items()},
+    )
 
 
 def read_npz(file: Path) -> Channels:

@@ -5,6 +5,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -78,7 +79,14 @@ def read_delimited(
     """
     content, notes = as_utf8(file.read_bytes())
     content, bare = unwrapped(content)
-    notes += bare
+    found = read_table(content, delimiter, decimal, columns)
+    return replace(found, notes=[*notes, *bare, *found.notes])
+
+
+def read_table(
+    content: bytes, delimiter: str | None, decimal: str | None, columns: Sequence[str] = ()
+) -> Channels:
+    """Read a table in text, in UTF-8 with lines ended by `\\n`; see [`read_delimited`][]."""
     lines = _first_lines(content)
     found = layout(lines, delimiter, decimal, columns)
     check_column_count(found.width)
@@ -87,7 +95,7 @@ def read_delimited(
     names = _names(found.names)
     read, left_out, stamped = _columns(table, names)
     units = _units(names, found.units) | dict.fromkeys(stamped, "s")
-    notes += _notes(found, lines, comments, stamped)
+    notes = _notes(found, lines, comments, stamped, delimiter is not None)
     notes += [f"column '{name}' left out: {why}" for name, why in left_out.items()]
     return Channels(read, {k: u for k, u in units.items() if k in read}, {}, left_out, notes)
 
@@ -259,9 +267,11 @@ def _units(names: list[str], row: list[str]) -> dict[str, str]:
     return stated | {name: unit for name, unit in zip(names, row) if unit}
 
 
-def _notes(found: Layout, lines: list[str], comments: int, stamped: list[str]) -> list[str]:
+def _notes(
+    found: Layout, lines: list[str], comments: int, stamped: list[str], given: bool
+) -> list[str]:
     notes = []
-    if found.dialect.delimiter != ",":
+    if found.dialect.delimiter != "," and not given:
         notes.append(str(found.dialect))
     if found.dialect.decimal == ",":
         notes.append("decimal comma")

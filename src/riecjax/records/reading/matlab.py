@@ -27,12 +27,10 @@ from riecjax.records.reading.channels import (
     vectors,
     with_structure_times,
 )
+from riecjax.records.reading.hdf5 import DEEPEST, check_size, walk
 
 V73 = b"MATLAB 7.3"
 HDF5 = b"\x89HDF\r\n\x1a\n"
-DEEPEST = 16
-"""Structures within structures past which a file is not followed."""
-
 HEADER = 128
 """Bytes before the first element of a file of v5."""
 MATRIX, COMPRESSED = 14, 15
@@ -210,53 +208,31 @@ def _read_v73(file: Path) -> dict[str, np.ndarray]:
     with foreign_reader("MAT (v7.3)"):
         import h5py
 
-        arrays: dict[str, np.ndarray] = {}
         with h5py.File(file, "r") as source:
-            datasets = list(_datasets(source))
-            sizes = [dataset.size * dataset.dtype.itemsize for _, dataset in datasets]
-            check_unpacked(sum(sizes), file.stat().st_size)
-            for name, dataset in datasets:
-                arrays[name] = np.asarray(dataset[()])
-    return arrays
+            datasets = list(walk(source, ".", _elements))
+            check_size([dataset for _, dataset in datasets], file)
+            return {name: _array(dataset) for name, dataset in datasets}
 
 
-def _datasets(source: Any) -> Iterator[tuple[str, Any]]:
-    """Numeric datasets by the name of the variable in MATLAB; links to other files are not
-    followed."""
+def _array(dataset: Any) -> np.ndarray:
+    """A dataset's numbers; what MATLAB calls empty is stored as its size."""
+    return np.zeros(0) if dataset.attrs.get("MATLAB_empty", 0) else np.asarray(dataset[()])
+
+
+def _elements(name: str, item: Any) -> list[tuple[str, Any]] | None:
+    """What a cell, or a field of an array of structures, refers to; `None` for numbers."""
     import h5py
 
-    count = 0
-    waiting = [(name, source, name, 0) for name in source if not name.startswith("#")]
-    waiting.reverse()
-    while waiting:
-        key, group, name, depth = waiting.pop()
-        if not isinstance(group.get(key, getlink=True), h5py.HardLink) or depth > DEEPEST:
-            continue
-        item = group[key]
-        if isinstance(item, h5py.Group):
-            waiting += [
-                (inner, item, f"{name}.{inner}", depth + 1) for inner in reversed(list(item))
-            ]
-            continue
-        for inner, dataset in _elements(source, name, item):
-            count += 1
-            check_column_count(count)
-            yield inner, dataset
-
-
-def _elements(source: Any, name: str, item: Any) -> Iterator[tuple[str, Any]]:
-    """A dataset, or those that a cell (or an array of structures) refers to."""
-    import h5py
-
-    if not isinstance(item, h5py.Dataset) or not item.shape or item.is_virtual or item.external:
-        return
-    if item.attrs.get("MATLAB_empty", 0):
-        return
     if item.dtype.kind in "fiub" and item.attrs.get("MATLAB_class") != b"char":
-        yield name, item
-    elif h5py.check_ref_dtype(item.dtype) is h5py.Reference:
-        check_column_count(int(item.size or 0))
-        for place, reference in enumerate(np.asarray(item[()]).reshape(-1), start=1):
-            target = source[reference] if reference else None
-            if isinstance(target, h5py.Dataset) and target.dtype.kind in "fiub" and target.shape:
-                yield f"{name}{{{place}}}", target
+        return None
+    if h5py.check_ref_dtype(item.dtype) is not h5py.Reference:
+        return []
+    check_column_count(int(item.size or 0))
+    references = enumerate(np.asarray(item[()]).reshape(-1), start=1)
+    whole, _, field = name.rpartition(".")
+    is_cell = item.attrs.get("MATLAB_class") == b"cell" or not whole
+    return [
+        (f"{name}{{{i}}}" if is_cell else f"{whole}({i}).{field}", item.file[reference])
+        for i, reference in references
+        if reference
+    ]

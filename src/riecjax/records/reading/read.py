@@ -4,15 +4,21 @@ import importlib
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
 
 TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm")
+SHEETS = (".xlsx", ".xlsm")
 READERS = {
     **dict.fromkeys(TEXT, "delimited.read_delimited"),
     ".npz": "channels.read_npz",
     ".mat": "matlab.read_mat",
+    **dict.fromkeys((".h5", ".hdf5"), "hdf5.read_hdf5"),
+    **dict.fromkeys((".jsonl", ".ndjson"), "json_objects.read_json_lines"),
+    ".json": "json_objects.read_json",
+    **dict.fromkeys(SHEETS, "spreadsheet.read_spreadsheet"),
     ".parquet": "parquet.read_parquet",
     **dict.fromkeys((".mf4", ".mdf"), "mdf.read_mdf"),
 }
@@ -32,16 +38,16 @@ def read_channels(
     """Read what a file holds, as named columns with units and notes on how it was read.
 
     **Arguments:** `delimiter`, `decimal` and `columns`, of a text file: how it delimits, its
-    decimal sign, and the names of its columns, instead of detecting them.
+    decimal sign, and the names of its columns, instead of detecting them; the last two also of a
+    spreadsheet.
 
     **Raises:** `DataError` if the file cannot be read.
     """
     file = Path(path)
     reader = _reader(file)
-    _check_dialect(file, delimiter, decimal, columns)
+    dialect = _dialect(file, delimiter, decimal, columns)
     try:
-        given = (delimiter, decimal, columns) if file.suffix.lower() in TEXT else ()
-        return reader(file, *given)
+        return reader(file, *dialect)
     except RiecjaxError as error:
         raise _about(file, error) from None
     except OSError as error:
@@ -62,12 +68,16 @@ def _reader(file: Path) -> Callable[..., Channels]:
     return getattr(importlib.import_module(f"riecjax.records.reading.{module}"), function)
 
 
-def _check_dialect(
+def _dialect(
     file: Path, delimiter: str | None, decimal: str | None, columns: Sequence[str]
-) -> None:
-    if (delimiter or decimal or columns) and file.suffix.lower() not in TEXT:
+) -> tuple[Any, ...]:
+    """What the file's reader has to know besides the file."""
+    ending = file.suffix.lower()
+    if delimiter and ending not in TEXT:
+        raise DataError(f"{file.name}: a delimiter is for text files.")
+    if (decimal or columns) and ending not in TEXT + SHEETS:
         raise DataError(
-            f"{file.name}: delimiter, decimal sign and names of columns are for text files."
+            f"{file.name}: decimal sign and names of columns are for text files and spreadsheets."
         )
     if decimal not in (None, ".", ","):
         raise DataError(f"{file.name}: the decimal sign must be '.' or ','; got {decimal!r}.")
@@ -75,6 +85,9 @@ def _check_dialect(
         len(delimiter) != 1 or delimiter in '"\r\n' or not delimiter.isascii()
     ):
         raise DataError(f"{file.name}: the delimiter must be one character; got {delimiter!r}.")
+    if ending in SHEETS:
+        return decimal, columns
+    return (delimiter, decimal, columns) if ending in TEXT else ()
 
 
 def _about(file: Path, error: RiecjaxError) -> RiecjaxError:

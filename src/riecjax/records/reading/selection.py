@@ -144,7 +144,8 @@ def _mattering(signals: _Signals, selection: Selection, read: Collection[str]) -
 def column_named(channels: Channels, name: str) -> str:
     """The column called `name`, or the only one called so but for its unit in brackets.
 
-    Columns without names are called by their number from 1.
+    Of a column in a group, as `run/force` or `run.force`, the last name will do if it is the only
+    one. Columns without names are called by their number from 1.
 
     **Raises:** `DataError` if there is none, or there are several.
     """
@@ -153,6 +154,10 @@ def column_named(channels: Channels, name: str) -> str:
     found = [column for column in channels.columns if split_unit(column)[0] == name]
     if not found and name.isdigit() and NUMBERED.format(name) in channels.columns:
         return NUMBERED.format(name)
+    inner = (f"/{name}", f".{name}")
+    found = found or [
+        c for c in channels.columns if c.endswith(inner) or split_unit(c)[0].endswith(inner)
+    ]
     if len(found) == 1:
         return found[0]
     if found:

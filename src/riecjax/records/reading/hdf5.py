@@ -1,0 +1,138 @@
+"""Reading HDF5 files, and the walk through their groups that MATLAB's v7.3 needs too."""
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from riecjax.records.reading.channels import (
+    Channels,
+    check_column_count,
+    check_names,
+    check_unpacked,
+    foreign_reader,
+    vectors,
+    with_structure_times,
+    without_common_group,
+)
+
+DEEPEST = 16
+"""Groups within groups past which a file is not followed."""
+UNITS = ("units", "unit", "Units", "Unit", "UNITS", "UNIT")
+"""Attributes that state a dataset's unit."""
+
+
+def read_hdf5(file: Path) -> Channels:
+    """Read an HDF5 file: datasets called by their path, as `run/position`.
+
+    The path begins below the group that holds all of them. Fields of a table (a structured type)
+    are columns as datasets are, those of a matrix `name[0]`, `name[1]`, ... Attributes `units`
+    state units. A group's `time` is the time of what lies in it.
+
+    **Raises:** `DataError` for a damaged file or one that unpacks to too much.
+    """
+    arrays: dict[str, Any] = {}
+    units: dict[str, str] = {}
+    left_out: dict[str, str] = {}
+    with foreign_reader("HDF5"):
+        import h5py
+
+        with h5py.File(file, "r") as source:
+            found = []
+            for name, dataset in walk(source):
+                if sum(side > 1 for side in dataset.shape) > 2:
+                    left_out[name] = f"its shape {dataset.shape} is not that of channels over time"
+                else:
+                    found.append((name, dataset))
+            check_size([dataset for _, dataset in found], file)
+            for name, dataset in found:
+                columns = _columns(name, dataset)
+                check_names([*arrays, *columns])
+                arrays |= columns
+                check_column_count(len(arrays))
+                units |= _units(columns, dataset)
+    read = vectors(arrays)
+    notes = [f"dataset '{name}' left out: {why}" for name, why in left_out.items()]
+    units = {c: unit for c in read.columns if (unit := units.get(c) or units.get(c.split("[")[0]))}
+    whole = Channels(read.columns, units, {}, left_out | read.left_out, notes)
+    return with_structure_times(without_common_group(whole, "/"), "/")
+
+
+def check_size(datasets: list[Any], file: Path) -> None:
+    """Refuse datasets that declare more numbers than are read, or than the file can hold."""
+    check_unpacked(sum(d.size * d.dtype.itemsize for d in datasets), file.stat().st_size)
+
+
+def walk(
+    source: Any,
+    separator: str = "/",
+    inside: Callable[[str, Any], list[tuple[str, Any]] | None] = lambda name, dataset: None,
+) -> Iterator[tuple[str, Any]]:
+    """Datasets of a file with their names, in the file's order.
+
+    Links to other files are not followed, and a group that several links lead to is entered once.
+
+    **Arguments:** `inside`: what a dataset refers to, by name, to be walked in its place; `None`
+    for a dataset that counts itself.
+    """
+    import h5py
+
+    entered, count = set(), 0
+    waiting: list[tuple[str, Any, int]] = [("", source, 0)]
+    while waiting:
+        name, item, depth = waiting.pop()
+        if depth > DEEPEST:
+            continue
+        within = None
+        if isinstance(item, h5py.Group):
+            address = h5py.h5o.get_info(item.id).addr
+            within = [] if address in entered else _members(name, item, separator)
+            entered.add(address)
+        elif isinstance(item, h5py.Dataset):
+            if not item.shape or item.is_virtual or item.external:
+                continue
+            within = inside(name, item)
+        else:
+            continue
+        if within is None:
+            count += 1
+            check_column_count(count)
+            yield name, item
+        else:
+            waiting += [(inner, each, depth + 1) for inner, each in reversed(within)]
+
+
+def _members(name: str, group: Any, separator: str) -> list[tuple[str, Any]]:
+    import h5py
+
+    before = name + separator if name else ""
+    return [
+        (before + key, group[key])
+        for key in group
+        # MATLAB keeps what references lead to in groups of such names.
+        if not (name == "" and key.startswith("#"))
+        and isinstance(group.get(key, getlink=True), h5py.HardLink)
+    ]
+
+
+def _columns(name: str, dataset: Any) -> dict[str, np.ndarray]:
+    """A dataset's numbers: of a table, its fields."""
+    values = np.asarray(dataset[()])
+    if values.dtype.names is None:
+        return {name: values}
+    return {f"{name}/{field}": values[field] for field in values.dtype.names}
+
+
+def _units(columns: Iterable[str], dataset: Any) -> dict[str, str]:
+    """Column to unit: one attribute for all columns of a dataset, or one for each."""
+    stated = next((dataset.attrs[name] for name in UNITS if name in dataset.attrs), ())
+    units = [
+        u.decode(errors="replace") if isinstance(u, bytes) else str(u) for u in np.ravel(stated)
+    ]
+    names = list(columns)
+    if len(units) == 1:
+        units *= len(names)
+    return (
+        {name: unit for name, unit in zip(names, units) if unit} if len(units) == len(names) else {}
+    )

@@ -1,0 +1,135 @@
+"""Reading JSON: lines of objects (.jsonl, .ndjson), or one document of arrays (.json)."""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.reading.channels import (
+    Channels,
+    check_column_count,
+    check_unpacked,
+    foreign_reader,
+    with_structure_times,
+    without_common_group,
+)
+from riecjax.records.reading.numerals import numbers, stripped
+from riecjax.records.reading.time_stamps import are_stamps, seconds
+
+
+def read_json_lines(file: Path) -> Channels:
+    """Read JSON lines: an object for each sample; blank lines count for nothing.
+
+    Fields of nested objects are called `a.b`, elements of arrays `a[0]`. A field that an object
+    lacks, or has as `null`, is a sample that is missing there.
+
+    **Raises:** `DataError` naming the line that is no object, and for damaged files.
+    """
+    with foreign_reader("JSON"), file.open("rb") as stream:
+        return _channels({"": _objects(stream)})
+
+
+def read_json(file: Path) -> Channels:
+    """Read one JSON document: an array of objects, or an object of arrays, perhaps in others.
+
+    Names as in [`read_json_lines`][], below the object in which all arrays lie.
+
+    **Raises:** `DataError` for damaged files.
+    """
+    with foreign_reader("JSON"):
+        return _channels(dict(_arrays("", json.loads(file.read_bytes()))))
+
+
+def _objects(lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            found = json.loads(line)
+        except ValueError as error:
+            raise DataError(f"line {number} is not JSON: {error}.") from None
+        if not isinstance(found, dict):
+            raise DataError(f"line {number} is no object, such as {{'t': 0.1, 'x': 2}}.")
+        yield found
+
+
+def _arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
+    """Arrays of a document by their name."""
+    if isinstance(value, list):
+        wide = bool(value) and all(isinstance(v, list) and len(v) > len(value) for v in value)
+        # A signal in each row, where rows are longer than there are rows.
+        yield name, list(map(list, zip(*value, strict=True))) if wide else value
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _arrays(f"{name}.{key}" if name else key, inner)
+
+
+def _channels(tables: dict[str, Iterable[Any]]) -> Channels:
+    """Columns of tables, which are single values, arrays or objects in a row."""
+    columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    left_out: dict[str, str] = {}
+    for table, rows in tables.items():
+        for name, values in _gathered(table, rows).items():
+            found, why = _numbers(values)
+            if found is None:
+                left_out[name] = why
+            elif found.size > 1:
+                columns[name] = found
+                units |= {name: why} if why else {}
+    notes = [f"'{name}' left out: {why}" for name, why in left_out.items()]
+    return with_structure_times(
+        without_common_group(Channels(columns, units, {}, left_out, notes), ".")
+    )
+
+
+def _gathered(table: str, rows: Iterable[Any]) -> dict[str, list[Any]]:
+    """Values of each column of a table, `None` where a row has none."""
+    columns: dict[str, list[Any]] = {}
+    count = 0
+    for row in rows:
+        for name, value in _fields(table, row):
+            column = columns.setdefault(name, [])
+            if len(column) > count:
+                raise DataError(f"two fields are called '{name}'.")
+            column.extend([None] * (count - len(column)))
+            column.append(value)
+        count += 1
+        check_column_count(len(columns))
+    check_unpacked(8 * count * len(columns))
+    return {name: [*column, *[None] * (count - len(column))] for name, column in columns.items()}
+
+
+def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Single values of an object by their name."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _fields(f"{name}.{key}" if name else key, inner)
+    elif isinstance(value, list):
+        for place, inner in enumerate(value):
+            yield from _fields(f"{name}[{place}]", inner)
+    else:
+        yield name or "values", value
+
+
+def _numbers(values: list[Any]) -> tuple[np.ndarray | None, str]:
+    """A column as floats and its unit, if known; or `None` and why it holds none."""
+    text = next((value for value in values if isinstance(value, str)), None)
+    if text is None:
+        return np.array([np.nan if v is None else float(v) for v in values]), ""
+    found, stamped = _of_texts(values)
+    return found, f"it holds text, {text[:40]!r}" if found is None else "s" * stamped
+
+
+def _of_texts(values: list[Any]) -> tuple[np.ndarray | None, bool]:
+    """Numbers or time stamps that stand there as text, and whether they are stamps."""
+    import pyarrow as pa
+
+    texts = stripped(pa.array([None if v is None else str(v) for v in values], pa.string()))
+    found = numbers(texts, ".", False)
+    if found is None and all(valid in (True, None) for valid in are_stamps(texts).to_pylist()):
+        return seconds(texts), True
+    return found, False

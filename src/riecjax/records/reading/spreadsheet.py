@@ -1,0 +1,136 @@
+"""Reading spreadsheets of Excel (.xlsx, .xlsm), with the extra `excel`."""
+
+import datetime
+import re
+import zipfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from riecjax.errors import DataError
+from riecjax.records.reading.channels import (
+    Channels,
+    check_column_count,
+    check_extra,
+    check_unpacked,
+    foreign_reader,
+    joined,
+)
+from riecjax.records.reading.child_process import read_apart
+from riecjax.records.reading.delimited import read_table
+
+FEWEST_ROWS, FEWEST_COLUMNS = 10, 2
+"""Of a sheet that may be a recording, where there are several sheets."""
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+
+
+def read_spreadsheet(
+    file: Path, decimal: str | None = None, columns: Sequence[str] = ()
+) -> Channels:
+    """Read the sheets of a workbook that hold tables of numbers, each as a text file is read.
+
+    Formulas count as the values that were saved with them, cells of dates and times to the
+    millisecond. Of several such sheets, columns are
+    called `Sheet/column`, and each is a part. The library may crash on a damaged file, so it reads
+    in a process of its own.
+
+    **Arguments:** `decimal`, of numbers that stand there as text, and names of the `columns`,
+    instead of detecting them.
+
+    **Raises:** `DataError` for a damaged file, one that unpacks to too much, one without a table,
+    or where python-calamine is not installed; `MemoryError`.
+    """
+    check_extra("python_calamine", "Excel", "excel")
+    return read_apart(_read, file, "Excel", decimal, list(columns))
+
+
+def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> Channels:
+    with foreign_reader("Excel"):
+        import python_calamine
+
+        with zipfile.ZipFile(file) as archive:
+            sizes = [member.file_size for member in archive.infolist()]
+        check_unpacked(sum(sizes), file.stat().st_size)
+        book = python_calamine.load_workbook(str(file))
+        worksheet = python_calamine.SheetTypeEnum.WorkSheet
+        names = [sheet.name for sheet in book.sheets_metadata if sheet.typ == worksheet]
+        tables: dict[str, Channels] = {}
+        refused: dict[str, str] = {}
+        for name in names:
+            sheet = book.get_sheet_by_name(name)
+            check_column_count(sheet.width)
+            check_unpacked(8 * sheet.width * sheet.height)
+            try:
+                text = as_text(sheet.to_python(), decimal)
+                table = read_table(text.encode(), "\t", decimal, columns)
+                if not table.columns:
+                    raise DataError("it has no column of numbers.")
+                tables[name] = table
+            except DataError as error:
+                refused[name] = str(error)
+    return _chosen(tables, refused)
+
+
+def _chosen(tables: dict[str, Channels], refused: dict[str, str]) -> Channels:
+    """The sheets that may be recordings, as one."""
+    if not tables:
+        said = "; ".join(f"sheet '{name}': {why}" for name, why in refused.items())
+        raise DataError(f"no sheet holds a table of numbers: {said or 'there is no sheet.'}")
+    large = {name: table for name, table in tables.items() if _is_recording(table)} or tables
+    if len(large) > 1:
+        # A stroke in a sheet's name would look like a group.
+        return joined({name.replace("/", " "): table for name, table in large.items()})
+    ((name, table),) = large.items()
+    if len(tables) + len(refused) > 1:
+        table.notes.insert(0, f"sheet '{name}'")
+    return table
+
+
+def _is_recording(table: Channels) -> bool:
+    long = [values for values in table.columns.values() if values.size >= FEWEST_ROWS]
+    return len(long) >= FEWEST_COLUMNS
+
+
+def as_text(rows: Iterable[Sequence[object]], decimal: str | None = None) -> str:
+    """Cells as text delimited by tabs, to the last digit.
+
+    Where there are numbers with a decimal comma, as text, all numbers get one.
+    """
+    cells = [[_text(cell) for cell in row] for row in rows]
+    texts = (text for row in cells for text in row if isinstance(text, str))
+    comma = decimal == "," or (decimal is None and any(map(_DECIMAL_COMMA.fullmatch, texts)))
+
+    def shown(cell: str | float) -> str:
+        if isinstance(cell, str):
+            return cell
+        return repr(cell).replace(".", ",") if comma else repr(cell)
+
+    first = _margin(cells)
+    return "".join("\t".join(map(shown, row[first:])) + "\n" for row in cells)
+
+
+def _margin(cells: Sequence[Sequence[str | float]]) -> int:
+    """Columns left of the table: empty but for a title."""
+    columns = list(zip(*cells, strict=True))
+    for place, column in enumerate(columns):
+        filled = [cell for cell in column if cell != ""]
+        if len(filled) > 0.1 * len(column) or not all(isinstance(cell, str) for cell in filled):
+            return place
+    return 0
+
+
+def _text(cell: object) -> str | float:
+    """A cell's number, or its text without what would delimit cells or rows."""
+    if isinstance(cell, bool):
+        return int(cell)
+    if isinstance(cell, int | float):
+        return cell
+    if isinstance(cell, datetime.timedelta):
+        minutes, seconds = divmod(cell, datetime.timedelta(minutes=1))
+        return f"{minutes // 60}:{minutes % 60:02d}:{seconds.total_seconds():09.6f}"
+    if isinstance(cell, datetime.datetime):
+        return cell.isoformat(" ")
+    if isinstance(cell, datetime.date):
+        return f"{cell.isoformat()} 00:00:00"
+    if isinstance(cell, datetime.time):
+        return cell.isoformat()
+    return re.sub(r'[\s"]+', " ", str(cell)).strip()
