@@ -73,8 +73,8 @@ def _channels(tables: dict[str, Iterable[Any]]) -> Channels:
     units: dict[str, str] = {}
     left_out: dict[str, str] = {}
     for table, rows in tables.items():
-        for name, values in _gathered(table, rows).items():
-            found, why = _numbers(values)
+        for name, values in gathered(table, rows).items():
+            found, why = numbers_of(values)
             if found is None:
                 left_out[name] = why
             elif found.size > 1:
@@ -86,8 +86,11 @@ def _channels(tables: dict[str, Iterable[Any]]) -> Channels:
     )
 
 
-def _gathered(table: str, rows: Iterable[Any]) -> dict[str, list[Any]]:
-    """Values of each column of a table, `None` where a row has none."""
+def gathered(table: str, rows: Iterable[Any]) -> dict[str, list[Any]]:
+    """Values of each column of a table, named `table.column`, `None` where a row has none.
+
+    **Arguments:** `rows`, of dictionaries and lists in each other, or of single values.
+    """
     columns: dict[str, list[Any]] = {}
     count = 0
     for row in rows:
@@ -115,7 +118,7 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name or "values", value
 
 
-def _numbers(values: list[Any]) -> tuple[np.ndarray | None, str]:
+def numbers_of(values: list[Any]) -> tuple[np.ndarray | None, str]:
     """A column as floats and its unit, if known; or `None` and why it holds none."""
     text = next((value for value in values if isinstance(value, str)), None)
     if text is None:

@@ -20,9 +20,14 @@ READERS = {
     ".json": "json_objects.read_json",
     **dict.fromkeys(SHEETS, "spreadsheet.read_spreadsheet"),
     ".parquet": "parquet.read_parquet",
+    ".tdms": "tdms.read_tdms",
+    **dict.fromkeys((".mcap", ".db3", ".bag"), "ros_bag.read_ros_bag"),
     **dict.fromkeys((".mf4", ".mdf"), "mdf.read_mdf"),
 }
 """Module and function that read a file, by its name's ending; imported where one is read."""
+
+METADATA = "metadata.yaml"
+"""What makes a folder a bag of ROS 2."""
 
 LONGEST_MESSAGE = 2000
 """Characters of a message; names in a damaged file can be of any length."""
@@ -55,12 +60,13 @@ def read_channels(
 
 
 def _reader(file: Path) -> Callable[..., Channels]:
-    reader = READERS.get(file.suffix.lower())
+    is_bag = (file / METADATA).is_file()
+    reader = READERS.get(".mcap" if is_bag else file.suffix.lower())
     if reader is None:
         raise DataError(
             f"cannot read '{file.name or file}': its ending must be one of {', '.join(READERS)}."
         )
-    if not file.is_file():
+    if not (file.is_file() or is_bag):
         raise DataError(f"there is no file '{file}'.")
     if size_of(file) > LARGEST_FILE:
         raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")

@@ -1,0 +1,101 @@
+"""Reading bags of ROS 1 (.bag) and ROS 2 (.mcap, .db3, or their folder), with the extra `ros`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from riecjax.records.reading.channels import (
+    Channels,
+    check_column_count,
+    check_extra,
+    foreign_reader,
+    without_common_group,
+)
+from riecjax.records.reading.child_process import read_apart
+from riecjax.records.reading.json_objects import gathered, numbers_of
+
+LONGEST_ARRAY = 100
+"""Elements of a field past which it is a picture or a cloud, and no set of channels."""
+CLOCKS_AGREE = 60e9
+"""Nanoseconds by which stamps of a message and of its log may differ on one clock."""
+
+
+def read_ros_bag(file: Path) -> Channels:
+    """Read a bag: fields of the messages of a topic, called `/topic.field`.
+
+    Fields in fields are called `/topic.field.x`, elements of arrays `/topic.field[0]`; where there
+    is one topic, its name is left out. A topic's time is that of its headers' stamps where these
+    rise, else that at which messages were logged; it is called `/topic.time`, from the earliest
+    of all on. Bags are packed, and decoded by code that the library makes from what they declare,
+    so it reads in a process of its own.
+
+    **Raises:** `DataError` for a damaged bag, or where rosbags is not installed; `MemoryError`.
+    """
+    check_extra("rosbags", "ROS", "ros")
+    return read_apart(_read, file, "ROS bag")
+
+
+def _read(file: Path) -> Channels:
+    with foreign_reader("ROS bag"):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+
+        rows: dict[str, list[dict[str, Any]]] = {}
+        logged: dict[str, list[int]] = {}
+        # Bags of ROS 2 before 2023 don't hold the types of their messages.
+        with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as source:
+            for connection, stamp, raw in source.messages():
+                message = _plain(source.deserialize(raw, connection.msgtype))
+                rows.setdefault(connection.topic, []).append(message)
+                logged.setdefault(connection.topic, []).append(stamp)
+        times = {topic: _stamps(rows[topic], logged[topic]) for topic in rows}
+        whole = _channels(rows, times)
+        by_header = [t for t in rows if times[t].tolist() != logged[t]]
+        whole.notes.extend(f"topic '{topic}': time by its headers" for topic in by_header)
+        return without_common_group(whole, ".")
+
+
+def _plain(message: Any) -> Any:
+    """A message as dictionaries, lists and numbers."""
+    if isinstance(message, np.ndarray):
+        return message.tolist() if message.size <= LONGEST_ARRAY else f"{message.size} numbers"
+    if isinstance(message, list):
+        return list(map(_plain, message[:LONGEST_ARRAY]))
+    fields = getattr(message, "__dataclass_fields__", None)
+    if fields is None:
+        return message
+    return {name: _plain(getattr(message, name)) for name in fields if name != "__msgtype__"}
+
+
+def _stamps(rows: list[dict[str, Any]], logged: list[int]) -> np.ndarray:
+    """Nanoseconds of a topic's messages, on the clock of the log; headers are taken out of them."""
+    headers = [row.pop("header", None) for row in rows]
+    log = np.array(logged, np.int64)
+    stamps = [header["stamp"] for header in headers if isinstance(header, dict)]
+    if len(stamps) < len(rows):
+        return log
+    own = np.array([s["sec"] * 10**9 + s["nanosec"] for s in stamps], np.int64)
+    if not (np.diff(own) > 0).all():
+        return log
+    ahead = own[0] - log[0]
+    return own if abs(ahead) < CLOCKS_AGREE else own - ahead
+
+
+def _channels(rows: dict[str, list[dict[str, Any]]], times: dict[str, np.ndarray]) -> Channels:
+    whole = Channels({})
+    earliest = min((int(stamps[0]) for stamps in times.values()), default=0)
+    for topic, messages in rows.items():
+        columns = gathered(topic, messages)
+        check_column_count(len(whole.columns) + len(columns))
+        time = f"{topic}.log_time" if f"{topic}.time" in columns else f"{topic}.time"
+        whole.columns[time] = (times[topic] - earliest) * 1e-9
+        whole.units[time] = "s"
+        for name, values in columns.items():
+            found, why = numbers_of(values)
+            if found is None:
+                whole.left_out[name] = why
+            else:
+                whole.columns[name] = found
+                whole.time_of[name] = time
+    return whole
