@@ -55,6 +55,7 @@ from .records.record import Record as Record
 from .records.recording import Recording as Recording
 from .records.recording import read_record as read_record
 from .records.recording import read_recording as read_recording
+from .records.recording import read_recordings as read_recordings
 from .records.writing import write_record as write_record
 from .refinement.coordinates import Prior as Prior
 from .refinement.integral_error import IntegralError as IntegralError

@@ -38,6 +38,7 @@ KINDS = {
         "missing_samples",
         "quantised",
         "column_left_out",
+        "part_left_out",
         "nothing_cut",
         "rows_left_out",
     ),

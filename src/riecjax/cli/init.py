@@ -24,6 +24,7 @@ def _print_job(**arguments: Any) -> None:
     The map of signals to columns is proposed from their names and units; a comment marks a guess.
     """
     from riecjax.models.catalogue import find_model
+    from riecjax.records.reading.parts import recordings_in
     from riecjax.records.reading.read import read_channels
 
     ctx = click.get_current_context()
@@ -33,7 +34,12 @@ def _print_job(**arguments: Any) -> None:
         for name in list(inspect.signature(read_channels).parameters)[1:]
         if name in arguments
     }
-    read = [read_channels(file, **dialect) for file in arguments["files"]]
+    named, part = arguments["rename"].values(), arguments["part"] or ""
+    read = [
+        channels
+        for file in arguments["files"]
+        for channels in recordings_in(read_channels(file, **dialect), named, part).held.values()
+    ]
     notes = {"map": list(_map_lines(model, read[0], arguments["rename"]))}
     if arguments["band"] is None:
         from riecjax.criteria.windows import DEFAULT_BAND

@@ -77,6 +77,11 @@ RECORD_OPTIONS = (
         metavar="HZ",
         help="Bring unevenly or differently sampled signals to one even rate, anti-aliased.",
     ),
+    click.option(
+        "--part",
+        metavar="NAME",
+        help="Of a file with several recordings, use this one, as 'runs(2)'. [default: all]",
+    ),
     click.option("--delimiter", help="Between columns of a text file. [default: detected]"),
     click.option(
         "--decimal",
@@ -162,6 +167,7 @@ class RecordingOptions:
     columns: tuple[str, ...]
     time_step: float | None
     resample: float | None
+    part: str | None
     delimiter: str | None
     decimal: str | None
     noise: str | Mapping[str, float]
@@ -175,18 +181,18 @@ class RecordingOptions:
     every: int
 
     def read(self, files: Sequence[Path], model: "Model") -> "list[Recording]":
-        """These files, read and prepared for a model.
+        """What these files hold, read and prepared for a model.
 
         **Raises:** `DataError` naming the file.
         """
-        from riecjax.records.recording import read_recording
+        from riecjax.records.recording import read_recordings
 
         settings = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
             if field.name != "files"
         }
-        return [read_recording(file, model=model, **settings) for file in files]
+        return [one for file in files for one in read_recordings(file, model=model, **settings)]
 
 
 record_options = collecting(RECORD_OPTIONS, RecordingOptions, "recordings")

@@ -5,5 +5,5 @@ from .preparation import upsample as upsample
 from .preparation import with_local_derivative as with_local_derivative
 from .quality import check_signals as check_signals
 from .reading.read import read_channels as read_channels
+from .reading_settings import ReadingSettings as ReadingSettings
 from .record import stack_records as stack_records
-from .recording import ReadingSettings as ReadingSettings

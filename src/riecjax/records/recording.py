@@ -3,22 +3,23 @@
 import contextlib
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.findings import Finding
-from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.preparation import split
 from riecjax.records.preparation.steps import Preparation, prepare
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels
+from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
 from riecjax.records.reading.selection import Selected, Selection, record_from_channels
 from riecjax.records.reading.unit_conversion import plain
 from riecjax.records.reading.units import split_unit
+from riecjax.records.reading_settings import ReadingSettings, sorted_settings
 from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
 
@@ -40,7 +41,7 @@ class Recording(Drawn):
     - `left_out`: column of the file to why it is no signal.
     - `renamed`: signal to the column that it was called.
     - `converted`: signal to the unit that it was converted from.
-    - `part`: which part of the recording this is, where it was split.
+    - `part`: which part of its file this is, where that holds several recordings or was split.
     """
 
     record: Record
@@ -63,7 +64,8 @@ class Recording(Drawn):
         **Returns:** the part to estimate from, and the last part, to validate on.
         """
         first, last = split(self.record, share)
-        return replace(self, record=first), replace(self, record=last, part="last part")
+        held_out = ", ".join(filter(None, (self.part, "last part")))
+        return replace(self, record=first), replace(self, record=last, part=held_out)
 
     def concerning(self, signals: Collection[str]) -> "Recording":
         """The same with only those steps and findings that concern these signals, or all."""
@@ -76,7 +78,7 @@ class Recording(Drawn):
 
     def explaining_errors(self) -> contextlib.AbstractContextManager[None]:
         """Name the file in errors about its record, and say why a signal is missing."""
-        return _explaining(self.source, self.renamed, self.left_out)
+        return _explaining(self.source, self.renamed, self.left_out, self.part)
 
 
 def as_recordings(records: Records) -> list[Recording]:
@@ -93,66 +95,10 @@ def as_recordings(records: Records) -> list[Recording]:
     ]
 
 
-class ReadingSettings(TypedDict, total=False):
-    """How a file is read, and how its record is prepared: keywords of [`read_recording`][].
-
-    How the file is read:
-
-    - `rename`: new signal name to column name, as in `{"q": "qm"}`; columns that are not named
-      keep their names. A unit in brackets may be left out of a column's name.
-    - `scale`: column name (as in the file) or signal name to the factor that turns it into SI
-      units.
-    - `units`: column or signal name to its unit, before the one that the file states, to be
-      converted from; of a signal of `derive`, the unit it has.
-    - `derive`: signal name to a formula of signals, as in `{"force": "35.15 * vir"}`; see
-      [`derived`][]. Formulas are computed in their order, last of all.
-    - `time_step`: seconds between samples, for files without time.
-    - `resample`: rate in Hz of the even grid to which all signals are brought: for uneven
-      samples, and for files in which signals have different times.
-    - `delimiter`, `decimal`: of a text file, instead of detecting them.
-    - `columns`: names of a text file's columns, in place of those it has or has not.
-    - `noise`: on the signals as measured, in SI units: `"auto"`, judged from their samples;
-      `"none"`; or a standard deviation by signal (0 for none), the others are judged. Steps of
-      preparation carry it on. See [`Noise`][riecjax.Noise].
-
-    What is done to the record then, in this order:
-
-    - `start`, `stop`: cut it at these seconds from its first sample.
-    - `offsets`, `drifts`: signals to remove the mean or a straight line from.
-    - `cutoffs`: signal to cut-off in Hz of a zero-phase low-pass.
-    - `upsample`: factor of a band-limited interpolation.
-    - `derivatives`: new signal to the signal whose central differences it is.
-    - `every`: use every n-th sample.
-    """
-
-    rename: Mapping[str, str] | None
-    scale: Mapping[str, float] | None
-    units: Mapping[str, str] | None
-    derive: Mapping[str, str] | None
-    time_step: float | None
-    resample: float | None
-    delimiter: str | None
-    decimal: str | None
-    columns: Sequence[str]
-    noise: GivenNoise
-    start: float | None
-    stop: float | None
-    offsets: Sequence[str]
-    drifts: Sequence[str]
-    cutoffs: Mapping[str, float] | None
-    upsample: int
-    derivatives: Mapping[str, str] | None
-    every: int
-
-
-MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives")
-NAMES = ("offsets", "drifts", "columns")
-
-
 def read_record(path: str | os.PathLike[str], **settings: Unpack[ReadingSettings]) -> Record:
-    """Read a record from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file.
+    """Read a record from a file of any format that [`read_recording`][] reads.
 
-    What [`read_recording`][] reads, with the same keywords and errors, but only the signals.
+    With the same keywords and errors, but only the signals.
     """
     return read_recording(path, **settings).record
 
@@ -160,7 +106,7 @@ def read_record(path: str | os.PathLike[str], **settings: Unpack[ReadingSettings
 def read_recording(
     path: str | os.PathLike[str], *, model: Any = None, **settings: Unpack[ReadingSettings]
 ) -> Recording:
-    """Read a recording from a CSV, TSV, TXT, NPZ, MAT, Parquet, or MDF file, and prepare it.
+    """Read a recording from a text file, Excel, NPZ, MAT, HDF5, JSON, Parquet, MDF, TDMS or a bag.
 
     Time is a column in seconds, called `t` or `time` or renamed to `t`; where the file states
     another unit of time (`time [ms]`) it is converted. Signals are converted to SI from the units
@@ -172,19 +118,82 @@ def read_recording(
     derivatives of others, to be formed if the file lacks them; and the keywords of
     [`ReadingSettings`][riecjax.records.ReadingSettings].
 
-    **Raises:** `DataError` if the file cannot be read, a named column is missing, the samples do
-    not make a record (see [`Record.from_samples`][]), or a step is not possible; `ModelError` for
-    a formula that is not understood.
+    **Raises:** `DataError` if the file cannot be read, holds several recordings and no `part` is
+    chosen, a named column is missing, the samples do not make a record (see
+    [`Record.from_samples`][]), or a step is not possible; `ModelError` for a formula that is not
+    understood.
     """
+    found = _held(path, model, settings)
+    if len(found.held) > 1:
+        with _explaining(str(path), {}, {}):
+            raise several(found.held)
+    return _recordings(path, found, model, settings)[0]
+
+
+def read_recordings(
+    path: str | os.PathLike[str], *, model: Any = None, **settings: Unpack[ReadingSettings]
+) -> list[Recording]:
+    """Read all recordings that a file holds, each as [`read_recording`][] reads one.
+
+    Elements of a cell or an array of structures of MATLAB, groups with the same channels in HDF5
+    and TDMS, sheets with the same columns: `part` of each recording says which it is, as
+    `runs(2)`. Columns are called as if a part were alone in its file: `x`, not `runs(2).x`. A
+    part of which no record can be made is left out, with a finding; a file that is one recording
+    gives a list of one.
+
+    **Arguments** and errors as of [`read_recording`][]; of errors of parts, the first is raised
+    where none can be read.
+    """
+    return _recordings(path, _held(path, model, settings), model, settings)
+
+
+def _held(path: str | os.PathLike[str], model: Any, settings: ReadingSettings) -> Parts:
     require("the file", path, str | os.PathLike, "rx.read_recording('drive.csv')", DataError)
     if isinstance(model, str | type):
         require("the model", model, (), "model=rx.find_model('quarter-car')")
-    selection, preparation, dialect = _sorted(settings)
-    file = Path(path).name
+    selection, _, dialect = sorted_settings(settings)
     channels = read_channels(path, **dialect)
+    with _explaining(str(path), {}, {}):
+        return recordings_in(channels, selection.rename.values(), settings.get("part") or "")
+
+
+def _recordings(
+    path: str | os.PathLike[str], parts: Parts, model: Any, settings: ReadingSettings
+) -> list[Recording]:
+    """The parts that can be read; the first tells of the others."""
+    read: list[Recording] = []
+    errors: dict[str, DataError] = {}
+    for name, channels in parts.held.items():
+        try:
+            read.append(_recording(path, name, channels, model, settings))
+        except DataError as error:
+            errors[name] = error
+    if not read:
+        raise next(iter(errors.values()))
+    file = Path(path).name
+    broken = {k: str(e).removeprefix(f"{file}, {k}: ") for k, e in errors.items()} | {
+        **parts.broken
+    }
+    said = [
+        Finding("part_left_out", f"{file}: part '{name}' is left out: {why.rstrip('.')}.")
+        for name, why in [*parts.broken.items(), *broken.items()]
+    ]
+    read[0] = replace(read[0], findings=(*said, *read[0].findings))
+    return read
+
+
+def _recording(
+    path: str | os.PathLike[str],
+    part: str,
+    channels: Channels,
+    model: Any,
+    settings: ReadingSettings,
+) -> Recording:
+    selection, preparation, _ = sorted_settings(settings)
+    file = Path(path).name
     left_out = _left_out(channels)
     # Damaged numbers overflow; what is not finite is found and named.
-    with _explaining(str(path), selection.rename, left_out), np.errstate(all="ignore"):
+    with _explaining(str(path), selection.rename, left_out, part), np.errstate(all="ignore"):
         try:
             selected = record_from_channels(channels, selection, _read_by(model, preparation))
             record = selected.record
@@ -217,33 +226,8 @@ def read_recording(
         tuple(findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
         selection.rename,
-        converted=selected.converted,
-    )
-
-
-def _sorted(settings: ReadingSettings) -> tuple[Selection, Preparation, dict[str, Any]]:
-    """The settings by what they are for: choice of channels, preparation, and a text's dialect.
-
-    **Raises:** `TypeError` for an unknown keyword, `DataError` for what is no mapping or no names.
-    """
-    if unknown := [name for name in settings if name not in ReadingSettings.__annotations__]:
-        raise TypeError(f"read_recording() got an unexpected keyword argument '{unknown[0]}'")
-    given: dict[str, Any] = dict(settings)
-    for name in (n for n in MAPPINGS if n in given):
-        given[name] = given[name] or {}
-        require(name, given[name], Mapping, f"{name}={{'x': ...}}, by the signal's name", DataError)
-    for name in (n for n in NAMES if n in given):
-        require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
-        given[name] = tuple(given[name])
-
-    def of(names: Collection[str]) -> dict[str, Any]:
-        return {name: value for name, value in given.items() if name in names}
-
-    prepared = {field.name for field in fields(Preparation)}
-    return (
-        Selection(**of(Selection._fields)),
-        Preparation(**of(prepared)),
-        of(("delimiter", "decimal", "columns")),
+        part,
+        selected.converted,
     )
 
 
@@ -288,7 +272,7 @@ def _why_missing(left_out: Mapping[str, str], signal: str) -> str:
 
 @contextlib.contextmanager
 def _explaining(
-    source: str, renamed: Mapping[str, str], left_out: Mapping[str, str]
+    source: str, renamed: Mapping[str, str], left_out: Mapping[str, str], part: str = ""
 ) -> Iterator[None]:
     """Name the file in errors about its record, and say why a signal is missing."""
     try:
@@ -309,7 +293,7 @@ def _explaining(
                 message = (
                     f"{why}, so that the record has no signal '{error.signal}'; it has: {listed}."
                 )
-        name = Path(source).name
+        name = ", ".join(filter(None, (Path(source).name, part)))
         prefix = "" if message.startswith(f"{name}: ") else f"{name}: "
         raise DataError(" ".join((prefix + message).split())[:LONGEST_MESSAGE]) from None
 

@@ -34,6 +34,7 @@ def check_document(
         "records": [
             {
                 "file": recording.source,
+                "part": recording.part or None,
                 "samples": recording.record.sample_count,
                 "time_step": float(recording.record.time_step),
                 "duration": float(recording.record.duration),

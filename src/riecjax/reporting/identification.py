@@ -66,6 +66,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
             "records": [
                 {
                     "file": recording.source,
+                    "part": recording.part or None,
                     "samples": recording.record.sample_count,
                     "time_step": float(recording.record.time_step),
                 }

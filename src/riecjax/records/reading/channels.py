@@ -97,6 +97,7 @@ class Channels:
     - `time_of`: column to the column with its time, in files with several time axes.
     - `left_out`: name to the reason why this part of the file is no column.
     - `notes`: what was decided on reading, in words.
+    - `nested`: whether names tell of structures or groups, some of which may be recordings.
     - `parts`: groups that the format itself sets apart, sheets of a workbook: columns of one are
       called `part/column`.
     """
@@ -106,6 +107,7 @@ class Channels:
     time_of: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    nested: bool = False
     parts: list[str] = field(default_factory=list)
 
 
@@ -157,7 +159,10 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
 
 
 def with_structure_times(channels: Channels, separator: str = ".") -> Channels:
-    """Assign to each column `a.b.values` its time, `a.b.time` or else `a.time`, of equal length."""
+    """Assign to each column `a.b.values` its time, `a.b.time` or else `a.time`, of equal length.
+
+    Names count as those of structures or groups, whose levels `separator` tells apart.
+    """
     time_of = {}
     for name, values in channels.columns.items():
         parts = name.split(separator)
@@ -167,13 +172,16 @@ def with_structure_times(channels: Channels, separator: str = ".") -> Channels:
             if found and channels.columns[found].size == values.size:
                 time_of[name] = found
                 break
-    return replace(channels, time_of={**channels.time_of, **time_of})
+    return replace(channels, time_of={**channels.time_of, **time_of}, nested=True)
 
 
 def without_common_group(channels: Channels, separator: str) -> Channels:
     """The same with names that begin below the group in which all columns lie."""
     group = f"{next(iter(channels.columns), '').partition(separator)[0]}{separator}"
-    if not channels.columns or not all(name.startswith(group) for name in channels.columns):
+    # The stroke of a unit, as in `v (m/s)`, parts no groups.
+    if not channels.columns or {*group} & {*"[("}:
+        return channels
+    if not all(name.startswith(group) for name in channels.columns):
         return channels
     return without_common_group(called(channels, lambda n: n.removeprefix(group)), separator)
 

@@ -69,7 +69,7 @@ def find_time(
     """
     if given is not None:
         return _timed(given, values, units, ())
-    called = [name for name in values if _is_called_time(name, units)]
+    called = [name for name in values if is_called_time(name, units)]
     rising = [name for name in called if _rises(values[name])]
     found = min(rising, key=_preference, default=None)
     notes = []
@@ -150,7 +150,8 @@ def looks_like_milliseconds(time: TimeColumn, units: Mapping[str, str]) -> bool:
     )
 
 
-def _is_called_time(name: str, units: Mapping[str, str]) -> bool:
+def is_called_time(name: str, units: Mapping[str, str]) -> bool:
+    """Whether a column's name and unit are those of a time."""
     if _bare(name) not in TIME_WORDS:
         return False
     # `T [degC]` is a temperature, and `t (mm)` a thickness.

@@ -1,0 +1,96 @@
+"""How a file is read and its record prepared: the keywords of reading."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, TypedDict
+
+from riecjax.errors import DataError, require
+from riecjax.records.noise_judgement import GivenNoise
+from riecjax.records.preparation.steps import Preparation
+from riecjax.records.reading.selection import Selection
+
+
+class ReadingSettings(TypedDict, total=False):
+    """How a file is read, and how its record is prepared: keywords of [`read_recording`][].
+
+    How the file is read:
+
+    - `rename`: new signal name to column name, as in `{"q": "qm"}`; columns that are not named
+      keep their names. A unit in brackets may be left out of a column's name.
+    - `scale`: column name (as in the file) or signal name to the factor that turns it into SI
+      units.
+    - `units`: column or signal name to its unit, before the one that the file states, to be
+      converted from; of a signal of `derive`, the unit it has.
+    - `derive`: signal name to a formula of signals, as in `{"force": "35.15 * vir"}`; see
+      [`derived`][]. Formulas are computed in their order, last of all.
+    - `time_step`: seconds between samples, for files without time.
+    - `resample`: rate in Hz of the even grid to which all signals are brought: for uneven
+      samples, and for files in which signals have different times.
+    - `delimiter`, `decimal`: of a text file, instead of detecting them.
+    - `columns`: names of a text file's columns, in place of those it has or has not.
+    - `part`: the recording that is wanted, of a file with several; see [`read_recordings`][].
+    - `noise`: on the signals as measured, in SI units: `"auto"`, judged from their samples;
+      `"none"`; or a standard deviation by signal (0 for none), the others are judged. Steps of
+      preparation carry it on. See [`Noise`][riecjax.Noise].
+
+    What is done to the record then, in this order:
+
+    - `start`, `stop`: cut it at these seconds from its first sample.
+    - `offsets`, `drifts`: signals to remove the mean or a straight line from.
+    - `cutoffs`: signal to cut-off in Hz of a zero-phase low-pass.
+    - `upsample`: factor of a band-limited interpolation.
+    - `derivatives`: new signal to the signal whose central differences it is.
+    - `every`: use every n-th sample.
+    """
+
+    rename: Mapping[str, str] | None
+    scale: Mapping[str, float] | None
+    units: Mapping[str, str] | None
+    derive: Mapping[str, str] | None
+    time_step: float | None
+    resample: float | None
+    delimiter: str | None
+    decimal: str | None
+    columns: Sequence[str]
+    part: str | None
+    noise: GivenNoise
+    start: float | None
+    stop: float | None
+    offsets: Sequence[str]
+    drifts: Sequence[str]
+    cutoffs: Mapping[str, float] | None
+    upsample: int
+    derivatives: Mapping[str, str] | None
+    every: int
+
+
+MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives")
+NAMES = ("offsets", "drifts", "columns")
+
+
+def sorted_settings(
+    settings: ReadingSettings,
+) -> tuple[Selection, Preparation, dict[str, Any]]:
+    """The settings by what they are for: choice of channels, preparation, and a text's dialect.
+
+    **Raises:** `TypeError` for an unknown keyword, `DataError` for what is no mapping or no names.
+    """
+    if unknown := [name for name in settings if name not in ReadingSettings.__annotations__]:
+        raise TypeError(f"read_recording() got an unexpected keyword argument '{unknown[0]}'")
+    given: dict[str, Any] = dict(settings)
+    for name in (n for n in MAPPINGS if n in given):
+        given[name] = given[name] or {}
+        require(name, given[name], Mapping, f"{name}={{'x': ...}}, by the signal's name", DataError)
+    for name in (n for n in NAMES if n in given):
+        require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
+        given[name] = tuple(given[name])
+
+    def of(names: Collection[str]) -> dict[str, Any]:
+        return {name: value for name, value in given.items() if name in names}
+
+    prepared = {field.name for field in fields(Preparation)}
+    return (
+        Selection(**of(Selection._fields)),
+        Preparation(**of(prepared)),
+        of(("delimiter", "decimal", "columns")),
+    )
