@@ -59,12 +59,22 @@ def _objects(lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:
 def _arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
     """Arrays of a document by their name."""
     if isinstance(value, list):
+        if value and all(_holds_arrays(inner, len(value)) for inner in value):
+            for place, inner in enumerate(value):
+                yield from _arrays(f"{name or 'part'}({place + 1})", inner)
+            return
         wide = bool(value) and all(isinstance(v, list) and len(v) > len(value) for v in value)
         # A signal in each row, where rows are longer than there are rows.
         yield name, list(map(list, zip(*value, strict=True))) if wide else value
     elif isinstance(value, dict):
         for key, inner in value.items():
             yield from _arrays(f"{name}.{key}" if name else key, inner)
+
+
+def _holds_arrays(value: Any, count: int) -> bool:
+    """Whether one of `count` objects is a recording and no row: its arrays are longer."""
+    inner = value.values() if isinstance(value, dict) else ()
+    return any(isinstance(array, list) and len(array) > count for array in inner)
 
 
 def _channels(tables: dict[str, Iterable[Any]]) -> Channels:
