@@ -171,12 +171,10 @@ def _recordings(
     if not read:
         raise next(iter(errors.values()))
     file = Path(path).name
-    broken = {k: str(e).removeprefix(f"{file}, {k}: ") for k, e in errors.items()} | {
-        **parts.broken
-    }
+    unread = {k: str(e).removeprefix(f"{file}, {k}: ") for k, e in errors.items()}
     said = [
         Finding("part_left_out", f"{file}: part '{name}' is left out: {why.rstrip('.')}.")
-        for name, why in [*parts.broken.items(), *broken.items()]
+        for name, why in {**parts.broken, **unread}.items()
     ]
     read[0] = replace(read[0], findings=(*said, *read[0].findings))
     return read
