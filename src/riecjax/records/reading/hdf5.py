@@ -86,9 +86,9 @@ def walk(
             continue
         within = None
         if isinstance(item, h5py.Group):
-            address = h5py.h5o.get_info(item.id).addr
-            within = [] if address in entered else _members(name, item, separator)
-            entered.add(address)
+            # Two groups are equal, and have one hash, where they lie at one address in the file.
+            within = [] if item in entered else _members(name, item, separator)
+            entered.add(item)
         elif isinstance(item, h5py.Dataset):
             if not item.shape or item.is_virtual or item.external:
                 continue
