@@ -29,9 +29,8 @@ def read_spreadsheet(
     """Read the sheets of a workbook that hold tables of numbers, each as a text file is read.
 
     Formulas count as the values that were saved with them, cells of dates and times to the
-    millisecond. Of several such sheets, columns are
-    called `Sheet/column`, and each is a part. The library may crash on a damaged file, so it reads
-    in a process of its own.
+    millisecond. Of several such sheets, columns are called `Sheet/column`, and each is a part. The
+    library may crash on a damaged file, so it reads in a process of its own.
 
     **Arguments:** `decimal`, of numbers that stand there as text, and names of the `columns`,
     instead of detecting them.

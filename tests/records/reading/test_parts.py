@@ -1,0 +1,130 @@
+"""Files that hold several recordings: which these are, and how one is chosen."""
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+import riecjax as rx
+from riecjax.errors import DataError
+from riecjax.records.reading.channels import Channels
+from riecjax.records.reading.parts import recordings_in
+
+TIME = np.arange(80) * 0.05
+RUNS = [
+    {"t": TIME[:n], "x": k * np.sin(TIME[:n]), "F": np.cos(3 * TIME[:n])}
+    for k, n in ((1, 80), (2, 50), (3, 70))
+]
+
+
+def cell(values):
+    made = np.empty((len(values), 1), dtype=object)
+    for i, value in enumerate(values):
+        made[i, 0] = value
+    return made
+
+
+def as_cells(path):
+    scipy.io.savemat(path, {f"{n}_id": cell([run[n] for run in RUNS]) for n in ("t", "x", "F")})
+    return {"rename": {"t": "t_id", "x": "x_id", "F": "F_id"}}
+
+
+def as_structures(path):
+    kind = [(name, object) for name in RUNS[0]]
+    runs = np.array([tuple(run.values()) for run in RUNS], dtype=kind)
+    scipy.io.savemat(path, {"runs": runs, "remark": "a Tuesday"})
+    return {}
+
+
+def as_numbered_structures(path):
+    scipy.io.savemat(path, {f"run{i + 1}": run for i, run in enumerate(RUNS)})
+    return {}
+
+
+MADE = {
+    "cells": (as_cells, ["{1}", "{2}", "{3}"]),
+    "array of structures": (as_structures, ["runs(1)", "runs(2)", "runs(3)"]),
+    "numbered structures": (as_numbered_structures, ["run1", "run2", "run3"]),
+}
+
+
+@pytest.mark.parametrize("case", MADE)
+def test_matlab_files_with_several_recordings(tmp_path, case):
+    write, ends = MADE[case]
+    settings = write(tmp_path / "a.mat")
+    read = rx.read_recordings(tmp_path / "a.mat", **settings)
+    assert [one.part.endswith(end) for one, end in zip(read, ends, strict=True)] == [True] * 3
+    for one, run in zip(read, RUNS, strict=True):
+        np.testing.assert_allclose(one.record["x"], run["x"], rtol=1e-15)
+        np.testing.assert_allclose(one.record["F"], run["F"], rtol=1e-15)
+    alone = rx.read_record(tmp_path / "a.mat", part=read[1].part, **settings)
+    np.testing.assert_array_equal(alone["x"], read[1].record["x"])
+    with pytest.raises(DataError, match=r"^a\.mat: it holds 3 recordings: .*--part NAME"):
+        rx.read_record(tmp_path / "a.mat", **settings)
+    with pytest.raises(DataError, match=r"there is no part 'run9'; there are: "):
+        rx.read_record(tmp_path / "a.mat", part="run9", **settings)
+
+
+def test_groups_stand_in_the_order_of_their_numbers(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for i in range(1, 12):
+            for name, values in RUNS[i % 3].items():
+                file[f"run{i}/{name}"] = values + (i if name == "x" else 0)
+    read = rx.read_recordings(tmp_path / "a.h5")
+    assert [one.part for one in read] == [f"run{i}" for i in range(1, 12)]
+    np.testing.assert_allclose(read[9].record["x"], RUNS[1]["x"] + 10)
+
+
+def test_a_broken_part_is_left_out_and_said(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for i, run in enumerate(RUNS):
+            for name, values in run.items():
+                if (i, name) != (1, "F"):
+                    file[f"run{i + 1}/{name}"] = values
+    read = rx.read_recordings(tmp_path / "a.h5")
+    assert [one.part for one in read] == ["run1", "run3"]
+    (said,) = [f for f in read[0].findings if f.code == "part_left_out"]
+    assert said.message == "a.h5: part 'run2' is left out: it lacks F."
+
+
+def sensors():
+    """Channels of one recording whose names look like parts."""
+    time = {"rec.X.Data": TIME}
+    each = {f"rec.Y({i}).Data": i * np.sin(TIME) for i in (1, 2, 3)}
+    yield Channels({**time, **each}, nested=True)
+    # Simulink's structures with time, one for each signal.
+    scopes = {f"{n}.{k}": TIME for n in ("X", "U") for k in ("time", "signals.values")}
+    yield Channels(scopes, nested=True)
+    # Two sensors of other rates in one test.
+    yield Channels(
+        {"fast/time": TIME, "fast/x": TIME, "slow/time": TIME[::2], "slow/F": TIME[::2]},
+        nested=True,
+    )
+    # Wheels of one car.
+    wheels = {f"wheel{i}/{n}": TIME for i in (1, 2) for n in ("x", "v")}
+    yield Channels({"time": TIME, **wheels}, nested=True)
+
+
+@pytest.mark.parametrize("channels", list(sensors()))
+def test_sensors_of_one_recording_are_no_parts(channels):
+    assert recordings_in(channels).held == {"": channels}
+
+
+def test_one_estimate_from_all_parts(tmp_path, capsys):
+    import json
+
+    from riecjax.cli.main import run
+
+    rng = np.random.default_rng(20240501)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for i in range(2):
+            t = np.arange(2000) * 0.005
+            x = sum(np.sin(w * t + rng.uniform(0, 6)) / w**2 for w in (2.0, 5.0, 9.0))
+            file[f"run{i}/t"], file[f"run{i}/x"] = t, x
+            v, a = np.gradient(x, t, edge_order=2), np.gradient(np.gradient(x, t), t)
+            file[f"run{i}/u"] = 2 * a + 3 * v + 4 * v * abs(v) + 50 * x
+    asked = ["identify", str(tmp_path / "a.h5"), "--model", "drag-oscillator", "--no-sweep"]
+    assert run([*asked, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [one["part"] for one in document["provenance"]["records"]] == ["run0", "run1"]
+    assert document["parameters"]["k"]["value"] == pytest.approx(50, rel=0.02)
