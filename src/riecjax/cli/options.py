@@ -82,14 +82,17 @@ class HiddenOptions:
 
     modes: tuple[tuple[str, float | None], ...]
     springs: tuple[str, ...]
+    offsets_of: tuple[str, ...]
+    gains_of: tuple[str, ...]
 
     def added_to(self, name: str) -> "Model":
-        """The model of this name, with these modes and springs."""
+        """The model of this name, with these modes, springs, and errors of sensors."""
         from riecjax.equations.hidden_modes import HiddenMode
         from riecjax.equations.series_springs import SeriesSpring
         from riecjax.models.catalogue import find_model
 
-        model = find_model(name).with_modes(*(HiddenMode(*each) for each in self.modes))
+        model = find_model(name).with_sensor_errors(self.offsets_of, self.gains_of)
+        model = model.with_modes(*(HiddenMode(*each) for each in self.modes))
         return model.with_series_springs(*map(SeriesSpring, self.springs))
 
 
@@ -112,6 +115,20 @@ spring_option = click.option(
     multiple=True,
     help="Find a spring that the model leaves out, in series with the damper of this linear "
     "coefficient. Repeatable.",
+)
+offset_option = click.option(
+    "--unknown-offset",
+    "offsets_of",
+    metavar="SIGNAL",
+    multiple=True,
+    help="Estimate the zero of this signal's sensor as well. Repeatable.",
+)
+gain_option = click.option(
+    "--unknown-gain",
+    "gains_of",
+    metavar="SIGNAL",
+    multiple=True,
+    help="Estimate the factor by which this signal's readings are to be multiplied. Repeatable.",
 )
 seed_option = click.option(
     "--seed",
@@ -217,5 +234,7 @@ def collecting(
     return decorate
 
 
-hidden_options = collecting((mode_option, spring_option), HiddenOptions, "hidden")
+hidden_options = collecting(
+    (mode_option, spring_option, offset_option, gain_option), HiddenOptions, "hidden"
+)
 """Options that add what a model leaves out; they arrive as one `hidden`."""

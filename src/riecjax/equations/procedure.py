@@ -17,6 +17,7 @@ from riecjax.equations.hidden_modes import (
     ModeParameters,
     is_hidden_name,
 )
+from riecjax.equations.sensor_errors import with_unknown_gain, with_unknown_offset
 from riecjax.equations.series_springs import (
     SeriesSpring,
     force_elements,
@@ -55,6 +56,26 @@ class Procedure(Shown, eqx.Module):
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
         return Procedure(self.stages, (*self.modes, *modes), self.springs)
+
+    def with_unknown_offset(self, signal: str, unit: str = "") -> "Procedure":
+        """The same equations, with the unknown zero of a signal's sensor as a coefficient.
+
+        See [`with_unknown_offset`][riecjax.equations.sensor_errors.with_unknown_offset].
+        """
+        return self._with_equations(with_unknown_offset(self.equations, signal, unit))
+
+    def with_unknown_gain(self, signal: str) -> "Procedure":
+        """The same equations, with the unknown gain of a signal's sensor as a coefficient.
+
+        See [`with_unknown_gain`][riecjax.equations.sensor_errors.with_unknown_gain].
+        """
+        return self._with_equations(with_unknown_gain(self.equations, signal))
+
+    def _with_equations(self, equations: Sequence[Equation]) -> "Procedure":
+        """Others in their place, stage by stage."""
+        rest = iter(equations)
+        stages = tuple(tuple(next(rest) for _ in stage) for stage in self.stages)
+        return Procedure(stages, self.modes, self.springs)
 
     def with_series_springs(self, *springs: SeriesSpring) -> "Procedure":
         """The same equations with springs in series with force elements.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -57,6 +57,7 @@ class Model(Shown):
     - `note`: something a user should know before using it.
     - `modes`: oscillators that the equations leave out, see `with_modes`; `springs` in series with
       force elements, see `with_series_springs`.
+    - `sensors`: errors of sensors among its parameters, see `with_sensor_errors`.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Model(Shown):
     note: str = ""
     modes: tuple[HiddenMode, ...] = ()
     springs: tuple[SeriesSpring, ...] = ()
+    sensors: tuple[str, ...] = ()
 
     @property
     def simulation_parameters(self) -> tuple[Quantity, ...]:
@@ -102,6 +104,36 @@ class Model(Shown):
             own = (*own, *added)
         return replace(
             carrying, parameters=(*self.parameters, *added), own_simulation_parameters=own
+        )
+
+    def with_sensor_errors(self, offsets: Sequence[str] = (), gains: Sequence[str] = ()) -> Model:
+        """The same model with unknown offsets and gains of the sensors of these signals.
+
+        They join its parameters. What is simulated then are its equations, and by them the signals
+        as these sensors show them. To be called before hidden elements are added.
+
+        **Raises:** `ModelError` where an offset or gain is no coefficient, or cannot be told apart
+        from one; see [`riecjax.equations.sensor_errors`][].
+        """
+        units = {signal.name: signal.unit for signal in self.signals}
+        procedure = self.build_procedure()
+        for signal in offsets:
+            procedure = procedure.with_unknown_offset(signal, units.get(signal, ""))
+        for signal in gains:
+            procedure = procedure.with_unknown_gain(signal)
+        known = {parameter.name for parameter in self.parameters}
+        added = [
+            Quantity(name, procedure.units[name], "of a sensor")
+            for name in procedure.parameters
+            if name not in known
+        ]
+        if not added:
+            return self
+        return replace(
+            self,
+            procedure=lambda: procedure,
+            parameters=(*self.parameters, *added),
+            sensors=(*self.sensors, *(quantity.name for quantity in added)),
         )
 
     def with_series_springs(self, *springs: SeriesSpring) -> Model:
@@ -146,9 +178,10 @@ class Model(Shown):
 
         if self.system is None:
             raise ModelError(f"model '{self.name}' can be identified but not simulated.")
-        if self.springs:
+        if self.springs or self.sensors:
+            lacks = "springs in series" if self.springs else "errors of sensors"
             raise ModelError(
-                f"the system of {self.name} has no springs in series: simulate its equations, "
+                f"the system of {self.name} has no {lacks}: simulate its equations, "
                 f"rx.equation_system(model.build_procedure(), values)."
             )
         names = [parameter.name for parameter in self.simulation_parameters]
@@ -216,7 +249,7 @@ class Model(Shown):
     @property
     def _outgrown(self) -> bool:
         """Whether there are hidden elements that the model's own system cannot have."""
-        return bool(self.springs) or (self._carries and self._attachments is None)
+        return bool(self.springs or self.sensors) or (self._carries and self._attachments is None)
 
     def _driven_rates(self, record: Record) -> dict[str, Callable[..., Any]]:
         """Rates with which the equations stand in for the model's own system on a record."""
