@@ -1,10 +1,10 @@
 """Unknown offsets and gains of sensors, as coefficients of the equations that read them.
 
-A sensor that shows `z = x + b` turns a term `k x` into `k z - k b`: a constant beside it. Where k is
-a known number the offset b itself is the coefficient; where k is estimated too, only the product
-`k b` is, in the unit of the equation. A sensor of gain `z = x / g` turns a known term `a F` into
-`g a z`, of the coefficient g. Either way the equations stay linear, and are those of the signals
-as measured: what is simulated of them is what the sensors would show.
+A sensor that shows `z = x + b` turns a term `k x` into `k z - k b`: a constant beside it. Where k
+is a known number the offset b itself is the coefficient; where k is estimated too, only the product
+`k b` is, in the unit of the equation. A sensor that shows `z = F / g` turns a known term `a F` into
+`g a z`, of the coefficient g. Either way the equations stay linear, and are those of the signals as
+measured: what is simulated of them is what the sensors would show.
 """
 
 from collections.abc import Callable, Iterable
@@ -106,8 +106,8 @@ def _refuse_functions(equation: Equation, signal: str) -> None:
         if signal in read.read and not _is_of(term, signal):
             raise ModelError(
                 f"{equation.name}: the term of {' and '.join(term.parameters) or 'no coefficient'} "
-                f"is a function of '{signal}', in which an unknown offset or gain is no coefficient "
-                f"of its own; calibrate that sensor."
+                f"is a function of '{signal}', in which an unknown offset or gain is no "
+                f"coefficient of its own; calibrate that sensor."
             )
 
 
