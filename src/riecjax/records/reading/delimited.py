@@ -18,7 +18,7 @@ from riecjax.records.reading.channels import (
     check_names,
     first_sentence,
 )
-from riecjax.records.reading.dialect import Dialect, Layout, layout, unwrapped
+from riecjax.records.reading.dialect import Dialect, Layout, layout
 from riecjax.records.reading.numerals import (
     GROUPED,
     compute,
@@ -26,6 +26,7 @@ from riecjax.records.reading.numerals import (
     numbers,
     stripped,
 )
+from riecjax.records.reading.plain_rows import plain_rows
 from riecjax.records.reading.time_stamps import are_stamps, seconds
 from riecjax.records.reading.units import split_unit
 
@@ -78,9 +79,9 @@ def read_delimited(
     length, and for files that are not text or have no samples.
     """
     content, notes = as_utf8(file.read_bytes())
-    content, bare = unwrapped(content)
-    found = read_table(content, delimiter, decimal, columns)
-    return replace(found, notes=[*notes, *bare, *found.notes])
+    plain = plain_rows(content)
+    found = read_table(plain.content, delimiter, decimal, columns or plain.labels)
+    return replace(found, notes=[*notes, *plain.notes, *found.notes])
 
 
 def read_table(

@@ -16,40 +16,16 @@ from riecjax.records.reading.units import bare_unit, is_unit
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In order of preference; a blank stands for any white space."""
 NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
-QUOTED = 2**12
-"""Bytes at the start of a file that tell whether its rows are quoted as a whole."""
 MISFIT = 0.3
 """Badness past which a layout is taken only where there is no better one, with names or without."""
 NUMBERED = "column {}"
 """What a column without a name is called, by its number from 1."""
+ROWS = frozenset(("signal", "signals", "name", "names", "channel", "channels"))
+"""What a row of names calls itself in a field before them."""
+REMARKS = frozenset(("comment", "comments", "remark", "remarks", "kommentar", "bemerkung"))
+"""Columns that hold words, if anything."""
 _COMMENT = re.compile(r"\s*(?:#|%|//)+\s*")
 _SEMICOLON_COMMENT = re.compile(r"\s*(?:#|%|;|//)+\s*")
-
-
-_OPENED = re.compile(rb"(?m)^[ \t]*(?:\w+[ \t]*=[ \t]*)?[\[({]+(?=[\s\d.,;+\-\[\"]|$)")
-_CLOSED = re.compile(rb"(?m)(?<=[\d.,;\s\])\"])[\])}]+[,;]?[ \t]*$")
-
-
-def unwrapped(content: bytes) -> tuple[bytes, list[str]]:
-    """Rows without the brackets, quotes and semicolons around each of them, and what was removed.
-
-    As MATLAB and Python print a matrix (`x = [0 1; 2 3];`, `[[0, 1], [2, 3]]`), spreadsheets
-    a table that was quoted as a whole (`"0,1"`), and loggers that end every line with a semicolon.
-    """
-    notes = []
-    tail = content[-64:].rstrip()
-    if tail.endswith((b"]", b"];", b"],", b"}", b"};", b")")):
-        content = _CLOSED.sub(b"", _OPENED.sub(b"", content))
-        notes.append("brackets around rows removed")
-    lines = [line for line in content[:QUOTED].split(b"\n")[:-1] if line.strip()]
-    if lines and all(re.fullmatch(rb'[ \t]*"[^"]*[,;\t][^"]*"[ \t]*', line) for line in lines):
-        content = re.sub(rb'(?m)^[ \t]*"|"[ \t]*$', b"", content)
-        notes.append("quotes around rows removed")
-    if tail.endswith(b";") or notes:
-        rows = [line.rstrip() for line in content.split(b"\n") if line.strip()]
-        if sum(row.endswith(b";") for row in rows) >= len(rows) - 1:
-            content = re.sub(rb"(?m);[ \t]*$", b"", content)
-    return content, notes
 
 
 class Dialect(NamedTuple):
@@ -220,6 +196,9 @@ def _header(
 ) -> tuple[int | None, list[str], int]:
     """Line of the names, the units by position, and the line where data begins."""
     preceding = [place for place in reversed(rows) if place < first]
+    # A word alone, such as DATA or [data], heads a table and names no column of several.
+    while len(pattern) > 1 and preceding and _is_heading(rows[preceding[0]]):
+        del preceding[0]
     above = list(itertools.takewhile(lambda place: _as_wide(rows[place], pattern), preceding))
     # Where no row above is as wide, the last one tells how many names there are instead.
     above = above or preceding[:1]
@@ -228,14 +207,27 @@ def _header(
     fallback = [place for place in above if "T" in kinds[place]]
     if not texts and not fallback:
         return None, [], first
-    last = (texts or fallback)[0]
+    last = _names_above_units(texts, rows) or (texts or fallback)[0]
     between = [place for place in above if place > last]
     if between and _is_unit_row(rows[between[-1]]):
         return last, [bare_unit(field) for field in rows[between[-1]]], _after(rows, between[-1])
-    upper = next((place for place in texts if place < last), None)
+    # Above units, names may be numbers, as of channels 1 and 2.
+    upper = next((place for place in fallback if place < last), None)
     if upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
         return upper, [bare_unit(field) for field in rows[last]], _after(rows, last)
     return last, [], _after(rows, last)
+
+
+def _names_above_units(texts: list[int], rows: dict[int, list[str]]) -> int | None:
+    """The third row of words above the numbers, where units lie below it and other words below
+    these: sensors, or how values were taken."""
+    if len(texts) < 3 or _is_unit_row(rows[texts[0]]) or not _is_unit_row(rows[texts[1]]):
+        return None
+    return texts[2]
+
+
+def _is_heading(fields: list[str]) -> bool:
+    return len(_without_empty_end(fields)) == 1 and not is_unit(fields[0])
 
 
 def _as_wide(fields: list[str], pattern: str) -> bool:
@@ -279,6 +271,10 @@ def _trimmed(names: list[str], pattern: str, dialect: Dialect) -> list[str]:
     """Names for `pattern`: a delimiter at the end of a row makes no column."""
     names = _without_empty_end(names)
     width = len(pattern)
+    if len(names) == width + 1 > 2:
+        # What the row is, before its names, or a column of remarks that stayed empty.
+        first, last = (names[place].lower() in WORDS for place, WORDS in ((0, ROWS), (-1, REMARKS)))
+        names = names[1:] if first else names[:-1] if last else names
     if dialect.delimiter == " " and len(names) > width:
         # The blank between a name and its unit in brackets delimits no columns.
         joined = re.sub(r"\s+(?=[\[(])", "\0", " ".join(names))

@@ -11,10 +11,13 @@ MISSING = ("", "-", "--", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A",
 """What loggers and spreadsheets write where there is no value."""
 _EXPONENT = r"(?:[eEdD][+-]?\d+)?"
 _INFINITE = r"[+-]?(?:[iI]nf(?:inity)?|INF)"
+# Thousands and a fraction: either sign can be only what it is.
+_POINTED = r"[+-]?[1-9]\d{0,2}(?:,\d{3})+\.\d+"
+_COMMAED = r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+,\d+"
 NUMBER = {
-    ".": rf"^(?:[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}|{_INFINITE})$",
+    ".": rf"^(?:[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}|{_POINTED}|{_INFINITE})$",
     # Digits on both sides: a comma at the end of a field is a delimiter.
-    ",": rf"^(?:[+-]?\d+(?:,\d+)?{_EXPONENT}|{_INFINITE})$",
+    ",": rf"^(?:[+-]?\d+(?:,\d+)?{_EXPONENT}|{_COMMAED}|{_INFINITE})$",
 }
 """A number by its decimal sign."""
 GROUPED = {
@@ -66,7 +69,7 @@ def numbers(text: Any, decimal: str, grouped: bool) -> np.ndarray | None:
     plain = text
     if decimal == ",":
         if pc.any(pc.match_substring(text, ".")).as_py():
-            if not grouped or not all_true(is_numeric(text, decimal, grouped)):
+            if not all_true(is_numeric(text, decimal, grouped)):
                 return None
             plain = pc.replace_substring(plain, ".", "")
         plain = pc.replace_substring(plain, ",", ".")

@@ -60,7 +60,8 @@ def find_time(
 
     Of columns with a name of time those count that rise from row to row; of several the first by
     [`TIME_COLUMNS`][riecjax.records.reading.channels.TIME_COLUMNS], then by place. Without such a
-    name, the first column counts where it rises evenly and is no mere row number.
+    name, the first column counts where it rises and is in a unit of time, or rises evenly and is no
+    mere row number.
 
     **Arguments:** `values` and `units` by name; `nameless`: whether a column may be time without a
     name of time.
@@ -74,9 +75,9 @@ def find_time(
     found = min(rising, key=_preference, default=None)
     notes = []
     first = next(iter(values), "")
-    if found is None and nameless and first and first not in units and _is_even(values[first]):
+    if found is None and nameless and first and _is_unnamed_time(first, values, units):
         found = first
-        notes.append(f"time is column '{found}', the first, which rises evenly")
+        notes.append(f"time is column '{found}', the first, which rises")
     elif found is not None and len(called) > 1:
         others = listed(name for name in called if name != found)
         notes.append(f"time is column '{found}', not {others}")
@@ -157,6 +158,12 @@ def is_called_time(name: str, units: Mapping[str, str]) -> bool:
     # `T [degC]` is a temperature, and `t (mm)` a thickness.
     unit = units.get(name) or split_unit(name)[1]
     return unit is None or unit in SECONDS or unit.split(" since ")[0] in SECONDS
+
+
+def _is_unnamed_time(name: str, values: Mapping[str, np.ndarray], units: Mapping[str, str]) -> bool:
+    if name not in units:
+        return _is_even(values[name])
+    return units[name] in SECONDS and _rises(values[name])
 
 
 def _bare(name: str) -> str:

@@ -5,7 +5,7 @@ import re
 _ATOM = (
     r"(?:(?:da|[fpnuµμmcdhkMGT])?(?:m|s|g|N|Pa|V|A|W|J|Hz|K|C|F|T|H|Ohm|Ω|rad|l|L|bar|eV|Nm|S|mol)"
     r"|%|‰|°[CF]?|deg[CF]?|rev|rpm|psi|lbf?|kips?|in|inch|ft|mph|kn|min|h|hr|[sS]ec|seconds?|dB"
-    r"|[cC]ounts?|1|-)"
+    r"|[cC]ounts?|Volts?|Amps?|1|-)"
 )
 _POWER = r"(?:\^?[(]?-?\d[)]?|[⁻¹²³⁴]+|\*\*-?\d)?"
 UNIT = re.compile(rf"{_ATOM}{_POWER}(?:[/*·. ]{_ATOM}{_POWER})*")
