@@ -390,3 +390,32 @@ def test_pandas_reads_the_same(tmp_path):
         found = read_channels(tmp_path / "a.csv").columns
         for name in frame:
             np.testing.assert_array_equal(found[str(name)], frame[name].to_numpy(float))
+
+
+def test_signs_between_thousands(tmp_path):
+    for sign in ("'", "’", "\u202f", "\u00a0"):
+        text = f"t;x\n0;1{sign}234.5\n0.5;-12{sign}345{sign}678\n1;3.25\n"
+        assert values(tmp_path, text)["x"] == [1234.5, -12345678.0, 3.25]
+    # Not in threes: feet and inches, or a slip.
+    assert "x" not in values(tmp_path, "t;x\n0;1'23\n0.5;4'5\n1;6'7\n")
+    # With a fraction, commas between thousands cannot be decimal; without one they may be.
+    quoted = 't,x\n0,"1,234.500"\n0.5,"-12,345,678.25"\n1,3.25\n'
+    assert values(tmp_path, quoted)["x"] == [1234.5, -12345678.25, 3.25]
+    assert values(tmp_path, "t;x\n0;1.234,5\n0,5;2,5\n1;3,25\n")["x"] == [1234.5, 2.5, 3.25]
+
+
+def test_labels_in_rows(tmp_path):
+    assert values(tmp_path, "t:0,x: 1.5\nt:0.5,x:-2e-3\nt:1,x:3.25\n") == TX
+    # Labels that change name no columns.
+    with pytest.raises(DataError):
+        values(tmp_path, "t:0,x:1.5\nt:0.5,y:-2e-3\nt:1,x:3.25\n")
+
+
+def test_words_above_the_numbers(tmp_path):
+    rows = "0;1.5\n0.5;-2e-3\n1;3.25\n"
+    assert values(tmp_path, "t;x;Comment\n" + rows) == TX
+    assert values(tmp_path, "Signal;t;x\nDATA\n" + rows) == TX
+    assert values(tmp_path, "t;x\ns;m\nclock;LVDT 17\n" + rows) == TX
+    assert values(tmp_path, "t;1\nsecond;Volt\n" + rows)["1"] == TX["x"]
+    # A name too many is no remark.
+    assert "3 column names but 2" in message(tmp_path, "t;x;y\n" + rows)

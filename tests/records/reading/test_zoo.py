@@ -9,24 +9,8 @@ from benchmarks.zoo.case import CASES, mapped, outcome
 
 from riecjax.cli.main import run
 
-NOT_YET = frozenset(
-    (
-        *(),
-        *(),
-        *(),
-        *(),
-    )
-)
-"""Cases that are refused, and not read yet."""
 
-
-def cases():
-    """All cases, those not read yet as failures that are expected: one that is read says so."""
-    pending = pytest.mark.xfail(reason="not read yet", strict=True)
-    return [pytest.param(n, marks=pending) if n in NOT_YET else n for n in CASES]
-
-
-@pytest.mark.parametrize("name", cases())
+@pytest.mark.parametrize("name", CASES)
 def test_a_loggers_file(tmp_path, name):
     one = CASES[name]
     if one.needs:

@@ -11,7 +11,7 @@ from riecjax.errors import DataError
 from riecjax.records.reading.channels import MOST_COLUMNS
 from riecjax.records.reading.numerals import is_missing, is_number
 from riecjax.records.reading.time_stamps import is_stamp
-from riecjax.records.reading.units import bare_unit, is_unit
+from riecjax.records.reading.units import UNIT, bare_unit, is_unit
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In order of preference; a blank stands for any white space."""
@@ -24,6 +24,8 @@ ROWS = frozenset(("signal", "signals", "name", "names", "channel", "channels"))
 """What a row of names calls itself in a field before them."""
 REMARKS = frozenset(("comment", "comments", "remark", "remarks", "kommentar", "bemerkung"))
 """Columns that hold words, if anything."""
+PLACES = ("TS", "RN")
+"""What Campbell's TOA5 writes for the unit of a time stamp, and of a record's number."""
 _COMMENT = re.compile(r"\s*(?:#|%|//)+\s*")
 _SEMICOLON_COMMENT = re.compile(r"\s*(?:#|%|;|//)+\s*")
 
@@ -197,8 +199,8 @@ def _header(
     """Line of the names, the units by position, and the line where data begins."""
     preceding = [place for place in reversed(rows) if place < first]
     # A word alone, such as DATA or [data], heads a table and names no column of several.
-    while len(pattern) > 1 and preceding and _is_heading(rows[preceding[0]]):
-        del preceding[0]
+    while len(pattern) > 1 and len(preceding) > 1 and _is_heading(rows[preceding[0]]):
+        del rows[preceding.pop(0)]
     above = list(itertools.takewhile(lambda place: _as_wide(rows[place], pattern), preceding))
     # Where no row above is as wide, the last one tells how many names there are instead.
     above = above or preceding[:1]
@@ -207,7 +209,10 @@ def _header(
     fallback = [place for place in above if "T" in kinds[place]]
     if not texts and not fallback:
         return None, [], first
-    last = _names_above_units(texts, rows) or (texts or fallback)[0]
+    if _is_below_units(texts, rows):
+        above = [place for place in above if place < texts[0]]
+        del rows[texts.pop(0)]
+    last = (texts or fallback)[0]
     between = [place for place in above if place > last]
     if between and _is_unit_row(rows[between[-1]]):
         return last, [bare_unit(field) for field in rows[between[-1]]], _after(rows, between[-1])
@@ -218,16 +223,16 @@ def _header(
     return last, [], _after(rows, last)
 
 
-def _names_above_units(texts: list[int], rows: dict[int, list[str]]) -> int | None:
-    """The third row of words above the numbers, where units lie below it and other words below
-    these: sensors, or how values were taken."""
-    if len(texts) < 3 or _is_unit_row(rows[texts[0]]) or not _is_unit_row(rows[texts[1]]):
-        return None
-    return texts[2]
+def _is_below_units(texts: list[int], rows: dict[int, list[str]]) -> bool:
+    """Whether the last row of words stands below one of units: of sensors, or how values were
+    taken."""
+    if len(texts) < 3 or _is_unit_row(rows[texts[0]]):
+        return False
+    return _is_unit_row(rows[texts[1]])
 
 
 def _is_heading(fields: list[str]) -> bool:
-    return len(_without_empty_end(fields)) == 1 and not is_unit(fields[0])
+    return len(_without_empty_end(fields)) == 1 and not UNIT.fullmatch(bare_unit(fields[0]))
 
 
 def _as_wide(fields: list[str], pattern: str) -> bool:
@@ -242,7 +247,7 @@ def _after(rows: dict[int, list[str]], place: int) -> int:
 
 
 def _is_unit_row(fields: list[str]) -> bool:
-    return any(fields) and all(not field or is_unit(field) for field in fields)
+    return any(fields) and all(not field or is_unit(field) or field in PLACES for field in fields)
 
 
 def _commented_header(
