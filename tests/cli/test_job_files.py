@@ -40,6 +40,8 @@ def example(param: click.Parameter, value: str) -> list[str]:
         value = param.type.choices[-1]
     elif "LOW:HIGH" in words or "LOW:HIGH" in param.type.name:
         value = "k=0:2.5"
+    elif "±" in param.type.name:
+        value = "k=2.5±0.5"
     elif "=" in words:
         value = "x=2.5"
     elif "test" in key_of(param):

@@ -148,3 +148,27 @@ def test_a_horizon_needs_something_to_simulate(recording, capsys):
     found = call(capsys, "identify", file, *IDENTIFY, *horizon, "--hold-out", "0.3", "--json")
     assert found.document["validation"][0]["horizon_s"] == 2.0
     assert found.document["refinement"] is None
+
+
+def test_a_prior_counts_as_one_more_observation(recording, capsys):
+    """Of two normal distributions: weighed by their inverse variances."""
+
+    def refined(*options):
+        asked = ("identify", str(recording), *IDENTIFY, "--refine", "integral", "--json", *options)
+        return call(capsys, *asked).document
+
+    without = refined()["parameters"]["k"]
+    mean, std = without["value"] + without["std_error"], 0.5 * without["std_error"]
+    document = refined("--prior", f"k={mean}±{std}")
+    weights = without["std_error"] ** -2, std**-2
+    expected = (weights[0] * without["value"] + weights[1] * mean) / sum(weights)
+    moved = document["parameters"]["k"]["value"] - without["value"]
+    assert moved == pytest.approx(expected - without["value"], rel=0.5)
+    assert "prior_disagrees" not in codes(document)
+    wrong = refined("--prior", f"k={2 * without['value']}+-{std}")
+    assert "prior_disagrees" in codes(wrong)
+    assert document["job"]["prior"] == {"k": f"{mean}±{std}"}
+
+
+def codes(document):
+    return [warning["code"] for warning in document["warnings"]]

@@ -40,7 +40,7 @@ from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
-    from riecjax.refinement.coordinates import Bounds
+    from riecjax.refinement.coordinates import Bounds, Prior
     from riecjax.refinement.objective import AbstractObjective
 
 
@@ -56,6 +56,7 @@ def assess(
     noise: GivenNoise = "auto",
     refine: "AbstractObjective | Literal['auto'] | None" = "auto",
     bounds: "Mapping[str, Bounds] | None" = None,
+    priors: "Mapping[str, Prior] | None" = None,
     horizon: float | None = None,
     hold_out: float | None = None,
     validate_on: Records = (),
@@ -75,7 +76,7 @@ def assess(
     - `refine`: `"auto"` refines by output error and keeps that as the answer only if what it leaves
       is white noise; what a refinement makes small, such as `rx.OutputError()`, makes its values
       the answer (an `rx.IntegralError()` takes the estimate's criterion); `None` for none.
-    - `bounds`: of the refinement, (lower, upper) by name, `None` where there is none.
+    - `bounds`, `priors` of the refinement, as of [`refine`][]; priors, of one that is asked for.
     - `horizon`: seconds after which simulations start anew from what was recorded, in validation
       and in the refinement of `"auto"`; by default where the motion is unstable.
     - `hold_out`: keep this share at the end of each recording for validation by simulation.
@@ -98,7 +99,7 @@ def assess(
     if criterion is None:
         criterion = suited(procedure, model.band, [each.record for each in recordings])
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    _require_sense(hold_out, refine, bounds, horizon, per_record, validate_on)
+    _require_sense(hold_out, refine, (bounds, priors), horizon, per_record, validate_on)
     fitted = _concerned(procedure, recordings, criterion)
     halves = [(each, None) if hold_out is None else each.split(hold_out) for each in fitted]
     asked = Asked(
@@ -112,13 +113,13 @@ def assess(
         {"known": known, "per_record": per_record},
         BlockBootstrap() if intervals is None else intervals,
     )
-    return _assessed(asked, (refine, bounds, horizon, progress), sweep, on_estimate)
+    return _assessed(asked, (refine, (bounds, priors), horizon, progress), sweep, on_estimate)
 
 
 def _require_sense(
     hold_out: float | None,
     refine: object,
-    bounds: object,
+    beforehand: tuple[object, object],
     horizon: float | None,
     per_record: Sequence[str],
     validate_on: Records,
@@ -130,8 +131,14 @@ def _require_sense(
         require("refine", refine, (), "refine=rx.OutputError(), 'auto' or None")
     if horizon is not None and not horizon > 0:
         raise ModelError(f"horizon is a positive number of seconds; got {horizon:g}.")
+    bounds, priors = beforehand
     if bounds and refine is None:
         raise ModelError("bounds belong to a refinement: give refine=rx.OutputError() with them.")
+    if priors and not asked_for:
+        raise ModelError(
+            "priors belong to a refinement that is asked for, since the linear estimate, which may "
+            "be the answer otherwise, knows of none: give refine=rx.OutputError() with them."
+        )
     if per_record and validate_on:
         raise ModelError(
             "per_record gives a parameter no value on the recordings of validate_on: use one of "

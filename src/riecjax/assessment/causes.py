@@ -43,6 +43,7 @@ KINDS = {
         "rows_left_out",
     ),
     "model": (
+        "prior_disagrees",
         "unmodelled_mode",
         "large_residual",
         "residual_follows_signal",

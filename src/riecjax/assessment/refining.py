@@ -8,7 +8,7 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -25,7 +25,7 @@ from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.coordinates import Bounds
+from riecjax.refinement.coordinates import Bounds, Prior
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.output_error import OutputError
@@ -60,6 +60,16 @@ EXPECTED = (RiecjaxError, TypeError, ValueError, IndexError)
 """What a model raises that can be identified and not simulated: the last three, expressions that
 JAX cannot differentiate."""
 
+
+class Beforehand(NamedTuple):
+    """What is known of parameters before a refinement, by name."""
+
+    bounds: Mapping[str, Bounds] | None = None
+    priors: Mapping[str, Prior] | None = None
+
+
+STRANGE = 3.0
+"""Standard deviations past which a prior contradicts the data: one time in 370 by chance."""
 Progress = Callable[[float], None] | None
 Answered = tuple[Refinement | None, list[ValidationRun], list[Finding]]
 """A refinement, simulations with the answer along what it was not fitted to, and what failed."""
@@ -70,18 +80,20 @@ def answered(
     estimate: Estimate,
     refused: bool,
     by: "AbstractObjective | Literal['auto'] | None",
-    bounds: Mapping[str, Bounds] | None,
+    beforehand: tuple[Mapping[str, Bounds] | None, Mapping[str, Prior] | None],
     horizon: float | None,
     progress: Progress,
 ) -> Answered:
     """The refinement and the validation of an estimate, which may be no more than a start (it was
     `refused`).
 
-    **Arguments:** `progress`, called after each step of a refinement that was asked for. One by
-    itself takes few seconds, and a program that calls Python back cannot be kept for the next time.
+    **Arguments:** `beforehand`, bounds and priors; `progress`, called after each step of a
+    refinement that was asked for. One by itself takes few seconds, and a program that calls Python
+    back cannot be kept for the next time.
 
     **Raises:** as `refine`, for a refinement that was asked for.
     """
+    known = Beforehand(*beforehand)
     recordings = unseen(asked)
     windows = horizons(asked, estimate, recordings, horizon if by is None or by == "auto" else None)
     before, failed = validated(asked.model, estimate.values, recordings, windows)
@@ -89,9 +101,10 @@ def answered(
         return None, before, failed
     if isinstance(by, str):
         flaw = "" if refused else _left_out(estimate)
-        found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, bounds, horizon)
+        found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, known, horizon)
     else:
-        found = _as_asked(asked, estimate, by, bounds, progress)
+        found = _as_asked(asked, estimate, by, known, progress)
+        failed = [*failed, *_against_priors(estimate, known.priors or {})]
     if found.refined is None:
         return found, before, failed
     after, failed_after = validated(asked.model, found.refined.values, recordings, windows)
@@ -107,7 +120,28 @@ def answered(
     found = found._replace(simulations=pairs)
     if isinstance(by, str) and found.chosen:
         found = _still_chosen(found)
+    failed_after = [*failed_after, *(f for f in failed if f.code == "prior_disagrees")]
     return (found, after, failed_after) if found.chosen else (found, before, failed)
+
+
+def _against_priors(estimate: Estimate, priors: Mapping[str, Prior]) -> list[Finding]:
+    """Priors from which what the data tell without them lies further than chance explains."""
+    errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors)))
+    found = []
+    for name in priors.keys() & errors.keys():
+        (mean, std), value, error = priors[name], float(estimate[name]), float(errors[name])
+        if abs(value - mean) > STRANGE * np.hypot(std, error):
+            found.append(
+                Finding(
+                    "prior_disagrees",
+                    f"the prior of {name}, {mean:.4g} +- {std:.2g}, and the estimate without it, "
+                    f"{value:.4g} +- {error:.2g}, contradict each other: what was answered lies "
+                    f"between two values of which one is wrong.",
+                    parameters=(name,),
+                    doubt=1.0,
+                )
+            )
+    return found
 
 
 def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[BeforeAfter]:
@@ -136,13 +170,13 @@ def _as_asked(
     asked: Asked,
     estimate: Estimate,
     by: AbstractObjective,
-    bounds: Mapping[str, Bounds] | None,
+    known: Beforehand,
     progress: Progress,
 ) -> Refinement:
     """Over the estimate's windows if no others are asked for; its values are the answer."""
     if isinstance(by, IntegralError) and by.criterion is None:
         by = IntegralError(estimate.criterion)
-    refined, misfit = _search(asked, estimate, by, bounds, MOST_STEPS, progress)
+    refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
     return Refinement(refined, whiteness=_left(misfit, refined, asked.records))
 
 
@@ -156,7 +190,7 @@ def _search(
     asked: Asked,
     estimate: AbstractEstimate,
     by: AbstractObjective,
-    bounds: Mapping[str, Bounds] | None,
+    known: Beforehand,
     max_steps: int,
     progress: Progress = None,
 ) -> tuple[Refined, AbstractMisfit]:
@@ -168,7 +202,8 @@ def _search(
         per_record=asked.settings["per_record"],
         key=asked.key,
         intervals=asked.intervals,
-        bounds=bounds,
+        bounds=known.bounds,
+        priors=known.priors,
         max_steps=max_steps,
         progress=progress,
     )
@@ -178,7 +213,7 @@ def _search(
 def _by_itself(
     asked: Asked,
     estimate: Estimate,
-    bounds: Mapping[str, Bounds] | None,
+    known: Beforehand,
     horizon: float | None,
 ) -> Refinement:
     """By output error where that is possible, quick and warranted."""
@@ -191,12 +226,12 @@ def _by_itself(
         seconds = estimated_seconds(by.misfit(specified), specified)
         if seconds > LONGEST:
             return Refinement(declined=_too_long(seconds))
-        found = _warranted(asked, estimate, by, bounds)
+        found = _warranted(asked, estimate, by, known)
         if horizon is None and found.refined is not None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
             better = _objective(asked, found.refined, None)
             if better.shooting != by.shooting:
-                again = _warranted(asked, found.refined, better, bounds)
+                again = _warranted(asked, found.refined, better, known)
                 found = again if again.refined is not None else found
         return found
     except EXPECTED as error:
@@ -225,9 +260,9 @@ def _warranted(
     asked: Asked,
     estimate: AbstractEstimate,
     by: OutputError,
-    bounds: Mapping[str, Bounds] | None,
+    known: Beforehand,
 ) -> Refinement:
-    refined, misfit = _search(asked, estimate, by, bounds, STEPS_BY_ITSELF)
+    refined, misfit = _search(asked, estimate, by, known, STEPS_BY_ITSELF)
     left = _left(misfit, refined, asked.records)
     if flaw := _flaw(refined):
         return Refinement(declined=flaw)
@@ -236,7 +271,7 @@ def _warranted(
     straight = {} if left.vanishing else straight_inputs(asked, estimate)
     lines = dataclasses.replace(by, intersample=straight)
     if straight and course_shows(asked, refined, misfit, lines):
-        again, misfit = _search(asked, estimate, lines, bounds, STEPS_BY_ITSELF)
+        again, misfit = _search(asked, estimate, lines, known, STEPS_BY_ITSELF)
         left_again = _left(misfit, again, asked.records)
         surely = surely_likelier(again, refined, asked.records)
         if left_again and not _flaw(again) and surely:

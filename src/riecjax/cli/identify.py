@@ -130,6 +130,7 @@ def command(
             intervals=kinds[intervals],
             refine=refining.objective(),
             bounds=dict(refining.bounds),
+            priors=refining.known_before(),
             horizon=refining.validation_horizon,
             hold_out=hold_out,
             validate_on=recordings.read(validation_files, model),

@@ -1,14 +1,15 @@
 """`--refine` of `riecjax identify`: options, and the objective they ask for."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from riecjax.cli.options import POSITIVE, collecting
+from riecjax.cli.options import FINITE, POSITIVE, collecting, pairs_to_dict
 
 if TYPE_CHECKING:
+    from riecjax.refinement.coordinates import Prior
     from riecjax.refinement.objective import AbstractObjective
 
 
@@ -31,6 +32,21 @@ class BoundType(click.ParamType):
         return name.strip(), (bounds[0], bounds[1])
 
 
+class PriorType(click.ParamType):
+    """`NAME=MEAN±SD`, or with `+-`."""
+
+    name = "NAME=MEAN±SD"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, tuple[float, float]]:
+        name, equals, text = str(value).partition("=")
+        mean, sign, std = text.replace("+-", "±").partition("±")
+        if not (name.strip() and equals and sign):
+            self.fail(f"'{value}' is not of the form {self.name} (or MEAN+-SD).", param, ctx)
+        return name.strip(), (FINITE.convert(mean, param, ctx), POSITIVE.convert(std, param, ctx))
+
+
 @dataclass(frozen=True)
 class RefinementOptions:
     """What was asked for on the command line."""
@@ -39,6 +55,7 @@ class RefinementOptions:
     horizon: float | None
     channels: tuple[str, ...]
     bounds: tuple[tuple[str, tuple[float | None, float | None]], ...]
+    priors: Mapping[str, tuple[float, float]]
 
     def require_sense(self, *, validates: bool) -> None:
         """**Raises:** `click.UsageError` for options that nothing would come of."""
@@ -52,11 +69,22 @@ class RefinementOptions:
             )
         if self.bounds and self.refine == "none":
             raise click.UsageError("--bound goes with --refine auto, integral or output-error.")
+        if self.priors and self.refine not in ("integral", "output-error"):
+            raise click.UsageError(
+                "--prior goes with --refine integral or output-error: the linear estimate knows of "
+                "none."
+            )
 
     @property
     def validation_horizon(self) -> float | None:
         """Seconds after which simulations start anew; None for as the motion asks."""
         return None if self.refine == "output-error" else self.horizon
+
+    def known_before(self) -> "dict[str, Prior]":
+        """Priors by name."""
+        from riecjax.refinement.coordinates import Prior
+
+        return {name: Prior(*each) for name, each in self.priors.items()}
 
     def objective(self) -> "AbstractObjective | Literal['auto'] | None":
         """What is to be made small; `None` for no refinement."""
@@ -106,6 +134,15 @@ refinement_options: Callable[[Callable[..., Any]], Callable[..., Any]] = collect
             type=BoundType(),
             help="Keep a refined parameter between two values, either of which may be left out. "
             "Repeatable.",
+        ),
+        click.option(
+            "--prior",
+            "priors",
+            multiple=True,
+            type=PriorType(),
+            callback=pairs_to_dict,
+            help="What is known of a refined parameter beforehand, in SI units: it counts as one "
+            "more observation. Repeatable.",
         ),
     ],
     RefinementOptions,
