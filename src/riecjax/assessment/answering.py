@@ -68,7 +68,7 @@ def check_answering(
         start = on_host(estimate(procedure, summary, **settings, intervals=Sandwich()))
     except IdentifiabilityError:
         return Answering(checked, None)
-    refinement, _, _ = answered(Asked(*parts), start, True, "auto", None, None, None)
+    refinement, _, _ = answered(Asked(*parts), start, True, "auto", (None, None), None, None)
     if refinement is None or refinement.refined is None or not refinement.chosen:
         return Answering(checked, None)
     refined = refinement.refined
