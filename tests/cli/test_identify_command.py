@@ -367,7 +367,12 @@ def test_document(from_file, drive_file, criterion):
     assert tuple(document["parameters"]) == PARAMETERS
     assert tuple(entry["unit"] for entry in document["parameters"].values()) == UNITS
     assert document["provenance"]["records"] == [
-        {"file": str(drive_file), "samples": 4000, "time_step": pytest.approx(0.005)}
+        {
+            "file": str(drive_file),
+            "part": None,
+            "samples": 4000,
+            "time_step": pytest.approx(0.005),
+        }
     ]
 
 
