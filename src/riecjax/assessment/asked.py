@@ -1,5 +1,6 @@
 """What an assessment is asked: model, criterion, and which recordings serve for what."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from jaxtyping import Array, Key
@@ -10,6 +11,16 @@ from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.uncertainty.intervals import AbstractIntervals
+from riecjax.work import Work, expect
+
+SECONDS_PER_SAMPLE = 4e-6
+"""Of sums and checks, for each signal; and, for each equation, of tests of what it leaves."""
+BYTES_PER_SAMPLE = 110.0
+"""The same at the peak of memory."""
+SECONDS_OF_MODES = 2e-5
+"""Beside them, for each equation of a model with hidden elements."""
+WORK_PER_ROW = Work(1e-7, 24.0)
+"""Of a criterion that draws its windows, for each window and column."""
 
 
 class Asked(NamedTuple):
@@ -35,3 +46,27 @@ class Asked(NamedTuple):
     def records(self) -> list[Record]:
         """The records to estimate from."""
         return [recording.record for recording in self.fitted]
+
+
+def expect_assessing(
+    procedure: Procedure, records: Sequence[Record], criterion: AbstractCriterion
+) -> None:
+    """Say what it takes to assess a model on these records, without refining it.
+
+    **Raises:** `MemoryError` if the memory does not hold it.
+    """
+    samples = sum(record.sample_count for record in records)
+    seconds, peak = 0.0, 0.0
+    for record in records:
+        equations, signals = len(procedure.equations), len(record.arrays)
+        modes = SECONDS_OF_MODES * equations * procedure.has_hidden
+        seconds += record.sample_count * (SECONDS_PER_SAMPLE * (equations + signals) + modes)
+        peak += record.sample_count * BYTES_PER_SAMPLE * (equations + signals)
+        if criterion.needs_key:
+            rows = float(criterion.row_count(record) or 0) * (len(procedure.parameters) + 1)
+            seconds, peak = seconds + rows * WORK_PER_ROW.seconds, peak + rows * WORK_PER_ROW.bytes
+    expect(
+        f"assessing the model on {samples} samples",
+        Work(seconds, peak),
+        "Use a part of the record (--from, --to), every n-th sample (--every), or fewer windows.",
+    )

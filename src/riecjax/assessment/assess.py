@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from riecjax.assessment.asked import Asked
+from riecjax.assessment.asked import Asked, expect_assessing
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited
 from riecjax.equations.equation import Equation
@@ -153,6 +153,7 @@ def _assessed(
     on_estimate: Callable[[Estimate], None] | None,
 ) -> "Assessment":
     procedure, records, criterion = asked.procedure, asked.records, asked.criterion
+    expect_assessing(procedure, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
     plan = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.

@@ -38,6 +38,7 @@ from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
+from riecjax.work import Work, expect, in_time
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
@@ -176,6 +177,8 @@ def _as_asked(
     """Over the estimate's windows if no others are asked for; its values are the answer."""
     if isinstance(by, IntegralError) and by.criterion is None:
         by = IntegralError(estimate.criterion)
+    if isinstance(by, OutputError):
+        expect("refining by simulation", Work(_seconds(asked, estimate, by)))
     refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
     return Refinement(refined, whiteness=_left(misfit, refined, asked.records))
 
@@ -221,10 +224,7 @@ def _by_itself(
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
         by = _objective(asked, estimate, horizon)
-        own = tuple(asked.settings["per_record"])
-        specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
-        seconds = estimated_seconds(by.misfit(specified), specified)
-        if seconds > LONGEST:
+        if (seconds := _seconds(asked, estimate, by)) > LONGEST:
             return Refinement(declined=_too_long(seconds))
         found = _warranted(asked, estimate, by, known)
         if horizon is None and found.refined is not None and isinstance(by.shooting, Tiles):
@@ -236,6 +236,12 @@ def _by_itself(
         return found
     except EXPECTED as error:
         return Refinement(declined=f"no output error can be formed: {str(error).rstrip('.')}")
+
+
+def _seconds(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> float:
+    own = tuple(asked.settings["per_record"])
+    specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
+    return estimated_seconds(by.misfit(specified), specified)
 
 
 def _left_out(estimate: Estimate) -> str:
@@ -252,8 +258,7 @@ def _left_out(estimate: Estimate) -> str:
 
 
 def _too_long(seconds: float) -> str:
-    lasting = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
-    return f"it would take about {lasting}; {ASK}"
+    return f"it would take about {in_time(seconds)}; {ASK}"
 
 
 def _warranted(

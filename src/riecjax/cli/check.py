@@ -12,6 +12,7 @@ from riecjax.cli.options import (
     seed_option,
     set_option,
 )
+from riecjax.cli.progress import Progress
 from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.runtime import start_jax
 
@@ -62,10 +63,11 @@ def command(
     from riecjax.reporting.page import Page
 
     model = hidden.added_to(model_name)
-    read = recordings.read(recordings.files, model)
-    criterion = criteria.build(model, read)
-    key = jax.random.key(seed)
-    found = check_answering(model, read, criterion, key=key, known=known, per_record=per_record)
+    with Progress():
+        read = recordings.read(recordings.files, model)
+        criterion = criteria.build(model, read)
+        key = jax.random.key(seed)
+        found = check_answering(model, read, criterion, key=key, known=known, per_record=per_record)
     emit(
         check_document(found.checked, model.name, criterion, read, found.by_refinement),
         as_json=as_json,

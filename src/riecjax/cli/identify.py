@@ -118,8 +118,8 @@ def command(
         require_folder(out)
     model = hidden.added_to(model_name)
     kinds = {"bootstrap": BlockBootstrap(seed=seed), "sandwich": Sandwich(), "naive": Naive()}
-    read = recordings.read(recordings.files, model)
     with Progress() as progress:
+        read = recordings.read(recordings.files, model)
         assessment = assess(
             model,
             read,

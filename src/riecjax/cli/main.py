@@ -69,8 +69,9 @@ def run(arguments: list[str] | None = None) -> int:
         # The reader of our output went away (`| head`); leave quietly.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except MemoryError:
-        return _no_answer("not enough memory for this record.", "memory", given)
+    except MemoryError as error:
+        message = str(error) or "not enough memory for this record."
+        return _no_answer(message, "memory", given)
     return status if isinstance(status, int) else 0
 
 

@@ -6,7 +6,12 @@ from pathlib import Path
 import click
 
 from riecjax.cli.options import POSITIVE, json_option, seed_option, set_option
+from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
+from riecjax.work import Work, expect
+
+WORK_PER_VALUE = Work(1e-6, 50.0)
+"""What one value of the recording takes, to be simulated and to be written as text."""
 
 
 @click.command("simulate", short_help="Make a recording by simulation.")
@@ -74,18 +79,23 @@ def command(
     check_writable(out)
     model = find_model(model_name)
     system = model.build_system(known)
-    inputs = drive(
-        source,
-        system.input_names,
-        duration=duration,
-        rate=rate,
-        bandwidth=bandwidth,
-        rms=rms,
-        seed=seed,
-    )
-    simulation = simulate(system, inputs).checked()
-    record = simulation.record.select(*model.written) if model.written else simulation.record
-    write_record(out, record)
+    with Progress():
+        inputs = drive(
+            source,
+            system.input_names,
+            duration=duration,
+            rate=rate,
+            bandwidth=bandwidth,
+            rms=rms,
+            seed=seed,
+        )
+        columns = 1 + len(inputs.arrays) + len(system.states) + len(system.outputs)
+        values = inputs.sample_count * columns
+        work = Work(*(values * each for each in WORK_PER_VALUE))
+        expect(f"simulating {inputs.sample_count} samples", work, "Shorten --duration.")
+        simulation = simulate(system, inputs).checked()
+        record = simulation.record.select(*model.written) if model.written else simulation.record
+        write_record(out, record)
     if as_json:
         click.echo(
             json.dumps(

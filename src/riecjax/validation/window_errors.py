@@ -41,6 +41,8 @@ BLOCKS_TO_STRETCH = 5
 """Blocks to a stretch at least, whose scatter separates chance from change."""
 MOST_STRETCHES = 8
 FEWEST_STRETCHES = 3
+BATCH = 2**20
+"""Samples of blocks that are looked at together."""
 SILENT = 1e-6
 """Mean square relative to the loudest block's below which a block is just silent."""
 
@@ -140,23 +142,40 @@ def _blocks(error: EquationError, lags: np.ndarray, length: int, before: int) ->
     **Arguments:** `before`, samples of the records before this one, from which starts count.
     """
     step = float(error.time_step)
-    found = []
-    for run in unbroken(np.asarray(error.present)):
-        for start in range(run.start, run.stop - length + 1, length):
-            part = slice(start, start + length)
-            rises, targets = (
-                _rises(np.asarray(values)[part] * step, lags)
-                for values in (error.error, error.target)
-            )
-            found.append((before + start, np.mean(rises), np.mean(rises**2), np.mean(targets**2)))
-    start, *means = np.array(found).reshape(-1, len(_Blocks._fields)).T
-    return _Blocks(start.astype(int), *means)
+    starts = [
+        start
+        for run in unbroken(np.asarray(error.present))
+        for start in range(run.start, run.stop - length + 1, length)
+    ]
+    rises, targets = (
+        _rises(np.asarray(values) * step, np.array(starts, int), lags, length)
+        for values in (error.error, error.target)
+    )
+    return _Blocks(np.array(starts, int) + before, rises.mean, rises.square, targets.square)
 
 
-def _rises(values: np.ndarray, lags: np.ndarray) -> np.ndarray:
-    """Sums over every window of these lengths: rises of the running sum."""
-    running = np.concatenate([[0.0], np.cumsum(values)])
-    return np.concatenate([running[lag:] - running[:-lag] for lag in lags])
+class _Rises(NamedTuple):
+    """Mean and mean square over all windows in each block, shape `(blocks,)`."""
+
+    mean: np.ndarray
+    square: np.ndarray
+
+
+def _rises(values: np.ndarray, starts: np.ndarray, lags: np.ndarray, length: int) -> _Rises:
+    """Of sums over every window of these lengths in blocks that begin at `starts`.
+
+    A window's sum is the rise of the block's own running sum, one lag for all blocks at a time.
+    """
+    mean, square = np.zeros(starts.size), np.zeros(starts.size)
+    windows = int(np.sum(length + 1 - lags))
+    for some in np.array_split(np.arange(starts.size), max(starts.size * length // BATCH, 1)):
+        blocks = values[starts[some, None] + np.arange(length)]
+        running = np.pad(np.cumsum(blocks, axis=1), [(0, 0), (1, 0)])
+        for lag in lags:
+            rises = running[:, lag:] - running[:, :-lag]
+            mean[some] += rises.sum(1) / windows
+            square[some] += np.einsum("ij,ij->i", rises, rises) / windows
+    return _Rises(mean, square)
 
 
 def _stretches(blocks: _Blocks, size: int) -> list[_Blocks]:

@@ -18,9 +18,12 @@ from riecjax.records.preparation.resampled_noise import (
     uneven_level,
 )
 from riecjax.records.record import Record
+from riecjax.work import Work, expect
 
 LARGEST_GRID = 50_000_000
 """Samples, over all channels, that a common grid may have before it is refused."""
+WORK_PER_SAMPLE = Work(2e-6, 60.0)
+"""What a sample of one channel on its new grid takes."""
 LONGEST_STEP = 3.0
 """Usual steps of a channel past which samples are missing between two of its stamps."""
 SAME_RATE = 0.01
@@ -216,7 +219,14 @@ def _common_grid(channels: Mapping[str, _Channel], rate: float) -> np.ndarray:
             f"{len(channels)} channel(s) over {duration:g} s at {rate:g} Hz would be more than "
             f"{LARGEST_GRID} samples. Choose a lower rate, and check that time is in seconds."
         )
+    _expect(len(channels) * duration * rate)
     return start + np.arange(int(duration * rate + SAME_TIME) + 1) / rate
+
+
+def _expect(samples: float) -> None:
+    """Say what so many samples of a new grid take, over all channels."""
+    work = Work(*(samples * each for each in WORK_PER_SAMPLE))
+    expect(f"resampling to {samples:.2g} samples", work, "Choose a lower rate or factor.")
 
 
 def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
@@ -289,6 +299,7 @@ def _resampled(record: Record, step: float, spacing: float) -> Record:
             f"{len(record.arrays)} signal(s) of {record.sample_count} samples would become more "
             f"than {LARGEST_GRID} samples. Choose a lower rate or factor, or select signals."
         )
+    _expect(len(record.arrays) * record.sample_count / spacing)
     pieces = [_piece(record, run, step, spacing) for run in _runs(record)]
     pieces = [piece for piece in pieces if piece is not None]
     for name in record.arrays:

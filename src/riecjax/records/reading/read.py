@@ -8,6 +8,7 @@ from typing import Any
 
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
+from riecjax.work import Work, expect
 
 TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm")
 SHEETS = (".xlsx", ".xlsm")
@@ -26,6 +27,8 @@ READERS = {
 }
 """Module and function that read a file, by its name's ending; imported where one is read."""
 
+WORK_PER_BYTE = {"text": Work(6e-8, 8.0), "sheets": Work(4e-6, 20.0), "binary": Work(4e-8, 8.0)}
+"""What reading takes for each byte of a file."""
 METADATA = "metadata.yaml"
 """What makes a folder a bag of ROS 2."""
 
@@ -51,12 +54,20 @@ def read_channels(
     file = Path(path)
     reader = _reader(file)
     dialect = _dialect(file, delimiter, decimal, columns)
+    expect(f"reading {file.name}", reading_work(file), "Read a part of the file.")
     try:
         return reader(file, *dialect)
     except RiecjaxError as error:
         raise _about(file, error) from None
     except OSError as error:
         raise DataError(f"{file.name}: cannot be read: {error.strerror or error}.") from None
+
+
+def reading_work(file: Path) -> Work:
+    """What it takes to read a file, by its ending and size."""
+    ending = file.suffix.lower()
+    kind = "text" if ending in TEXT else "sheets" if ending in SHEETS else "binary"
+    return Work(*(size_of(file) * each for each in WORK_PER_BYTE[kind]))
 
 
 def _reader(file: Path) -> Callable[..., Channels]:
