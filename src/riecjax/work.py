@@ -37,10 +37,8 @@ class Work(NamedTuple):
     @property
     def words(self) -> str:
         """As in "about 40 s and 2.1 GB of memory"."""
-        said = [in_time(self.seconds)] if self.seconds >= 1 else []
-        if self.bytes > LARGE / 10:
-            said.append(f"{in_gigabytes(self.bytes)} of memory")
-        return f"about {' and '.join(said)}" if said else "no time"
+        memory = f" and {in_gigabytes(self.bytes)} of memory" if self.bytes > LARGE / 10 else ""
+        return f"about {in_time(self.seconds)}{memory}"
 
 
 def in_time(seconds: float) -> str:
