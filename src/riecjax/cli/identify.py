@@ -159,6 +159,8 @@ def _emit(
 
     context = click.get_current_context()
     document = identification_document(assessment, context.obj or ())
+    # Files that changed have been told of already.
+    told = list(document["warnings"]) if verbose or as_json else []
     document["warnings"] += [finding._asdict() for finding in changed]
     document["job"] = job_of(context, out)
     document["provenance"]["files"] = digests(input_files(context), out)
@@ -169,5 +171,5 @@ def _emit(
         show=print_everything if verbose else print_identification,
         charts=lambda: identification_figures(assessment),
         page=identification_page,
-        warn=verbose or as_json,
+        warnings=told,
     )

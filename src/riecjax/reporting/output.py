@@ -4,8 +4,9 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.console import Console
@@ -24,11 +25,11 @@ def emit(
     show: Callable[[Document, Console], None],
     charts: Callable[[], Mapping[str, Chart]],
     page: Callable[[Document], Page],
-    warn: bool = True,
+    warnings: Sequence[Mapping[str, Any]] | None = None,
 ) -> None:
     """Write the folder first, if one is asked for, then print, the answer before warnings.
 
-    Warnings go to standard error.
+    Warnings go to standard error: the document's, or only these.
 
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
@@ -39,7 +40,7 @@ def emit(
     else:
         show(document, Console())
     told = Console(stderr=True)
-    for warning in document.get("warnings", []) if warn else []:
+    for warning in document.get("warnings", []) if warnings is None else warnings:
         # One line each for scripts; whoever looks at a terminal sees whole words.
         line = f"warning [{warning['code']}]: {warning['message']}"
         told.print(line, markup=False, highlight=False, soft_wrap=not told.is_terminal)
