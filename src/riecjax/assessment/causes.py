@@ -29,6 +29,7 @@ KINDS = {
         "rarely_excited",
     ),
     "sensors": (
+        "time_unit_doubtful",
         "unit_mismatch",
         "not_its_derivative",
         "constant_signal",
@@ -86,6 +87,7 @@ PHRASES = {
     "negative_value": "{parameters} is below zero",
     "interval_wider_than_estimate": "the recordings hardly determine {parameters}",
     "rarely_excited": "{parameters} is seldom excited",
+    "time_unit_doubtful": "time may be in another unit than seconds",
     "unit_mismatch": "{signals} has another unit than the model expects",
     "not_its_derivative": "{signals} do not fit each other",
     "constant_signal": "{signals} never varies",
@@ -181,6 +183,8 @@ def _step(assessment: "Assessment", own: Sequence[Finding]) -> Step | None:
 def _steps(assessment: "Assessment", by: Mapping[str, Finding]) -> Iterator[Step]:
     """What might be done about findings by code, the best first."""
     smooth = assessment.estimate.criterion.smoothness > 2
+    if "time_unit_doubtful" in by:
+        yield Step("State the unit of time in its column's name, as in 'time [ms]' or 'time [s]'")
     if "unmodelled_mode" in by:
         yield from _mode_steps(assessment)
     if "not_its_derivative" in by and not smooth:

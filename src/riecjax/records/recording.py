@@ -22,6 +22,7 @@ from riecjax.records.reading.units import split_unit
 from riecjax.records.reading_settings import ReadingSettings, sorted_settings
 from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
+from riecjax.work import in_time
 
 
 # Its arrays have no one truth value to compare by, and would fill the screen.
@@ -193,7 +194,9 @@ def _recording(
     # Damaged numbers overflow; what is not finite is found and named.
     with _explaining(str(path), selection.rename, left_out, part), np.errstate(all="ignore"):
         try:
-            selected = record_from_channels(channels, selection, _read_by(model, preparation))
+            read_by, band = _read_by(model, preparation), getattr(model, "band", None)
+            shortest = 0.5 / band[1] if band else None
+            selected = record_from_channels(channels, selection, read_by, shortest)
             record = selected.record
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
@@ -204,7 +207,7 @@ def _recording(
     computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
-        *_of_milliseconds(file, selected.doubtful_time, float(record.time_step)),
+        *_of_another_unit(file, selected.doubtful_time, selected.record),
         *(
             Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
             for n, why in mismatches.items()
@@ -235,15 +238,19 @@ def _read_by(model: Any, preparation: Preparation) -> dict[str, str]:
     return dict.fromkeys(preparation.derivatives.values(), "") | units
 
 
-def _of_milliseconds(file: str, column: str, step: float) -> list[Finding]:
-    if not column:
+def _of_another_unit(
+    file: str, doubtful: tuple[str, str, float] | None, record: Record
+) -> list[Finding]:
+    if doubtful is None:
         return []
+    column, unit, factor = doubtful
     return [
         Finding(
             "time_unit_doubtful",
-            f"{file}: nothing states the unit of time '{column}', whose stamps are whole numbers; "
-            f"it is taken as seconds, one sample every {step:g} s. If it is milliseconds: "
-            f"scale={{'{column}': 0.001}} (on the command line: --scale {column}=0.001).",
+            f"{file}: nothing states the unit of time '{column}'; it is taken as seconds, one "
+            f"sample every {float(record.time_step):g} s for {in_time(float(record.duration))}. If "
+            f"it is {unit}: scale={{'{column}': {factor:g}}} (on the command line: --scale "
+            f"{column}={factor:g}).",
             doubt=1.0,
         )
     ]

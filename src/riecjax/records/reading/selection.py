@@ -15,8 +15,8 @@ from riecjax.records.reading.dialect import NUMBERED
 from riecjax.records.reading.time_columns import (
     TimeColumn,
     find_time,
-    looks_like_milliseconds,
     no_time,
+    other_unit,
 )
 from riecjax.records.reading.unit_conversion import conversion
 from riecjax.records.reading.units import split_unit
@@ -44,14 +44,14 @@ class Selection(NamedTuple):
 class Selected(NamedTuple):
     """A record, and what was decided on selecting it, in words.
 
-    **Fields:** `converted`: signal to the unit that it was converted from; `doubtful_time`: the
-    column whose time may be in milliseconds, empty if none.
+    **Fields:** `converted`: signal to the unit that it was converted from; `doubtful_time`: of a
+    column whose time may be no seconds its name, the other unit, and that in seconds.
     """
 
     record: Record
     converted: Mapping[str, str] = {}
     notes: tuple[str, ...] = ()
-    doubtful_time: str = ""
+    doubtful_time: tuple[str, str, float] | None = None
 
 
 class _Signals(NamedTuple):
@@ -64,14 +64,18 @@ class _Signals(NamedTuple):
 
 
 def record_from_channels(
-    channels: Channels, selection: Selection, read: Mapping[str, str] = {}
+    channels: Channels,
+    selection: Selection,
+    read: Mapping[str, str] = {},
+    shortest: float | None = None,
 ) -> Selected:
     """Make a record of a file's channels.
 
     Signals of known units are converted to SI: to the unit in which they are read, else to the
     base form.
 
-    **Arguments:** `read`: signal to the unit in which a model reads it, empty where it says none.
+    **Arguments:** `read`: signal to the unit in which a model reads it, empty where it says none;
+    `shortest` window in seconds that the model asks for, if it does.
     Where channels have different times, signals that neither are read nor stand in `selection` do
     not decide where the record begins and at which times it is.
 
@@ -116,9 +120,10 @@ def record_from_channels(
             units=_with_labels(signals, selection),
         )
     judged_on = computed if axis is None else {"t": axis, **computed}
-    doubtful = times and time and looks_like_milliseconds(time, signals.units)
+    doubtful = other_unit(time, signals.units, shortest) if times and time else None
     record = _with_noise(record, selection, judged_on)
-    return Selected(record, signals.converted, notes, time.name if time and doubtful else "")
+    named = (time.name, *doubtful) if time and doubtful else None
+    return Selected(record, signals.converted, notes, named)
 
 
 @contextlib.contextmanager

@@ -34,6 +34,7 @@ EPOCH_SPAN = 4.0
 SERIAL_DAYS = ((2e4, 8e4), (6.9e5, 8e5))
 """Days as spreadsheets (from 1900) and MATLAB (from year 0) count them: of 1954 to 2119, and
 of 1889 to 2190."""
+SUBUNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 FASTEST_DAYS = 2e-6
 """Days (0.17 s) below which steps of stamps of that size are days: as seconds, 500 kHz."""
 
@@ -141,14 +142,27 @@ def no_time(channels: Channels, reason: str) -> DataError:
     )
 
 
-def looks_like_milliseconds(time: TimeColumn, units: Mapping[str, str]) -> bool:
-    """Whether nothing states the unit of stamps that are whole numbers, one or more apart."""
-    if time.name in units or _suffix(time.name)[1] or time.notes:
-        return False
+def other_unit(
+    time: TimeColumn, units: Mapping[str, str], shortest: float | None
+) -> tuple[str, float] | None:
+    """What stamps whose unit nothing states may be instead of seconds, and that in seconds.
+
+    Milliseconds where the stamps are whole numbers, one or more apart; and where a window of
+    `shortest` seconds would be shorter than a sample, the first unit in which it is not.
+    """
     known = time.seconds[~np.isnan(time.seconds)]
-    return bool(
-        known.size > 1 and (known == np.round(known)).all() and np.median(np.diff(known)) >= 1
-    )
+    if time.name in units or _suffix(time.name)[1] or time.notes or known.size < 2:
+        return None
+    since = known - known[0]
+    step = float(np.median(np.diff(known)))
+    rounding = 1e-6 * step + 4 * np.spacing(np.abs(known).max())
+    if shortest is not None and step > shortest:
+        for unit, factor in SUBUNITS.items():
+            if step * factor <= shortest:
+                return unit, factor
+    if step >= 1 - rounding and (np.abs(since - np.round(since)) <= rounding).all():
+        return next(iter(SUBUNITS.items()))
+    return None
 
 
 def is_called_time(name: str, units: Mapping[str, str]) -> bool:
