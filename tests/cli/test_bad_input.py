@@ -500,6 +500,7 @@ def run_process(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.portable
 @pytest.mark.parametrize(
     ("status", "arguments"),
     [

@@ -73,6 +73,7 @@ def test_every_option_has_its_line_and_comes_back(tmp_path, monkeypatch, key):
     assert again.params == first.params
 
 
+@pytest.mark.portable
 @pytest.mark.parametrize("name", ODD)
 def test_any_name_is_kept(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
@@ -86,6 +87,7 @@ def test_any_name_is_kept(tmp_path, monkeypatch, name):
         assert again.params == first.params
 
 
+@pytest.mark.portable
 def test_what_is_typed_wins(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "jobs").mkdir()
@@ -143,6 +145,7 @@ def machine(tmp_path, monkeypatch):
     write_csv(Path("run.csv"), motion(offset=4.0, count=1500))
 
 
+@pytest.mark.portable
 def test_a_proposed_job_does_what_the_plain_command_does(capsys, machine):
     arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN)
     plain = call(capsys, "identify", *arguments, "--json").document
@@ -159,13 +162,16 @@ def test_a_proposed_job_does_what_the_plain_command_does(capsys, machine):
     assert call(capsys, "check", "--job", "job.toml").status == 0
 
 
+@pytest.mark.portable
 def test_a_result_runs_again_to_the_same_numbers(capsys, machine):
-    arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN, "--seed", "5")
-    assert call(capsys, "identify", *arguments, "--out", "result").status == 0
-    file = Path("result/results.json")
+    name, out = "Prüfstand Ω, 1.csv", Path("Läufe 7") / "µ 2"
+    Path("run.csv").rename(name)
+    arguments = (name, "--model", "machine.py:axis", *PLAIN, "--seed", "5")
+    assert call(capsys, "identify", *arguments, "--out", out).status == 0
+    file = out / "results.json"
     first = json.loads(file.read_text())
-    assert first["job"]["records"] == [str(Path("../run.csv"))]
-    assert call(capsys, "identify", "--job", file, "--out", "result").status == 0
+    assert first["job"]["records"] == [f"../../{name}"]
+    assert call(capsys, "identify", "--job", file, "--out", out).status == 0
     again = json.loads(file.read_text())
     for document in (first, again):
         del document["provenance"]["command"]
@@ -173,14 +179,15 @@ def test_a_result_runs_again_to_the_same_numbers(capsys, machine):
             step.pop("command")
     assert again == first
 
-    with Path("run.csv").open("a") as stream:
+    with Path(name).open("a") as stream:
         stream.write("\n")
     changed = call(capsys, "identify", "--job", file, "--json")
     assert changed.err.count("file_changed") == 1
     assert changed.document["warnings"][-1]["code"] == "file_changed"
-    assert "run.csv" in changed.document["warnings"][-1]["message"]
+    assert name in changed.document["warnings"][-1]["message"]
 
 
+@pytest.mark.portable
 def test_init_guesses_and_says_so(capsys, machine):
     _, q, force, *_ = motion(count=300).values()
     write_csv(Path("odd.csv"), {"Q [m]": q, "Load [N]": force})

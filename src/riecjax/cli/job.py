@@ -1,5 +1,6 @@
 """Job files: the options of a command in TOML, or in the results.json that they led to."""
 
+import codecs
 import functools
 import json
 import os
@@ -89,7 +90,10 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     **Raises:** `click.UsageError` if it is no job.
     """
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        content = file.read_bytes()
+        # PowerShell 5 redirects to UTF-16, which begins with its mark.
+        is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")
         if file.suffix.lower() == ".json":
             document = json.loads(text)
             return dict(document["job"]), list(document["provenance"].get("files", []))
@@ -154,21 +158,22 @@ def _wrong(key: str, wanted: str, value: Any) -> click.UsageError:
 
 def _placed(param: click.Parameter, entries: list[list[str]], folder: Path) -> list[list[str]]:
     """The same with paths, which are relative to the job's folder, as seen from here."""
-    return [
-        [*entry[:-1], _repathed(param, entry[-1], lambda path: os.path.join(folder, path))]
-        for entry in entries
-    ]
+
+    def moved(path: str) -> str:
+        return os.path.normpath(os.path.join(folder, path))
+
+    return [[*entry[:-1], _repathed(param, entry[-1], moved)] for entry in entries]
 
 
 def _repathed(param: click.Parameter, text: str, moved: Any) -> str:
     """The text with its path moved: of an option that takes files, or FILE.py[:OBJECT]."""
     if isinstance(param.type, click.Path):
-        return os.path.normpath(moved(text))
+        return moved(text)
     found = PYTHON_FILE.fullmatch(text)
     # Only these two options name code; elsewhere .py may end any name.
     if found is None or key_of(param) not in ("model", "test-function"):
         return text
-    return os.path.normpath(moved(found["file"])) + (found["object"] or "")
+    return moved(found["file"]) + (found["object"] or "")
 
 
 def _left(param: click.Parameter, entries: list[list[str]], typed: Any) -> list[list[str]]:
@@ -205,8 +210,17 @@ def given(ctx: click.Context, folder: Path | None = None) -> dict[str, Any]:
 
 
 def _seen_from(folder: Path | None, path: str) -> str:
-    """A path, which starts from here, as one that starts from a folder."""
-    return path if folder is None or os.path.isabs(path) else os.path.relpath(path, folder)
+    """A path, which starts from here, as one that starts from a folder, on any system.
+
+    It is absolute where the folder is on another drive, to which no path of Windows leads.
+    """
+    seen = os.path.normpath(path)
+    if folder is not None and not os.path.isabs(path):
+        try:
+            seen = os.path.relpath(path, folder)
+        except ValueError:
+            seen = os.path.abspath(path)
+    return seen.replace(os.sep, "/")
 
 
 def _plain(param: click.Parameter, value: Any, folder: Path | None) -> Any:

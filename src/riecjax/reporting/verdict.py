@@ -1,6 +1,8 @@
 """A verdict in plain data and on a terminal: the answer first, then what to do about it."""
 
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 
 from rich.console import Console
@@ -58,12 +60,19 @@ def _next(causes: Sequence[Cause], command: Sequence[str]) -> Iterator[Document]
     steps = list(dict.fromkeys(cause.step for cause in causes if cause.step is not None))
     steps.sort(key=lambda step: not step.options)
     for step in steps[:MOST_STEPS]:
-        run = shlex.join(["riecjax", *_with(command, step.options)])
+        run = as_typed(_with(command, step.options))
         yield {
             "words": step.words,
             "options": list(step.options),
             "command": run if command and step.options else None,
         }
+
+
+def as_typed(arguments: Sequence[str]) -> str:
+    """`riecjax` with these arguments, as this system's shell takes it."""
+    # To cmd.exe a single quote is a letter like others.
+    join = subprocess.list2cmdline if sys.platform == "win32" else shlex.join
+    return join(["riecjax", *arguments])
 
 
 def _with(command: Sequence[str], options: Sequence[str]) -> list[str]:

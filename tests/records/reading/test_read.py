@@ -31,6 +31,7 @@ def write_columns(folder: Path, ending: str, columns: dict[str, np.ndarray]) -> 
     return path
 
 
+@pytest.mark.portable
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_rename_and_scale(tmp_path, ending):
     path = write_columns(tmp_path, ending, COLUMNS)

@@ -51,7 +51,7 @@ def check_extra(module: str, kind: str, extra: str) -> None:
     """Refuse to read where a library is missing, with a `DataError` that says how to get it."""
     if importlib.util.find_spec(module) is None:
         raise DataError(
-            f"to read {kind} files, install the package's extra: pip install 'riecjax[{extra}]'."
+            f'to read {kind} files, install the package\'s extra: pip install "riecjax[{extra}]".'
         )
 
 
