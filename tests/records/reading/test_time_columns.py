@@ -129,6 +129,24 @@ def test_milliseconds_are_suggested(tmp_path):
     assert float(scaled.record.time_step) == pytest.approx(STEP, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("factor", "start", "scale"), [(1e3, 0.37, "0.001"), (1e3, 0.0, "0.001"), (1e6, 5.5, "1e-06")]
+)
+def test_time_that_leaves_the_models_windows_less_than_a_sample_is_doubted(
+    tmp_path, factor, start, scale
+):
+    """Stamps are not whole, by their start or their rounding, or are microseconds."""
+    model = find_model("drag-oscillator")
+    stamps = start + T * factor
+    signals = {"x": X, "dx": X, "u": X}
+    (finding,) = read(tmp_path, {"zeit": stamps, **signals}, model=model).findings
+    assert finding.code == "time_unit_doubtful"
+    assert f"--scale zeit={scale}" in finding.message
+    assert finding.doubt == 1.0
+    assert not read(tmp_path, {"zeit [s]": stamps, **signals}, model=model).findings
+    assert not read(tmp_path, {"zeit": T + start, **signals}, model=model).findings
+
+
 @pytest.mark.parametrize("digits", [4, 5, 6])
 @pytest.mark.parametrize("step", [0.005, 0.001, 1 / 60])
 def test_stamps_of_few_significant_digits(step, digits):

@@ -35,6 +35,8 @@ SERIAL_DAYS = ((2e4, 8e4), (6.9e5, 8e5))
 """Days as spreadsheets (from 1900) and MATLAB (from year 0) count them: of 1954 to 2119, and
 of 1889 to 2190."""
 SUBUNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+SLOWEST = 0.5
+"""Seconds between samples of a motion, at the most, where nothing is known of it."""
 FASTEST_DAYS = 2e-6
 """Days (0.17 s) below which steps of stamps of that size are days: as seconds, 500 kHz."""
 
@@ -147,8 +149,9 @@ def other_unit(
 ) -> tuple[str, float] | None:
     """What stamps whose unit nothing states may be instead of seconds, and that in seconds.
 
-    Milliseconds where the stamps are whole numbers, one or more apart; and where a window of
-    `shortest` seconds would be shorter than a sample, the first unit in which it is not.
+    Asked where a window of `shortest` seconds would be shorter than a sample, and where stamps are
+    whole numbers, one or more apart: the first unit in which the motion would be sampled fast
+    enough.
     """
     known = time.seconds[~np.isnan(time.seconds)]
     if time.name in units or _suffix(time.name)[1] or time.notes or known.size < 2:
@@ -156,13 +159,11 @@ def other_unit(
     since = known - known[0]
     step = float(np.median(np.diff(known)))
     rounding = 1e-6 * step + 4 * np.spacing(np.abs(known).max())
-    if shortest is not None and step > shortest:
-        for unit, factor in SUBUNITS.items():
-            if step * factor <= shortest:
-                return unit, factor
-    if step >= 1 - rounding and (np.abs(since - np.round(since)) <= rounding).all():
-        return next(iter(SUBUNITS.items()))
-    return None
+    whole = step >= 1 - rounding and bool((np.abs(since - np.round(since)) <= rounding).all())
+    if not (whole or (shortest is not None and step > shortest)):
+        return None
+    enough = (one for one in SUBUNITS.items() if step * one[1] <= (shortest or SLOWEST))
+    return next(enough, None)
 
 
 def is_called_time(name: str, units: Mapping[str, str]) -> bool:
