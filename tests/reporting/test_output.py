@@ -255,6 +255,19 @@ def test_identification_table(document):
         assert word in text
 
 
+def test_a_narrow_terminal_cuts_nothing_off_a_table(document):
+    printed_on = io.StringIO()
+    console = Console(width=30, file=printed_on)
+    print_everything(document, console)
+    printed = printed_on.getvalue()
+    rows = [row for row in printed.splitlines() if row.startswith("m  ")]
+    assert len(rows) == 2
+    assert "\u2026" not in printed
+    assert all(" .. " in row and " kg" in row for row in rows)
+    assert rows[0].rstrip().endswith(document["verdict"]["parameters"]["m"]["level"])
+    assert console.width == 30
+
+
 def test_scatter_over_seeds_is_labelled_as_no_uncertainty(identified, record):
     theta = np.array([[1.0], [2.0], [6.0]])
     scatter = SeedScatter(jnp.asarray(theta), ("m",))

@@ -12,6 +12,7 @@ from riecjax.estimation.check import Check
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
 from riecjax.reporting.noise import noise_entries, noise_in_words
+from riecjax.reporting.tables import print_table
 
 
 def check_document(
@@ -54,6 +55,11 @@ def check_document(
     }
 
 
+def named(record: Document) -> str:
+    """A recording by its file, and by its part of one that holds several."""
+    return ", ".join(filter(None, (record["file"], record.get("part"))))
+
+
 def start_times(recordings: Sequence[Recording]) -> list[float]:
     """The time stamp of each recording's first sample, from which all other times count."""
     return [float(r.record.start_time - r.record.skipped) for r in recordings]
@@ -80,7 +86,7 @@ def print_check(document: Document, console: Console) -> None:
         stretches = record["stretches"]
         parted = "" if stretches == 1 else f", in {stretches} unbroken stretches"
         console.print(
-            f"{record['file']}: {record['samples']} samples at {1 / record['time_step']:.6g} Hz, "
+            f"{named(record)}: {record['samples']} samples at {1 / record['time_step']:.6g} Hz, "
             f"{record['duration']:.4g} s{parted}",
             highlight=False,
             markup=False,
@@ -100,7 +106,7 @@ def print_check(document: Document, console: Console) -> None:
             share_in_words(entry["noise_share"], 2),
         )
     console.print()
-    console.print(table)
+    print_table(table, console)
     console.print(
         "own share: what no combination of the others could do as well (100 % is best)\n"
         "noise: share of the sensors' noise in what multiplies the parameter",

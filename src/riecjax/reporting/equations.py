@@ -51,7 +51,7 @@ def expression_in_words(of: Expression) -> str:
     if isinstance(of, str):
         return of
     name = getattr(of, "__name__", type(of).__name__)
-    return "f(signals)" if name == "<lambda>" else name
+    return "f(signals)" if name == "<lambda>" else name.lstrip("_")
 
 
 def _sum(parts: list[Signed]) -> str:

@@ -11,7 +11,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number
 from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_rich
+from riecjax.reporting.tables import in_rich, print_table
 
 
 def estimate_entries(model: str, estimate: Estimate) -> Document:
@@ -83,7 +83,7 @@ def print_estimate(document: Document, console: Console) -> None:
     settings = ", ".join(f"{k} {v}" for k, v in criterion.items() if k != "name")
     heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
     console.print(heading, highlight=False, markup=False)
-    console.print(in_rich(parameter_table(document)))
+    print_table(in_rich(parameter_table(document)), console)
     for line in _residuals_in_words(document["residual"]):
         console.print(line, highlight=False, markup=False)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from riecjax.assessment.assessment import Assessment
+from riecjax.reporting.checking import named
 from riecjax.reporting.document import Document, ends_of, number
 from riecjax.reporting.estimate import parameter_table, several
 from riecjax.reporting.hidden_modes import modes_in_words
@@ -46,8 +47,8 @@ def identification_page(document: Document) -> Page:
 
 def _title(cause: Document) -> str:
     """What lies behind some warnings, and what it concerns."""
-    names = ", ".join(cause["parameters"])
-    return f"{_sentence(cause['phrase'])[:-1]}{f': {names}' if names else ''}"
+    names, said = ", ".join(cause["parameters"]), _sentence(cause["phrase"])[:-1]
+    return said if said.endswith(names) else f"{said}: {names}"
 
 
 def _answer(document: Document) -> Section:
@@ -305,7 +306,7 @@ def _recordings(document: Document) -> Section:
     provenance = document["provenance"]
     rows = [
         (
-            _name(record["file"]),
+            named({**record, "file": _name(record["file"])}),
             str(record["samples"]),
             number(1 / record["time_step"]),
             number(record["samples"] * record["time_step"], 4),

@@ -3,9 +3,11 @@
 import html
 import math
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -79,6 +81,15 @@ def in_rich(table: Table) -> RichTable:
     for row in table.rows:
         printed.add_row(*map(Text, row))
     return printed
+
+
+def print_table(table: RichTable, console: Console) -> None:
+    """Print a table in full: a number that loses its exponent to a narrow terminal is another."""
+    narrow = console.width
+    whole = console.options.update(max_width=sys.maxsize)
+    console.width = max(narrow, console.measure(table, options=whole).maximum)
+    console.print(table)
+    console.width = narrow
 
 
 def _html_row(row: Sequence[str], right: Sequence[bool], tag: str) -> str:

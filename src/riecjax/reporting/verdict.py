@@ -12,6 +12,7 @@ from rich.text import Text
 from riecjax.assessment.causes import Cause
 from riecjax.assessment.verdict import Verdict, percent
 from riecjax.reporting.document import Document, ends_of, finite, number
+from riecjax.reporting.tables import print_table
 
 MOST_STEPS = 3
 """Things to do next that are told."""
@@ -94,7 +95,7 @@ def print_verdict(document: Document, console: Console) -> None:
     entries = document["verdict"]
     console.print(Text(entries["sentence"], style="bold"))
     console.print()
-    console.print(_table(document))
+    print_table(_table(document), console)
     for line in reasons_in_words(entries):
         console.print(line, highlight=False, markup=False)
     for step in entries["next"]:
@@ -117,7 +118,7 @@ def _table(document: Document) -> Table:
         table.add_row(
             Text(name),
             number(entry["value"]),
-            " .. ".join(ends_of(entry["interval95"])),
+            "?" if None in entry["interval95"] else " .. ".join(ends_of(entry["interval95"])),
             doubt_in_words(judged["share"]),
             Text(entry["unit"]),
             Text(judged["level"], style=STYLES[judged["level"]]),
