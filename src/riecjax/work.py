@@ -16,6 +16,7 @@ LONG = 10.0
 """Seconds past which a computation is announced."""
 LARGE = 2e9
 """Bytes past which it is."""
+REMEDY = "Use a part of the record (--from, --to), every n-th sample (--every), or fewer windows."
 CONTROL_GROUP = Path("/sys/fs/cgroup")
 MEMORY = Path("/proc/meminfo")
 

@@ -121,3 +121,37 @@ def test_a_refinement_that_was_asked_for_is_counted_before_it_starts(monkeypatch
     with listening(heard.__setitem__), pytest.raises(InterruptedError):
         rx.assess(model, record, refine=rx.OutputError(), sweep=False)
     assert heard["refining by simulation"].seconds > 0
+
+
+def test_random_windows_are_counted_with_the_draws_that_show_their_scatter(monkeypatch):
+    """Of 4 parameters and a target, 80 bytes for each window are kept at the very least."""
+    import riecjax as rx
+    from riecjax.assessment.asked import expect_assessing
+
+    heard = {}
+    monkeypatch.setattr(work, "free_memory", lambda: 1e15)
+    columns = quarter_car_columns()
+    del columns["t"]
+    record = rx.Record(columns, 0.005)
+    model = rx.find_model("duffing").build_procedure()
+    criterion = rx.RIEC(rx.RandomWindows(0.05, 0.5, 10_000_000))
+    with listening(lambda what, cost: heard.update({what.partition(" ")[0]: cost})):
+        expect_assessing(model, [record], criterion)
+        expect_assessing(model, [record], criterion, checking=True)
+    assert heard["checking"].bytes > 8e8
+    assert heard["assessing"].seconds > 30 * heard["checking"].seconds
+
+
+def test_what_xla_cannot_allocate_is_one_line(capsys, drive, monkeypatch):
+    from riecjax.assessment import assess
+
+    def refuse(*_, **__):
+        raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 40402639744 bytes.")
+
+    monkeypatch.setattr(assess, "summarise", refuse)
+    result = call(capsys, "identify", drive, *CAR, "--json")
+    assert result.status == 1
+    error = json.loads(result.out)["error"]
+    assert error["code"] == "memory"
+    assert "40402639744 bytes" in error["message"]
+    assert "--windows" in error["message"] or "fewer windows" in error["message"]

@@ -55,7 +55,7 @@ def check_answering(
     """
     described = as_model(model)
     procedure, recordings = described.build_procedure(), as_recordings(records)
-    expect_assessing(procedure, [each.record for each in recordings], criterion)
+    expect_assessing(procedure, [each.record for each in recordings], criterion, checking=True)
     settings = {"known": known, "per_record": per_record}
     summary = summarise(procedure, recordings, criterion, key=key, survey=True)
     checked = check(procedure, recordings, criterion, key=key, summary=summary, **settings)

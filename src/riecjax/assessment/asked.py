@@ -11,7 +11,7 @@ from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.uncertainty.intervals import AbstractIntervals
-from riecjax.work import Work, expect
+from riecjax.work import REMEDY, Work, expect
 
 SECONDS_PER_SAMPLE = 4e-6
 """Of sums and checks, for each signal; and, for each equation, of tests of what it leaves."""
@@ -19,8 +19,12 @@ BYTES_PER_SAMPLE = 110.0
 """The same at the peak of memory."""
 SECONDS_OF_MODES = 2e-5
 """Beside them, for each equation of a model with hidden elements."""
-WORK_PER_ROW = Work(1e-7, 24.0)
-"""Of a criterion that draws its windows, for each window and column."""
+WORK_PER_ROW = Work(1e-7, 120.0)
+"""Of a criterion that draws its windows, for each window and column of one draw."""
+DRAWS = Work(33.0, 2.0)
+"""Times that of an assessment, which looks at the scatter over 32 more, some of them at once."""
+CHECKING = 0.25
+"""Share of the time per sample that a check takes, which tests no residual and sweeps no length."""
 
 
 class Asked(NamedTuple):
@@ -49,24 +53,32 @@ class Asked(NamedTuple):
 
 
 def expect_assessing(
-    procedure: Procedure, records: Sequence[Record], criterion: AbstractCriterion
+    procedure: Procedure,
+    records: Sequence[Record],
+    criterion: AbstractCriterion,
+    *,
+    checking: bool = False,
 ) -> None:
-    """Say what it takes to assess a model on these records, without refining it.
+    """Say what it takes to assess a model on these records, or only to check them, without refining
+    it.
 
     **Raises:** `MemoryError` if the memory does not hold it.
     """
+    draws = Work(1.0, 1.0) if checking else DRAWS
     samples = sum(record.sample_count for record in records)
     seconds, peak = 0.0, 0.0
     for record in records:
         equations, signals = len(procedure.equations), len(record.arrays)
         modes = SECONDS_OF_MODES * equations * procedure.has_hidden
-        seconds += record.sample_count * (SECONDS_PER_SAMPLE * (equations + signals) + modes)
+        each = SECONDS_PER_SAMPLE * (equations + signals) * (CHECKING if checking else 1.0)
+        seconds += record.sample_count * (each + modes)
         peak += record.sample_count * BYTES_PER_SAMPLE * (equations + signals)
         if criterion.needs_key:
             rows = float(criterion.row_count(record) or 0) * (len(procedure.parameters) + 1)
-            seconds, peak = seconds + rows * WORK_PER_ROW.seconds, peak + rows * WORK_PER_ROW.bytes
+            seconds += rows * WORK_PER_ROW.seconds * draws.seconds
+            peak += rows * WORK_PER_ROW.bytes * draws.bytes
     expect(
-        f"assessing the model on {samples} samples",
+        f"{'checking' if checking else 'assessing'} the model on {samples} samples",
         Work(seconds, peak),
-        "Use a part of the record (--from, --to), every n-th sample (--every), or fewer windows.",
+        REMEDY,
     )

@@ -11,6 +11,7 @@ import sys
 import click
 
 from riecjax.errors import RiecjaxError
+from riecjax.work import REMEDY
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
 COMMANDS = {
@@ -81,6 +82,15 @@ def run(arguments: list[str] | None = None) -> int:
     except MemoryError as error:
         message = str(error) or "not enough memory for this record."
         return _no_answer(message, "memory", given)
+    except RuntimeError as error:
+        # XLA's own word, where more was asked for than was foreseen.
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        return _no_answer(
+            f"the memory does not hold this computation ({str(error).splitlines()[0]}). {REMEDY}",
+            "memory",
+            given,
+        )
     return status if isinstance(status, int) else 0
 
 

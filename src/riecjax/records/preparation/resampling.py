@@ -296,8 +296,8 @@ def _resampled(record: Record, step: float, spacing: float) -> Record:
         return record
     if record.sample_count / spacing * len(record.arrays) > LARGEST_GRID:
         raise DataError(
-            f"{len(record.arrays)} signal(s) of {record.sample_count} samples would become more "
-            f"than {LARGEST_GRID} samples. Choose a lower rate or factor, or select signals."
+            f"{len(record.arrays)} signals of {record.sample_count} samples would become more "
+            f"than {LARGEST_GRID} samples. Choose a lower rate or factor, or a part of the record."
         )
     _expect(len(record.arrays) * record.sample_count / spacing)
     pieces = [_piece(record, run, step, spacing) for run in _runs(record)]
