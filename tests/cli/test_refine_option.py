@@ -172,3 +172,31 @@ def test_a_prior_counts_as_one_more_observation(recording, capsys):
 
 def codes(document):
     return [warning["code"] for warning in document["warnings"]]
+
+
+def test_a_prior_that_the_recording_contradicts_is_the_reason(recording, capsys):
+    prior = ("--refine", "integral", "--prior", "m=3.0±0.05", "--json")
+    verdict = call(capsys, "identify", str(recording), *IDENTIFY, *prior).document["verdict"]
+    assert verdict["parameters"]["m"]["level"] == "do not use"
+    assert verdict["parameters"]["m"]["reason"] == "the recordings and the prior of m disagree"
+    assert verdict["next"][0]["words"].startswith("Check what you said of m")
+
+
+def test_a_linear_value_out_of_its_bounds_is_said_and_no_search_fails_at_its_start(
+    recording, capsys
+):
+    """The true stiffness is 20 N/m, from which neither search may start here."""
+    bound = ("--bound", "k=0:15", "--json")
+    free = call(capsys, "identify", str(recording), *IDENTIFY, *bound).document
+    assert "outside_bound" in codes(free)
+    verdict = free["verdict"]["parameters"]["k"]
+    assert free["parameters"]["k"]["value"] == pytest.approx(20.0, rel=0.03)
+    # 15 is a quarter of 20 away.
+    assert verdict["share"] > 0.2
+    assert verdict["reason"] == "k lies outside its bounds"
+    asked = call(capsys, "identify", str(recording), *IDENTIFY, "--refine", "output-error", *bound)
+    assert asked.status == 0, asked.err
+    verdict = asked.document["verdict"]
+    assert asked.document["parameters"]["k"]["value"] == pytest.approx(15.0, rel=1e-6)
+    assert "outside_bound" not in codes(asked.document)
+    assert verdict["parameters"]["k"]["reason"] == "k sits on a bound"

@@ -175,6 +175,7 @@ def _assessed(
     # Not earlier: to import all that simulates takes seconds.
     from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
+    from riecjax.assessment.beforehand import outside_bounds
 
     checked = check(
         procedure,
@@ -189,6 +190,7 @@ def _assessed(
     refinement, validations, failed = refining.answered(asked, estimate, refused, *refining_by)
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
+        failed = [*failed, *outside_bounds(estimate, refining_by[1][0] or {})]
     residuals, choice, untested = trust.what_is_left(procedure, records, estimate)
     return Assessment(
         model=asked.model,
@@ -203,7 +205,7 @@ def _assessed(
         seeds=trust.seeds(asked),
         validations=validations,
         refinement=refinement,
-        failures=[*failed, *untested],
+        failures=[*failed, *untested, *trust.validated_on_fitted(asked)],
         key=asked.key,
         modes=evidence,
     )

@@ -8,8 +8,11 @@ which parameters it concerns; the findings stay as its evidence.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from riecjax.assessment.doubt import Doubt, concerned
+from riecjax.assessment.doubt import TRUSTED, Doubt, concerned
+from riecjax.criteria.smooth_test_functions import AbstractSmoothTestFunction
+from riecjax.equations.expressions import constant
 from riecjax.equations.hidden_modes import is_hidden_name
+from riecjax.equations.term import Term
 from riecjax.findings import Finding
 from riecjax.studies.drift import MOST, WindowSweep
 from riecjax.validation.residuals import EquationResidual
@@ -29,6 +32,8 @@ KINDS = {
         "rarely_excited",
     ),
     "sensors": (
+        "prior_disagrees",
+        "outside_bound",
         "time_unit_doubtful",
         "unit_mismatch",
         "not_its_derivative",
@@ -44,7 +49,6 @@ KINDS = {
         "rows_left_out",
     ),
     "model": (
-        "prior_disagrees",
         "unmodelled_mode",
         "large_residual",
         "residual_follows_signal",
@@ -75,9 +79,11 @@ KINDS = {
         "band_snapped",
         "residuals_not_tested",
         "not_validated",
+        "validated_on_fitted",
     ),
 }
-"""Codes of each kind of cause, first what says most of it."""
+"""Codes of each kind of cause, first what says most of it. What a user says of a parameter is held
+against the answer as a sensor is."""
 PHRASES = {
     "unidentifiable": "the recordings cannot tell {parameters} apart",
     "undetermined": "the recordings say nothing of {parameters}",
@@ -87,6 +93,8 @@ PHRASES = {
     "negative_value": "{parameters} is below zero",
     "interval_wider_than_estimate": "the recordings hardly determine {parameters}",
     "rarely_excited": "{parameters} is seldom excited",
+    "prior_disagrees": "the recordings and the prior of {parameters} disagree",
+    "outside_bound": "{parameters} lies outside its bounds",
     "time_unit_doubtful": "time may be in another unit than seconds",
     "unit_mismatch": "{signals} has another unit than the model expects",
     "not_its_derivative": "{signals} do not fit each other",
@@ -113,9 +121,11 @@ PHRASES = {
     "coarse_steps": "the simulation's steps are coarse",
     "refinement_not_converged": "the refinement did not converge",
     "refined_predicts_worse": "the refined model predicts worse",
+    "validated_on_fitted": "it was validated on what it was fitted to",
     "at_bound": "{parameters} sits on a bound",
     "single_precision": "it was computed in 32-bit",
 }
+CONSTANT = "errors share a constant part, as of a sensor's offset"
 
 
 class Step(NamedTuple):
@@ -151,6 +161,8 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
     answer = assessment.answer
     size = {name: max(abs(float(answer[name])), 1e-300) for name in found}
     grouped, said = [], assessment.findings()
+    widened = with_constant_part(assessment)
+    widened |= {name for f in said if f.code == "records_disagree" for name in f.parameters}
     for kind, codes in KINDS.items():
         own = [f for code in codes for f in said if f.code == code]
         if not own:
@@ -158,8 +170,14 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
         of = {name for f in own for name in concerned(assessment, f)}
         names = tuple(name for name in found if name in of)
         share = max((found[n].by_kind(kind) / size[n] for n in names), default=0.0)
-        phrase = _phrase(assessment, own[0])
-        grouped.append(Cause(kind, phrase, tuple(own), names, share, _step(assessment, own)))
+        phrase, step = _phrase(assessment, own[0]), next(_steps(assessment, own), None)
+        if kind == "data" and all(
+            found[n].scatter <= TRUSTED * size[n] or {n, n.partition("[")[0]} & widened
+            for n in names
+        ):
+            # A longer record mends neither a good value nor what a common error widens.
+            step = None
+        grouped.append(Cause(kind, phrase, tuple(own), names, share, step))
     return sorted(grouped, key=lambda c: (c.kind != "undetermined", not c.voids, -c.share))
 
 
@@ -168,6 +186,8 @@ def _phrase(assessment: "Assessment", finding: Finding) -> str:
         peaks = (one.peak for one in _equations(assessment) if one.peak is not None)
         peak = max(peaks, key=lambda one: one.size)
         return f"the model leaves out a mode near {peak.frequency:.3g} Hz"
+    if finding.code in ("large_residual", "uneven_errors") and with_constant_part(assessment):
+        return CONSTANT
     pattern = PHRASES.get(finding.code, finding.code.replace("_", " "))
     return pattern.format(
         signals=" and ".join(finding.signals) or "a signal",
@@ -179,13 +199,20 @@ def _equations(assessment: "Assessment") -> Sequence[EquationResidual]:
     return () if assessment.residuals is None else assessment.residuals.equations
 
 
-def _step(assessment: "Assessment", own: Sequence[Finding]) -> Step | None:
-    return next(_steps(assessment, {f.code: f for f in reversed(own)}), None)
+def with_constant_part(assessment: "Assessment") -> set[str]:
+    """Parameters of equations whose errors share a constant part."""
+    some = (one for one in _equations(assessment) if one.has_constant_part)
+    return {name for one in some for name in one.parameters}
 
 
-def _steps(assessment: "Assessment", by: Mapping[str, Finding]) -> Iterator[Step]:
-    """What might be done about findings by code, the best first."""
-    smooth = assessment.estimate.criterion.smoothness > 2
+def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
+    """What might be done about findings, the best first."""
+    by = {f.code: f for f in reversed(own)}
+    weight = getattr(assessment.estimate.criterion, "test_function", None)
+    smooth = isinstance(weight, AbstractSmoothTestFunction)
+    if "prior_disagrees" in by or "outside_bound" in by:
+        names = [f.parameters[0] for f in own if f.code in ("prior_disagrees", "outside_bound")]
+        yield Step(f"Check what you said of {_joined(names)}, its unit too, or leave it out")
     if "time_unit_doubtful" in by:
         yield Step(
             "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
@@ -195,14 +222,17 @@ def _steps(assessment: "Assessment", by: Mapping[str, Finding]) -> Iterator[Step
     if "not_its_derivative" in by and not smooth:
         signal, derivative = by["not_its_derivative"].signals
         yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
+    if "uneven_errors" in by:
+        yield from _zero_steps(assessment)
     if "window_sensitive" in by and assessment.sweep is not None:
         yield from _window_steps(assessment.sweep, by["window_sensitive"], smooth)
     if "residual_follows_signal" in by:
         signal = " and ".join(by["residual_follows_signal"].signals)
         yield Step(f"Add a term in {signal} to the model, or shift {signal} if it is late")
     if "records_disagree" in by:
-        names = by["records_disagree"].parameters
-        yield Step("Let it differ between recordings", ("--per-record", ",".join(names)))
+        names = [f.parameters[0] for f in own if f.code == "records_disagree"]
+        options = [word for name in names for word in ("--per-record", name)]
+        yield Step(f"Let {_joined(names)} differ between recordings", tuple(options))
     if "noise_dominates" in by:
         yield Step("Compare simulations, which need no derivative", ("--refine", "output-error"))
     if "coarse_sampling" in by and assessment.estimate.criterion.in_closed_form:
@@ -217,6 +247,22 @@ def _steps(assessment: "Assessment", by: Mapping[str, Finding]) -> Iterator[Step
 
 
 SMOOTH = ("--test-function", "bump")
+
+
+def _joined(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def _zero_steps(assessment: "Assessment") -> Iterator[Step]:
+    """The zero of an input's sensor, where its equation has no constant term yet."""
+    names = {one.name for one in _equations(assessment) if one.has_constant_part}
+    for equation in assessment.procedure.equations:
+        if equation.name in names and all(t.of is not constant for t in equation.terms):
+            known = [t for t in equation.terms if isinstance(t, Term) and t.name is None]
+            inputs = [t.of for t in known if isinstance(t.of, str) and t.derivative == 0]
+            if inputs:
+                words = f"Estimate the zero of the sensor of {inputs[0]}"
+                yield Step(words, ("--unknown-offset", inputs[0]))
 
 
 def _mode_steps(assessment: "Assessment") -> Iterator[Step]:

@@ -44,6 +44,8 @@ STEADIER = 10.0
 """Times its drift and scatter by which what is left may move a value at most. What lies along a
 regressor weighs differently at every window length, so a value that no length moves is not far
 off; 10 holds of nearly all simulated systems (`python -m benchmarks.verdicts`)."""
+TRUSTED = 0.1
+"""Share of a value up to which a doubt leaves it good."""
 FINEST = 1e-3
 """Share of a value below which nothing is claimed."""
 OF_THE_MODEL = ("unmodelled_mode", "residual_follows_signal", "large_residual")

@@ -8,13 +8,14 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import jax
 import numpy as np
 
 from riecjax.assessment.asked import Asked
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
+from riecjax.assessment.beforehand import Beforehand, against_priors, within
 from riecjax.assessment.courses import course_shows, straight_inputs, surely_likelier
 from riecjax.assessment.trust import horizons, seen, unseen, validated
 from riecjax.compilation.kept_jit import kept_jit
@@ -62,15 +63,6 @@ EXPECTED = (RiecjaxError, TypeError, ValueError, IndexError)
 JAX cannot differentiate."""
 
 
-class Beforehand(NamedTuple):
-    """What is known of parameters before a refinement, by name."""
-
-    bounds: Mapping[str, Bounds] | None = None
-    priors: Mapping[str, Prior] | None = None
-
-
-STRANGE = 3.0
-"""Standard deviations past which a prior contradicts the data: one time in 370 by chance."""
 Progress = Callable[[float], None] | None
 Answered = tuple[Refinement | None, list[ValidationRun], list[Finding]]
 """A refinement, simulations with the answer along what it was not fitted to, and what failed."""
@@ -105,7 +97,7 @@ def answered(
         found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, known, horizon)
     else:
         found = _as_asked(asked, estimate, by, known, progress)
-        failed = [*failed, *_against_priors(estimate, known.priors or {})]
+        failed = [*failed, *against_priors(estimate, known.priors or {})]
     if found.refined is None:
         return found, before, failed
     after, failed_after = validated(asked.model, found.refined.values, recordings, windows)
@@ -123,26 +115,6 @@ def answered(
         found = _still_chosen(found)
     failed_after = [*failed_after, *(f for f in failed if f.code == "prior_disagrees")]
     return (found, after, failed_after) if found.chosen else (found, before, failed)
-
-
-def _against_priors(estimate: Estimate, priors: Mapping[str, Prior]) -> list[Finding]:
-    """Priors from which what the data tell without them lies further than chance explains."""
-    errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors)))
-    found = []
-    for name in priors.keys() & errors.keys():
-        (mean, std), value, error = priors[name], float(estimate[name]), float(errors[name])
-        if abs(value - mean) > STRANGE * np.hypot(std, error):
-            found.append(
-                Finding(
-                    "prior_disagrees",
-                    f"the prior of {name}, {mean:.4g} +- {std:.2g}, and the estimate without it, "
-                    f"{value:.4g} +- {error:.2g}, contradict each other: what was answered lies "
-                    f"between two values of which one is wrong.",
-                    parameters=(name,),
-                    doubt=1.0,
-                )
-            )
-    return found
 
 
 def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[BeforeAfter]:
@@ -200,7 +172,7 @@ def _search(
     refined, misfit = refine_with_misfit(
         asked.model,
         asked.records,
-        estimate,
+        within(estimate, known.bounds or {}),
         by,
         per_record=asked.settings["per_record"],
         key=asked.key,

@@ -4,6 +4,7 @@ Imported by [`assess`][riecjax.assess] once the estimate is there: to import all
 takes seconds, and a reader at a terminal should not wait for it.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 
 from jaxtyping import Array
@@ -64,6 +65,21 @@ def seen(asked: Asked) -> Numbered:
 def unseen(asked: Asked) -> Numbered:
     """What the model was not fitted to: last parts that were held out, and further recordings."""
     return [*enumerate(asked.held), *((None, recording) for recording in asked.further)]
+
+
+def validated_on_fitted(asked: Asked) -> list[Finding]:
+    """Recordings to validate on that the model was fitted to, which it follows in any case."""
+    fitted = {(os.path.abspath(one.source), one.part) for one in asked.fitted if one.source}
+    return [
+        Finding(
+            "validated_on_fitted",
+            f"{one.name} is validated on, and the model was fitted to it: that does not show "
+            f"whether the model predicts. Validate on another recording, or hold out a part "
+            f"(hold_out=0.3, --hold-out 0.3).",
+        )
+        for one in asked.further
+        if (os.path.abspath(one.source), one.part) in fitted
+    ]
 
 
 def horizons(

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from riecjax.assessment.causes import Cause, causes
-from riecjax.assessment.doubt import Doubt, doubts
+from riecjax.assessment.causes import CONSTANT, Cause, causes, with_constant_part
+from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 Level = Literal["good", "caution", "do not use"]
 
-TRUSTED = 0.1
-"""Share of a value up to which a doubt leaves it good."""
 WRONG = 0.1
 """Share of a value from which a wrong model rules it out, if scatter is smaller."""
 DRIFTS = 0.3
@@ -78,11 +76,13 @@ def verdict(assessment: "Assessment") -> Verdict:
     found = doubts(assessment)
     grouped = causes(assessment, found)
     answer, units = assessment.answer, dict(assessment.answer.units)
+    constant = with_constant_part(assessment)
     judged = {}
     for name, doubt in found.items():
         value = float(answer[name])
         size = max(abs(value), 1e-300)
-        level, reason = _judged(name, doubt, size, grouped)
+        widened = _widened(name, grouped, name.partition("[")[0] in constant)
+        level, reason = _judged(name, doubt, size, grouped, widened)
         share = doubt.size / size
         judged[name] = ParameterVerdict(
             name, value, units.get(name, ""), level, reason, doubt.around(value), share
@@ -90,26 +90,44 @@ def verdict(assessment: "Assessment") -> Verdict:
     return Verdict(_sentence(judged), judged, grouped)
 
 
-def _judged(name: str, doubt: Doubt, size: float, grouped: Sequence[Cause]) -> tuple[Level, str]:
-    """Level and reason: what rules it out, or else the largest part of its doubt."""
+def _judged(
+    name: str, doubt: Doubt, size: float, grouped: Sequence[Cause], widened: str
+) -> tuple[Level, str]:
+    """Level and reason: what rules it out, or else the largest part of its doubt.
+
+    **Arguments:** `widened`: what makes its interval wide beside chance, if something does.
+    """
     for cause in grouped:
-        if any(f.code in RULED_OUT and name in (f.parameters or (name,)) for f in cause.findings):
-            return "do not use", cause.phrase
+        own = [f.code for f in cause.findings if name in (f.parameters or (name,))]
+        if ruling := [code for code in own if code in RULED_OUT]:
+            wide = set(ruling) == {"interval_wider_than_estimate"}
+            return "do not use", (widened if wide else "") or cause.phrase
     if doubt.sensors >= size:
         return "do not use", _reason("sensors", name, grouped)
+    if math.isnan(doubt.size):
+        return "caution", _reason("computation", name, grouped)
     level: Level = "good" if doubt.size <= TRUSTED * size else "caution"
     wrong = doubt.drift + doubt.left_out
     if wrong > WRONG * size and wrong > doubt.scatter and doubt.drift > DRIFTS * doubt.scatter:
         level = "do not use"
     parts = {"model": wrong, "sensors": doubt.sensors, "data": doubt.scatter}
     kind = max(parts, key=lambda part: parts[part])
-    return level, _reason(kind, name, grouped)
+    return level, (widened if kind == "data" else "") or _reason(kind, name, grouped)
+
+
+def _widened(name: str, grouped: Sequence[Cause], constant: bool) -> str:
+    """What makes an interval wide beside chance; empty if nothing is known to."""
+    found = [f for cause in grouped for f in cause.findings if name in f.parameters]
+    if any(f.code == "records_disagree" for f in found):
+        return "the recordings disagree"
+    return CONSTANT if constant else ""
 
 
 def _reason(kind: str, name: str, grouped: Sequence[Cause]) -> str:
     if kind == "data":
         few = ("short_record", "few_blocks", "few_effective_windows")
-        short = any(f.code in few for cause in grouped for f in cause.findings)
+        found = [f for cause in grouped for f in cause.findings if f.code in few]
+        short = any(name in (f.parameters or (name,)) for f in found)
         return "scatter; the record is short" if short else "scatter"
     for cause in grouped:
         if cause.kind == kind and name in cause.parameters:
@@ -131,7 +149,8 @@ def _sentence(judged: Mapping[str, ParameterVerdict]) -> str:
     if not caution and not out:
         if len(good) > NAMED:
             worst = good[-1]
-            return f"Trust all {len(good)} parameters, the least certain, {_with_share(worst)}."
+            least = f"{worst.name}, to {percent(worst.share)}"
+            return f"Trust all {len(good)} parameters; the least certain is {least}."
         return f"Trust {_listed(good)}."
     clauses = []
     if good:
@@ -165,6 +184,8 @@ def _joined(words: Sequence[str]) -> str:
 
 
 def _with_share(one: ParameterVerdict) -> str:
+    if math.isnan(one.share):
+        return one.name
     if one.share >= 1:
         return f"{one.name} (not told from zero)"
     return f"{one.name} to {percent(one.share)}"

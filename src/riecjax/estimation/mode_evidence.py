@@ -107,6 +107,17 @@ class ModeEvidence(Drawn):
             return ""
         return ", or cannot tell it from another that lies close"
 
+    @property
+    def _shares(self) -> str:
+        # Less than nothing is left where more noise was taken off than there was.
+        if not float(self.without) > 0:
+            return "noise accounts for all that is left"
+        return (
+            f"{100 * float(self.without):.2g} % of the signal is left without it and "
+            f"{100 * max(float(self.unexplained), 0.0):.2g} % with it, difference "
+            f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %"
+        )
+
     def findings(self) -> list[Finding]:
         """Warnings if nothing speaks for the mode, or little, and of modes found elsewhere."""
         return [*self._not_carried(), *self._elsewhere()]
@@ -139,13 +150,11 @@ class ModeEvidence(Drawn):
         return [
             Finding(
                 "mode_not_carried",
-                f"{self.stage}: of what is left without {mode} it explains "
-                f"{100 * max(self.explained, 0.0):.2g} % on time that it was not found from "
-                f"({100 * float(self.without):.2g} % of the signal is left without it and "
-                f"{100 * float(self.unexplained):.2g} % with it, difference "
-                f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %): the "
-                f"recordings do not carry this mode{self._or_close}. Leave it out; something else "
-                f"is missing, such as friction or a delay, or nothing.",
+                f"{self.stage}: the recordings do not carry this mode{self._or_close}: on time "
+                f"that it was not found from, {mode} explains "
+                f"{100 * max(self.explained, 0.0):.2g} % of what is left without it "
+                f"({self._shares}). Leave it out; something else is missing, such as friction or a "
+                f"delay, or nothing.",
                 parameters=tuple(names),
             )
         ]

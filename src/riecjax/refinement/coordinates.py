@@ -128,7 +128,7 @@ class Constraints(eqx.Module):
             if unknown := [name for name in given if name not in names]:
                 raise ModelError(f"{what} given for '{unknown[0]}'; free are: {', '.join(names)}.")
         for name, given in bounds.items():
-            if not _is_pair(given, or_none=True):
+            if not is_pair(given, or_none=True):
                 raise ModelError(
                     f"the bounds of {name} are {given!r}. Write (lower, upper), None where there "
                     f"is none."
@@ -145,7 +145,7 @@ class Constraints(eqx.Module):
                     f"{low:g} and {high:g}. Start strictly between them."
                 )
         for name, prior in priors.items():
-            if not (_is_pair(prior) and np.isfinite(float(prior[0]))):
+            if not (is_pair(prior) and np.isfinite(float(prior[0]))):
                 raise ModelError(
                     f"the prior of {name} is {prior!r}. Write (mean, standard deviation), a finite "
                     f"mean."
@@ -166,7 +166,7 @@ class Constraints(eqx.Module):
         return Coordinates(scale, self.lower, self.upper)
 
 
-def _is_pair(given: Any, or_none: bool = False) -> bool:
+def is_pair(given: Any, or_none: bool = False) -> bool:
     """Whether this is two numbers, or `None` in place of one if that is allowed."""
     if not isinstance(given, Sequence | np.ndarray | jax.Array) or len(given) != 2:
         return False
