@@ -1,6 +1,7 @@
 """Job files: options in TOML or in results.json do what they do when typed."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -197,3 +198,31 @@ def test_init_guesses_and_says_so(capsys, machine):
     assert job["map"] == {"q": "Q [m]", "force": "Load [N]"}
     assert "a guess, by its unit" in made.out
     assert "there is no time column" in made.out
+
+
+def test_init_reads_with_what_is_given_and_says_which_units_are_taken(capsys, machine):
+    t, q, force, *_ = motion(count=300).values()
+    write_csv(Path("odd.csv"), {"stamp": t, "time": 0 * t, "position": q, "Load": force})
+    made = call(capsys, "init", "odd.csv", "--model", "emps", "--map", "t=stamp")
+    assert "as it stands" not in made.out
+    assert '# "position" states no unit and is read in m; ' in made.out
+    # A time is no signal.
+    assert '# map.force = "COLUMN"  # force in N, one of: "Load"' in made.out
+
+
+def test_examples_of_a_form_are_toml(capsys, machine):
+    made = call(capsys, "init", "run.csv", "--model", "emps").out
+    lines = [line[2:] for line in made.splitlines() if re.match("# [a-z-]+ = ", line)]
+    words = [line for line in lines if '"' in line]
+    assert len(words) > 10
+    for line in words:
+        tomllib.loads(line)
+
+
+def test_a_folder_with_results_is_its_results(capsys, machine):
+    result, other = Path("result"), Path("elsewhere")
+    arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN, "--out", result)
+    assert call(capsys, "identify", *arguments).status == 0
+    assert call(capsys, "check", "--job", result).status == 0
+    other.mkdir()
+    assert "cannot be read" in call(capsys, "check", "--job", other).err

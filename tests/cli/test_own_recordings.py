@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.io
 from command_line import call, rejected, write_csv
 
 MODEL = """
@@ -328,3 +329,29 @@ def test_impossible_noise(capsys, options, message):
     status = 1 if "z=1" in options else 2
     refused = rejected(capsys, status, "check", "rig.csv", "--model", "machine.py:axis", *options)
     assert message in refused
+
+
+def test_several_parts_are_read_and_what_was_fitted_is_no_validation(capsys):
+    """Three runs in one file, of which two are named."""
+    runs = [motion(offset=0.5, phase=p, count=2000) for p in (0.0, 1.0, 2.0)]
+    held = {f"run{i}": run for i, run in enumerate(runs)}
+    scipy.io.savemat("runs.mat", held)
+    parts = ("--part", "run0", "--part", "run2")
+    checked = call(capsys, "check", "runs.mat", *CHECK, *parts)
+    assert "runs.mat, run0: 2000 samples" in checked.out
+    assert "runs.mat, run2: 2000 samples" in checked.out
+    options = (*parts, "--validate", "runs.mat", "--no-sweep", "--json")
+    found = call(capsys, "identify", "runs.mat", *IDENTIFY, *options).document
+    assert [record["part"] for record in found["provenance"]["records"]] == ["run0", "run2"]
+    assert found["job"]["part"] == ["run0", "run2"]
+    assert "validated_on_fitted" in [each["code"] for each in found["warnings"]]
+
+
+def test_time_in_another_unit_is_scaled_by_the_name_that_messages_give_it(capsys):
+    run = motion(count=2000)
+    write_csv(Path("ms.csv"), {"time": 1000 * run["t"], "q": run["q"], "F": run["F"]})
+    refused = call(capsys, "check", "ms.csv", *CHECK)
+    assert "--scale t=0.001" in refused.err
+    for option in (("--scale", "t=0.001"), ("--unit", "t=ms")):
+        checked = call(capsys, "check", "ms.csv", *CHECK, *option, "--json")
+        assert checked.document["records"][0]["time_step"] == pytest.approx(1 / RATE)

@@ -93,8 +93,9 @@ def command(
 ) -> None:
     """Identify a model's parameters from one or several recordings.
 
-    A recording is a CSV, Parquet, MAT, NPZ or MDF file with time in seconds and the model's
-    signals in SI units; --map and --scale bring a logger's columns to that.
+    A recording is a file of text (CSV), JSON, Parquet, MATLAB, HDF5 or NPZ, or with an extra a
+    spreadsheet, MDF4, TDMS or ROS bag. Units that it states are converted to SI; --map says which
+    column is which signal, --unit in which unit it is where the file states none.
     """
     if per_record and validation_files:
         raise click.UsageError(

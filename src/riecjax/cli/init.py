@@ -1,6 +1,7 @@
 """`riecjax init`: a job file to fill in, from a look at recordings."""
 
 import codecs
+import contextlib
 import inspect
 import json
 import re
@@ -16,7 +17,10 @@ from riecjax.cli.job import JobCommand, given, key_of
 if TYPE_CHECKING:
     from riecjax.models.model import Model, Quantity
     from riecjax.records.reading.channels import Channels
+    from riecjax.records.reading.selection import Selection
 
+NUMBERS = ("number", "share", "float", "integer", "integer range")
+"""What types of options call a number."""
 BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -28,6 +32,7 @@ def _print_job(**arguments: Any) -> None:
     from riecjax.models.catalogue import find_model
     from riecjax.records.reading.parts import recordings_in
     from riecjax.records.reading.read import read_channels
+    from riecjax.records.reading.selection import Selection
 
     ctx = click.get_current_context()
     model = find_model(arguments["model_name"])
@@ -36,13 +41,16 @@ def _print_job(**arguments: Any) -> None:
         for name in list(inspect.signature(read_channels).parameters)[1:]
         if name in arguments
     }
-    named, part = arguments["rename"].values(), arguments["part"] or ""
+    named, part = arguments["rename"].values(), next(iter(arguments["parts"]), "")
     read = [
         channels
         for file in arguments["files"]
         for channels in recordings_in(read_channels(file, **dialect), named, part).held.values()
     ]
-    notes = {"map": list(_map_lines(model, read[0], arguments["rename"]))}
+    selection = Selection(
+        **{key: arguments[key] for key in Selection._fields if key in arguments and key != "noise"}
+    )
+    notes = {"map": list(_map_lines(model, read[0], selection))}
     if arguments["band"] is None:
         from riecjax.criteria.windows import DEFAULT_BAND
 
@@ -96,10 +104,15 @@ def _example(param: click.Parameter) -> str:
     """What an option that is not set may be, in the place of its value."""
     if isinstance(param, click.Option) and param.is_flag:
         return "false"
-    words = param.metavar or getattr(param.type, "name", "value")
+    kind = getattr(param.type, "name", "value")
+    words = param.metavar or "|".join(getattr(param.type, "choices", [kind]))
+    # In TOML, all but numbers stands in quotes.
+    is_number = getattr(param.type, "kind", None) is float or kind in NUMBERS
+    sign = "" if is_number else '"'
     if getattr(param, "multiple", False) and "=" in words:
         name, _, value = words.rpartition("|")[2].partition("=")
-        return "{ " + f"{name.strip('[')} = {value.rstrip(']')}" + " }"
+        return "{ " + f"{name.strip('[')} = {sign}{value.rstrip(']')}{sign}" + " }"
+    words = f"{sign}{words}{sign}"
     return f"[{words}]" if param.multiple or param.nargs > 1 else words  # type: ignore[attr-defined]
 
 
@@ -126,13 +139,15 @@ def _commented(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _map_lines(model: "Model", channels: "Channels", given: Mapping[str, str]) -> Iterator[str]:
+def _map_lines(model: "Model", channels: "Channels", selection: "Selection") -> Iterator[str]:
     """A line for each signal that a model reads: its column, and how it was found."""
     from riecjax.errors import DataError
-    from riecjax.records.reading.selection import Selection, column_named, record_from_channels
-    from riecjax.records.reading.units import split_unit
+    from riecjax.records.reading.selection import column_named, record_from_channels
+    from riecjax.records.reading.time_columns import is_called_time
 
-    taken = set(given.values())
+    given, read = selection.rename, {}
+    times = [c for c in channels.columns if is_called_time(c, channels.units)]
+    taken = {*given.values(), *times}
     wanted = [s for s in _signals(model) if s.name not in given]
     missing = []
     for signal in wanted:
@@ -142,6 +157,7 @@ def _map_lines(model: "Model", channels: "Channels", given: Mapping[str, str]) -
             missing.append(signal)
             continue
         taken.add(column)
+        read[column] = signal.unit
         yield _commented(f"# map.{_quoted_key(signal.name)} = {toml_value(column)}  # by its name")
     for signal in missing:
         rest = [column for column in channels.columns if column not in taken]
@@ -149,19 +165,44 @@ def _map_lines(model: "Model", channels: "Channels", given: Mapping[str, str]) -
         name = f"map.{_quoted_key(signal.name)}"
         if found is not None:
             taken.add(found)
+            read[found] = signal.unit
             yield f"{name} = {toml_value(found)}  # {why}"
         elif signal.name not in model.derived:
             unit = f" in {signal.unit}" if signal.unit else ""
             listed = ", ".join(map(toml_value, rest)) or "no column is left"
-            yield _commented(f"# {name} = COLUMN  # {signal.name}{unit}, one of: {listed}")
-    for column in channels.columns:
-        unit = channels.units.get(column) or split_unit(column)[1]
-        if unit:
-            yield _commented(f"# {toml_value(column)} is in {unit}, as the file says")
+            yield _commented(f'# {name} = "COLUMN"  # {signal.name}{unit}, one of: {listed}')
+    units = {signal.name: signal.unit for signal in _signals(model)}
+    read |= {column: units.get(name, "") for name, column in given.items()}
+    yield from _unit_lines(channels, selection, read)
     try:
-        record_from_channels(channels, Selection())
+        record_from_channels(channels, selection)
     except DataError as error:
         yield _commented(f"# as it stands: {error}")
+
+
+def _unit_lines(
+    channels: "Channels", selection: "Selection", read: Mapping[str, str]
+) -> Iterator[str]:
+    """The unit of each column, or in which one it is `read` where the file states none."""
+    from riecjax.errors import DataError
+    from riecjax.records.reading.time_columns import find_time
+    from riecjax.records.reading.units import split_unit
+
+    read = dict(read)
+    with contextlib.suppress(DataError):
+        time = find_time(channels.columns, channels.units, selection.rename.get("t"))
+        if time is not None and not time.notes:
+            read[time.name] = "s"
+    for column in channels.columns:
+        unit = channels.units.get(column) or split_unit(column)[1]
+        name = toml_value(column)
+        if unit:
+            yield _commented(f"# {name} is in {unit}, as the file says")
+        elif read.get(column) and column not in {*selection.units, *selection.scale}:
+            yield _commented(
+                f"# {name} states no unit and is read in {read[column]}; where that is wrong: "
+                f'unit.{_quoted_key(column)} = "UNIT"'
+            )
 
 
 def _signals(model: "Model") -> "list[Quantity]":

@@ -25,8 +25,8 @@ job_option = click.option(
     "--job",
     type=click.Path(path_type=Path),
     expose_value=False,
-    help="Options and recordings from a TOML file (see 'riecjax init') or a results.json; what is "
-    "given beside it wins.",
+    help="Options and recordings from a TOML file (see 'riecjax init') or a results.json (or its "
+    "folder); what is given beside it wins.",
 )
 
 
@@ -36,8 +36,9 @@ class JobCommand(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         typed = self._raw(ctx, args)
         if typed.get("job") is not None:
-            job, ctx.meta[DIGESTS] = read_job(Path(typed["job"]))
-            args = [*self._arguments(ctx, job, typed, Path(typed["job"]).parent), *args]
+            file = _job_file(typed["job"])
+            job, ctx.meta[DIGESTS] = read_job(file)
+            args = [*self._arguments(ctx, job, typed, file.parent), *args]
         ctx.meta[JOB] = self._raw(ctx, args)
         return super().parse_args(ctx, list(args))
 
@@ -84,6 +85,11 @@ def key_of(param: click.Parameter) -> str:
     return f"{(param.metavar or param.name or '').strip('.').lower()}s"
 
 
+def _job_file(path: str) -> Path:
+    """A job's file; of a folder with results the results.json in it."""
+    return Path(path) / "results.json" if os.path.isdir(path) else Path(path)
+
+
 def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """The options that a file holds, and digests of their files if it is a results.json.
 
@@ -105,7 +111,8 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     except (KeyError, TypeError):
         raise click.UsageError(f"--job {file}: it is no results.json with a job.") from None
     except ValueError as error:  # of TOML, JSON and UTF-8
-        raise click.UsageError(f"--job {file}: it is not understood: {error}.") from None
+        toml = "" if file.suffix.lower() == ".json" else " Words stand in quotes in TOML."
+        raise click.UsageError(f"--job {file}: it is not understood: {error}.{toml}") from None
 
 
 def _unknown(key: str, known: Sequence[str]) -> click.UsageError:
@@ -284,7 +291,7 @@ def changed_files(ctx: click.Context) -> "list[Finding]":
     recorded = ctx.meta.get(DIGESTS) or []
     if not recorded:
         return []
-    job = ctx.meta[JOB]["job"]
+    job = str(_job_file(ctx.meta[JOB]["job"]))
     folder = os.path.dirname(job)
     known = {os.path.normpath(os.path.join(folder, d["file"])): d["sha256"] for d in recorded}
     found = [

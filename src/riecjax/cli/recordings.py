@@ -79,8 +79,11 @@ RECORD_OPTIONS = (
     ),
     click.option(
         "--part",
+        "parts",
+        multiple=True,
         metavar="NAME",
-        help="Of a file with several recordings, use this one, as 'runs(2)'. [default: all]",
+        help="Of a file with several recordings, use this one, as 'runs(2)'. Repeatable. "
+        "[default: all]",
     ),
     click.option("--delimiter", help="Between columns of a text file. [default: detected]"),
     click.option(
@@ -156,7 +159,8 @@ RECORD_OPTIONS = (
 class RecordingOptions:
     """What the user said of the recordings: their `files`, and how all of them are read.
 
-    The other fields are the keywords of [`read_recording`][riecjax.read_recording].
+    The other fields are the keywords of [`read_recording`][riecjax.read_recording], but for
+    `parts`, each of which is read from each file.
     """
 
     files: tuple[Path, ...]
@@ -167,7 +171,7 @@ class RecordingOptions:
     columns: tuple[str, ...]
     time_step: float | None
     resample: float | None
-    part: str | None
+    parts: tuple[str, ...]
     delimiter: str | None
     decimal: str | None
     noise: str | Mapping[str, float]
@@ -190,9 +194,14 @@ class RecordingOptions:
         settings = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
-            if field.name != "files"
+            if field.name not in ("files", "parts")
         }
-        return [one for file in files for one in read_recordings(file, model=model, **settings)]
+        return [
+            one
+            for file in files
+            for part in self.parts or (None,)
+            for one in read_recordings(file, model=model, part=part, **settings)
+        ]
 
 
 record_options = collecting(RECORD_OPTIONS, RecordingOptions, "recordings")

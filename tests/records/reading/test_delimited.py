@@ -349,7 +349,13 @@ def test_the_dialect_can_be_given(tmp_path):
 def test_notes_say_what_was_decided(tmp_path):
     text = "Logger 7\n\nKraft;Zeit größer\n1,5;2\n# Pause\n2,5;3\n"
     notes = "; ".join(columns(tmp_path, text.encode("latin-1")).notes)
-    for words in ("Latin-1", "semicolon", "decimal comma", "1 lines above", "1 comment lines"):
+    for words in (
+        "Latin-1",
+        "semicolon",
+        "decimal comma",
+        "1 line above",
+        "1 comment line skipped",
+    ):
         assert words in notes
     assert columns(tmp_path, "t,x\n0,1\n1,2\n").notes == []
 
@@ -419,3 +425,9 @@ def test_words_above_the_numbers(tmp_path):
     assert values(tmp_path, "t;1\nsecond;Volt\n" + rows)["1"] == TX["x"]
     # A name too many is no remark.
     assert "3 column names but 2" in message(tmp_path, "t;x;y\n" + rows)
+
+
+def test_a_note_keeps_the_date_from_which_seconds_count(tmp_path):
+    text = "Zeit;x\n12.03.2024 09:14:03,120;1\n12.03.2024 09:14:03,125;2\n"
+    found = columns(tmp_path, text)
+    assert "column 'Zeit': time stamps, as seconds from 12.03.2024 09:14:03,120" in found.notes

@@ -18,7 +18,7 @@ from riecjax.records.reading.channels import (
     check_names,
     first_sentence,
 )
-from riecjax.records.reading.dialect import Dialect, Layout, layout
+from riecjax.records.reading.dialect import NAMES, Dialect, Layout, layout
 from riecjax.records.reading.numerals import (
     GROUPED,
     compute,
@@ -176,8 +176,8 @@ def _ragged_row(table: Table) -> str:
 
 def _columns(
     table: Table, names: list[str]
-) -> tuple[dict[str, np.ndarray], dict[str, str], list[str]]:
-    """Columns of numbers, the other columns with the reason, and those of time stamps."""
+) -> tuple[dict[str, np.ndarray], dict[str, str], dict[str, str]]:
+    """Columns of numbers, the other columns with the reason, and of time stamps the first."""
     parsed = _parse(table)
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
@@ -187,12 +187,12 @@ def _columns(
         _refuse_thousands(table, texts)
     columns: dict[str, np.ndarray] = {}
     left_out: dict[str, str] = {}
-    stamped: list[str] = []
+    stamped: dict[str, str] = {}
     for name, text in texts.items():
         values = numbers(text, table.layout.dialect.decimal, table.decimal_given)
         if values is None and _all_valid(table, are_stamps(text), text):
             values = seconds(text)
-            stamped.append(name)
+            stamped[name] = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
         if values is None:
             valid = is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
             _all_valid(table, valid, text)
@@ -269,25 +269,27 @@ def _units(names: list[str], row: list[str]) -> dict[str, str]:
 
 
 def _notes(
-    found: Layout, lines: list[str], comments: int, stamped: list[str], given: bool
+    found: Layout, lines: list[str], comments: int, stamped: dict[str, str], given: bool
 ) -> list[str]:
     notes = []
     if found.dialect.delimiter != "," and not given:
-        notes.append(str(found.dialect))
+        notes.append(f"delimiter {NAMES.get(found.dialect.delimiter, found.dialect.delimiter)}")
     if found.dialect.decimal == ",":
         notes.append("decimal comma")
     if found.header < 0 and found.numbered:
         notes.append("columns without names, called by their number")
     above = sum(bool(line.strip()) for line in lines[: max(found.header, 0)])
     if above:
-        notes.append(f"{above} lines above the column names skipped")
+        notes.append(f"{above} line{'s' * (above > 1)} above the column names skipped")
     if found.header >= 0 and Dialect(",", ".").comment(lines[found.header]):
         notes.append("column names taken from a comment")
     if found.units:
         notes.append("units taken from the row below the column names")
     if comments:
-        notes.append(f"{comments} comment lines skipped")
-    return notes + [f"column '{name}': time stamps, as seconds from the first" for name in stamped]
+        notes.append(f"{comments} comment line{'s' * (comments > 1)} skipped")
+    return notes + [
+        f"column '{name}': time stamps, as seconds from {first}" for name, first in stamped.items()
+    ]
 
 
 _CHUNK = 2**20

@@ -236,6 +236,11 @@ def _signals_called(name: str, signals: _Signals, channels: Channels) -> list[st
     """The signal of this name, or those that the column of this name became."""
     if name in signals.values and name not in channels.columns:
         return [name]
+    if name == "t" and name not in channels.columns:
+        # What messages and --map call time, whatever its column is called.
+        time = find_time(signals.values, signals.units, None, nameless=not channels.time_of)
+        if time is not None:
+            return [time.name]
     source = column_named(channels, name)
     return [signal for signal in signals.values if signals.column[signal] == source]
 

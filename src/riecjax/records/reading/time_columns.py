@@ -124,7 +124,8 @@ def _seconds_each(name: str, values: np.ndarray, unit: str | None) -> tuple[floa
     low, high = float(known.min()), float(known.max())
     for since, factor in EPOCHS.items():
         if factor < 1 and since <= low and high < EPOCH_SPAN * since:
-            return factor, f"counts of {factor:g} s since 1970"
+            word = next(word for word, each in SUBUNITS.items() if each == factor)
+            return factor, f"{word} since 1970"
     step = float(np.median(np.diff(known)))
     if any(a < low and high < b for a, b in SERIAL_DAYS) and (
         0 < step < FASTEST_DAYS or _bare(name) in DATES
@@ -138,9 +139,9 @@ def no_time(channels: Channels, reason: str) -> DataError:
     numbered = any(name == NUMBERED.format(1) for name in channels.columns)
     named = ", name all columns (--columns t,x,...)" if numbered else ""
     return DataError(
-        f"there is no time column ('t' or 'time'); there are: {listed(channels.columns)}."
-        f" Name it by renaming it to t (on the command line: --map t=COLUMN){named}, or give the "
-        f"seconds between samples (--time-step){reason}."
+        f"there is no time column (called 't', 'time' or the like); there are: "
+        f"{listed(channels.columns)}. Say which one is time by renaming it to t (on the command "
+        f"line: --map t=COLUMN){named}, or give the seconds between samples (--time-step){reason}."
     )
 
 
