@@ -11,7 +11,7 @@ from test_own_recordings import MODEL, motion
 
 from riecjax.cli.identify import command as identify
 from riecjax.cli.init import assigned, form
-from riecjax.cli.job import JOB, given, key_of
+from riecjax.cli.job import JOB, given, input_files, key_of
 
 PLAIN = ("--test-function", "hat", "--no-sweep", "--refine", "none")
 ODD = ('q "raw" [m]', "Längs-Kraft # 1 \\ N", "C:\\new\\x.py:y", "tab\tand\x7f", "a=b", "01", "1e3")
@@ -197,3 +197,13 @@ def test_init_guesses_and_says_so(capsys, machine):
     assert job["map"] == {"q": "Q [m]", "force": "Load [N]"}
     assert "a guess, by its unit" in made.out
     assert "there is no time column" in made.out
+
+
+def test_the_files_of_a_bag_in_a_folder_are_input_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bag").mkdir()
+    for name in ("metadata.yaml", "bag_0.mcap"):
+        Path("bag", name).write_text("")
+    files = input_files(context(["bag", "run.csv", "--model", "machine.py:axis"]))
+    inside = [str(Path("bag", name)) for name in ("bag_0.mcap", "metadata.yaml")]
+    assert sorted(files) == sorted([*inside, "run.csv", "machine.py"])

@@ -247,7 +247,7 @@ def _number(text: str) -> Any:
 
 
 def input_files(ctx: click.Context) -> list[str]:
-    """Every file that the command reads: recordings, and code of the user's own."""
+    """Every file that the command reads: recordings, also in a bag's folder, and users' code."""
     raw, files = ctx.meta[JOB], {}
     for param in ctx.command.get_params(ctx):
         if key_of(param) in SHOWN:
@@ -255,7 +255,14 @@ def input_files(ctx: click.Context) -> list[str]:
         value = raw.get(param.name, ())
         for text in value if isinstance(value, tuple | list) else [value]:
             _repathed(param, str(text), lambda path: files.setdefault(path, path))
-    return list(files)
+    return [file for path in files for file in _files_of(path)]
+
+
+def _files_of(path: str) -> list[str]:
+    """A file, or those in the folder that a bag is."""
+    if not os.path.isdir(path):
+        return [path]
+    return [os.path.join(path, name) for name in sorted(os.listdir(path))]
 
 
 def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, Any]]:
