@@ -78,7 +78,8 @@ def measured(command: list[str]) -> dict[str, Any]:
 def afresh(case: Case, size: int, folder: Path) -> dict[str, Any]:
     """The same in a new process that finds what earlier ones compiled."""
     for text in filter(None, (case.made_by, case.command)):
-        # What makes the file needs to be made for one size where the command says no other.
+        found: dict[str, Any] = {}
+    # What makes the file needs to be made for one size where the command says no other.
         number = size if "{n}." in case.command else 40 if text == case.made_by else size
         words = [sys.executable, "-m", __spec__.name, "--run", *text.format(n=number).split()]
         found = last_line(words, cwd=folder, env=environment(str(folder)) | PATH)
