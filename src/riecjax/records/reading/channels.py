@@ -12,6 +12,7 @@ from typing import IO
 import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError
+from riecjax.records.reading.units import split_unit
 
 LARGEST_FILE = 4 * 2**30
 """Bytes a file may hold, unpacked, before it is refused."""
@@ -109,6 +110,11 @@ class Channels:
     notes: list[str] = field(default_factory=list)
     nested: bool = False
     parts: list[str] = field(default_factory=list)
+
+    def named(self, column: str) -> tuple[str, str | None]:
+        """A column's name without its unit, and the unit that the file or the name states."""
+        name, unit = split_unit(column, self.nested)
+        return name, self.units.get(column) or unit
 
 
 def listed(names: Iterable[str]) -> str:

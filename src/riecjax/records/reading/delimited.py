@@ -28,6 +28,7 @@ from riecjax.records.reading.numerals import (
 )
 from riecjax.records.reading.plain_rows import plain_rows
 from riecjax.records.reading.time_stamps import are_stamps, seconds
+from riecjax.records.reading.unit_expressions import readings, same
 from riecjax.records.reading.units import split_unit
 
 SAMPLE = 2**16
@@ -264,8 +265,12 @@ def _names(header: list[str]) -> list[str]:
 
 
 def _units(names: list[str], row: list[str]) -> dict[str, str]:
-    stated = {name: unit for name in names if (unit := split_unit(name)[1])}
-    return stated | {name: unit for name, unit in zip(names, row) if unit}
+    units = {name: unit for name in names if (unit := split_unit(name)[1])}
+    for name, unit in zip(names, row):
+        other = units.get(name, "")
+        differ = readings(other) and readings(unit) and not same(other, unit)
+        units |= {name: f"{other} or {unit}" if differ else unit} if unit else {}
+    return units
 
 
 def _notes(

@@ -11,7 +11,7 @@ from riecjax.errors import DataError
 from riecjax.records.reading.channels import MOST_COLUMNS
 from riecjax.records.reading.numerals import is_missing, is_number
 from riecjax.records.reading.time_stamps import is_stamp
-from riecjax.records.reading.units import UNIT, bare_unit, is_unit
+from riecjax.records.reading.units import bare_unit, is_known, is_unit
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In order of preference; a blank stands for any white space."""
@@ -232,7 +232,7 @@ def _is_below_units(texts: list[int], rows: dict[int, list[str]]) -> bool:
 
 
 def _is_heading(fields: list[str]) -> bool:
-    return len(_without_empty_end(fields)) == 1 and not UNIT.fullmatch(bare_unit(fields[0]))
+    return len(_without_empty_end(fields)) == 1 and not is_known(bare_unit(fields[0]))
 
 
 def _as_wide(fields: list[str], pattern: str) -> bool:
