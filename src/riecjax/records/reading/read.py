@@ -9,7 +9,7 @@ from typing import Any
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
 
-TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm")
+TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm", ".log", ".prn")
 SHEETS = (".xlsx", ".xlsm")
 READERS = {
     **dict.fromkeys(TEXT, "delimited.read_delimited"),

@@ -2,12 +2,13 @@
 
 import functools
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.numerals import compute
+from riecjax.records.reading.numerals import compute, numbers, stripped
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _ZONE = r"(?:Z|z|(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|UTC|GMT|[A-Z]{3,4})"
@@ -71,6 +72,28 @@ def seconds(text: Any) -> np.ndarray:
         counted = _since(found, days, max(len(_digits(match)) for match in found if match))
         since = since if _runs_back(counted) else counted
     return since - _first(since)
+
+
+def of_texts(values: Sequence[object]) -> tuple[np.ndarray | None, bool]:
+    """Numbers or time stamps that stand there as text, and whether they are stamps.
+
+    `None` for other text.
+    """
+    import pyarrow as pa
+
+    texts = [None if v is None else str(v) for v in values]
+    return of_text_column(pa.array(texts, pa.string()))
+
+
+def of_text_column(column: Any) -> tuple[np.ndarray | None, bool]:
+    """As [`of_texts`][], of a column of strings (PyArrow); `None` where all are missing."""
+    texts = stripped(column)
+    if texts.null_count == len(texts):
+        return None, False
+    found = numbers(texts, ".", False)
+    if found is None and all(valid in (True, None) for valid in are_stamps(texts).to_pylist()):
+        return seconds(texts), True
+    return found, False
 
 
 def _since(found: list[re.Match[str] | None], days: np.ndarray | None, places: int) -> np.ndarray:

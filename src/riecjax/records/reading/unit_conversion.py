@@ -4,7 +4,7 @@ import re
 from typing import NamedTuple
 
 from riecjax.errors import DataError
-from riecjax.records.reading.channels import Channels
+from riecjax.records.reading.channels import BY_ATTRIBUTE, Channels
 from riecjax.records.reading.time_columns import unit_of_time
 from riecjax.records.reading.unit_expressions import USUAL, readings, same, usual_name
 from riecjax.records.reading.units import DOUBTFUL, is_known, unit_behind
@@ -26,6 +26,13 @@ def conversion(signal: str, unit: str, wanted: str | None) -> Conversion | None:
     **Raises:** `DataError` where a unit has two meanings and nothing says which, as `g`, of mass
     or of acceleration; and for `mm or m`, where a file says both.
     """
+    if BY_ATTRIBUTE in unit:
+        stated, _, attribute = unit.partition(BY_ATTRIBUTE)
+        raise DataError(
+            f"'{signal}' holds whole numbers, and its dataset has an attribute '{attribute}': say "
+            f"whether they are counts, to be multiplied: scale={{'{signal}': ...}} (on the command "
+            f"line: --scale {signal}=FACTOR), or {stated} already (--unit {signal}={stated})."
+        )
     if " or " in unit:
         raise DataError(
             f"the name of '{signal}' and the row of units say {unit}; say which: units={{'{signal}'"
