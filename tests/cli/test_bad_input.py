@@ -133,7 +133,7 @@ TEXTS = {
     "ragged": (b"t,x1\n0,1\n1\n2,3\n", ("columns",)),
     "too many values": (b"t,x1\n0,1,5\n1,2,5\n", ("2 column names", "3 columns")),
     "null bytes": (b"t,x1\n0,\x00\n1,2\n", ("byte 7 is 0", "binary")),
-    "two columns of one name": (b"t,a,a\n0,1,1\n1,1,1\n", ("two columns are called 'a'",)),
+    "two times of one name": (b"t,a,t\n0,1,1\n1,1,1\n", ("two columns are called 't'",)),
 }
 
 

@@ -121,6 +121,8 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
         ("sweep = 'no'", ("'sweep'", "true or false")),
         ("records = 3", ("'records'", "names")),
         ("map = {q = [1]}", ("'map.q'", "quotes")),
+        ("remove-offset = {x = 1}", ("'remove-offset'", "list of names")),
+        ("quite_else = 1", ("'quite_else'", "riecjax init")),
         ("alpha = ", ("job.toml", "not understood")),
         ("", ("RECORD",)),
     ],
@@ -129,6 +131,41 @@ def test_a_wrong_job_is_wrong_usage(capsys, tmp_path, monkeypatch, text, words):
     monkeypatch.chdir(tmp_path)
     Path("job.toml").write_text(text)
     said = rejected(capsys, 2, "identify", "--job", "job.toml")
+    assert all(word in said for word in words)
+
+
+def test_a_table_or_a_list_where_both_may_stand(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    job = rerun(
+        'records = "-b.csv"\nmodel = "emps"\ncolumns = ["t", "x y"]\nset = ["k=2"]\n'
+        'bound = {k = "0:9"}\nadd-mode = {x4 = 10}',
+        tmp_path,
+    )
+    assert job.params["columns"] == ("t", "x y")
+    assert job.params["known"] == {"k": 2.0}
+    assert job.params["files"] == (Path("-b.csv"),)
+    assert job.params["modes"] == (("x4", 10.0),)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_job_as_windows_writes_it(tmp_path, monkeypatch, encoding):
+    monkeypatch.chdir(tmp_path)
+    Path("job.toml").write_text('records = ["ä.csv"]\nmodel = "emps"', encoding=encoding)
+    assert context(["--job", "job.toml"]).params["files"] == (Path("ä.csv"),)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b'# Pr\xfcfstand\nmodel = "emps"', ("byte 4", "save the file as UTF-8")),
+        (b'{"job": {}, "provenance": {"files": [{"x": 1}]}}', ("no results.json",)),
+        (b'{"job": {}, "provenance": {"files": "abc"}}', ("no results.json",)),
+    ],
+)
+def test_a_damaged_job(capsys, tmp_path, monkeypatch, content, words):
+    monkeypatch.chdir(tmp_path)
+    Path("job.json" if content.startswith(b"{") else "job.toml").write_bytes(content)
+    said = rejected(capsys, 2, "identify", "--job", next(tmp_path.iterdir()))
     assert all(word in said for word in words)
 
 

@@ -96,7 +96,10 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")
         if file.suffix.lower() == ".json":
             document = json.loads(text)
-            return dict(document["job"]), list(document["provenance"].get("files", []))
+            recorded = document["provenance"].get("files", [])
+            return dict(document["job"]), [
+                {"file": str(one["file"]), "sha256": str(one["sha256"])} for one in recorded
+            ]
         import tomllib
 
         return tomllib.loads(text), []
@@ -104,15 +107,22 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         raise click.UsageError(f"--job {file}: cannot be read: {error.strerror}.") from None
     except (KeyError, TypeError):
         raise click.UsageError(f"--job {file}: it is no results.json with a job.") from None
-    except ValueError as error:  # of TOML, JSON and UTF-8
+    except UnicodeDecodeError as error:
+        raise click.UsageError(
+            f"--job {file}: byte {error.start} is not UTF-8; save the file as UTF-8."
+        ) from None
+    except ValueError as error:  # of TOML and JSON
         raise click.UsageError(f"--job {file}: it is not understood: {error}.") from None
 
 
 def _unknown(key: str, known: Sequence[str]) -> click.UsageError:
     from difflib import get_close_matches
 
-    near = get_close_matches(key, known, 1, 0.0)
-    return click.UsageError(f"--job: there is no option '{key}'; the nearest is '{near[0]}'.")
+    near = get_close_matches(key, known, 1)
+    remedy = (
+        f"the nearest is '{near[0]}'" if near else "'riecjax init' prints a job with all of them"
+    )
+    return click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
 
 
 def _entries(param: click.Parameter, key: str, value: Any) -> list[list[str]]:
@@ -131,8 +141,14 @@ def _entries(param: click.Parameter, key: str, value: Any) -> list[list[str]]:
             raise _wrong(key, "a list of names in quotes", value)
         return [[one] for one in listed]
     if not param.multiple:  # type: ignore[attr-defined]
-        return [[name, *_texts(param, key, value)]]
+        # Names between commas may as well be a list.
+        listed = (
+            ",".join(map(str, value)) if key == "columns" and isinstance(value, list) else value
+        )
+        return [[name, *_texts(param, key, listed)]]
     if isinstance(value, dict):
+        if "=" not in (param.metavar or param.type.name):
+            raise _wrong(key, "a list of names in quotes", value)
         return [[name, f"{one}={_text(f'{key}.{one}', v)}"] for one, v in value.items()]
     listed = value if isinstance(value, list) else [value]
     return [[name, *_texts(param, key, one)] for one in listed]
@@ -168,7 +184,9 @@ def _placed(param: click.Parameter, entries: list[list[str]], folder: Path) -> l
 def _repathed(param: click.Parameter, text: str, moved: Any) -> str:
     """The text with its path moved: of an option that takes files, or FILE.py[:OBJECT]."""
     if isinstance(param.type, click.Path):
-        return moved(text)
+        path = moved(text)
+        # Else it would be taken for an option.
+        return f"./{path}" if path.startswith("-") else path
     found = PYTHON_FILE.fullmatch(text)
     # Only these two options name code; elsewhere .py may end any name.
     if found is None or key_of(param) not in ("model", "test-function"):

@@ -10,7 +10,7 @@ from riecjax.errors import DataError, RiecjaxError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
 from riecjax.work import Work, expect
 
-TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm")
+TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm", ".log", ".prn")
 SHEETS = (".xlsx", ".xlsm")
 READERS = {
     **dict.fromkeys(TEXT, "delimited.read_delimited"),
