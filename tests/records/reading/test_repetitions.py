@@ -82,6 +82,11 @@ def test_a_file_without_a_line_of_numbers_is_shown(tmp_path):
         read(tmp_path, "t,a,b", *(f"0,{i},1,5,2,5" for i in range(60)))
 
 
+def test_a_tab_as_it_is_typed(tmp_path):
+    read(tmp_path, "t\ta", *(row.rpartition(",")[0].replace(",", "\t") for row in ROWS))
+    assert read_channels(tmp_path / "a.csv", delimiter="\\t").columns["a"][-1] == 59
+
+
 def test_an_open_quote_above_the_table_joins_no_lines(tmp_path):
     found = read(tmp_path, 'rod,"3/4 inch', "t,a,b", *ROWS)
     assert list(found.columns) == ["t", "a", "b"]

@@ -90,6 +90,8 @@ def _dialect(
 ) -> tuple[Any, ...]:
     """What the file's reader has to know besides the file."""
     ending = file.suffix.lower()
+    # A tab as it can be typed.
+    delimiter = "\t" if delimiter == "\\t" else delimiter
     if delimiter and ending not in TEXT:
         raise DataError(f"{file.name}: a delimiter is for text files.")
     if (decimal or columns) and ending not in TEXT + SHEETS:
