@@ -327,6 +327,7 @@ def test_a_first_figure_leaves_the_settings_of_its_backend(estimate, monkeypatch
     pyplot.close("all")
 
 
+@pytest.mark.slow
 def test_the_report_opens(assessed, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)

@@ -82,6 +82,19 @@ def test_a_file_without_a_line_of_numbers_is_shown(tmp_path):
         read(tmp_path, "t,a,b", *(f"0,{i},1,5,2,5" for i in range(60)))
 
 
+def test_a_row_of_missing_samples_is_no_rule(tmp_path):
+    found = read(tmp_path, "a b", *(["1 2"] * 9), "--- ---", *(["1 2"] * 9))
+    assert np.flatnonzero(np.isnan(found.columns["a"])).tolist() == [9]
+    ruled = read(tmp_path, "t    a", "---- ----", *(f"{i} 2" for i in range(9)), "", "(9 rows out)")
+    assert ruled.columns["a"].size == 9
+
+
+def test_a_row_of_units_with_an_unknown_one(tmp_path):
+    found = read(tmp_path, "t,a,b", "s,mm,furlong", *ROWS)
+    assert list(found.columns) == ["t", "a", "b"]
+    assert found.units == {"t": "s", "a": "mm", "b": "furlong"}
+
+
 def test_a_tab_as_it_is_typed(tmp_path):
     read(tmp_path, "t\ta", *(row.rpartition(",")[0].replace(",", "\t") for row in ROWS))
     assert read_channels(tmp_path / "a.csv", delimiter="\\t").columns["a"][-1] == 59

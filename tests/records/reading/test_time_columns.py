@@ -1,5 +1,7 @@
 """Which column is time, what its numbers count, and what is said where they are none."""
 
+import datetime
+
 import numpy as np
 import pytest
 
@@ -240,6 +242,14 @@ CLOCKS = {
 def test_more_clocks(tmp_path, case):
     recording = read(tmp_path, {"time": [CLOCKS[case](5 * i) for i in range(N)], "x": X})
     np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
+
+
+def test_durations_of_python_past_a_day(tmp_path):
+    start = datetime.timedelta(hours=23, minutes=59, seconds=59)
+    stamps = [f'"{start + datetime.timedelta(seconds=t)}"' for t in T]
+    recording = read(tmp_path, {"time": stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
+    assert recording.record.sample_count == N
 
 
 def test_fractions_of_unequal_length_that_rise_are_decimals(tmp_path):

@@ -90,7 +90,7 @@ def test_headings_are_converted_to_what_the_model_reads(tmp_path, head, unit, fa
     ("head", "factor"),
     [("x_mm", 1e-3), ("x.mm", 1e-3), ("pos mm", 1e-3), ("w_deg_s", DEGREE), ("v_km_h", 1 / 3.6),
      ("v_kmph", 1 / 3.6), ("w_degps", DEGREE), ("p_kPa", 1e3), ("a_mm_s2", 1e-3), ("x_fl", 1),
-     ("x_m", 1), ("a_ms", 1)],
+     ("x_m", 1), ("a_ms", 1), ("x_bar", 1)],
 )  # fmt: skip
 def test_a_unit_behind_a_name_that_is_mapped(tmp_path, head, factor):
     record = read(tmp_path, head, "", rename={"x": head}).record
@@ -99,10 +99,12 @@ def test_a_unit_behind_a_name_that_is_mapped(tmp_path, head, factor):
     assert float(scaled["x"][0]) == 2
 
 
-@pytest.mark.parametrize(("head", "unit"), [("x_cm", "m"), ("a_g", "m/s^2"), ("x in", "m")])
+@pytest.mark.parametrize(
+    ("head", "unit"), [("x_cm", "m"), ("a_g", "m/s^2"), ("x in", "m"), ("p_psi", "Pa")]
+)
 def test_what_may_be_a_unit_behind_a_name_is_asked(tmp_path, head, unit):
     tail = head[2:]
-    with pytest.raises(DataError, match=rf"may be in {tail}.*--unit x={tail} or --unit 'x=m"):
+    with pytest.raises(DataError, match=rf"may be in {tail}.*--unit x={tail} or --unit 'x="):
         read(tmp_path, head, unit, rename={"x": head})
     assert (
         float(read(tmp_path, head, unit, rename={"x": head}, units={"x": unit}).record["x"][0]) == 1

@@ -106,7 +106,8 @@ def read_table(
     check_column_count(found.width)
     content, ended = without_end(content, found, lines[found.start])
     body, comments = _body(content, found)
-    body, repeated = without_headings(body, lines[max(found.header, 0) : found.start])
+    head = lines[max(found.header, 0) : found.start]
+    body, repeated = without_headings(body, head, found.dialect)
     table = Table(body, found, decimal is not None)
     parsed = _parse(table)
     names, kept, numbered = distinct(_names(found.names), parsed)

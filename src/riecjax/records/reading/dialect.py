@@ -11,7 +11,7 @@ from riecjax.errors import DataError
 from riecjax.records.reading.channels import MOST_COLUMNS
 from riecjax.records.reading.numerals import is_missing, is_number
 from riecjax.records.reading.time_stamps import is_stamp
-from riecjax.records.reading.units import bare_unit, is_known, is_unit
+from riecjax.records.reading.units import SECONDS, bare_unit, is_known, is_unit
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In order of preference; a blank stands for any white space."""
@@ -267,7 +267,10 @@ def _after(rows: dict[int, list[str]], place: int) -> int:
 
 
 def _is_unit_row(fields: list[str]) -> bool:
-    return any(fields) and all(not field or is_unit(field) or field in PLACES for field in fields)
+    """Whether all fields are units, or most of them below one of time, which no name is."""
+    known = [not field or is_unit(field) or field in PLACES for field in fields]
+    timed = bare_unit(fields[0]).lower() in SECONDS and sum(known) > len(fields) / 2
+    return any(fields) and (all(known) or timed)
 
 
 def _commented_header(

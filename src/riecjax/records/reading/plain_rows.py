@@ -18,6 +18,7 @@ _MEASURED = re.compile(r"[+-]?[\d.,]*\d(?:[eE][+-]?\d+)? ?(?P<unit>[^\s\d,;.+-][
 
 
 _RULE = re.compile(rb"(?m)^[ \t]*[|+:]?-{3,}[-+|=: ]*$")
+_FIRST_NUMBER = re.compile(rb"(?m)^[ \t|\"]*[+-]?[.\d]")
 _BARRED = re.compile(rb"(?m)^[ \t]*\|(.*)\|[ \t]*$")
 _AS_TEXT = re.compile(rb"(?m)(^|[,;\t])(?:=\"([^\"\n]*)\"|'([^'\n]*)')(?=[,;\t]|$)")
 _OPEN = re.compile(rb'(?:^|[,;\t])[ ]*"[^"]*$')
@@ -67,13 +68,13 @@ def _without_rules(content: bytes) -> bytes:
     """Without the lines of hyphens and bars around a table and below its names."""
     if b"---" not in content[:QUOTED]:
         return content
-    head, rest = content[:QUOTED], content[QUOTED:]
+    first = _FIRST_NUMBER.search(content)
+    head = content[: first.start() if first else QUOTED]
     if not _RULE.search(head):
         return content
-    head = _RULE.sub(b"", head)
-    last = max(rest.rstrip().rfind(b"\n") + 1, 0)
-    content = head + rest[:last] + _RULE.sub(b"", rest[last:])
-    lines = [line for line in head.split(b"\n")[:-1] if line.strip()]
+    last = max(content.rstrip().rfind(b"\n") + 1, len(head))
+    content = _RULE.sub(b"", head) + content[len(head) : last] + _RULE.sub(b"", content[last:])
+    lines = [line for line in content[:QUOTED].split(b"\n")[:-1] if line.strip()]
     barred = sum(_BARRED.fullmatch(line) is not None for line in lines)
     return _BARRED.sub(rb"\1", content) if barred > 0.9 * len(lines) else content
 
@@ -124,7 +125,9 @@ def _without_frames(content: bytes) -> tuple[bytes, list[str]]:
     """Rows without brackets, quotes and semicolons around them, and what was removed."""
     notes = []
     tail = content[-64:].rstrip()
-    if tail.endswith((b"]", b"];", b"],", b"}", b"};", b")")):
+    closed = tail.endswith((b"]", b"];", b"],", b"}", b"};", b")"))
+    # `(9 rows)` below a table opens none.
+    if closed and _OPENED.search(content[: min(QUOTED, len(content) // 2)]):
         content = _CLOSED.sub(b"", _OPENED.sub(b"", content))
         notes.append("brackets around rows removed")
     lines = [line for line in content[:QUOTED].split(b"\n")[:-1] if line.strip()]

@@ -6,7 +6,7 @@ from typing import Any
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import check_names
-from riecjax.records.reading.dialect import Layout, kind_of
+from riecjax.records.reading.dialect import Dialect, Layout, kind_of
 from riecjax.records.reading.time_columns import is_called_time
 from riecjax.records.reading.units import split_unit
 
@@ -47,10 +47,15 @@ def without_end(content: bytes, found: Layout, first: str) -> tuple[bytes, list[
     return (content[:end], [f"{below} lines below the table skipped"]) if below else (content, [])
 
 
-def without_headings(body: bytes, header: Sequence[str]) -> tuple[bytes, list[str]]:
+def without_headings(
+    body: bytes, header: Sequence[str], dialect: Dialect
+) -> tuple[bytes, list[str]]:
     """Rows without names and units that stand there again, as where a logger restarted."""
     count = 0
-    for line in filter(str.strip, header):
+    for line in header:
+        # Names that are numbers may be a row as well.
+        if "T" not in {kind_of(field, dialect.decimal) for field in dialect.fields(line)}:
+            continue
         again = b"\n" + line.encode() + b"\n"
         count += body.count(again)
         body = body.replace(again, b"\n\n")

@@ -24,7 +24,8 @@ TIME_WORDS = frozenset(
     testtime runningtime totaltime laptime recordtime sampletime datetime datetimeutc
     dateandtime date datumuhrzeit datumzeit uhrzeit datum utc utctime gpstime clock seconds secs
     sec epoch timesec timeseconds timeutc isotime xtime timeaxis timechannel heure horodatage
-    millis micros nanos milliseconds microseconds nanoseconds minutes hours days
+    tout tvec timevector millis micros nanos milliseconds microseconds nanoseconds minutes
+    hours days
     """.split()  # noqa: SIM905
 )
 """What loggers call time, in small letters and without what stands between words."""
@@ -107,7 +108,9 @@ def find_time(
     if found is None:
         return None
     time = _timed(found, values, units, notes, shortest)
-    guessed = found not in called and not unit_of_time(found, units) and _bare(found) not in UNSAID
+    # `rec.X.Data`, as ControlDesk writes it, is an X as well.
+    bare = _bare(found.removesuffix(".Data").rpartition(".")[2])
+    guessed = found not in called and not unit_of_time(found, units) and bare not in UNSAID
     return time._replace(doubt=_GUESSED.format(found)) if guessed and not time.doubt else time
 
 

@@ -131,6 +131,9 @@ def _days(found: list[re.Match[str] | None]) -> np.ndarray | None:
     dates = [_date(match.groupdict()) if match else None for match in found]
     if not any(dates):
         return None
+    if all(date[:2] == (0, 0) for date in filter(None, dates)):
+        # Elapsed times show no days where there are none.
+        dates = [date or ((0, 0, 0, False) if match else None) for date, match in zip(dates, found)]
     orders = [(0, 1)]
     if any(date and date[3] for date in dates):
         orders.append((1, 0))

@@ -17,11 +17,12 @@ _SEPARATOR = re.compile(r"\s*/\s*|\s*,\s+|\s+in\s+")
 _RATE = re.compile(r"(?:[kcmu]?m|k?N|rad|deg|°|rev|in|ft|l|L|U|1)/.*")
 """What is a unit as a whole: `m/s` is no m in seconds, as `F/kN` is a force in kN."""
 _BEHIND = re.compile(
-    r".*[^\W_][ _.-]+(?P<unit>(?:[mukµμ]m|[kmMK]N|daN|lbf|kgf|kNm|Nmm|inch|inches|ft|deg|degrees"
-    r"|m?rad|rpm|RPM|dps|kmh|kph|mph|[mukµμ][VA]|[hkM]Pa|m?bar|psi)(?:(?:_per_|[_/p])(?:s2?|sec|h))?)"
+    r".*[^\W_][ _.-]+(?P<unit>(?:[mukµμ]m|[kmMK]N|daN|lbf|kgf|kNm|Nmm|inch|inches|deg|degrees"
+    r"|m?rad|rpm|RPM|dps|kmh|kph|mph|[mukµμ][VA]|[hkM]Pa|mbar)(?:(?:_per_|[_/p])(?:s2?|sec|h))?)"
 )
-DOUBTFUL = ("cm", "g", "in")
-"""What may be a unit behind a name, or say something else: the centre of mass, an input."""
+DOUBTFUL = ("cm", "g", "in", "ft", "bar", "psi")
+"""What may be a unit behind a name, or say something else: the centre of mass, an input, a mean, an
+angle."""
 
 SECONDS = {
     **dict.fromkeys(("s", "S", "sec", "Sec", "secs", "second", "seconds"), 1.0),
