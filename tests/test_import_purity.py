@@ -35,6 +35,7 @@ def imported():
     return json.loads(lines[0])
 
 
+@pytest.mark.portable
 def test_every_module_imports(imported):
     assert "riecjax.estimation.identify" in imported["names"]
 

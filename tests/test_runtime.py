@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from riecjax.runtime import processor
+
 CLEAN = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_", "XDG_"))}
 COMPILED = "import jax, jax.numpy as jnp; jax.jit(lambda x: jnp.sin(x) + 1)(jnp.ones(3))"
 
@@ -49,6 +51,27 @@ def test_what_is_compiled_is_kept_where_it_can_be(tmp_path):
     (tmp_path / "file").write_text("")
     run = process(code, XDG_CACHE_HOME=str(tmp_path / "file"))
     assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.portable
+def test_without_a_home_nothing_is_kept():
+    code = "def homeless():\n    raise RuntimeError('no home')\nimport pathlib\n"
+    code += "pathlib.Path.home = homeless\nfrom riecjax import runtime\n"
+    code += "runtime.start_jax(keep_compiled=True)\nprint(runtime.programs_folder())"
+    assert process(code).stdout == "None\n"
+
+
+@pytest.mark.portable
+def test_processors_differ_where_their_abilities_are_not_told(monkeypatch):
+    def absent(*_: object, **__: object) -> str:
+        raise FileNotFoundError
+
+    monkeypatch.setattr("pathlib.Path.read_text", absent)
+    names = set()
+    for kind in ("Intel64 Family 6 Model 85", "Intel64 Family 6 Model 143"):
+        monkeypatch.setattr("platform.processor", lambda kind=kind: kind)
+        names.add(processor())
+    assert len(names) == 2
 
 
 @pytest.mark.parametrize("package", ["riecjax", "riecjax.runtime"])

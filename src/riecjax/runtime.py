@@ -80,11 +80,11 @@ def compiles_loops_whole() -> bool:
 def _keep_compiled() -> None:
     import jax
 
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(base) / "riecjax" / processor()
     try:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        folder = Path(base) / "riecjax" / processor()
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):  # the latter where there is no home
         return
     if not os.access(folder, os.W_OK):
         return
@@ -105,10 +105,12 @@ def programs_folder() -> Path | None:
 def processor() -> str:
     """A name for what compiled code may run on: homes are shared between machines."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
-        return platform.machine()
-    abilities = "".join(sorted({line for line in lines if line.startswith(("flags", "Features"))}))
+        abilities = platform.processor()  # its kind, which is all that Windows and macOS tell
+    else:
+        told = {line for line in lines if line.startswith(("flags", "Features"))}
+        abilities = "".join(sorted(told))
     return f"{platform.machine()}-{zlib.crc32(abilities.encode()):08x}"
 
 

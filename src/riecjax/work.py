@@ -90,7 +90,7 @@ def free_memory() -> float:
 
 def _free_of_machine() -> float:
     with contextlib.suppress(OSError, ValueError, IndexError):
-        lines = MEMORY.read_text().splitlines()
+        lines = MEMORY.read_text(encoding="utf-8").splitlines()
         kilobytes = [line.split()[1] for line in lines if line.startswith("MemAvailable:")]
         return 1024.0 * int(kilobytes[0])
     return float("inf")
@@ -100,10 +100,11 @@ def _free_of_group() -> float:
     """What a container's limit leaves, which the machine's free memory does not know of."""
     with contextlib.suppress(OSError, ValueError):
         limit, used = (
-            int((CONTROL_GROUP / f"memory.{name}").read_text()) for name in ("max", "current")
+            int((CONTROL_GROUP / f"memory.{name}").read_text(encoding="utf-8"))
+            for name in ("max", "current")
         )
         # Of what is used, cached files give way.
-        statistics = (CONTROL_GROUP / "memory.stat").read_text().splitlines()
+        statistics = (CONTROL_GROUP / "memory.stat").read_text(encoding="utf-8").splitlines()
         cached = [int(line.split()[1]) for line in statistics if line.startswith("inactive_file ")]
         return float(limit - used + sum(cached))
     return float("inf")

@@ -74,6 +74,19 @@ def test_findings_with_one_cause_are_one_cause(wrong):
     assert sum(finding.code == "window_sensitive" for finding in grouped) <= 1
 
 
+def test_what_voids_an_answer_is_its_reason_and_the_first_thing_to_do():
+    """A record of 5 s steps, taken for seconds, drifts with window length as well."""
+    doubtful = rx.Finding("time_unit_doubtful", "nothing states the unit of time", doubt=1.0)
+    record = rx.Record(motion(True), STEP)
+    recording = rx.Recording(record, "run.csv", findings=(doubtful,))
+    verdict = rx.assess(BODY, recording, RIEC, refine=None).verdict
+    assert {one.level for one in verdict.parameters.values()} == {"do not use"}
+    assert verdict.sentence.endswith(": time may be in another unit than seconds.")
+    assert len(verdict.causes) > 1
+    steps = verdict_entries(verdict, ("identify", "run.csv"))["next"]
+    assert steps[0]["words"].startswith("State the unit of time")
+
+
 def test_sensors_that_contradict_each_other_put_all_that_reads_them_in_doubt():
     signals = motion(False)
     position = rx.Equation(

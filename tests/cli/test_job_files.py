@@ -11,7 +11,7 @@ from test_own_recordings import MODEL, motion
 
 from riecjax.cli.identify import command as identify
 from riecjax.cli.init import assigned, form
-from riecjax.cli.job import JOB, given, key_of
+from riecjax.cli.job import JOB, given, input_files, key_of
 
 PLAIN = ("--test-function", "hat", "--no-sweep", "--refine", "none")
 ODD = ('q "raw" [m]', "Längs-Kraft # 1 \\ N", "C:\\new\\x.py:y", "tab\tand\x7f", "a=b", "01", "1e3")
@@ -73,6 +73,7 @@ def test_every_option_has_its_line_and_comes_back(tmp_path, monkeypatch, key):
     assert again.params == first.params
 
 
+@pytest.mark.portable
 @pytest.mark.parametrize("name", ODD)
 def test_any_name_is_kept(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
@@ -86,6 +87,7 @@ def test_any_name_is_kept(tmp_path, monkeypatch, name):
         assert again.params == first.params
 
 
+@pytest.mark.portable
 def test_what_is_typed_wins(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "jobs").mkdir()
@@ -119,6 +121,8 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
         ("sweep = 'no'", ("'sweep'", "true or false")),
         ("records = 3", ("'records'", "names")),
         ("map = {q = [1]}", ("'map.q'", "quotes")),
+        ("remove-offset = {x = 1}", ("'remove-offset'", "list of names")),
+        ("quite_else = 1", ("'quite_else'", "riecjax init")),
         ("alpha = ", ("job.toml", "not understood")),
         ("", ("RECORD",)),
     ],
@@ -127,6 +131,41 @@ def test_a_wrong_job_is_wrong_usage(capsys, tmp_path, monkeypatch, text, words):
     monkeypatch.chdir(tmp_path)
     Path("job.toml").write_text(text)
     said = rejected(capsys, 2, "identify", "--job", "job.toml")
+    assert all(word in said for word in words)
+
+
+def test_a_table_or_a_list_where_both_may_stand(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    job = rerun(
+        'records = "-b.csv"\nmodel = "emps"\ncolumns = ["t", "x y"]\nset = ["k=2"]\n'
+        'bound = {k = "0:9"}\nadd-mode = {x4 = 10}',
+        tmp_path,
+    )
+    assert job.params["columns"] == ("t", "x y")
+    assert job.params["known"] == {"k": 2.0}
+    assert job.params["files"] == (Path("-b.csv"),)
+    assert job.params["modes"] == (("x4", 10.0),)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_job_as_windows_writes_it(tmp_path, monkeypatch, encoding):
+    monkeypatch.chdir(tmp_path)
+    Path("job.toml").write_text('records = ["ä.csv"]\nmodel = "emps"', encoding=encoding)
+    assert context(["--job", "job.toml"]).params["files"] == (Path("ä.csv"),)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b'# Pr\xfcfstand\nmodel = "emps"', ("byte 4", "save the file as UTF-8")),
+        (b'{"job": {}, "provenance": {"files": [{"x": 1}]}}', ("no results.json",)),
+        (b'{"job": {}, "provenance": {"files": "abc"}}', ("no results.json",)),
+    ],
+)
+def test_a_damaged_job(capsys, tmp_path, monkeypatch, content, words):
+    monkeypatch.chdir(tmp_path)
+    Path("job.json" if content.startswith(b"{") else "job.toml").write_bytes(content)
+    said = rejected(capsys, 2, "identify", "--job", next(tmp_path.iterdir()))
     assert all(word in said for word in words)
 
 
@@ -143,6 +182,7 @@ def machine(tmp_path, monkeypatch):
     write_csv(Path("run.csv"), motion(offset=4.0, count=1500))
 
 
+@pytest.mark.portable
 def test_a_proposed_job_does_what_the_plain_command_does(capsys, machine):
     arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN)
     plain = call(capsys, "identify", *arguments, "--json").document
@@ -159,13 +199,16 @@ def test_a_proposed_job_does_what_the_plain_command_does(capsys, machine):
     assert call(capsys, "check", "--job", "job.toml").status == 0
 
 
+@pytest.mark.portable
 def test_a_result_runs_again_to_the_same_numbers(capsys, machine):
-    arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN, "--seed", "5")
-    assert call(capsys, "identify", *arguments, "--out", "result").status == 0
-    file = Path("result/results.json")
+    name, out = "Prüfstand Ω, 1.csv", Path("Läufe 7") / "µ 2"
+    Path("run.csv").rename(name)
+    arguments = (name, "--model", "machine.py:axis", *PLAIN, "--seed", "5")
+    assert call(capsys, "identify", *arguments, "--out", out).status == 0
+    file = out / "results.json"
     first = json.loads(file.read_text())
-    assert first["job"]["records"] == [str(Path("../run.csv"))]
-    assert call(capsys, "identify", "--job", file, "--out", "result").status == 0
+    assert first["job"]["records"] == [f"../../{name}"]
+    assert call(capsys, "identify", "--job", file, "--out", out).status == 0
     again = json.loads(file.read_text())
     for document in (first, again):
         del document["provenance"]["command"]
@@ -173,14 +216,15 @@ def test_a_result_runs_again_to_the_same_numbers(capsys, machine):
             step.pop("command")
     assert again == first
 
-    with Path("run.csv").open("a") as stream:
+    with Path(name).open("a") as stream:
         stream.write("\n")
     changed = call(capsys, "identify", "--job", file, "--json")
     assert changed.err.count("file_changed") == 1
     assert changed.document["warnings"][-1]["code"] == "file_changed"
-    assert "run.csv" in changed.document["warnings"][-1]["message"]
+    assert name in changed.document["warnings"][-1]["message"]
 
 
+@pytest.mark.portable
 def test_init_guesses_and_says_so(capsys, machine):
     _, q, force, *_ = motion(count=300).values()
     write_csv(Path("odd.csv"), {"Q [m]": q, "Load [N]": force})
@@ -190,3 +234,13 @@ def test_init_guesses_and_says_so(capsys, machine):
     assert job["map"] == {"q": "Q [m]", "force": "Load [N]"}
     assert "a guess, by its unit" in made.out
     assert "there is no time column" in made.out
+
+
+def test_the_files_of_a_bag_in_a_folder_are_input_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bag").mkdir()
+    for name in ("metadata.yaml", "bag_0.mcap"):
+        Path("bag", name).write_text("")
+    files = input_files(context(["bag", "run.csv", "--model", "machine.py:axis"]))
+    inside = [str(Path("bag", name)) for name in ("bag_0.mcap", "metadata.yaml")]
+    assert sorted(files) == sorted([*inside, "run.csv", "machine.py"])

@@ -26,6 +26,7 @@ NAMES = (
 IDENTIFIED = [name for name, model in MODELS.items() if model.procedure is not None]
 
 
+@pytest.mark.portable
 def test_listing(capsys):
     result = call(capsys, "models")
     assert result.status == 0
@@ -38,6 +39,7 @@ def test_listing(capsys):
             assert quantity.unit in result.out
 
 
+@pytest.mark.portable
 def test_json(capsys):
     document = call(capsys, "models", "--json").document
     assert document["schema"] == 1

@@ -221,6 +221,7 @@ def test_full_disk_is_reported_and_leaves_the_old_file(tmp_path, monkeypatch):
     no_temporaries(tmp_path, "a.csv")
 
 
+@pytest.mark.portable
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_an_existing_file_is_replaced_whole(tmp_path, ending):
     path = tmp_path / f"a{ending}"

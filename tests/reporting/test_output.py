@@ -37,7 +37,7 @@ from riecjax.reporting.identification import (
     print_identification,
 )
 from riecjax.reporting.identification_figures import identification_figures
-from riecjax.reporting.output import emit, write_folder
+from riecjax.reporting.output import _folder_beside, emit, write_folder
 from riecjax.reporting.page import Page, Section
 from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.summaries.summarise import summarise
@@ -151,10 +151,17 @@ def test_no_file_is_left_open(tmp_path):
     assert [str(warning.message) for warning in caught] == []
 
 
+def test_results_are_made_in_a_folder_that_keeps_no_one_out(tmp_path):
+    (tmp_path / "ordinary").mkdir()
+    made = _folder_beside(tmp_path / "out")
+    assert made.parent == tmp_path
+    assert made.stat().st_mode == (tmp_path / "ordinary").stat().st_mode
+
+
 @pytest.mark.parametrize("module", ["matplotlib", "jinja2", "plotly"])
 def test_missing_packages_are_named_with_the_remedy(tmp_path, monkeypatch, module):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(DataError, match=r"pip install 'riecjax\[report\]'"):
+    with pytest.raises(DataError, match=r'pip install "riecjax\[report\]"'):
         emitted(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 

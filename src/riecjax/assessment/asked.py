@@ -19,7 +19,7 @@ BYTES_PER_SAMPLE = 110.0
 """The same at the peak of memory."""
 SECONDS_OF_MODES = 2e-5
 """Beside them, for each equation of a model with hidden elements."""
-WORK_PER_ROW = Work(1e-7, 24.0)
+WORK_PER_ROW = Work(4e-6, 320.0)
 """Of a criterion that draws its windows, for each window and column."""
 
 

@@ -29,6 +29,7 @@ KINDS = {
         "rarely_excited",
     ),
     "sensors": (
+        "time_unit_doubtful",
         "unit_mismatch",
         "not_its_derivative",
         "constant_signal",
@@ -86,6 +87,7 @@ PHRASES = {
     "negative_value": "{parameters} is below zero",
     "interval_wider_than_estimate": "the recordings hardly determine {parameters}",
     "rarely_excited": "{parameters} is seldom excited",
+    "time_unit_doubtful": "time may be in another unit than seconds",
     "unit_mismatch": "{signals} has another unit than the model expects",
     "not_its_derivative": "{signals} do not fit each other",
     "constant_signal": "{signals} never varies",
@@ -138,6 +140,11 @@ class Cause(NamedTuple):
     share: float
     step: Step | None
 
+    @property
+    def voids(self) -> bool:
+        """Whether it leaves nothing of an answer, so that it is to be seen to first."""
+        return self.kind == "sensors" and self.share >= 1
+
 
 def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
     """Of all findings, first what does most to the parameters."""
@@ -153,9 +160,7 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
         share = max((found[n].by_kind(kind) / size[n] for n in names), default=0.0)
         phrase = _phrase(assessment, own[0])
         grouped.append(Cause(kind, phrase, tuple(own), names, share, _step(assessment, own)))
-    first = [cause for cause in grouped if cause.kind == "undetermined"]
-    rest = [cause for cause in grouped if cause.kind != "undetermined"]
-    return [*first, *sorted(rest, key=lambda cause: -cause.share)]
+    return sorted(grouped, key=lambda c: (c.kind != "undetermined", not c.voids, -c.share))
 
 
 def _phrase(assessment: "Assessment", finding: Finding) -> str:
@@ -181,6 +186,10 @@ def _step(assessment: "Assessment", own: Sequence[Finding]) -> Step | None:
 def _steps(assessment: "Assessment", by: Mapping[str, Finding]) -> Iterator[Step]:
     """What might be done about findings by code, the best first."""
     smooth = assessment.estimate.criterion.smoothness > 2
+    if "time_unit_doubtful" in by:
+        yield Step(
+            "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
+        )
     if "unmodelled_mode" in by:
         yield from _mode_steps(assessment)
     if "not_its_derivative" in by and not smooth:

@@ -95,6 +95,8 @@ def _judged(name: str, doubt: Doubt, size: float, grouped: Sequence[Cause]) -> t
     for cause in grouped:
         if any(f.code in RULED_OUT and name in (f.parameters or (name,)) for f in cause.findings):
             return "do not use", cause.phrase
+    if doubt.sensors >= size:
+        return "do not use", _reason("sensors", name, grouped)
     level: Level = "good" if doubt.size <= TRUSTED * size else "caution"
     wrong = doubt.drift + doubt.left_out
     if wrong > WRONG * size and wrong > doubt.scatter and doubt.drift > DRIFTS * doubt.scatter:

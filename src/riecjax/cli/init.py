@@ -1,8 +1,10 @@
 """`riecjax init`: a job file to fill in, from a look at recordings."""
 
+import codecs
 import inspect
 import json
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +48,7 @@ def _print_job(**arguments: Any) -> None:
 
         band = [float(end) for end in model.band or DEFAULT_BAND]
         notes["band"] = [f"# band = {toml_value(band)}  # taken unless another is given"]
-    click.echo("\n".join(form(ctx, notes)))
+    click.echo(_as_printed("\n".join(form(ctx, notes))))
 
 
 command = JobCommand(
@@ -56,6 +58,19 @@ command = JobCommand(
     help=inspect.getdoc(_print_job),
     short_help="Propose a job file for recordings and a model.",
 )
+
+
+def _as_printed(job: str) -> str:
+    """The job in TOML's UTF-8, or in ASCII with TOML's escapes where output has another encoding.
+
+    Windows redirects in a code page, in which no reader of TOML takes even a comment.
+    """
+    if codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8":
+        return job
+    signs = ((c, ord(c)) for c in job)
+    return "".join(
+        c if c.isascii() else f"\\u{n:04x}" if n < 2**16 else f"\\U{n:08x}" for c, n in signs
+    )
 
 
 def form(ctx: click.Context, notes: Mapping[str, Iterable[str]] = {}) -> Iterator[str]:
@@ -175,17 +190,16 @@ def _signals(model: "Model") -> "list[Quantity]":
 
 def _guess(signal: "Quantity", columns: list[str], channels: "Channels") -> tuple[str | None, str]:
     """The column that may be a signal, if one alone may, and why."""
-    from riecjax.records.reading.unit_conversion import conversion
-    from riecjax.records.reading.unit_conversion import plain as spelled
-    from riecjax.records.reading.units import split_unit
+    from riecjax.records.reading.unit_expressions import readings
+    from riecjax.records.reading.units import split_unit, unit_behind
 
     def plain(name: str) -> str:
         return re.sub(r"[\W_]", "", split_unit(name)[0].lower())
 
     def fits(column: str) -> bool:
-        stated = channels.units.get(column) or split_unit(column)[1] or ""
-        same = spelled(stated) == spelled(signal.unit)
-        return same or conversion(column, stated, signal.unit) is not None
+        stated = channels.named(column)[1] or unit_behind(column) or ""
+        same_kind = {unit.powers for unit in readings(stated).values()}
+        return any(unit.powers in same_kind for unit in readings(signal.unit).values())
 
     words = {word for word in re.findall(r"\w+", signal.meaning.lower()) if len(word) > 3}
     rules = {

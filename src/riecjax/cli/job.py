@@ -1,5 +1,6 @@
 """Job files: the options of a command in TOML, or in the results.json that they led to."""
 
+import codecs
 import functools
 import json
 import os
@@ -89,10 +90,16 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     **Raises:** `click.UsageError` if it is no job.
     """
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        content = file.read_bytes()
+        # PowerShell 5 redirects to UTF-16, which begins with its mark.
+        is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")
         if file.suffix.lower() == ".json":
             document = json.loads(text)
-            return dict(document["job"]), list(document["provenance"].get("files", []))
+            recorded = document["provenance"].get("files", [])
+            return dict(document["job"]), [
+                {"file": str(one["file"]), "sha256": str(one["sha256"])} for one in recorded
+            ]
         import tomllib
 
         return tomllib.loads(text), []
@@ -100,15 +107,22 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         raise click.UsageError(f"--job {file}: cannot be read: {error.strerror}.") from None
     except (KeyError, TypeError):
         raise click.UsageError(f"--job {file}: it is no results.json with a job.") from None
-    except ValueError as error:  # of TOML, JSON and UTF-8
+    except UnicodeDecodeError as error:
+        raise click.UsageError(
+            f"--job {file}: byte {error.start} is not UTF-8; save the file as UTF-8."
+        ) from None
+    except ValueError as error:  # of TOML and JSON
         raise click.UsageError(f"--job {file}: it is not understood: {error}.") from None
 
 
 def _unknown(key: str, known: Sequence[str]) -> click.UsageError:
     from difflib import get_close_matches
 
-    near = get_close_matches(key, known, 1, 0.0)
-    return click.UsageError(f"--job: there is no option '{key}'; the nearest is '{near[0]}'.")
+    near = get_close_matches(key, known, 1)
+    remedy = (
+        f"the nearest is '{near[0]}'" if near else "'riecjax init' prints a job with all of them"
+    )
+    return click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
 
 
 def _entries(param: click.Parameter, key: str, value: Any) -> list[list[str]]:
@@ -127,8 +141,14 @@ def _entries(param: click.Parameter, key: str, value: Any) -> list[list[str]]:
             raise _wrong(key, "a list of names in quotes", value)
         return [[one] for one in listed]
     if not param.multiple:  # type: ignore[attr-defined]
-        return [[name, *_texts(param, key, value)]]
+        # Names between commas may as well be a list.
+        listed = (
+            ",".join(map(str, value)) if key == "columns" and isinstance(value, list) else value
+        )
+        return [[name, *_texts(param, key, listed)]]
     if isinstance(value, dict):
+        if "=" not in (param.metavar or param.type.name):
+            raise _wrong(key, "a list of names in quotes", value)
         return [[name, f"{one}={_text(f'{key}.{one}', v)}"] for one, v in value.items()]
     listed = value if isinstance(value, list) else [value]
     return [[name, *_texts(param, key, one)] for one in listed]
@@ -154,21 +174,24 @@ def _wrong(key: str, wanted: str, value: Any) -> click.UsageError:
 
 def _placed(param: click.Parameter, entries: list[list[str]], folder: Path) -> list[list[str]]:
     """The same with paths, which are relative to the job's folder, as seen from here."""
-    return [
-        [*entry[:-1], _repathed(param, entry[-1], lambda path: os.path.join(folder, path))]
-        for entry in entries
-    ]
+
+    def moved(path: str) -> str:
+        return os.path.normpath(os.path.join(folder, path))
+
+    return [[*entry[:-1], _repathed(param, entry[-1], moved)] for entry in entries]
 
 
 def _repathed(param: click.Parameter, text: str, moved: Any) -> str:
     """The text with its path moved: of an option that takes files, or FILE.py[:OBJECT]."""
     if isinstance(param.type, click.Path):
-        return os.path.normpath(moved(text))
+        path = moved(text)
+        # Else it would be taken for an option.
+        return f"./{path}" if path.startswith("-") else path
     found = PYTHON_FILE.fullmatch(text)
     # Only these two options name code; elsewhere .py may end any name.
     if found is None or key_of(param) not in ("model", "test-function"):
         return text
-    return os.path.normpath(moved(found["file"])) + (found["object"] or "")
+    return moved(found["file"]) + (found["object"] or "")
 
 
 def _left(param: click.Parameter, entries: list[list[str]], typed: Any) -> list[list[str]]:
@@ -205,8 +228,17 @@ def given(ctx: click.Context, folder: Path | None = None) -> dict[str, Any]:
 
 
 def _seen_from(folder: Path | None, path: str) -> str:
-    """A path, which starts from here, as one that starts from a folder."""
-    return path if folder is None or os.path.isabs(path) else os.path.relpath(path, folder)
+    """A path, which starts from here, as one that starts from a folder, on any system.
+
+    It is absolute where the folder is on another drive, to which no path of Windows leads.
+    """
+    seen = os.path.normpath(path)
+    if folder is not None and not os.path.isabs(path):
+        try:
+            seen = os.path.relpath(path, folder)
+        except ValueError:
+            seen = os.path.abspath(path)
+    return seen.replace(os.sep, "/")
 
 
 def _plain(param: click.Parameter, value: Any, folder: Path | None) -> Any:
@@ -233,7 +265,7 @@ def _number(text: str) -> Any:
 
 
 def input_files(ctx: click.Context) -> list[str]:
-    """Every file that the command reads: recordings, and code of the user's own."""
+    """Every file that the command reads: recordings, also in a bag's folder, and users' code."""
     raw, files = ctx.meta[JOB], {}
     for param in ctx.command.get_params(ctx):
         if key_of(param) in SHOWN:
@@ -241,7 +273,14 @@ def input_files(ctx: click.Context) -> list[str]:
         value = raw.get(param.name, ())
         for text in value if isinstance(value, tuple | list) else [value]:
             _repathed(param, str(text), lambda path: files.setdefault(path, path))
-    return list(files)
+    return [file for path in files for file in _files_of(path)]
+
+
+def _files_of(path: str) -> list[str]:
+    """A file, or those in the folder that a bag is."""
+    if not os.path.isdir(path):
+        return [path]
+    return [os.path.join(path, name) for name in sorted(os.listdir(path))]
 
 
 def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, Any]]:

@@ -1,7 +1,9 @@
 """Entry point of the command line."""
 
+import errno
 import gc
 import importlib
+import io
 import json
 import os
 import sys
@@ -44,6 +46,10 @@ COLLECT_AFTER = 100_000
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 no answer from these data, 2 wrong usage."""
     gc.set_threshold(COLLECT_AFTER)
+    for stream in (sys.stdout, sys.stderr):
+        # Names of columns and files may not be in its encoding: redirected on Windows, a code page.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     sys.exit(run(arguments))
 
 
@@ -65,8 +71,11 @@ def run(arguments: list[str] | None = None) -> int:
         return _fail("interrupted.", 1)
     except RiecjaxError as error:
         return _no_answer(str(error), error.code, given)
-    except BrokenPipeError:
-        # The reader of our output went away (`| head`); leave quietly.
+    except OSError as error:
+        # The reader of our output went away (`| head`), for which Windows has two numbers; leave
+        # quietly.
+        if error.errno != errno.EPIPE and (error.errno, sys.platform) != (errno.EINVAL, "win32"):
+            raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except MemoryError as error:

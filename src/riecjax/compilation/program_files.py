@@ -50,7 +50,7 @@ def load_ahead(*kind: str) -> None:
     calls = folder / (hashlib.sha256("\0".join(kind).encode()).hexdigest() + ".calls")
     atexit.register(_note, calls)
     with contextlib.suppress(OSError, ValueError):
-        keys = [key for key in json.loads(calls.read_text()) if _KEY.fullmatch(key)]
+        keys = [key for key in json.loads(calls.read_text(encoding="utf-8")) if _KEY.fullmatch(key)]
         loader = ThreadPoolExecutor(1)
         _ahead.update({key: loader.submit(_loaded, _file(folder, key)) for key in keys})
         loader.shutdown(wait=False)

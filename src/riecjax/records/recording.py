@@ -17,7 +17,7 @@ from riecjax.records.reading.channels import TIME_COLUMNS, Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
 from riecjax.records.reading.selection import Selected, Selection, record_from_channels
-from riecjax.records.reading.unit_conversion import plain
+from riecjax.records.reading.unit_expressions import same
 from riecjax.records.reading.units import split_unit
 from riecjax.records.reading_settings import ReadingSettings, sorted_settings
 from riecjax.records.record import Record, Records, as_records
@@ -193,7 +193,9 @@ def _recording(
     # Damaged numbers overflow; what is not finite is found and named.
     with _explaining(str(path), selection.rename, left_out, part), np.errstate(all="ignore"):
         try:
-            selected = record_from_channels(channels, selection, _read_by(model, preparation))
+            read_by, band = _read_by(model, preparation), getattr(model, "band", None)
+            shortest = 0.5 / band[1] if band else None
+            selected = record_from_channels(channels, selection, read_by, shortest)
             record = selected.record
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
@@ -204,7 +206,10 @@ def _recording(
     computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
-        *_of_milliseconds(file, selected.doubtful_time, float(record.time_step)),
+        *(
+            Finding("time_unit_doubtful", f"{file}: {why}", doubt=1.0)
+            for why in filter(None, [selected.doubt])
+        ),
         *(
             Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
             for n, why in mismatches.items()
@@ -233,20 +238,6 @@ def _read_by(model: Any, preparation: Preparation) -> dict[str, str]:
     """The model's signals and what others are derived from, with the units they are read in."""
     units = {signal.name: signal.unit for signal in getattr(model, "signals", ())}
     return dict.fromkeys(preparation.derivatives.values(), "") | units
-
-
-def _of_milliseconds(file: str, column: str, step: float) -> list[Finding]:
-    if not column:
-        return []
-    return [
-        Finding(
-            "time_unit_doubtful",
-            f"{file}: nothing states the unit of time '{column}', whose stamps are whole numbers; "
-            f"it is taken as seconds, one sample every {step:g} s. If it is milliseconds: "
-            f"scale={{'{column}': 0.001}} (on the command line: --scale {column}=0.001).",
-            doubt=1.0,
-        )
-    ]
 
 
 def _left_out(channels: Channels) -> dict[str, str]:
@@ -306,7 +297,7 @@ def _in_model_units(
     for name, unit in units.items():
         column = selection.rename.get(name, name)
         converted = {column, name} & {*selection.scale} or name in selection.derive
-        if name in stated and not converted and plain(stated[name]) != plain(unit):
+        if name in stated and not converted and not same(stated[name], unit):
             mismatches[name] = (
                 f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}, and "
                 f"nothing converts one to the other; correct the file's unit: units={{'{name}': "

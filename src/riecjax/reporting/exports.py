@@ -32,8 +32,8 @@ def needed(package: str, extra: str, purpose: str) -> Any:
         return importlib.import_module(package)
     except ImportError:
         raise DataError(
-            f"{purpose} needs {package.partition('.')[0]}; install it by pip install "
-            f"'riecjax[{extra}]'."
+            f"{purpose} needs {package.partition('.')[0]}; install it by "
+            f'pip install "riecjax[{extra}]".'
         ) from None
 
 

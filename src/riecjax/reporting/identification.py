@@ -1,6 +1,5 @@
 """Results of an identification: JSON document and tables on a terminal."""
 
-import shlex
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -28,7 +27,7 @@ from riecjax.reporting.refinement import (
     refinement_entries,
     refinement_in_words,
 )
-from riecjax.reporting.verdict import print_verdict, verdict_entries
+from riecjax.reporting.verdict import as_typed, print_verdict, verdict_entries
 from riecjax.studies.drift import WindowSweep
 from riecjax.studies.monte_carlo import SeedScatter
 
@@ -61,7 +60,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
         ],
         "warnings": [finding._asdict() for finding in result.findings()],
         "provenance": {
-            "command": shlex.join(["riecjax", *command]) if command else None,
+            "command": as_typed(command) if command else None,
             "seed": _seed(result.key),
             "records": [
                 {

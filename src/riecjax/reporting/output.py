@@ -3,7 +3,7 @@
 import json
 import os
 import shutil
-import tempfile
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,8 @@ def write_folder(folder: Path, document: Document, charts: Mapping[str, Chart], 
 
     made = _folder_beside(folder)
     try:
-        (made / "results.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
+        text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+        (made / "results.json").write_text(text, encoding="utf-8")
         pictures = {name: made / f"{name}.png" for name in charts}
         for name, chart in charts.items():
             print_chart(chart, pictures[name])
@@ -89,9 +90,12 @@ def _folder_beside(folder: Path) -> Path:
     """A temporary folder next to one that is to be written."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        # What is made in a folder of tempfile's is its owner's alone, on Windows wherever it moves.
+        made = folder.parent / f".{folder.name}.{uuid.uuid4().hex}"
+        made.mkdir()
     except OSError as error:
         raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
+    return made
 
 
 def require_report_packages() -> None:
@@ -106,5 +110,5 @@ def require_report_packages() -> None:
     except ImportError:
         raise DataError(
             "figures and reports need matplotlib, plotly and jinja2; install them by "
-            "pip install 'riecjax[report]'."
+            'pip install "riecjax[report]".'
         ) from None

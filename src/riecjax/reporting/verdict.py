@@ -1,6 +1,8 @@
 """A verdict in plain data and on a terminal: the answer first, then what to do about it."""
 
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 
 from rich.console import Console
@@ -54,16 +56,23 @@ def _cause(cause: Cause) -> Document:
 
 
 def _next(causes: Sequence[Cause], command: Sequence[str]) -> Iterator[Document]:
-    """What to do, with a command that does it; what has one comes first."""
-    steps = list(dict.fromkeys(cause.step for cause in causes if cause.step is not None))
-    steps.sort(key=lambda step: not step.options)
+    """What to do, with a command that does it; what has one comes first, but for what voids all."""
+    urgent = {cause.step: cause.voids for cause in reversed(causes) if cause.step is not None}
+    steps = sorted(reversed(urgent), key=lambda step: (not urgent[step], not step.options))
     for step in steps[:MOST_STEPS]:
-        run = shlex.join(["riecjax", *_with(command, step.options)])
+        run = as_typed(_with(command, step.options))
         yield {
             "words": step.words,
             "options": list(step.options),
             "command": run if command and step.options else None,
         }
+
+
+def as_typed(arguments: Sequence[str]) -> str:
+    """`riecjax` with these arguments, as this system's shell takes it."""
+    # To cmd.exe a single quote is a letter like others.
+    join = subprocess.list2cmdline if sys.platform == "win32" else shlex.join
+    return join(["riecjax", *arguments])
 
 
 def _with(command: Sequence[str], options: Sequence[str]) -> list[str]:
@@ -90,7 +99,8 @@ def print_verdict(document: Document, console: Console) -> None:
         console.print(line, highlight=False, markup=False)
     for step in entries["next"]:
         console.print()
-        console.print(f"{step['words']}{':' if step['command'] else '.'}", highlight=False)
+        ending = ":" if step["command"] else "."
+        console.print(f"{step['words']}{ending}", highlight=False, markup=False)
         if step["command"]:
             # Not wrapped: a command is to be pasted.
             console.print(f"  {step['command']}", highlight=False, markup=False, soft_wrap=True)

@@ -84,6 +84,7 @@ MATLAB: dict[str, object] = {
 WRITERS = {"v5": write_v5, "v7.3": write_v73}
 
 
+@pytest.mark.portable
 @pytest.mark.parametrize("version", WRITERS)
 def test_matlab_files_by_name(tmp_path, version):
     channels = read_channels(WRITERS[version](tmp_path / "a.mat", MATLAB))
@@ -338,6 +339,7 @@ def test_parquet_nulls_and_other_columns(tmp_path):
     assert channels.columns["flag"].tolist() == [1.0, 0.0] * (N // 2)
 
 
+@pytest.mark.portable
 def test_the_index_of_a_frame_in_parquet_is_time(tmp_path):
     index = pd.date_range("2024-05-01", periods=N, freq="50ms")
     pd.DataFrame({"x": X}, index=index).to_parquet(tmp_path / "a.parquet")
@@ -381,7 +383,7 @@ def test_mdf_groups_with_their_own_times(tmp_path):
 def test_mdf_without_its_library_says_what_to_install(tmp_path, monkeypatch):
     (tmp_path / "a.mf4").write_bytes(b"MDF     4.10    ")
     monkeypatch.setitem(sys.modules, "asammdf", None)
-    with pytest.raises(DataError, match=r"a\.mf4: .*pip install 'riecjax\[mdf\]'"):
+    with pytest.raises(DataError, match=r'a\.mf4: .*pip install "riecjax\[mdf\]"'):
         read_channels(tmp_path / "a.mf4")
 
 

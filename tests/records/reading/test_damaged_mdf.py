@@ -1,6 +1,8 @@
 """MDF files are read in a process of their own, whose end, by whatever cause, is one line here."""
 
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,6 +35,7 @@ def flipped(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(damaged)
 
 
+@pytest.mark.portable
 def test_what_the_process_hands_over_is_what_the_file_holds(whole):
     here, there = measurement._read(whole), read_channels(whole)
     assert list(there.columns) == list(here.columns)
@@ -64,6 +67,7 @@ def test_flipped_bits_in_headers(whole, tmp_path):
 
 LIBRARIES = {
     "crash": "import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)",
+    "aborts as Windows does": "import os\nos._exit(3)",
     "quits": "import os\nos._exit(0)",
     "leaves": "raise SystemExit(0)",
     "fails": "def MDF(stream):\n    raise RuntimeError('two\\nlines')",
@@ -86,6 +90,19 @@ def test_whatever_the_library_does(tmp_path, monkeypatch, capfd, library):
         with pytest.raises(DataError, match=r"^a\.mf4: not a readable MDF file: .*\.$|: two$"):
             read_channels(tmp_path / "a.mf4")
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.portable
+def test_windows_shows_no_dialog_after_a_crash(monkeypatch):
+    shown = []
+    windows = SimpleNamespace(
+        SEM_FAILCRITICALERRORS=1, SEM_NOGPFAULTERRORBOX=2, SetErrorMode=shown.append
+    )
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setitem(sys.modules, "msvcrt", windows)
+    monkeypatch.setitem(sys.modules, "resource", None)
+    child_process._limit_resources()
+    assert shown == [3]
 
 
 def test_modules_in_the_working_folder_are_not_imported(whole, tmp_path, monkeypatch):

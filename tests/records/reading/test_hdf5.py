@@ -25,6 +25,7 @@ def one_group(path):
     return path
 
 
+@pytest.mark.portable
 def test_names_begin_below_the_group_of_all(tmp_path):
     channels = read_channels(one_group(tmp_path / "a.h5"))
     assert set(channels.columns) == {"time", "position", "force"}

@@ -24,6 +24,7 @@ def lines(path, rows):
     return path
 
 
+@pytest.mark.portable
 @pytest.mark.parametrize("ending", [".jsonl", ".ndjson"])
 def test_an_object_in_each_line(tmp_path, ending):
     rows = [{"t": t, "imu": {"acc": [x, 2 * x]}, "tag": "a"} for t, x in zip(TIME, X)]

@@ -34,6 +34,7 @@ def bag(folder, storage=StoragePlugin.MCAP, late=0):
     return folder
 
 
+@pytest.mark.portable
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_folder_of_two_topics(tmp_path, storage):
     path = bag(tmp_path / "bag", storage)

@@ -32,6 +32,7 @@ def table(x=X, head=("t [s]", "x [mm]")):
     return [head, *zip(TIME.tolist(), x.tolist(), strict=True)]
 
 
+@pytest.mark.portable
 def test_a_sheet_below_a_title(tmp_path):
     path = workbook(tmp_path / "a.xlsx", Notes=[["Rig 3"]], Data=[["a title"], [], *table()])
     channels = read_channels(path)
@@ -73,7 +74,7 @@ def test_no_table(tmp_path):
 
 def test_without_the_library_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(DataError, match=r"pip install 'riecjax\[excel\]'"):
+    with pytest.raises(DataError, match=r'pip install "riecjax\[excel\]"'):
         read_channels(workbook(tmp_path / "a.xlsx", S=table()))
 
 

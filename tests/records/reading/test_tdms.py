@@ -23,6 +23,7 @@ def even(step, unit="m", start=0.0):
     return {"wf_increment": step, "wf_start_offset": start, "unit_string": unit}
 
 
+@pytest.mark.portable
 def test_times_by_increments(tmp_path):
     path = saved(
         tmp_path / "a.tdms",
@@ -69,5 +70,5 @@ def test_damaged_files(tmp_path, capfd):
 def test_without_the_library_the_extra_is_named(tmp_path, monkeypatch):
     path = saved(tmp_path / "a.tdms", ("rig", "x", X, even(0.02)))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(DataError, match=r"pip install 'riecjax\[tdms\]'"):
+    with pytest.raises(DataError, match=r'pip install "riecjax\[tdms\]"'):
         read_channels(path)

@@ -27,8 +27,8 @@ SLOWEST_READING = 5e6
 """Bytes a second."""
 MEMORY = 4 * LARGEST_FILE
 """Bytes that the reading process may ask for."""
-OUT_OF_MEMORY = 3
-"""Exit status of the reading process."""
+OUT_OF_MEMORY = 77
+"""Exit status of the reading process: not 3, with which abort() ends one on Windows."""
 
 
 def read_apart(
@@ -100,7 +100,14 @@ def _pack(module: str, function: str, file: str, out: str, arguments: str) -> No
 
 
 def _limit_resources() -> None:
-    """Keep damaged sizes from the machine's memory, and crashes from its disk."""
+    """Keep damaged sizes from the machine's memory, and crashes from its disk.
+
+    Windows has neither limit, but a dialog after a crash, for which reading would wait.
+    """
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.SetErrorMode(msvcrt.SEM_FAILCRITICALERRORS | msvcrt.SEM_NOGPFAULTERRORBOX)
     with contextlib.suppress(ImportError, ValueError, OSError):
         import resource
 
