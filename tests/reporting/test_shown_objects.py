@@ -179,7 +179,7 @@ def test_a_record_leaves_as_a_frame():
 @pytest.mark.parametrize(("package", "verb"), [("pandas", "to_frame"), ("xarray", "to_xarray")])
 def test_a_missing_package_is_named_with_its_remedy(estimate, monkeypatch, package, verb):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(rx.DataError, match=rf"needs {package}.*'riecjax\[frames\]'"):
+    with pytest.raises(rx.DataError, match=rf'needs {package}.*"riecjax\[frames\]"'):
         getattr(estimate, verb)()
 
 
