@@ -1,10 +1,13 @@
-"""From the start of a process to its answer: `python -m benchmarks.cold_start [--repeats 3]`.
+"""From the start of a process to its answer: `python -m benchmarks.cold_start [--against DIR]`.
 
 `riecjax identify` on 8000 rows, on a terminal of its own: until the estimate is on the screen, and
 until the verdict on refined and tested values is, first with nothing compiled before, then again
 with what the first one kept; the same of a model that is right, whose values are refined; and
 `riecjax models`. Beside them a bare import of jax and diffrax, in whose time they are told. Written
 to benchmarks/cold_start.json.
+
+`--against` names a checkout of another commit, whose commands run in turn with ours; then ratios
+are told, and nothing is written.
 """
 
 import argparse
@@ -22,6 +25,7 @@ from benchmarks.afresh import environment
 from benchmarks.writing import write_json
 
 FILE = Path(__file__).with_name("cold_start.json")
+HERE = Path(__file__).parents[1]
 RIECJAX = (sys.executable, "-c", "from riecjax.cli.main import main; main()")
 IMPORT = (sys.executable, "-c", "import jax, diffrax")
 RECORDING, RIGHT = "drive.csv", "duffing.csv"
@@ -39,15 +43,23 @@ TARGETS = {
 """Times a bare import."""
 
 
+def settings(cache: str, checkout: Path) -> dict[str, str]:
+    """The environment of a process that runs the sources of a checkout."""
+    return environment(cache) | {"PYTHONPATH": str(checkout / "src")}
+
+
 def until(
-    words: Sequence[bytes], command: tuple[str, ...], folder: Path, cache: str
+    words: Sequence[bytes],
+    command: tuple[str, ...],
+    folder: Path,
+    environment: dict[str, str],
 ) -> list[float]:
     """Seconds until each of some words is first on the screen."""
     ours, theirs = pty.openpty()
     began, screen = time.perf_counter(), b""
     shown = [float("nan")] * len(words)
     with subprocess.Popen(
-        command, cwd=folder, env=environment(cache), stdout=theirs, stderr=theirs, close_fds=True
+        command, cwd=folder, env=environment, stdout=theirs, stderr=theirs, close_fds=True
     ) as process:
         os.close(theirs)
         while True:
@@ -65,45 +77,57 @@ def until(
     return shown
 
 
-def seconds_of(command: tuple[str, ...], folder: Path, cache: str) -> float:
+def seconds_of(command: tuple[str, ...], folder: Path, environment: dict[str, str]) -> float:
     """How long a command takes."""
     began = time.perf_counter()
-    subprocess.run(command, cwd=folder, env=environment(cache), check=True, capture_output=True)
+    subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True)
     return time.perf_counter() - began
+
+
+def times_of(checkout: Path, folder: Path) -> dict[str, float]:
+    """Every time once, with nothing compiled before."""
+    identify = (*RIECJAX, "identify", RECORDING, "--model", "quarter-car")
+    refined = (*RIECJAX, "identify", RIGHT, "--model", "duffing")
+    with tempfile.TemporaryDirectory() as cache:
+        of = settings(cache, checkout)
+        found = {"import_s": seconds_of(IMPORT, folder, of)}
+        for which in ("first", "again"):
+            table, verdict = until((LAST_ROW, VERDICT), identify, folder, of)
+            found |= {f"estimate_{which}_s": table, f"verdict_{which}_s": verdict}
+            (found[f"refined_{which}_s"],) = until((VERDICT,), refined, folder, of)
+        found["models_s"] = seconds_of((*RIECJAX, "models"), folder, of)
+    return found
+
+
+def medians(times: Sequence[dict[str, float]]) -> dict[str, float]:
+    return {name: round(statistics.median(one[name] for one in times), 2) for name in times[0]}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--against", type=Path, metavar="DIR", help="checkout of another commit")
     arguments = parser.parse_args()
-    identify = (*RIECJAX, "identify", RECORDING, "--model", "quarter-car")
-    refined = (*RIECJAX, "identify", RIGHT, "--model", "duffing")
-    times: dict[str, list[float]] = {}
-
-    def note(name: str, seconds: float) -> None:
-        times.setdefault(name, []).append(seconds)
-
+    checkouts = [HERE, *([arguments.against.absolute()] if arguments.against else [])]
+    times: list[list[dict[str, float]]] = [[] for _ in checkouts]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for model, file in (("quarter-car-source", RECORDING), ("duffing", RIGHT)):
             make = ("simulate", model, "--input", "white-noise", "--out", file)
             subprocess.run([*RIECJAX, *make], cwd=folder, check=True, capture_output=True)
-        for _ in range(arguments.repeats):
-            with tempfile.TemporaryDirectory() as cache:
-                note("import_s", seconds_of(IMPORT, folder, cache))
-                for which in ("first", "again"):
-                    table, verdict = until((LAST_ROW, VERDICT), identify, folder, cache)
-                    note(f"estimate_{which}_s", table)
-                    note(f"verdict_{which}_s", verdict)
-                    note(f"refined_{which}_s", *until((VERDICT,), refined, folder, cache))
-                note("models_s", seconds_of((*RIECJAX, "models"), folder, cache))
-    found = {name: round(statistics.median(values), 2) for name, values in times.items()}
-    for name, value in found.items():
+        for turn in range(arguments.repeats):
+            # Each goes first as often as the other: a machine's load drifts.
+            for which in sorted(range(len(checkouts)), reverse=bool(turn % 2)):
+                times[which].append(times_of(checkouts[which], folder))
+    ours, *others = (medians(each) for each in times)
+    for name, value in ours.items():
         target = TARGETS.get(name.removesuffix("_s"))
-        ratio = value / found["import_s"]
+        ratio = value / ours["import_s"]
         verdict = f"asked {target:g}, {'met' if ratio <= target else 'NOT MET'}" if target else ""
-        print(f"{name:<20} {value:6.2f} s  {ratio:5.2f} imports  {verdict}")
-    write_json(FILE, found)
+        beside = "".join(f"  {value / other[name]:5.2f} of theirs" for other in others)
+        print(f"{name:<20} {value:6.2f} s  {ratio:5.2f} imports{beside}  {verdict}")
+    if not others:
+        write_json(FILE, ours)
 
 
 if __name__ == "__main__":

@@ -77,12 +77,17 @@ def measured(command: list[str]) -> dict[str, Any]:
 
 def afresh(case: Case, size: int, folder: Path) -> dict[str, Any]:
     """The same in a new process that finds what earlier ones compiled."""
-    for text in filter(None, (case.made_by, case.command)):
-        # What makes the file needs to be made for one size where the command says no other.
-        number = size if "{n}." in case.command else 40 if text == case.made_by else size
-        words = [sys.executable, "-m", __spec__.name, "--run", *text.format(n=number).split()]
-        found = last_line(words, cwd=folder, env=environment(str(folder)) | PATH)
-    return found
+    made_for = size if "{n}." in case.command else 40
+    commands = [case.made_by.format(n=made_for)] if case.made_by else []
+    found = [
+        last_line(
+            [sys.executable, "-m", __spec__.name, "--run", *command.split()],
+            cwd=folder,
+            env=environment(str(folder)) | PATH,
+        )
+        for command in (*commands, case.command.format(n=size))
+    ]
+    return found[-1]
 
 
 PATH = {"PYTHONPATH": str(Path(__file__).parents[1])}

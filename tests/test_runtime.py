@@ -39,6 +39,7 @@ def test_too_late_is_said_and_a_second_time_is_no_harm():
     assert process(f"{again}\n{COMPILED}\n{again}").returncode == 0
 
 
+@pytest.mark.slow
 def test_what_is_compiled_is_kept_where_it_can_be(tmp_path):
     code = f"from riecjax import start_jax; start_jax(keep_compiled=True)\n{COMPILED}"
     assert process(code, XDG_CACHE_HOME=str(tmp_path)).returncode == 0

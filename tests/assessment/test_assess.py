@@ -99,6 +99,7 @@ def test_two_recordings_with_offsets_of_their_own():
     assert [recording.name for recording in found.recordings] == ["record 1", "record 2"]
 
 
+@pytest.mark.slow
 def test_a_refinement_is_compared_on_what_it_was_not_fitted_to():
     first, second = (rx.read_recording(write(f"{i}.csv", motion(600, i, 1e-3))) for i in (0, 1))
     steps = []
@@ -132,6 +133,7 @@ def test_dols_has_no_windows_to_choose():
         assert float(found.estimate[name]) == pytest.approx(value, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_random_windows_show_their_scatter():
     windows = rx.RIEC(rx.RandomWindows(0.1, 0.5, 400), rx.Hat(quadrature=6))
     recording = rx.read_recording(write("run.csv", motion(noise=1e-2)))
@@ -196,6 +198,7 @@ def test_slips_are_named_with_what_to_write(arguments, settings, words):
     assert words in str(error.value)
 
 
+@pytest.mark.slow
 def test_own_is_the_old_name_of_per_record():
     signals = motion(600)
     records = [rx.Record.from_samples({"x": signals["x"], "f": signals["f"]}, time_step=STEP)] * 2
@@ -215,6 +218,7 @@ def test_own_is_the_old_name_of_per_record():
         values(records, own=names, per_record=names)
 
 
+@pytest.mark.slow
 def test_noisy_samples_in_single_precision():
     signals = motion(noise=1e-2)
     with jax.enable_x64(False):

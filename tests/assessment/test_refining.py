@@ -71,7 +71,8 @@ def test_straight_lines_between_samples_are_taken_on_evidence():
         assert float(found.answer[name]) == pytest.approx(true, rel=3.5 * bound)
 
 
-@pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_of_a_reduced_model_the_linear_estimate_stays(noise):
     found, refinement = refinement_of(
         rx.find_model("quarter-car"), recording(reduced_car(), noise, 1)
@@ -89,6 +90,7 @@ def test_of_a_reduced_model_the_linear_estimate_stays(noise):
     assert document["refinement"]["refined"]["M_s"]["value"] != values["M_s"]
 
 
+@pytest.mark.slow
 def test_an_unstable_motion_is_refined_and_validated_over_windows():
     found, refinement = refinement_of(UPRIGHT, recording(upright(), 0.01, 2), hold_out=0.3)
     assert refinement.chosen
@@ -174,6 +176,7 @@ def test_the_work_grows_with_samples_and_parameters():
     assert seconds(500, truth) / seconds(500, some) == pytest.approx(7 / 5)
 
 
+@pytest.mark.slow
 def test_position_alone_is_answered_where_windows_cannot():
     signals = drag_problem.signals(1, 0.05)
     del signals["dx"]
@@ -189,6 +192,7 @@ def test_position_alone_is_answered_where_windows_cannot():
         )
 
 
+@pytest.mark.slow
 def test_check_names_the_refinement_that_answers_where_windows_cannot():
     """Short windows of a velocity by central differences hold little but noise."""
     signals = drag_problem.signals(1, 0.05)
@@ -259,6 +263,7 @@ def test_single_precision_is_declined_or_right():
             assert float(found.answer[name]) == pytest.approx(true, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_position_that_is_read_as_an_input_is_no_straight_line():
     """SciPy's lsim joins the force by lines, which the refinement tries; a line for x as well
     would fit to the last digit with a mass of m - k h^2 / 12."""

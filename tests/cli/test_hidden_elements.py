@@ -8,6 +8,7 @@ from command_line import call, write_csv
 
 import hidden_body
 import lagging_body
+from riecjax.cli.options import HiddenOptions
 
 FAST = ("--refine", "none", "--no-sweep", "--intervals", "sandwich")
 MODEL = """
@@ -103,3 +104,11 @@ def test_a_band_may_stay(capsys, folder):
     )
     assert result.status == 0, result.err
     assert result.document["parameters"]["M_mode"]["value"] == pytest.approx(6.0, rel=0.02)
+
+
+def test_a_sensor_named_twice_counts_once():
+    once, twice = (
+        HiddenOptions((), (), offsets, ()).added_to("drag-oscillator")
+        for offsets in (("u",), ("u", "u"))
+    )
+    assert twice.parameters == once.parameters

@@ -12,7 +12,7 @@ from test_own_recordings import MODEL, motion
 
 from riecjax.cli.identify import command as identify
 from riecjax.cli.init import assigned, form
-from riecjax.cli.job import JOB, given, key_of
+from riecjax.cli.job import JOB, given, input_files, key_of
 
 PLAIN = ("--test-function", "hat", "--no-sweep", "--refine", "none")
 ODD = ('q "raw" [m]', "Längs-Kraft # 1 \\ N", "C:\\new\\x.py:y", "tab\tand\x7f", "a=b", "01", "1e3")
@@ -122,6 +122,8 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
         ("sweep = 'no'", ("'sweep'", "true or false")),
         ("records = 3", ("'records'", "names")),
         ("map = {q = [1]}", ("'map.q'", "quotes")),
+        ("remove-offset = {x = 1}", ("'remove-offset'", "list of names")),
+        ("quite_else = 1", ("'quite_else'", "riecjax init")),
         ("alpha = ", ("job.toml", "not understood")),
         ("", ("RECORD",)),
     ],
@@ -130,6 +132,41 @@ def test_a_wrong_job_is_wrong_usage(capsys, tmp_path, monkeypatch, text, words):
     monkeypatch.chdir(tmp_path)
     Path("job.toml").write_text(text)
     said = rejected(capsys, 2, "identify", "--job", "job.toml")
+    assert all(word in said for word in words)
+
+
+def test_a_table_or_a_list_where_both_may_stand(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    job = rerun(
+        'records = "-b.csv"\nmodel = "emps"\ncolumns = ["t", "x y"]\nset = ["k=2"]\n'
+        'bound = {k = "0:9"}\nadd-mode = {x4 = 10}',
+        tmp_path,
+    )
+    assert job.params["columns"] == ("t", "x y")
+    assert job.params["known"] == {"k": 2.0}
+    assert job.params["files"] == (Path("-b.csv"),)
+    assert job.params["modes"] == (("x4", 10.0),)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_job_as_windows_writes_it(tmp_path, monkeypatch, encoding):
+    monkeypatch.chdir(tmp_path)
+    Path("job.toml").write_text('records = ["ä.csv"]\nmodel = "emps"', encoding=encoding)
+    assert context(["--job", "job.toml"]).params["files"] == (Path("ä.csv"),)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b'# Pr\xfcfstand\nmodel = "emps"', ("byte 4", "save the file as UTF-8")),
+        (b'{"job": {}, "provenance": {"files": [{"x": 1}]}}', ("no results.json",)),
+        (b'{"job": {}, "provenance": {"files": "abc"}}', ("no results.json",)),
+    ],
+)
+def test_a_damaged_job(capsys, tmp_path, monkeypatch, content, words):
+    monkeypatch.chdir(tmp_path)
+    Path("job.json" if content.startswith(b"{") else "job.toml").write_bytes(content)
+    said = rejected(capsys, 2, "identify", "--job", next(tmp_path.iterdir()))
     assert all(word in said for word in words)
 
 
@@ -226,3 +263,13 @@ def test_a_folder_with_results_is_its_results(capsys, machine):
     assert call(capsys, "check", "--job", result).status == 0
     other.mkdir()
     assert "cannot be read" in call(capsys, "check", "--job", other).err
+
+
+def test_the_files_of_a_bag_in_a_folder_are_input_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bag").mkdir()
+    for name in ("metadata.yaml", "bag_0.mcap"):
+        Path("bag", name).write_text("")
+    files = input_files(context(["bag", "run.csv", "--model", "machine.py:axis"]))
+    inside = [str(Path("bag", name)) for name in ("bag_0.mcap", "metadata.yaml")]
+    assert sorted(files) == sorted([*inside, "run.csv", "machine.py"])

@@ -16,6 +16,9 @@ RIGS = rigs()
 NIGHTLY = pytest.mark.slow
 """For what a refinement adds, which compiles anew for each number of samples."""
 LINEAR = ("--refine", "none")
+SLOW = {"shuffled signals", "shuffled column", "many nan", "text entry", "whole numbers", "cut out"}
+SLOW |= {"spliced", "parquet bomb"}
+"""What leaves another number of samples, or much to read."""
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +31,7 @@ def here(tmp_path, monkeypatch):
     ("file", "options"),
     [
         *((file, LINEAR) for file in WRITERS),
-        *(pytest.param(file, (), marks=() if file == "a.csv" else NIGHTLY) for file in WRITERS),
+        *(pytest.param(file, (), marks=NIGHTLY) for file in WRITERS),
     ],
 )
 def test_sound_recordings_are_answered_to_half_a_percent_without_a_warning(
@@ -45,7 +48,10 @@ def test_sound_recordings_are_answered_to_half_a_percent_without_a_warning(
         assert document["parameters"][name]["value"] == pytest.approx(value, rel=0.005)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "clean"])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=NIGHTLY if n in SLOW else ()) for n in NAMES if n != "clean"],
+)
 @pytest.mark.parametrize("options", [LINEAR, pytest.param((), marks=NIGHTLY)])
 def test_no_wrong_number_without_a_warning(name, options):
     for number in range(1):

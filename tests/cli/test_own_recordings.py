@@ -9,6 +9,8 @@ import scipy.integrate
 import scipy.io
 from command_line import call, rejected, write_csv
 
+from nightly import nightly
+
 MODEL = """
 import riecjax as rx
 
@@ -85,16 +87,17 @@ def test_recordings_with_offsets_of_their_own(capsys):
         write_csv(Path(f"run{i}.csv"), motion(offset, phase=i, count=COUNT - 1000 * i))
     files = ("run0.csv", "run1.csv")
     together = call(
-        capsys, "identify", *files, *IDENTIFY, "--per-record", "offset", "--json"
+        capsys, "identify", *files, *IDENTIFY, "--no-sweep", "--per-record", "offset", "--json"
     ).document
     assert list(values(together)) == ["M", "c", "k", "offset[1]", "offset[2]"]
     assert values(together)["offset[1]"] == pytest.approx(4.0, rel=1e-3)
     assert values(together)["offset[2]"] == pytest.approx(-7.0, rel=1e-3)
     assert values(together)["k"] == pytest.approx(80.0, rel=1e-4)
-    shared = call(capsys, "identify", *files, *IDENTIFY, "--json").document
+    shared = call(capsys, "identify", *files, *IDENTIFY, "--no-sweep", "--json").document
     assert "records_disagree" in codes(shared)
 
 
+@pytest.mark.slow
 def test_recordings_of_two_sampling_rates_lose_only_the_tests_of_the_residual(capsys):
     data = motion(offset=4.0)
     write_csv(Path("fast.csv"), data)
@@ -161,13 +164,13 @@ def test_a_file_in_other_units_than_the_model_is_converted(capsys):
     data = motion()
     table = "\n".join(f"{t:.3f},{1000 * q:.9f},{F:.9f}" for t, q, F in zip(*data.values()))
     Path("log.csv").write_text("t [s],y [mm],u [N]\n" + table)
-    options = ("--model", "duffing", "--test-function", "hat", "--no-sweep", "--json")
-    document = call(capsys, "identify", "log.csv", *options).document
+    options = ("--model", "duffing", "--test-function", "hat", "--refine", "none", "--no-sweep")
+    document = call(capsys, "identify", "log.csv", *options, "--json").document
     assert document["provenance"]["converted"] == {"y": "mm"}
     assert "y: mm to m" in document["provenance"]["preparation"]
-    scaled = call(capsys, "identify", "log.csv", *options, "--scale", "y=0.001").document
+    scaled = call(capsys, "identify", "log.csv", *options, "--json", "--scale", "y=0.001").document
     assert scaled["parameters"] == document["parameters"]
-    said = call(capsys, "identify", "log.csv", *options[:-1]).out
+    said = call(capsys, "identify", "log.csv", *options).out
     assert said.count("Converted to SI: y from mm.") == 1
     assert document["parameters"]["m"]["value"] == pytest.approx(TRUTH["M"], rel=0.05)
 
@@ -178,6 +181,7 @@ def test_check_says_what_a_record_can_answer(capsys):
     assert result.status == 0
     for word in ("6000 samples at 200 Hz", "own share", "M", "offset", "can answer what the model"):
         assert word in result.out
+    assert "3000 samples at 100 Hz" in call(capsys, "check", "run.csv", *CHECK, "--every", 2).out
     document = call(capsys, "check", "run.csv", *CHECK, "--json").document
     assert document["answerable"] is True
     assert document["signals"] == ["q", "F"]
@@ -205,6 +209,7 @@ def test_check_refuses_a_step_with_an_offset_and_names_the_direction(capsys):
     assert fit.err == f"riecjax: {document['error']['message']}\n"
 
 
+@pytest.mark.slow
 def test_what_only_noise_tells_apart_is_refused_without_a_refinement(capsys):
     data = motion()
     data["q2"] = data["q"] + 1e-4 * np.random.default_rng(1).normal(size=COUNT)
@@ -234,27 +239,31 @@ def test_check_names_a_silent_parameter(capsys):
     assert any("nothing in the record tells of M" in w["message"] for w in document["warnings"])
 
 
-def test_gaps_are_reported_and_do_not_spoil_the_answer(capsys):
+@pytest.mark.parametrize(
+    ("windows", "expected"),
+    [
+        ("all", {"missing_samples"}),
+        *nightly([(8000, {"missing_samples", "rows_left_out"})]),
+    ],
+    ids=["all", "random"],
+)
+def test_gaps_are_reported_and_do_not_spoil_the_answer(capsys, windows, expected):
     data = motion(offset=4.0)
     data["q"][3000:3050] = np.nan
     kept = np.r_[0:1000, 1200:COUNT]
     write_csv(Path("run.csv"), {name: column[kept] for name, column in data.items()})
-    for windows, expected in [
-        ("all", {"missing_samples"}),
-        (8000, {"missing_samples", "rows_left_out"}),
-    ]:
-        options = (*IDENTIFY, "--windows", windows, "--json")
-        document = call(capsys, "identify", "run.csv", *options).document
-        assert expected <= set(codes(document))
-        for name, value in TRUTH.items():
-            assert values(document)[name] == pytest.approx(value, rel=1e-4)
+    options = (*IDENTIFY, "--windows", windows, "--no-sweep", "--json")
+    document = call(capsys, "identify", "run.csv", *options).document
+    assert expected <= set(codes(document))
+    for name, value in TRUTH.items():
+        assert values(document)[name] == pytest.approx(value, rel=1e-4)
 
 
 def test_a_formula_makes_the_signal_that_was_not_recorded(capsys):
     data = motion()
     write_csv(Path("run.csv"), {"t": data["t"], "q": data["q"], "volt": data["F"] / 35.0})
     document = call(
-        capsys, "identify", "run.csv", *IDENTIFY, "--derive", "F=35*volt", "--json"
+        capsys, "identify", "run.csv", *IDENTIFY, "--no-sweep", "--derive", "F=35*volt", "--json"
     ).document
     assert values(document)["M"] == pytest.approx(2.0, rel=1e-4)
     assert "F: 35*volt" in document["provenance"]["preparation"]
@@ -304,7 +313,7 @@ def test_noise_is_judged_or_given_and_written_down(capsys):
     samples = motion()
     samples["q"] = samples["q"] + 0.02 * np.random.default_rng(0).normal(size=COUNT)
     write_csv(Path("noisy.csv"), samples)
-    check = ("check", "noisy.csv", "--model", "machine.py:axis", "--test-function", "hat", "--json")
+    check = ("check", "noisy.csv", *CHECK, "--json")
     judged = call(capsys, *check).document["noise"]
     assert judged["q"]["std"] == pytest.approx(0.02, rel=0.05)
     assert judged["q"]["share"] == pytest.approx(0.02 / np.std(samples["q"]), rel=0.05)

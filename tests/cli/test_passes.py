@@ -107,6 +107,7 @@ def test_one_command_sums_a_recording_once(capsys):
     }
 
 
+@pytest.mark.slow
 def test_each_of_two_recordings_is_summed_once(capsys):
     first, second = recording("one.csv", SAMPLES, 0), recording("two.csv", OTHER_SAMPLES, 1)
     assert executions(capsys, "cart", one=first, two=second) == {

@@ -10,10 +10,11 @@ from command_line import call, write_csv
 from test_own_recordings import MODEL, motion
 
 import riecjax as rx
+from nightly import nightly
 from riecjax.reporting.identification import identification_document
 
 
-@pytest.mark.parametrize("windows", ["all", 500])
+@pytest.mark.parametrize("windows", ["all", *nightly([500])])
 def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows):
     monkeypatch.chdir(tmp_path)
     Path("machine.py").write_text(MODEL)

@@ -298,6 +298,7 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dic
     return home, [json.loads(run(*arguments)) for _ in range(2)]
 
 
+@pytest.mark.slow
 def test_kept_programs_give_the_same_bits(identified):
     home, (first, again) = identified
     assert len(list(home.glob("riecjax/*/*.program"))) > 5

@@ -57,6 +57,7 @@ def test_chunks_add_up_to_the_whole(weight, gaps, monkeypatch):
     jax.clear_caches()
 
 
+@pytest.mark.slow
 def test_a_million_samples_in_32_bit_agree_with_64_bit():
     arrays = arrays_of(10**6, offset=5.0)
     criterion = RIEC(AllWindows(0.05, 0.5, longest_samples=64))

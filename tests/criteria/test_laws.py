@@ -214,6 +214,7 @@ def test_windows_that_are_rounded_away_refuse_to_be_differentiated(windows, weig
         jax.grad(estimate)(ALPHA)
 
 
+@pytest.mark.slow
 def test_second_derivatives_by_alpha_and_weights_are_right_or_refused():
     record = record_of(gaps=0)
 

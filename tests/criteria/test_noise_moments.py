@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from nightly import nightly
 from riecjax.criteria import noise_moments
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.procedure import as_procedure
@@ -157,7 +158,7 @@ def coloured(kind):
     return noise.filtered(of, taps, name), added
 
 
-@pytest.mark.parametrize("criterion", ["boxcar", "hat"])
+@pytest.mark.parametrize("criterion", ["boxcar", *nightly(["hat"])])
 @pytest.mark.parametrize("kind", ["velocity", "low-passed"])
 def test_coloured_noise_is_sent_through_the_windows(kind, criterion, many_probes):
     noise, added = coloured(kind)

@@ -6,6 +6,7 @@ import scipy.integrate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
@@ -96,13 +97,17 @@ def test_every_column_is_the_weighted_integral_of_its_own_derivative(name):
 @pytest.mark.parametrize(
     ("test_function", "order"),
     [
-        (Hat(2), 2),
         (Hat(4), 4),
-        (Hat(6), 6),
-        (Boxcar(4), 4),
-        (Boxcar(6), 6),
-        (Bump(4), 4),
-        (Bump(6), 6),
+        *nightly(
+            [
+                (Hat(2), 2),
+                (Hat(6), 6),
+                (Boxcar(4), 4),
+                (Boxcar(6), 6),
+                (Bump(4), 4),
+                (Bump(6), 6),
+            ]
+        ),
     ],
     ids=str,
 )
@@ -238,7 +243,7 @@ def test_wrong_settings_are_refused(make, words):
         make()
 
 
-@pytest.mark.parametrize("test_function", [Hat(4), Bump(5)], ids=str)
+@pytest.mark.parametrize("test_function", [Bump(5), *nightly([Hat(4)])], ids=str)
 def test_estimates_differentiate_and_vmap(test_function):
     record = record_of(401)
 

@@ -23,6 +23,7 @@ def words(text: str) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_commands_print_what_the_page_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
@@ -47,6 +48,7 @@ def test_commands_print_what_the_page_shows(tmp_path, monkeypatch, capsys):
     assert Path("result/report.html").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_python_version_says_the_same(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -9,6 +9,7 @@ from types import ModuleType
 import pytest
 
 import riecjax
+from nightly import nightly
 from riecjax.cli.main import run
 
 ROOT = Path(__file__).parents[2]
@@ -59,7 +60,7 @@ def test_every_notebook_is_in_the_navigation():
 
 
 @pytest.mark.parametrize(
-    "page", ["index.md", "writing_a_model.md", "sensor_noise.md", "results.md"]
+    "page", ["index.md", *nightly(["writing_a_model.md", "sensor_noise.md", "results.md"])]
 )
 def test_code_of_a_page_runs(page, capsys):
     text = (DOCS / page).read_text(encoding="utf-8")
@@ -68,6 +69,7 @@ def test_code_of_a_page_runs(page, capsys):
         assert promised in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_getting_started_runs_and_prints_what_it_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")

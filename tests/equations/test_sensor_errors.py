@@ -109,6 +109,7 @@ def test_a_gain_that_leaves_nothing_known():
         estimate(rx.staged(equation()).with_unknown_gain("F"), x, force)
 
 
+@pytest.mark.slow
 def test_the_equations_are_simulated_as_the_sensors_show(tmp_path, capsys):
     """From the command line: the recording is predicted with its offset, by the equations."""
     options = ["--input", "white-noise", "--bandwidth", "8", "--rms", "5", "--duration", "40"]

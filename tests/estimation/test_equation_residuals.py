@@ -11,6 +11,7 @@ import pytest
 import scipy.signal
 from rich.console import Console
 
+from nightly import by_day, nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import AllWindows, RandomWindows
@@ -93,7 +94,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", by_day(CASES, "samples", "all windows"))
 def test_each_equation_leaves_a_share_of_its_own(case):
     criterion, one, rows = CASES[case]
     found = identify(
@@ -275,7 +276,9 @@ def codes(found):
     return [finding.code for finding in found.findings()]
 
 
-@pytest.mark.parametrize(("stiffness", "noise", "least"), [(600.0, 0.0, 0.3), (0.0, 0.1, 0.03)])
+@pytest.mark.parametrize(
+    ("stiffness", "noise", "least"), [(600.0, 0.0, 0.3), *nightly([(0.0, 0.1, 0.03)])]
+)
 def test_an_equation_without_a_known_term_says_how_far_it_shrinks_its_coefficients(
     stiffness, noise, least
 ):

@@ -108,6 +108,7 @@ def test_gradients_and_batches(with_mode):
 FEW_LENGTHS = rx.RIEC(rx.AllWindows(0.14, 0.3), rx.criteria.GradedBump(lengths=3))
 
 
+@pytest.mark.slow
 def test_a_batch_is_what_its_records_are_one_by_one():
     rng, clean, parts = np.random.default_rng(8), motion(True), []
     for level in (0.001, 0.08, 0.08):
@@ -129,6 +130,7 @@ def test_a_batch_is_what_its_records_are_one_by_one():
     np.testing.assert_allclose(together[1], errors, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_differences(with_mode):
     signals = {name: jnp.asarray(x) for name, x in with_mode.arrays.items()}
     # Of a change that no parameter undoes: a second motion, added to the position alone.
@@ -157,6 +159,7 @@ print(*(float(estimate[name]) for name in ("m", "M_mode", "K_mode")))
 """
 
 
+@pytest.mark.slow
 def test_in_32_bit_modes_are_found_to_a_percent():
     environment = {**os.environ, "JAX_ENABLE_X64": "0"}
     done = subprocess.run(

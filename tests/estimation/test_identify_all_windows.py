@@ -70,6 +70,22 @@ def least_squares(record, weight, windows):
     return np.linalg.lstsq(rows[1:].T, rows[0], rcond=None)[0], rows.shape[1]
 
 
+def agrees_with_every_window_one_by_one(record, windows, weight):
+    lags = windows.lags(record.sample_count, record.time_step, weight.length_multiple)
+    every = every_window(record, weight, *(int(lag) for lag in lags))
+    expected, count = least_squares(record, weight, every)
+    estimate = identify(EQUATION, record, RIEC(windows, weight))
+    assert int(estimate.stages[0].count) == count
+    np.testing.assert_allclose(estimate.theta, expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("weight", [Boxcar(4), Hat(6)], ids=str)
+def test_the_estimate_is_that_of_every_window(weight):
+    record = record_of(333, gaps=3, offset=50.0)
+    agrees_with_every_window_one_by_one(record, AllWindows(0.05, 0.25), weight)
+
+
+@pytest.mark.slow
 @settings(deadline=None, max_examples=25)
 @given(
     n=st.sampled_from([120, 333]),
@@ -83,13 +99,8 @@ def least_squares(record, weight, windows):
 def test_the_estimate_is_that_of_every_window_one_by_one(
     n, seed, gaps, alpha, more, weight, offset
 ):
-    record = record_of(n, seed, gaps, offset)
-    windows = AllWindows(alpha, alpha + more)
-    shortest, longest = (int(v) for v in windows.lags(n, record.time_step, weight.length_multiple))
-    expected, count = least_squares(record, weight, every_window(record, weight, shortest, longest))
-    estimate = identify(EQUATION, record, RIEC(windows, weight))
-    assert int(estimate.stages[0].count) == count
-    np.testing.assert_allclose(estimate.theta, expected, rtol=1e-8)
+    record, windows = record_of(n, seed, gaps, offset), AllWindows(alpha, alpha + more)
+    agrees_with_every_window_one_by_one(record, windows, weight)
 
 
 def test_bumps_are_summed_at_their_lengths_and_every_start():
@@ -103,6 +114,7 @@ def test_bumps_are_summed_at_their_lengths_and_every_start():
     np.testing.assert_allclose(estimate.theta, expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [Boxcar(), Hat()], ids=str)
 def test_random_windows_converge_to_it_at_the_monte_carlo_rate(weight):
     record = record_of(2000)
@@ -143,6 +155,7 @@ def test_no_key_is_needed_and_the_answer_is_always_the_same():
     assert first.criterion.describe()["windows"] == "all"
 
 
+@pytest.mark.slow
 def test_it_differentiates_and_vmaps_over_data():
     record = record_of(600)
     criterion = RIEC(AllWindows(0.05, 0.3, longest_samples=64), Hat(4))

@@ -31,6 +31,7 @@ def test_a_spring_is_found_beside_its_damper(clean):
     assert abs(float(rigid["m"]) / TRUTH["m"] - 1) > 0.05
 
 
+@pytest.mark.slow
 def test_intervals_cover_at_5_percent_of_noise():
     covered = []
     for seed in range(12):
@@ -42,6 +43,7 @@ def test_intervals_cover_at_5_percent_of_noise():
     assert np.sum(covered, axis=0).min() >= 9
 
 
+@pytest.mark.slow
 def test_no_lag_is_no_spring():
     codes = []
     for seed in range(6):
@@ -52,6 +54,7 @@ def test_no_lag_is_no_spring():
     assert sum("series_spring_not_carried" in of for of in codes) >= 5
 
 
+@pytest.mark.slow
 def test_a_spring_and_a_mode_are_found_together():
     mode = {"M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
     heavy, stiff, loss = mode.values()

@@ -7,6 +7,7 @@ import pytest
 
 import riecjax as rx
 from hidden_body import MODEL, STEP, TRUTH, motion
+from nightly import nightly
 from riecjax.estimation.mode_windows import find_modes
 
 SPRUNG = MODEL.with_series_springs(rx.SeriesSpring("c"))
@@ -17,7 +18,7 @@ def clean() -> rx.Record:
     return rx.Record(motion(True), STEP)
 
 
-@pytest.mark.parametrize("model", [MODEL, SPRUNG], ids=["mode", "mode and spring"])
+@pytest.mark.parametrize("model", [MODEL, *nightly([SPRUNG])], ids=["mode", "mode and spring"])
 def test_the_choice_of_window_lengths_is_part_of_the_variance(clean, model):
     """Of the two lengths that tell most, each by itself."""
     found = rx.identify(model, clean, intervals=rx.Sandwich())
@@ -41,6 +42,7 @@ def test_without_noise_intervals_hold_the_truth(clean):
         assert low <= true <= high
 
 
+@pytest.mark.slow
 def test_a_spring_that_is_not_there_is_not_trusted(clean):
     verdict = rx.assess(SPRUNG, clean, intervals=rx.Sandwich()).verdict
     assert verdict.parameters["K_series"].level == "do not use"

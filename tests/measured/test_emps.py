@@ -183,6 +183,7 @@ def test_sensors_and_sampling_of_the_record_are_sound(document):
     assert codes == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["emps", "emps-asymmetric"])
 def test_hat_windows_on_the_position_agree_with_the_velocity_form(identified, model):
     settings = ("--windows", 60000, "--no-sweep")
@@ -192,6 +193,7 @@ def test_hat_windows_on_the_position_agree_with_the_velocity_form(identified, mo
         assert position[name]["value"] == pytest.approx(entry["value"], rel=5e-3)
 
 
+@pytest.mark.slow
 def test_held_out_motion_is_predicted_from_the_recorded_force(document):
     found = document("emps-asymmetric", "--hold-out", 0.3, "--no-sweep")
     (validation,) = found["validation"]
@@ -199,6 +201,7 @@ def test_held_out_motion_is_predicted_from_the_recorded_force(document):
     assert validation["signals"]["dq"]["fit_percent"] > 90
 
 
+@pytest.mark.slow
 def test_a_mask_about_standstill_moves_the_forward_friction(file):
     """The sign of a velocity below 0.5 mm/s is noise; windows that touch it are left out."""
     import jax

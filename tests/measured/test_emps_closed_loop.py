@@ -44,6 +44,7 @@ def test_logged_voltage_is_the_controllers_law_of_the_logged_positions(rig):
     assert misfit((q[2:] - q[1:-1]) / STEP) > 0.03
 
 
+@pytest.mark.slow
 def test_published_errors_come_out_of_the_published_simulation(rig, axes):
     record = sampled(rig, axes["published symmetric"], delay=1)
     clock = float(rig.time[9] - rig.time[8])
@@ -55,6 +56,7 @@ def test_published_errors_come_out_of_the_published_simulation(rig, axes):
     assert found["ddq"] == pytest.approx(PUBLISHED["ddq"], rel=0.15)
 
 
+@pytest.mark.slow
 def test_with_the_records_own_clock_the_position_error_is_an_eighth_of_the_published(rig, axes):
     found = errors(rig, sampled(rig, axes["published symmetric"], delay=1))
     assert found["q"] < PUBLISHED["q"] / 8
@@ -62,6 +64,7 @@ def test_with_the_records_own_clock_the_position_error_is_an_eighth_of_the_publi
         assert found[name] < 1.01 * PUBLISHED[name], name
 
 
+@pytest.mark.slow
 def test_every_set_of_parameters_predicts_better_than_published_without_delay(rig, axes):
     for name, axis in axes.items():
         found = errors(rig, sampled(rig, axis, delay=0))
@@ -69,12 +72,14 @@ def test_every_set_of_parameters_predicts_better_than_published_without_delay(ri
             assert found[signal] < published, (name, signal, found)
 
 
+@pytest.mark.slow
 def test_asymmetric_friction_predicts_the_force_better(rig, axes):
     force = {name: errors(rig, sampled(rig, axis, delay=0))["force"] for name, axis in axes.items()}
     for whose in ("published", "RIEC"):
         assert force[f"{whose} asymmetric"] < 0.9 * force[f"{whose} symmetric"]
 
 
+@pytest.mark.slow
 def test_continuous_controller_is_within_a_third_of_the_published_errors(rig, axes):
     system = ControlledAxis(axes["published symmetric"], gtau=rig.gain)
     record = simulate(system, rig.reference, initial_state={"q": rig.position[0]}).record

@@ -69,6 +69,7 @@ def test_what_the_curve_leaves_is_hysteresis(record):
     assert abs(loop) > 0.1 * force
 
 
+@pytest.mark.slow
 def test_friction_and_stiffness_explain_more_than_a_line(record):
     def residual(*terms):
         equation = Equation(*terms, -Term("offset", constant, unit="N"), Term(1.0, "F"))

@@ -6,6 +6,7 @@ import pytest
 import scipy.io
 
 from conftest import measured_data
+from nightly import nightly
 from riecjax.cli.main import run
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.smooth_test_functions import Bump
@@ -49,6 +50,7 @@ def test_four_pieces_at_once(records):
     assert 20 <= estimate.block_count <= 4 * 9.2 / 1.5
 
 
+@pytest.mark.slow
 def test_draws_scatter_by_less_than_a_tenth_of_a_permille(records):
     found = [float(riec(records, seed)["p1"]) for seed in range(4)]
     assert len(set(found)) == 4
@@ -77,6 +79,7 @@ def test_an_independent_draw_gives_the_same(records, angles):
     assert float(estimate["p2"]) == pytest.approx(expected[1], abs=0.0012)
 
 
+@pytest.mark.slow
 def test_through_files_on_the_command_line(records, tmp_path, capsys):
     paths = [tmp_path / f"piece{i}.csv" for i in range(4)]
     for path, record in zip(paths, records):
@@ -99,7 +102,7 @@ def from_the_angle(records, windows, test_function):
     return identify(pendulum_equation(), records, criterion, key=jax.random.key(0))
 
 
-@pytest.mark.parametrize("test_function", [Hat(4), Bump(6)], ids=str)
+@pytest.mark.parametrize("test_function", [Hat(4), *nightly([Bump(6)])], ids=str)
 def test_the_angle_alone_identifies_all_four_records_at_once(records, test_function):
     estimate = from_the_angle(records, RandomWindows(0.1, 1.0, 8000), test_function)
     # Published: 64.22 1/s^2, from simulated trajectories.
@@ -108,6 +111,7 @@ def test_the_angle_alone_identifies_all_four_records_at_once(records, test_funct
     assert float(estimate["p2"]) == pytest.approx(0.056, abs=0.002)
 
 
+@pytest.mark.slow
 def test_the_damping_differs_between_the_pieces_and_its_interval_admits_it(records):
     windows = RandomWindows(0.1, 1.0, 8000)
     together = from_the_angle(records, windows, Hat(4))

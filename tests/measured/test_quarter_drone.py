@@ -45,6 +45,7 @@ def records():
     return [record.part(2000, 8000) for record in read]  # 20 to 80 s, as the data's authors use
 
 
+@pytest.mark.slow
 def test_an_answer_with_warnings_that_the_model_is_wrong(records):
     criterion = RIEC(RandomWindows(0.5, 1.5, 8000), Hat())
     estimate = identify(arm(), records, criterion, key=jax.random.key(0))

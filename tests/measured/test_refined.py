@@ -1,5 +1,6 @@
 """Refinement on measured recordings: a model is judged by what it simulates."""
 
+import pytest
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 
 from conftest import measured_data
@@ -7,6 +8,7 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.records.preparation import upsample
 
 
+@pytest.mark.slow
 def test_friction_that_rises_from_rest_explains_the_controlled_axis_better():
     """No Stribeck fall: friction grows over the first 3 cm/s, and the closed loop confirms it."""
     rig = emps_closed_loop.load_rig(measured_data("emps"))
@@ -19,6 +21,7 @@ def test_friction_that_rises_from_rest_explains_the_controlled_axis_better():
     assert found["q"] < 0.00075
 
 
+@pytest.mark.slow
 def test_silverbox_is_simulated_below_the_best_black_boxes_of_the_literature():
     record = silverbox.load_silverbox(measured_data("silverbox"))
     fine = upsample(record, silverbox.FACTOR)

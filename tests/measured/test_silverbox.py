@@ -39,6 +39,7 @@ def fine(record) -> Record:
     return upsample(record, FACTOR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFERENCE)
 def test_the_integral_estimate_simulates_within_the_reference_scores(record, fine, name):
     estimate = estimate_from(upsample(record.part(*TRAIN), FACTOR), Hat(4))
@@ -51,6 +52,7 @@ def test_quadrature_of_high_order_does_without_more_samples(record, fine):
     assert score(estimate, fine, *SLICES["arrow"]) <= REFERENCE["arrow"]
 
 
+@pytest.mark.slow
 def test_trapezoids_on_the_raw_samples_bias_the_mass_and_the_check_says_so(record):
     train = record.part(*TRAIN)
     raw = estimate_from(train, Hat(2))

@@ -84,6 +84,7 @@ def recording(refinement: int, parameters=PARAMETERS) -> Record:
     return simulate(model(parameters), record, method=FixedStep(16 // refinement)).checked().record
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("procedure", PROCEDURES)
 def test_dols_with_recorded_derivatives_returns_the_parameters(procedure):
     record = recording(1)
@@ -100,6 +101,7 @@ def riec_errors(procedure: str, refinement: int, parameters=PARAMETERS) -> np.nd
     return np.array([float(estimate[name]) / value - 1 for name, value in parameters.items()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("procedure", ["body", "at once"])
 def test_riec_returns_the_parameters_within_its_quadrature(procedure):
     # At 800 Hz a trapezoid misses (omega dt)^2 / 12, 2e-3 of what moves at the highest 20 Hz. That
@@ -107,6 +109,7 @@ def test_riec_returns_the_parameters_within_its_quadrature(procedure):
     assert np.max(np.abs(riec_errors(procedure, 4))) < 2e-4
 
 
+@pytest.mark.slow
 def test_riec_converges_to_the_parameters_in_second_order_of_the_time_step():
     # Forces on one line: without kinks between samples only the quadrature is left. The motion and
     # its windows stay the same. What the average over windows leaves of its error changes sign from

@@ -145,6 +145,7 @@ def test_window_lengths(bias, narrow, holds):
     assert window_lengths(lengths(bias, narrow)).holds is holds
 
 
+@pytest.mark.slow
 def test_estimates_over_lengths_are_those_of_identify():
     source = quarter_car_source(reconstructed())
     key = jax.random.key(2)

@@ -64,6 +64,7 @@ def test_riec_finds_the_sprung_mass_where_dols_does_not(roads):
     assert masses.holds
 
 
+@pytest.mark.slow
 def test_a_road_of_other_amplitude_is_not_the_published_one(roads):
     # Half the road's amplitude excites the non-linearities less: the tables must notice.
     shapes = reconstructed()
@@ -97,6 +98,7 @@ def forward():
     return jax.jit(lambda r: jax.jvp(chain, (r,), (jnp.ones_like(r),))[1])(rate)
 
 
+@pytest.mark.slow
 def test_derivative_of_the_whole_chain_is_that_of_finite_differences(forward):
     # Bump stops, lift-off and roof functions have kinks, so the chain's second derivative jumps:
     # the step is small enough that hardly a sample crosses one.
@@ -107,6 +109,7 @@ def test_derivative_of_the_whole_chain_is_that_of_finite_differences(forward):
     assert float(jnp.min(jnp.abs(forward[3:]))) > 0
 
 
+@pytest.mark.slow
 def test_reverse_mode_agrees_with_forward_mode(forward):
     reverse = jax.jit(jax.grad(lambda r: chain(r)[-1]))(jnp.asarray(4000.0))
     assert np.allclose(reverse, forward[-1], rtol=1e-8)

@@ -72,6 +72,7 @@ def damper() -> Hysteresis:
     return eqx.filter_jit(hysteresis)(KEY, quarter_car_source(SHAPES))
 
 
+@pytest.mark.slow
 def test_hysteresis_is_the_damper_s_distance_from_its_curve(damper):
     source = quarter_car_source(SHAPES)
     record = identification_record(source, road_keys(KEY).training, method=FixedStep(12)).record
@@ -83,6 +84,7 @@ def test_hysteresis_is_the_damper_s_distance_from_its_curve(damper):
     np.testing.assert_allclose(damper.force[place], force, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_stiffer_damper_and_a_narrower_input_have_less_hysteresis(damper):
     width = np.asarray(damper.width)
     assert (width[1] < width[0]).all()

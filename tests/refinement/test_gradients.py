@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from benchmarks.drag_problem import START, oscillator, record
 
+from nightly import nightly
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.models.emps import Axis, ControlledAxis
@@ -45,7 +46,7 @@ def by_known(amount):
     return refine(oscillator(), moved(0.0), start, BY, known={"k": 20.0 + amount}).theta
 
 
-@pytest.mark.parametrize("fit", [by_simulation, by_integrals, by_known])
+@pytest.mark.parametrize("fit", [by_integrals, *nightly([by_simulation, by_known])])
 def test_the_optimum_follows_what_it_is_made_of(fit):
     """The residual is not small, so the second derivatives of the simulation count."""
     zero = jnp.zeros(())
@@ -56,6 +57,7 @@ def test_the_optimum_follows_what_it_is_made_of(fit):
     np.testing.assert_allclose(forward, differences, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_reverse_mode_gives_the_same():
     zero = jnp.zeros(())
     weights = jnp.array([1.0, -2.0, 0.5, 0.1])

@@ -7,6 +7,7 @@ import pytest
 import scipy.integrate
 from jaxtyping import Array
 
+from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Hat
@@ -102,12 +103,16 @@ LINEAR = Equation(
 @pytest.mark.parametrize(
     ("criterion", "unit"),
     [
-        (RIEC(AllWindows(0.05, 0.5)), "N s"),
-        (RIEC(AllWindows(0.1, 1.0), Hat(4)), "N s^2"),
-        (RIEC(RandomWindows(0.1, 1.0, 500), Bump(lengths=4)), "N s"),
         (RIEC(RandomWindows(0.05, 0.5, 500)), "N s"),
+        *nightly(
+            [
+                (RIEC(AllWindows(0.05, 0.5)), "N s"),
+                (RIEC(AllWindows(0.1, 1.0), Hat(4)), "N s^2"),
+                (RIEC(RandomWindows(0.1, 1.0, 500), Bump(lengths=4)), "N s"),
+            ]
+        ),
     ],
-    ids=["all", "hat", "bump", "random"],
+    ids=["random", "all", "hat", "bump"],
 )
 def test_of_a_linear_equation_it_is_its_identification(record, criterion, unit):
     key = jax.random.key(3)
@@ -122,6 +127,7 @@ def test_of_a_linear_equation_it_is_its_identification(record, criterion, unit):
     assert float(refined.rms[0]) == pytest.approx(float(estimate.stages[0].residual_rms), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_pointwise_least_squares_refines_too(record):
     held = record.with_signals({"ddq": jnp.gradient(record["dq"], record.time_step)})
     estimate = identify(LINEAR, held, DOLS())
@@ -129,6 +135,7 @@ def test_pointwise_least_squares_refines_too(record):
     np.testing.assert_allclose(refined.theta, estimate.theta, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_several_equations_are_their_simultaneous_identification(record):
     other = Equation(
         Term("M", "q", derivative=2, measured=("dq", "ddq")),
@@ -146,7 +153,8 @@ def test_several_equations_are_their_simultaneous_identification(record):
 
 
 @pytest.mark.parametrize(
-    ("kind", "test_function"), [(Stribeck, None), (Stribeck, Hat(4)), (ByPosition, Hat(4))]
+    ("kind", "test_function"),
+    [(Stribeck, None), *nightly([(Stribeck, Hat(4)), (ByPosition, Hat(4))])],
 )
 def test_friction_that_is_not_linear_is_found_from_far_away(record, kind, test_function):
     windows = AllWindows(0.05, 0.5)

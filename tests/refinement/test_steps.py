@@ -161,6 +161,7 @@ def test_a_sharp_input_is_found_at_the_optimum_and_resolved(switched):
     assert float(refined.cost) < 1e-6 * float(refined.cost_before)
 
 
+@pytest.mark.slow
 def test_a_batch_is_judged_lane_by_lane(switched):
     by = OutputError(method=FixedStep(1))
 
@@ -258,7 +259,8 @@ def stiff():
     return Lagged(jnp.asarray(2.0), jnp.asarray(1e3))
 
 
-@pytest.mark.parametrize("pole", [1e3, pytest.param(1e5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("pole", [1e3, 1e5])
 def test_an_implicit_solver_refines_a_stiff_model(stiff, pole):
     by = OutputError(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()), intersample="lines")
     refined = refine(stiff, lagged(pole), {"k": 2.0}, by, known={"pole": pole})

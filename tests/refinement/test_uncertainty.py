@@ -30,6 +30,7 @@ def refine_all(records, by, intervals):
     return jax.vmap(one)(records.arrays)
 
 
+@pytest.mark.slow
 def test_errors_reach_the_cramer_rao_bound_and_are_told():
     records = stack_records([record(seed) for seed in range(SEEDS)])
     theta, errors, converged = refine_all(records, WHOLE, Sandwich())
@@ -67,6 +68,7 @@ def test_noise_that_hangs_together_widens_the_errors_as_it_should(by):
     assert np.all(np.mean(np.asarray(naive), axis=0) < 0.6 * scatter)
 
 
+@pytest.mark.slow
 def test_the_bootstrap_agrees_with_the_sandwich_where_noise_is_white():
     noisy = record(seed=3)
     one = refine(oscillator(), noisy, START, WHOLE)
@@ -77,6 +79,7 @@ def test_the_bootstrap_agrees_with_the_sandwich_where_noise_is_white():
     assert low < float(other["k"]) < high
 
 
+@pytest.mark.slow
 def test_single_precision_ends_near_the_optimum():
     noisy = record(seed=0)
     double = refine(oscillator(), noisy, START, WHOLE)
@@ -100,17 +103,27 @@ class Decay(AbstractSystem):
         return -(self.a * self.b) * state
 
 
-def test_parameters_that_make_up_for_each_other_are_called_undetermined():
+@pytest.fixture(scope="module")
+def decaying():
     t = np.arange(400) / 100
     noise = 0.01 * np.random.default_rng(0).normal(size=400)
     held = Record.from_samples({"x": np.exp(-0.7 * t) + noise}, time_step=0.01)
-    model = Decay(jnp.asarray(1.0), jnp.asarray(1.0))
+    return Decay(jnp.asarray(1.0), jnp.asarray(1.0)), held
+
+
+def test_parameters_that_make_up_for_each_other_are_called_undetermined(decaying):
+    model, held = decaying
     both = refine(model, held, {"a": 0.5, "b": 1.1})
     assert float(both["a"] * both["b"]) == pytest.approx(0.7, rel=0.05)
     (found,) = both.findings()
     assert found.code == "undetermined"
     assert "when a, b change together" in found.message
     assert np.all(np.isnan(both.standard_errors))
+
+
+@pytest.mark.slow
+def test_what_is_known_of_one_determines_the_other(decaying):
+    model, held = decaying
     one = refine(model, held, {"a": 0.5}, known={"b": 1.1})
     assert one.findings() == []
     pulled = refine(model, held, {"a": 0.5, "b": 1.1}, priors={"b": Prior(1.1, 0.05)})

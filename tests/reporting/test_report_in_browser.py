@@ -10,6 +10,7 @@ import pytest
 import scipy.integrate
 from reporting_charts import EVERYTHING
 
+from nightly import nightly
 from report_browser import assert_drawn, drawn_page, launched, overlaps
 from riecjax.cli.main import run
 from riecjax.reporting.output import write_folder
@@ -42,12 +43,18 @@ def write_recording(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def reports(tmp_path_factory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("reports")
+def identified(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("identified")
     write_recording(folder / "run.csv")
     options = ("--model", "drag-oscillator", "--hold-out", "0.3", "--intervals", "sandwich")
     status = run(["identify", str(folder / "run.csv"), *options, "--out", str(folder / "found")])
     assert status == 0
+    return folder / "found"
+
+
+@pytest.fixture(scope="module")
+def every_mark(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("marks")
     long = "one heading that is much longer than a telephone is wide, and_a_name_without_gaps" * 2
     page = Page(
         long,
@@ -59,7 +66,7 @@ def reports(tmp_path_factory) -> dict[str, Path]:
     )
     document = {"warnings": [{"code": long, "message": long}], "provenance": {"long": long}}
     write_folder(folder / "every", document, {"everything": EVERYTHING}, page)
-    return {"identify": folder / "found", "every mark": folder / "every"}
+    return folder / "every"
 
 
 @pytest.fixture(scope="module", params=WIDTHS)
@@ -67,16 +74,18 @@ def width(request) -> int:
     return request.param
 
 
-@pytest.fixture(scope="module", params=["identify", "every mark"])
-def opened(request, browser, reports, width) -> Iterator[Any]:
+@pytest.fixture(scope="module", params=["every_mark", *nightly(["identified"])])
+def opened(request, browser, width) -> Iterator[Any]:
     """A page with its figures drawn, without complaints or requests; tests only look at it."""
-    with drawn_page(browser, reports[request.param] / "report.html", width) as page:
+    report = request.getfixturevalue(request.param) / "report.html"
+    with drawn_page(browser, report, width) as page:
         yield page
 
 
-def test_every_chart_of_an_identification_has_its_place(reports):
-    html = (reports["identify"] / "report.html").read_text(encoding="utf-8")
-    pictures = sorted(path.stem for path in reports["identify"].glob("*.png"))
+@pytest.mark.slow
+def test_every_chart_of_an_identification_has_its_place(identified):
+    html = (identified / "report.html").read_text(encoding="utf-8")
+    pictures = sorted(path.stem for path in identified.glob("*.png"))
     assert {"fit", "correlation", "residual_1", "validation_1", "window_choice"} <= set(pictures)
     assert sorted(re.findall(r'<figure id="(\w+)">', html)) == pictures
 
@@ -127,8 +136,8 @@ def test_a_point_tells_its_values(opened):
     assert any(character.isdigit() for character in hover.first.text_content())
 
 
-def test_without_scripts_and_in_print_there_are_pictures(browser, reports):
-    address = (reports["every mark"] / "report.html").as_uri()
+def test_without_scripts_and_in_print_there_are_pictures(browser, every_mark):
+    address = (every_mark / "report.html").as_uri()
     page = browser.new_page(java_script_enabled=False)
     page.goto(address)
     assert page.locator("figure img").is_visible()

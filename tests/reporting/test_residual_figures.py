@@ -94,6 +94,7 @@ def test_a_criterion_without_windows_and_an_equation_without_unit_are_drawn_too(
     assert density_label("N m") == "power density / ((N m)²/Hz)"
 
 
+@pytest.mark.slow
 def test_the_windows_of_an_estimate_are_those_in_use():
     from riecjax.estimation.identify import identify
 

@@ -179,7 +179,7 @@ def test_a_record_leaves_as_a_frame():
 @pytest.mark.parametrize(("package", "verb"), [("pandas", "to_frame"), ("xarray", "to_xarray")])
 def test_a_missing_package_is_named_with_its_remedy(estimate, monkeypatch, package, verb):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(rx.DataError, match=rf"needs {package}.*'riecjax\[frames\]'"):
+    with pytest.raises(rx.DataError, match=rf'needs {package}.*"riecjax\[frames\]"'):
         getattr(estimate, verb)()
 
 
@@ -327,6 +327,7 @@ def test_a_first_figure_leaves_the_settings_of_its_backend(estimate, monkeypatch
     pyplot.close("all")
 
 
+@pytest.mark.slow
 def test_the_report_opens(assessed, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)

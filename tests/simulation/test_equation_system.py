@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from nightly import by_day, nightly
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import simultaneous, staged
@@ -75,7 +76,7 @@ def drive(name: str, count: int = 400, step: float = 0.01) -> Record:
     return Record({name: 30 * np.sin(5 * time) + 20 * np.cos(11.3 * time)}, step)
 
 
-@pytest.mark.parametrize("case", OSCILLATORS)
+@pytest.mark.parametrize("case", by_day(OSCILLATORS, "duffing", "emps"))
 def test_simulates_as_the_hand_written_system_does(case):
     equation, system, values, start = OSCILLATORS[case]
     by_hand = system(arrays(values))
@@ -281,7 +282,7 @@ def across_suspension(signals):
     return signals["x3"] - signals["x4"]
 
 
-@pytest.mark.parametrize("procedure", [quarter_car_by_body, quarter_car_by_wheel])
+@pytest.mark.parametrize("procedure", [quarter_car_by_body, *nightly([quarter_car_by_wheel])])
 def test_quarter_car_procedure_with_kinematics_is_the_hand_written_system(procedure):
     """Its tyre equation has no derivative: it determines the tyre force."""
     rates = {"x1": across_tyre, "x2": across_suspension}

@@ -9,6 +9,7 @@ import pytest
 from jaxtyping import Array
 from scipy.integrate import solve_ivp
 
+from nightly import by_day, nightly
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 from riecjax.simulation.intersample import bends_of
@@ -151,7 +152,7 @@ def bends_of_column(levels: np.ndarray, present: np.ndarray) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("roughness", [0.3, *nightly([0.0, 1.0])])
 def test_bends_are_what_they_are_one_by_one(roughness):
     """Of means or medians, around gaps and ends."""
     noise, present = RNG.normal(size=(300, 3)), RNG.random(300) > 0.05
@@ -207,7 +208,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", by_day(COMMANDS, "a step", "a triangle", "a pulse of one sample"))
 def test_commands_stay_straight_lines(name):
     u = COMMANDS[name]
     held = Record.from_samples({"u": u}, time_step=1.0)
@@ -228,6 +229,7 @@ def test_a_smooth_signal_with_a_step_is_smooth_elsewhere():
     assert np.abs(of_both[1]).max() < 1.1 * np.abs(of_both[0]).max()
 
 
+@pytest.mark.slow
 def test_noise_is_not_amplified():
     u = RNG.normal(size=(100_000, 1))
     d = np.asarray(bends_of(jnp.asarray(u)))

@@ -299,6 +299,7 @@ def test_adaptive_tangents_match_finite_differences():
     np.testing.assert_allclose(tangent, (ahead - behind) / 0.002, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_adaptive_gradients_in_reverse_are_those_forward():
     inputs, first = jnp.asarray(2 * sampled(20, 1)), jnp.array([1.0, 0.0])
 

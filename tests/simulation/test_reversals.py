@@ -7,6 +7,7 @@ import pytest
 from benchmarks.noise_problems import between_reversals
 
 import riecjax as rx
+from nightly import nightly
 
 STEP = 2e-3
 VALUES = {"m": 2.0, "k": 800.0, "c": 4.0, "f": 6.0}
@@ -74,7 +75,7 @@ def reference_of(t, values=VALUES):
     return between_reversals(t, [*values.values()], force, 0.02)
 
 
-@pytest.mark.parametrize("friction", [rx.Term("f", by_sign), rx.Term("f", by_cases)])
+@pytest.mark.parametrize("friction", [rx.Term("f", by_sign), *nightly([rx.Term("f", by_cases)])])
 def test_states_and_their_derivatives_are_those_of_pieces_between_reversals(friction):
     t = STEP * np.arange(1001)
     reference = reference_of(t)

@@ -12,6 +12,7 @@ import pytest
 from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
+from nightly import nightly
 from riecjax.errors import DataError, ModelError, SimulationError
 from riecjax.models.oscillators import Duffing
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
@@ -78,6 +79,7 @@ def relative_error(found, truth) -> float:
     return float(np.max(np.abs(np.asarray(found) - truth)) / np.max(np.abs(truth)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", STATES)
 def test_default_accuracy_is_as_stated_against_scipy(state, scipy_states, default_and_adaptive):
     # Largest value of the whole road, as stated: 4 s have not seen it yet.
@@ -87,12 +89,14 @@ def test_default_accuracy_is_as_stated_against_scipy(state, scipy_states, defaul
     assert error < STATED_ACCURACY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", STATES)
 def test_default_accuracy_is_as_stated_over_forty_seconds(state, default_and_adaptive):
     default, adaptive = default_and_adaptive
     assert relative_error(default[state], np.asarray(adaptive[state])) < STATED_ACCURACY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", STATES)
 def test_adaptive_source_model_agrees_with_scipy(state, scipy_states, default_and_adaptive):
     # Local errors of 1e-10 over some 20 steps a sample and 800 samples add up to about 1e-7.
@@ -100,6 +104,7 @@ def test_adaptive_source_model_agrees_with_scipy(state, scipy_states, default_an
     assert relative_error(default_and_adaptive[1][state][:800], truth) < 1e-6
 
 
+@pytest.mark.slow
 def test_more_steps_per_sample_make_every_state_better(scipy_states):
     errors = np.array(
         [
@@ -224,7 +229,9 @@ def test_vmap_over_seeds_equals_one_by_one():
             np.testing.assert_allclose(together[name][i], samples, atol=1e-10 * scale)
 
 
-@pytest.mark.parametrize("differentiate", [jax.grad, jax.jacfwd], ids=["reverse", "forward"])
+@pytest.mark.parametrize(
+    "differentiate", [jax.jacfwd, *nightly([jax.grad])], ids=["forward", "reverse"]
+)
 def test_derivative_by_a_parameter_equals_finite_differences(differentiate):
     def energy(k3):
         return jnp.sum(simulate(duffing(k3), force(1)).record["y"] ** 2)

@@ -150,6 +150,7 @@ def test_what_cannot_be_simulated():
         rx.equation_system(model, dict.fromkeys(model.parameters, 1.0))
 
 
+@pytest.mark.slow
 def test_refinement_finds_spring_and_map():
     record = recorded(2.0).select("F", "u", "v", "d")
     start = {"M": 24.0, "K": 24e3, "K_series": 1e6}

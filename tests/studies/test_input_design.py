@@ -113,6 +113,7 @@ def test_what_is_known_widens_nothing():
     np.testing.assert_allclose(found["gain"], bound, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_output_error_has_the_errors_that_were_predicted():
     quiet = simulate(oscillator(), noise(3)).record
     predicted = predicted_standard_errors(
@@ -191,6 +192,7 @@ def test_the_best_input_of_an_integrator_is_its_slowest_harmonic():
     assert design.status == DesignStatus.converged
 
 
+@pytest.mark.slow
 def test_a_travel_that_cannot_be_kept_is_told():
     design = best_integrator_input({"x": 1e-3})
     assert design.status == DesignStatus.travel_exceeded
@@ -198,6 +200,7 @@ def test_a_travel_that_cannot_be_kept_is_told():
     assert "Lower the r.m.s." in design.reason
 
 
+@pytest.mark.slow
 def test_a_design_keeps_its_travel_and_rms_and_beats_noise():
     limit = 0.7
     design = best_drag_input(travel={"x": limit})

@@ -74,6 +74,7 @@ def prediction():
     return as_prediction(EQUATION, build, ("v",))
 
 
+@pytest.mark.slow
 def test_a_law_in_equal_ratios_is_that_density_of_lengths():
     weights = np.array([0.5, 3.0, 1.0, 0.2])
     edges = np.round(10 * (71 / 10) ** (np.arange(5) / 4))
@@ -128,6 +129,7 @@ def test_the_gradient_of_the_error_is_that_of_finite_differences():
     assert abs(float(differences)) > 0.01
 
 
+@pytest.mark.slow
 def test_the_learned_law_looks_through_windows_that_do_not_see_the_fast_tone():
     learned = learn_law(
         EQUATION,

@@ -93,6 +93,7 @@ print(len(placed.sharding.device_set))
 """
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_devices(tmp_path):
     run = subprocess.run(
         [sys.executable, "-c", ON_SEVERAL, str(tmp_path)],

@@ -62,6 +62,7 @@ def test_short_windows_first_recover_from_where_the_whole_record_does_not(swing)
     assert rows[0][3] >= rows[1][3]
 
 
+@pytest.mark.slow
 def test_no_factor_leads_away_from_zero(swing):
     model = Oscillator(jnp.asarray(2.0))
     optimum = refine(model, swing, {"w": 1.95}, OutputError(method=FixedStep(2)))

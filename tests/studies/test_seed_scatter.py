@@ -46,6 +46,7 @@ def test_known_values_are_not_scattered():
     assert scatter.parameters == ("k",)
 
 
+@pytest.mark.slow
 def test_more_windows_scatter_less_and_the_parameters_stay_as_uncertain_as_they_are():
     record, key = record_of(), jax.random.key(1)
     few, many = (

@@ -49,6 +49,7 @@ def test_an_exact_model_finds_the_same_at_every_length():
     assert sweep.findings() == []
 
 
+@pytest.mark.slow
 def test_noise_alone_seldom_makes_an_exact_model_window_sensitive():
     alarms = 0
     for seed in range(12):
@@ -69,6 +70,7 @@ def test_a_term_left_out_shows():
     assert first < last
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spacing", [60, 100])
 def test_lengths_that_hardly_fit_between_gaps_have_no_estimate(spacing):
     whole = oscillator()
@@ -87,6 +89,7 @@ def test_lengths_that_hardly_fit_between_gaps_have_no_estimate(spacing):
     assert not any("nan" in finding.message for finding in linear.findings())
 
 
+@pytest.mark.slow
 def test_a_band_of_the_sweep_is_what_identify_finds_with_those_windows():
     record = oscillator(noise=1.0)
     sweep = window_sweep(drag_oscillator_equation(), record, CRITERION, key=KEY, bands=4)
@@ -97,6 +100,7 @@ def test_a_band_of_the_sweep_is_what_identify_finds_with_those_windows():
         assert float(sweep.relative_rms[i, 0]) == pytest.approx(float(alone.stages[0].relative_rms))
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_scores_summed_over_blocks_of_time():
     record = oscillator(noise=1.0)
     sweep = window_sweep(drag_oscillator_equation(), record, CRITERION, key=KEY, bands=4)
@@ -127,6 +131,10 @@ def test_the_sweep_reaches_from_alpha_to_twice_beta():
     # Two bins each, in about equal ratios; lengths are rounded to two samples.
     assert np.all((sweep.beta / sweep.alpha > 1.4) & (sweep.beta / sweep.alpha < 2.6))
     assert np.all(np.diff(sweep.alpha) > 0)
+
+
+@pytest.mark.slow
+def test_lengths_that_are_given_are_those_of_the_sweep():
     given = window_sweep(
         drag_oscillator_equation(), oscillator(), CRITERION, key=KEY, shortest=0.1, longest=0.8
     )
@@ -135,6 +143,7 @@ def test_the_sweep_reaches_from_alpha_to_twice_beta():
     assert float(given.beta[-1]) == pytest.approx(0.8)
 
 
+@pytest.mark.slow
 def test_several_records_with_offsets_of_their_own():
     one, two = oscillator(0), oscillator(1, count=6000)
     two = two.with_signals({"u": two["u"] + 3.0})
@@ -173,6 +182,7 @@ def test_a_steady_range_holds_no_estimate_that_differs():
     assert np.ptp(theta[inside]) <= 0.01 * np.max(np.abs(theta))
 
 
+@pytest.mark.slow
 def test_noise_explains_what_short_windows_leave():
     record = oscillator()
     rng = np.random.default_rng(1)

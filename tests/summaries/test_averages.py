@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows
@@ -95,6 +96,7 @@ def test_derivatives_by_parts_are_those_of_the_motion():
     np.testing.assert_allclose(rows, np.stack([expected] * 3, axis=1), atol=2e-4 * w**2)
 
 
+@pytest.mark.slow
 def test_single_precision_keeps_what_varies_beside_a_large_mean():
     count = 20_000
     rng = np.random.default_rng(0)
@@ -197,7 +199,7 @@ BURSTS = Equation(
 )
 
 
-@pytest.mark.parametrize("criterion", [HATS, DOLS()])
+@pytest.mark.parametrize("criterion", [DOLS(), *nightly([HATS])])
 def test_sizes_in_bursts_are_those_of_the_samples_where_a_term_acts(criterion):
     records = [record_of_bursts(0, 1.0), record_of_bursts(1, 7.0)]
     procedure = as_procedure(BURSTS)

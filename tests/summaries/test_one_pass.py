@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nightly import by_day, nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
@@ -61,20 +62,20 @@ CRITERIA = {
 }
 
 
-@pytest.mark.parametrize("name", CRITERIA)
-@pytest.mark.parametrize("count", [150, 4096, 9001])
+@pytest.mark.parametrize("name", by_day(CRITERIA, "boxcar", "hat", "random windows", "dols"))
+@pytest.mark.parametrize("count", [9001, *nightly([150, 4096])])
 def test_filling_up_changes_nothing(name, count):
     criterion, key = CRITERIA[name]
     agree(record_of(count), criterion, key)
 
 
-@pytest.mark.parametrize("name", ["boxcar", "hat"])
+@pytest.mark.parametrize("name", ["boxcar", *nightly(["hat"])])
 def test_nor_does_it_where_samples_are_missing(name):
     criterion, key = CRITERIA[name]
     agree(record_of(6000, gaps=(0, 1, 700, 4095, 5999)), criterion, key)
 
 
-@pytest.mark.parametrize("quadrature", [2, 6])
+@pytest.mark.parametrize("quadrature", [2, *nightly([6])])
 def test_parts_of_a_long_recording_count_each_window_once(quadrature, monkeypatch):
     monkeypatch.setattr("riecjax.summaries.one_pass.PART", 2**13)
     agree(record_of(20_001), RIEC(AllWindows(0.05, 0.5), Boxcar(quadrature)), rtol=1e-11)
@@ -103,6 +104,7 @@ def functions_compiled(work):
     return names
 
 
+@pytest.mark.slow
 def test_a_hundred_recordings_of_any_length_compile_four_functions_at_most():
     equation = Equation(Term("k_", "x"), Term("c_", "x", derivative=1), -Term(1.0, "u"), name="new")
     lengths = np.unique(np.geomspace(110, 300_000, 100).astype(int))

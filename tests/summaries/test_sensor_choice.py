@@ -6,6 +6,7 @@ import pytest
 from benchmarks import drag_problem
 
 import riecjax as rx
+from nightly import nightly
 from riecjax.equations.procedure import as_procedure
 from riecjax.records.preparation import differentiate
 from riecjax.summaries.sensor_choice import with_less_noise
@@ -67,6 +68,7 @@ def test_a_velocity_that_is_made_of_the_position_is_not_read():
     assert jax.tree.structure(found) == jax.tree.structure(as_procedure(BY_POSITION))
 
 
+@pytest.mark.slow
 def test_damping_beside_drag_scatters_less():
     """Of noise of a fifth of each signal, that of the position would drown what tells r from r2."""
     drag = rx.Term("r2", lambda s: s["dx"] * abs(s["dx"]))
@@ -86,6 +88,7 @@ def test_damping_beside_drag_scatters_less():
     assert abs(np.mean(found["dx",])) < 3 * np.std(found["dx",]) / 5
 
 
+@pytest.mark.slow
 def test_summaries_of_either_sensor_are_of_the_same_equations():
     clean, noisy = (
         rx.summarise(BY_POSITION, rx.Record(MOTION, STEP), BOXCAR, noise=noise)
@@ -96,7 +99,7 @@ def test_summaries_of_either_sensor_are_of_the_same_equations():
     assert float(rx.estimate(BY_POSITION, both)["m"]) == pytest.approx(2, rel=1e-2)
 
 
-@pytest.mark.parametrize("sizes", [(0.1, 0.1), (0.1, 3.0), (0.01, 0.01)])
+@pytest.mark.parametrize("sizes", [(0.1, 0.1), *nightly([((0.1, 3.0),), ((0.01, 0.01),)])])
 def test_the_same_sensor_is_read_under_jit(sizes):
     noise = dict(zip("xvu", (*sizes, 0.0)))
     rng = np.random.default_rng(3)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from nightly import by_day, nightly
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import RatioLaw, UniformLaw
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
@@ -107,7 +108,7 @@ def through_a_file(summary: rx.Summary, folder: Path) -> rx.Summary:
     return rx.load(folder / "kept.npz")
 
 
-@pytest.mark.parametrize("name", CRITERIA)
+@pytest.mark.parametrize("name", by_day(CRITERIA, "hat", "own"))
 def test_a_summary_comes_back_to_the_bit(name, tmp_path):
     summary = rx.summarise(OSCILLATOR, record(), CRITERIA[name], key=KEY, survey=name == "hat")
     again = through_a_file(summary, tmp_path)
@@ -119,6 +120,7 @@ def test_a_summary_comes_back_to_the_bit(name, tmp_path):
     same_estimates(OSCILLATOR, again, summary)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["boxcar", "stepped", "bump"])
 def test_bins_survey_and_lengths_of_several_recordings_come_back_to_the_bit(name, tmp_path):
     records = [record(1500, 1), record(2200, 2), record(1700, 3, 0.008)]
@@ -135,6 +137,7 @@ def test_bins_survey_and_lengths_of_several_recordings_come_back_to_the_bit(name
     same_estimates(OSCILLATOR, again, shorter)
 
 
+@pytest.mark.slow
 def test_a_basis_and_a_factor_of_rows_come_back_to_the_bit(tmp_path):
     made = samples(1500, 4)
     made["y"] = made["x"] + 1e-7 * np.random.default_rng(5).normal(size=1500)
@@ -155,6 +158,7 @@ def test_a_basis_and_a_factor_of_rows_come_back_to_the_bit(tmp_path):
     same_estimates(model, again, summary)
 
 
+@pytest.mark.slow
 def test_32_bit_comes_back_to_the_bit(tmp_path):
     with jax.enable_x64(False):
         summary = rx.summarise(OSCILLATOR, record(1500, 6), CRITERIA["hat"], bins=4)
@@ -386,6 +390,7 @@ def four_files(tmp_path_factory):
     return [folder / f"sums{i}.npz" for i in range(len(LENGTHS))]
 
 
+@pytest.mark.slow
 def test_files_of_four_processes_merge_to_the_same_bits_in_any_order(four_files):
     model = own_oscillator()
     parts = [rx.load(file) for file in four_files]
@@ -407,6 +412,7 @@ def test_files_of_four_processes_merge_to_the_same_bits_in_any_order(four_files)
     assert float(merged["k2"]) == pytest.approx(4.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_recording_counts_once_whichever_process_summed_it(four_files):
     model = own_oscillator()
     count, step = LENGTHS[1]
@@ -450,7 +456,7 @@ other_windows = [
 ]
 
 
-@pytest.mark.parametrize("criterion", other_windows)
+@pytest.mark.parametrize("criterion", [other_windows[0], *nightly(other_windows[1:])])
 def test_summaries_by_other_criteria_are_not_merged(criterion):
     with pytest.raises(
         rx.ModelError, match="cannot be merged that were made for another criterion"
@@ -461,8 +467,8 @@ def test_summaries_by_other_criteria_are_not_merged(criterion):
 @pytest.mark.parametrize(
     ("one", "other"),
     [
-        (rx.RIEC(ALL, rx.Bump(4, 5)), rx.RIEC(ALL, rx.Bump(4, 6))),
         (CRITERIA["between"], rx.RIEC(rx.RandomWindows(0.1, 0.6, 300))),
+        *nightly([(rx.RIEC(ALL, rx.Bump(4, 5)), rx.RIEC(ALL, rx.Bump(4, 6)))]),
     ],
 )
 def test_every_setting_that_sums_depend_on_keeps_criteria_and_recordings_apart(one, other):
@@ -505,6 +511,7 @@ def test_sums_of_jit_do_not_tell_whose_they_are_and_are_not_merged():
     assert len(one.merge().recordings) == 1
 
 
+@pytest.mark.slow
 def test_scaled_sums_say_the_same_with_half_the_windows(tmp_path):
     summary = rx.summarise(OSCILLATOR, [record(1500, 1), record(2200, 2)], CRITERIA["hat"])
     half = through_a_file(summary.scale(0.5), tmp_path)
@@ -516,9 +523,9 @@ def test_scaled_sums_say_the_same_with_half_the_windows(tmp_path):
 
 def test_selecting_and_leaving_out_recordings_is_a_fit_of_the_others():
     records = [record(1500, 1), record(2200, 2), record(1700, 3, 0.008)]
-    summary = rx.summarise(OSCILLATOR, records, CRITERIA["boxcar"])
+    summary = rx.summarise(OSCILLATOR, records, rx.DOLS())
     some = rx.estimate(OSCILLATOR, summary.select(2, 0))
-    fit = rx.identify(OSCILLATOR, [records[2], records[0]], CRITERIA["boxcar"])
+    fit = rx.identify(OSCILLATOR, [records[2], records[0]], rx.DOLS())
     np.testing.assert_allclose(some.theta, fit.theta, rtol=1e-12)
     np.testing.assert_allclose(some.standard_errors, fit.standard_errors, rtol=1e-9)
     for numbers in ((3,), (), (-4,)):
@@ -543,6 +550,7 @@ def test_leaving_out_a_stretch_is_a_fit_of_the_windows_that_start_elsewhere():
         summary.leave_out(0.0, 29.99)
 
 
+@pytest.mark.slow
 def test_a_factor_of_all_rows_does_not_bring_back_what_was_left_out():
     """Of nearly collinear rows a factor solves; a wild stretch that is left out is not in it."""
     rng = np.random.default_rng(8)
@@ -560,8 +568,8 @@ def test_a_factor_of_all_rows_does_not_bring_back_what_was_left_out():
         rx.estimate(model, summary.leave_out(9.9, 14.1))
 
 
-@pytest.mark.parametrize("weight", [rx.Boxcar(), rx.Hat()], ids=["boxcar", "hat"])
-@pytest.mark.parametrize("step", [STEP, 0.0073])
+@pytest.mark.parametrize("weight", [rx.Boxcar(), *nightly([rx.Hat()])], ids=["boxcar", "hat"])
+@pytest.mark.parametrize("step", [STEP, *nightly([0.0073])])
 @pytest.mark.parametrize(
     ("alpha", "beta"), [(0.1, 0.6), (0.2, 0.4), (0.1, 0.4), (0.2, 0.9), (0.05, 0.1), (0.17, 0.55)]
 )
@@ -613,6 +621,7 @@ def test_another_band_needs_bins():
         spring_summary(bins=3).between(0.4, 0.2)
 
 
+@pytest.mark.slow
 def test_a_class_of_ones_own_must_be_defined_and_is_then_found(tmp_path):
     own = rx.RIEC(ALL, Parabola(4, 5))
     file = tmp_path / "kept.npz"
@@ -646,6 +655,7 @@ def test_its_size_is_that_of_its_moments(bins):
     assert 0 < rest <= sum(8 * (bins or 1) * n for n in blocks) + 2 * 1200
 
 
+@pytest.mark.slow
 def test_its_size_does_not_grow_with_the_length_of_a_recording():
     sizes = []
     for count in (200_000, 2_000_000):

@@ -24,6 +24,7 @@ def records(stiffness, seed, noise=0.5, count=2000):
     return made
 
 
+@pytest.mark.slow
 def test_alike_recordings_are_left_alone_but_for_one_in_a_hundred():
     factors = []
     for seed in range(150):
@@ -32,6 +33,7 @@ def test_alike_recordings_are_left_alone_but_for_one_in_a_hundred():
     assert np.mean(np.array(factors) > 1) < 0.05
 
 
+@pytest.mark.slow
 def test_recordings_of_different_machines_widen_the_interval_until_it_holds_their_mean():
     rng = np.random.default_rng(0)
     inside = inflated = 0

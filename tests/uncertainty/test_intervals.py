@@ -104,6 +104,7 @@ def two_stages(key):
 COVARIANCES = {"jackknife": jackknife_covariance, "sandwich": sandwich_covariance}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", [one_stage, two_stages])
 def test_covariances_agree_with_monte_carlo_and_the_naive_one_does_not(experiment):
     def intervals_of(key):
@@ -129,6 +130,7 @@ def test_covariances_agree_with_monte_carlo_and_the_naive_one_does_not(experimen
     assert np.asarray(naive).mean(0)[-1, -1] < 0.4 * actual[-1, -1]
 
 
+@pytest.mark.slow
 def test_bootstrap_intervals_cover_and_lean_to_the_side_of_a_skewed_estimate():
     def experiment(key):
         # The error's size is skewed: a few rows carry most of what misleads.

@@ -76,6 +76,7 @@ def identified_often(kind, criterion):
     return np.asarray(theta) - exact, below * errors, above * errors, int(blocks[0]), uncertainty
 
 
+@pytest.mark.slow
 def test_a_step_recorded_once_has_intervals_that_hold_the_truth_and_are_of_use():
     off, below, above, blocks, uncertainty = identified_often("step", SHORT_WINDOWS)
     assert blocks == 4
@@ -89,6 +90,7 @@ def test_a_step_recorded_once_has_intervals_that_hold_the_truth_and_are_of_use()
     assert (np.max(below + above, axis=0) < 8 * 12.7 * off.std(0)).all()
 
 
+@pytest.mark.slow
 def test_two_blocks_have_intervals_that_are_neither_points_nor_everything():
     off, below, above, blocks, uncertainty = identified_often("waves", LONG_WINDOWS)
     assert blocks == 2
@@ -192,6 +194,7 @@ def test_few_blocks_are_named_and_say_what_stands_in():
     assert not any(f.code == "rarely_excited" for f in estimate.findings())
 
 
+@pytest.mark.slow
 def test_unequal_records_own_parameters_and_stages_have_finite_intervals():
     record = noisy("step", 1)
     records = [record, noisy("step", 2).part(0, 320)]

@@ -19,12 +19,10 @@ BYTES_PER_SAMPLE = 110.0
 """The same at the peak of memory."""
 SECONDS_OF_MODES = 2e-5
 """Beside them, for each equation of a model with hidden elements."""
-WORK_PER_ROW = Work(1e-7, 120.0)
-"""Of a criterion that draws its windows, for each window and column of one draw."""
-DRAWS = Work(33.0, 2.0)
-"""Times that of an assessment, which looks at the scatter over 32 more, some of them at once."""
+WORK_PER_ROW = Work(4e-6, 320.0)
+"""Of a criterion that draws its windows, for each window and column."""
 CHECKING = 0.25
-"""Share of the time per sample that a check takes, which tests no residual and sweeps no length."""
+"""Share of that time that a check takes, which tests no residual and sweeps no length."""
 
 
 class Asked(NamedTuple):
@@ -64,19 +62,19 @@ def expect_assessing(
 
     **Raises:** `MemoryError` if the memory does not hold it.
     """
-    draws = Work(1.0, 1.0) if checking else DRAWS
+    part = CHECKING if checking else 1.0
     samples = sum(record.sample_count for record in records)
     seconds, peak = 0.0, 0.0
     for record in records:
         equations, signals = len(procedure.equations), len(record.arrays)
         modes = SECONDS_OF_MODES * equations * procedure.has_hidden
-        each = SECONDS_PER_SAMPLE * (equations + signals) * (CHECKING if checking else 1.0)
+        each = SECONDS_PER_SAMPLE * (equations + signals) * part
         seconds += record.sample_count * (each + modes)
         peak += record.sample_count * BYTES_PER_SAMPLE * (equations + signals)
         if criterion.needs_key:
             rows = float(criterion.row_count(record) or 0) * (len(procedure.parameters) + 1)
-            seconds += rows * WORK_PER_ROW.seconds * draws.seconds
-            peak += rows * WORK_PER_ROW.bytes * draws.bytes
+            seconds += rows * WORK_PER_ROW.seconds * part
+            peak += rows * WORK_PER_ROW.bytes
     expect(
         f"{'checking' if checking else 'assessing'} the model on {samples} samples",
         Work(seconds, peak),

@@ -231,17 +231,16 @@ def _signals(model: "Model") -> "list[Quantity]":
 
 def _guess(signal: "Quantity", columns: list[str], channels: "Channels") -> tuple[str | None, str]:
     """The column that may be a signal, if one alone may, and why."""
-    from riecjax.records.reading.unit_conversion import conversion
-    from riecjax.records.reading.unit_conversion import plain as spelled
-    from riecjax.records.reading.units import split_unit
+    from riecjax.records.reading.unit_expressions import readings
+    from riecjax.records.reading.units import split_unit, unit_behind
 
     def plain(name: str) -> str:
         return re.sub(r"[\W_]", "", split_unit(name)[0].lower())
 
     def fits(column: str) -> bool:
-        stated = channels.units.get(column) or split_unit(column)[1] or ""
-        same = spelled(stated) == spelled(signal.unit)
-        return same or conversion(column, stated, signal.unit) is not None
+        stated = channels.named(column)[1] or unit_behind(column) or ""
+        same_kind = {unit.powers for unit in readings(stated).values()}
+        return any(unit.powers in same_kind for unit in readings(signal.unit).values())
 
     words = {word for word in re.findall(r"\w+", signal.meaning.lower()) if len(word) > 3}
     rules = {

@@ -102,7 +102,10 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")
         if file.suffix.lower() == ".json":
             document = json.loads(text)
-            return dict(document["job"]), list(document["provenance"].get("files", []))
+            recorded = document["provenance"].get("files", [])
+            return dict(document["job"]), [
+                {"file": str(one["file"]), "sha256": str(one["sha256"])} for one in recorded
+            ]
         import tomllib
 
         return tomllib.loads(text), []
@@ -110,7 +113,11 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         raise click.UsageError(f"--job {file}: cannot be read: {error.strerror}.") from None
     except (KeyError, TypeError):
         raise click.UsageError(f"--job {file}: it is no results.json with a job.") from None
-    except ValueError as error:  # of TOML, JSON and UTF-8
+    except UnicodeDecodeError as error:
+        raise click.UsageError(
+            f"--job {file}: byte {error.start} is not UTF-8; save the file as UTF-8."
+        ) from None
+    except ValueError as error:  # of TOML and JSON
         toml = "" if file.suffix.lower() == ".json" else " Words stand in quotes in TOML."
         raise click.UsageError(f"--job {file}: it is not understood: {error}.{toml}") from None
 
@@ -118,8 +125,11 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 def _unknown(key: str, known: Sequence[str]) -> click.UsageError:
     from difflib import get_close_matches
 
-    near = get_close_matches(key, known, 1, 0.0)
-    return click.UsageError(f"--job: there is no option '{key}'; the nearest is '{near[0]}'.")
+    near = get_close_matches(key, known, 1)
+    remedy = (
+        f"the nearest is '{near[0]}'" if near else "'riecjax init' prints a job with all of them"
+    )
+    return click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
 
 
 def _entries(param: click.Parameter, key: str, value: Any) -> list[list[str]]:
@@ -138,8 +148,14 @@ def _entries(param: click.Parameter, key: str, value: Any) -> list[list[str]]:
             raise _wrong(key, "a list of names in quotes", value)
         return [[one] for one in listed]
     if not param.multiple:  # type: ignore[attr-defined]
-        return [[name, *_texts(param, key, value)]]
+        # Names between commas may as well be a list.
+        listed = (
+            ",".join(map(str, value)) if key == "columns" and isinstance(value, list) else value
+        )
+        return [[name, *_texts(param, key, listed)]]
     if isinstance(value, dict):
+        if "=" not in (param.metavar or param.type.name):
+            raise _wrong(key, "a list of names in quotes", value)
         return [[name, f"{one}={_text(f'{key}.{one}', v)}"] for one, v in value.items()]
     listed = value if isinstance(value, list) else [value]
     return [[name, *_texts(param, key, one)] for one in listed]
@@ -175,7 +191,9 @@ def _placed(param: click.Parameter, entries: list[list[str]], folder: Path) -> l
 def _repathed(param: click.Parameter, text: str, moved: Any) -> str:
     """The text with its path moved: of an option that takes files, or FILE.py[:OBJECT]."""
     if isinstance(param.type, click.Path):
-        return moved(text)
+        path = moved(text)
+        # Else it would be taken for an option.
+        return f"./{path}" if path.startswith("-") else path
     found = PYTHON_FILE.fullmatch(text)
     # Only these two options name code; elsewhere .py may end any name.
     if found is None or key_of(param) not in ("model", "test-function"):
@@ -254,7 +272,7 @@ def _number(text: str) -> Any:
 
 
 def input_files(ctx: click.Context) -> list[str]:
-    """Every file that the command reads: recordings, and code of the user's own."""
+    """Every file that the command reads: recordings, also in a bag's folder, and users' code."""
     raw, files = ctx.meta[JOB], {}
     for param in ctx.command.get_params(ctx):
         if key_of(param) in SHOWN:
@@ -262,7 +280,14 @@ def input_files(ctx: click.Context) -> list[str]:
         value = raw.get(param.name, ())
         for text in value if isinstance(value, tuple | list) else [value]:
             _repathed(param, str(text), lambda path: files.setdefault(path, path))
-    return list(files)
+    return [file for path in files for file in _files_of(path)]
+
+
+def _files_of(path: str) -> list[str]:
+    """A file, or those in the folder that a bag is."""
+    if not os.path.isdir(path):
+        return [path]
+    return [os.path.join(path, name) for name in sorted(os.listdir(path))]
 
 
 def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, Any]]:

@@ -91,7 +91,8 @@ class HiddenOptions:
         from riecjax.equations.series_springs import SeriesSpring
         from riecjax.models.catalogue import find_model
 
-        model = find_model(name).with_sensor_errors(self.offsets_of, self.gains_of)
+        offsets, gains = (tuple(dict.fromkeys(of)) for of in (self.offsets_of, self.gains_of))
+        model = find_model(name).with_sensor_errors(offsets, gains)
         model = model.with_modes(*(HiddenMode(*each) for each in self.modes))
         return model.with_series_springs(*map(SeriesSpring, self.springs))
 

@@ -64,6 +64,17 @@ def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.array(np.broadcast_to(value, (length,)), dtype=float)
 
 
+def with_derived(
+    values: dict[str, np.ndarray], time: np.ndarray | None, derive: Mapping[str, str]
+) -> dict[str, np.ndarray]:
+    """Columns, and those of formulas of them and of the time `t`; shapes `(n,)`."""
+    values = dict(values)
+    for name, formula in derive.items():
+        known = values if time is None or "t" in values else {**values, "t": time}
+        values[name] = derived(formula, known)
+    return values
+
+
 def sensitivities(
     formula: str, columns: Mapping[str, np.ndarray], levels: Mapping[str, float]
 ) -> dict[str, float]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.noise_judgement import GivenNoise
-from riecjax.records.reading.channels import TIME_COLUMNS, Channels, vectors
+from riecjax.records.reading.channels import TIME_COLUMNS, Channels, seconds_of, vectors
 from riecjax.records.reading.selection import Selection, record_from_channels
 from riecjax.records.reading.units import split_unit
 from riecjax.records.record import Record
@@ -151,24 +151,10 @@ def _numbers(series: Any) -> np.ndarray | None:
     if kind in "mM":
         if getattr(series.dtype, "tz", None) is not None:
             series = type(series)(series.to_numpy("datetime64[ns]"))
-        return _seconds(np.asarray(series))
+        return seconds_of(np.asarray(series))
     if kind in "iufb":
         try:
             return series.to_numpy(dtype=float, na_value=np.nan)
         except TypeError:  # xarray's has no such arguments
             return np.asarray(series.to_numpy(), dtype=float)
     return None
-
-
-def _seconds(stamps: np.ndarray) -> np.ndarray:
-    unit, ticks = np.datetime_data(stamps.dtype)
-    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-    if unit not in per_second:
-        stamps = stamps.astype(f"{stamps.dtype.kind}8[us]")
-        unit, ticks = "us", 1
-    missing = np.isnat(stamps)
-    counts = stamps.astype("int64")
-    # Counted from the first before they become floats, which hold only 16 digits.
-    first = counts[~missing][0] if stamps.dtype.kind == "M" and not missing.all() else 0
-    since = (counts - first) * float(ticks) / per_second[unit]
-    return np.where(missing, np.nan, since)

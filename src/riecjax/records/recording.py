@@ -17,12 +17,11 @@ from riecjax.records.reading.channels import TIME_COLUMNS, Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
 from riecjax.records.reading.selection import Selected, Selection, record_from_channels
-from riecjax.records.reading.unit_conversion import plain
+from riecjax.records.reading.unit_expressions import same
 from riecjax.records.reading.units import split_unit
 from riecjax.records.reading_settings import ReadingSettings, sorted_settings
 from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
-from riecjax.work import in_time
 
 
 # Its arrays have no one truth value to compare by, and would fill the screen.
@@ -207,7 +206,10 @@ def _recording(
     computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
-        *_of_another_unit(file, selected.doubtful_time, selected.record),
+        *(
+            Finding("time_unit_doubtful", f"{file}: {why}", doubt=1.0)
+            for why in filter(None, [selected.doubt])
+        ),
         *(
             Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
             for n, why in mismatches.items()
@@ -236,24 +238,6 @@ def _read_by(model: Any, preparation: Preparation) -> dict[str, str]:
     """The model's signals and what others are derived from, with the units they are read in."""
     units = {signal.name: signal.unit for signal in getattr(model, "signals", ())}
     return dict.fromkeys(preparation.derivatives.values(), "") | units
-
-
-def _of_another_unit(
-    file: str, doubtful: tuple[str, str, float] | None, record: Record
-) -> list[Finding]:
-    if doubtful is None:
-        return []
-    column, unit, factor = doubtful
-    return [
-        Finding(
-            "time_unit_doubtful",
-            f"{file}: nothing states the unit of time '{column}'; it is taken as seconds, one "
-            f"sample every {float(record.time_step):g} s for {in_time(float(record.duration))}. If "
-            f"it is {unit}: scale={{'{column}': {factor:g}}} (on the command line: --scale "
-            f"{column}={factor:g}).",
-            doubt=1.0,
-        )
-    ]
 
 
 def _left_out(channels: Channels) -> dict[str, str]:
@@ -313,7 +297,7 @@ def _in_model_units(
     for name, unit in units.items():
         column = selection.rename.get(name, name)
         converted = {column, name} & {*selection.scale} or name in selection.derive
-        if name in stated and not converted and plain(stated[name]) != plain(unit):
+        if name in stated and not converted and not same(stated[name], unit):
             mismatches[name] = (
                 f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}, and "
                 f"nothing converts one to the other; correct the file's unit: units={{'{name}': "

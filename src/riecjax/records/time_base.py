@@ -15,10 +15,18 @@ SHORTEST_PAUSE = 1.5
 
 COARSE = 0.3
 """Share of rows that repeat a stamp from which stamps are coarse, and not some rows repeated."""
+HOUR = 3600.0
 EPOCH = 1e9
 """Seconds since 1970 in 2001: no clock of a record that starts at 0 gets there."""
 FEWEST_DIGITS, MOST_DIGITS = 4, 9
 """Significant digits that a logger may round its stamps to."""
+
+
+FEWEST_ODD = 10
+"""Steps of another length from which rounding makes them, and not rows lost or repeated."""
+MOST_LOST = 0.05
+"""Share of rows that may be lost between stamps of one digit for a step."""
+_DIGITS = tuple(10.0**-place for place in range(10))
 
 
 class StampError(DataError):
@@ -61,7 +69,10 @@ def time_base(stamps: np.ndarray) -> TimeBase:
         )
     steps = np.diff(stamps)
     if (steps <= 0).any():
-        rounded = _rounded_grid(stamps)
+        # Rounding keeps the order.
+        rounded = _rounded_grid(stamps) if (steps >= 0).all() else None
+        if rounded is None and FEWEST_ODD <= (steps == 0).sum() <= COARSE * steps.size:
+            rounded = _grid_of_decimals(stamps, np.zeros(0, dtype=int))
         if rounded is not None:
             return rounded
         raise _not_rising(stamps, steps)
@@ -71,6 +82,9 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     rounding = _resolution(stamps, usual)
     # A step of an even grid comes out longer by the rounding at most.
     pauses = np.flatnonzero(steps > max(SHORTEST_PAUSE * usual, usual + rounding)) + 1
+    rounded = _coarsely_rounded(stamps, steps, pauses) if pauses.size >= FEWEST_ODD else None
+    if rounded is not None:
+        return rounded
     inner = np.delete(steps, pauses - 1)
     step = float(inner.mean()) if inner.size else usual
     # Either no step differs much, while a slow clock may drift; or all stamps lie within their
@@ -94,6 +108,14 @@ def _not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
     first = int(np.argmax(steps <= 0)) + 1
     standing = float(np.mean(steps == 0))
     if (steps >= 0).all() and standing > COARSE and stamps[-1] > stamps[0]:
+        repeated = _repeated(stamps)
+        if repeated:
+            return StampError(
+                f"each of its stamps stands in {repeated} rows. If these are copies, or rows of "
+                f"{repeated} signals, write the file anew with one row for each time; if they are "
+                f"samples in turn, give the seconds between them (--time-step, about "
+                f"{(stamps[-1] - stamps[0]) / (stamps.size - repeated):.3g} here)."
+            )
         narrow = np.array_equal(stamps, stamps.astype(np.float32).astype(float))
         size = float(np.min(steps[steps > 0]))
         why = "they were stored in 32-bit, which" if narrow and size > 1 else "they"
@@ -110,14 +132,89 @@ def _not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
         )
     return StampError(
         f"time must increase from sample to sample; at sample {first} it goes from "
-        f"{stamps[first - 1]:.15g} to {stamps[first]:.15g} s. Sort the record or remove "
-        f"repeated rows."
+        f"{stamps[first - 1]:.15g} to {stamps[first]:.15g} s. {_remedy(steps)}"
     )
+
+
+def _remedy(steps: np.ndarray) -> str:
+    """What to do about stamps that do not increase: to sort two runs would mix them."""
+    usual = float(np.median(np.abs(steps)))
+    falls = np.flatnonzero(steps < 0)
+    # After a stamp that is wrong by itself, time leaps to where it was.
+    after = steps[np.minimum(falls + 1, steps.size - 1)]
+    begins = falls.size and (steps[falls] < -10 * usual).all() and (after <= 2 * usual).all()
+    if falls.size == steps.size:
+        return "All stamps fall: turn the rows round if the newest stands first."
+    if begins and (np.abs(steps[falls] + HOUR) <= 2 * usual).all():
+        return (
+            "Local time goes back by an hour where summer time ends: log in UTC, or give the "
+            "seconds between samples (--time-step)."
+        )
+    if begins:
+        return (
+            "A second recording begins there, or the clock was set back: split the file there, or "
+            "give the seconds between samples (--time-step)."
+        )
+    if not falls.size and (steps == 0).sum() >= FEWEST_ODD:
+        return (
+            "If rows are repeated, remove them; if stamps are rounded, give the seconds between "
+            "samples (--time-step)."
+        )
+    return "Sort the record or remove repeated rows."
 
 
 def narrow_epoch(stamps: np.ndarray) -> bool:
     """Whether all stamps are one number that an epoch's seconds round to in 32-bit."""
     return bool((stamps == stamps[0]).all() and stamps[0] == np.float32(stamps[0]) > EPOCH)
+
+
+def _repeated(stamps: np.ndarray) -> int:
+    """In how many rows, up to ten, each stamp stands; 0 if not all in as many."""
+    counts = np.unique(stamps, return_counts=True)[1]
+    return int(counts[0]) if counts.size > 2 and {*counts} <= {counts[0]} and counts[0] <= 10 else 0
+
+
+def _coarsely_rounded(stamps: np.ndarray, steps: np.ndarray, pauses: np.ndarray) -> TimeBase | None:
+    """A grid rounded to a digit not much shorter than its step; `None` if there is none.
+
+    Its steps are of one digit or of two, which are no pauses: of 1 or 2 ms at 700 Hz.
+
+    **Raises:** `StampError` where many steps may be pauses or of such a grid.
+    """
+    usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))
+    short = float(np.mean(steps[steps <= 2.5 * np.median(steps)]))
+    longer = np.flatnonzero(steps > short + _resolution(stamps, short / 0.9)) + 1
+    found = _grid_of_decimals(stamps, longer) if longer.size < pauses.size else None
+    coarse = _resolution(stamps, usual / 0.85) > 0.4 * usual
+    if found is None and coarse and pauses.size > MOST_LOST * steps.size:
+        raise StampError(
+            f"its stamps are too coarse to tell lost rows from rounding: {pauses.size} of"
+            f" {steps.size} steps are longer than {usual:g} s. Give the seconds between samples"
+            f" (--time-step, about {short:.3g} here), or resample the record to a uniform rate (on"
+            " the command line: --resample HZ)."
+        )
+    return found
+
+
+def _grid_of_decimals(stamps: np.ndarray, pauses: np.ndarray) -> TimeBase | None:
+    """An even grid that the stamps between pauses are, rounded to decimals; `None` if none is.
+
+    All must lie within half a digit of it: rows that are lost here and there do not.
+    """
+    edges = np.concatenate([[0], pauses, [stamps.size]])
+    stretches = [stamps[first:last] for first, last in itertools.pairwise(edges)]
+    places = [np.arange(one.size) - (one.size - 1) / 2 for one in stretches]
+    step = sum(map(np.dot, places, stretches)) / sum(place @ place for place in places)
+    finest = 4 * float(np.spacing(np.max(np.abs(stamps))))
+    digits = [
+        digit
+        for digit in _DIGITS
+        if finest < 0.1 * digit
+        and np.all(np.abs(stamps - np.round(stamps / digit) * digit) <= finest)
+    ]
+    spans = [np.ptp(t - step * place) for t, place in zip(stretches, places, strict=True)]
+    off, digit = float(max(spans)) / 2, next(iter(digits), 0.0)
+    return TimeBase(float(step), float(stamps[0]), pauses) if off <= 0.51 * digit else None
 
 
 def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
@@ -129,8 +226,10 @@ def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
     """
     decades = np.floor(np.log10(np.maximum(np.abs(stamps), np.finfo(float).tiny)))
     for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
-        unit = 10.0 ** (np.maximum(decades, decades[-1] - digits) + 1 - digits)
-        if np.all(np.abs(stamps - np.round(stamps / unit) * unit) <= 4 * np.spacing(stamps)):
+        unit = 10.0 ** (np.maximum(decades, decades.max() - digits) + 1 - digits)
+        if np.all(
+            np.abs(stamps - np.round(stamps / unit) * unit) <= 4 * np.spacing(np.abs(stamps))
+        ):
             break
     else:
         return None

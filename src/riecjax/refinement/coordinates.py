@@ -138,11 +138,13 @@ class Constraints(eqx.Module):
         upper = np.array([np.inf if high is None else high for _, high in ends], float)
         for name, low, high in zip(names, lower, upper):
             if not low < high:
-                raise ModelError(f"the bounds of {name} are in the wrong order: {low} to {high}.")
+                raise ModelError(
+                    f"the bounds of {name} are equal or in the wrong order: {low:g} to {high:g}."
+                )
             if is_concrete(start[name]) and not low < float(start[name]) < high:
                 raise ModelError(
                     f"{name} starts at {float(start[name]):g}, which is not between its bounds "
-                    f"{low:g} and {high:g}. Start strictly between them."
+                    f"{low:g} and {high:g}. Widen them, or start strictly between them."
                 )
         for name, prior in priors.items():
             if not (is_pair(prior) and np.isfinite(float(prior[0]))):

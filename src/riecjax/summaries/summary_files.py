@@ -180,7 +180,10 @@ def _contents(file: Path, name: str, kind: str, schema: int) -> tuple[Document, 
 
         def read(each: str) -> np.ndarray:
             with archive.open(members[each]) as stream:
-                return read_array(stream, members[each].file_size)
+                array = read_array(stream, members[each].file_size)
+            if array is None:
+                raise ValueError("it holds Python objects.")
+            return array
 
         document: Any = json.loads(read(name).tobytes()) if name in members else None
         _require_schema(document, name, kind, schema)

@@ -177,7 +177,7 @@ def test_encodings(tmp_path, case, encoding):
     _, content = FILES[case]
     text = content.decode().replace("force", "größe" if encoding != "shift_jis" else "力")
     message = outcome(tmp_path / "a.csv", text.encode(encoding))
-    assert (message is None) == (encoding not in ("utf-32", "cp037"))
+    assert (message is None) == (encoding != "cp037")
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mat", ".parquet"])

@@ -54,6 +54,7 @@ def test_time_is_that_of_the_headers(tmp_path):
     assert "topic '/imu': time by its headers" in channels.notes
 
 
+@pytest.mark.slow
 def test_damaged_files(tmp_path):
     content = next(bag(tmp_path / "bag").glob("*.mcap")).read_bytes()
     rng = np.random.default_rng(20240501)

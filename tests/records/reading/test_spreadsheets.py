@@ -78,6 +78,7 @@ def test_without_the_library_the_extra_is_named(tmp_path, monkeypatch):
         read_channels(workbook(tmp_path / "a.xlsx", S=table()))
 
 
+@pytest.mark.slow
 def test_damaged_files(tmp_path):
     content = workbook(tmp_path / "whole.xlsx", S=table()).read_bytes()
     rng = np.random.default_rng(20240501)

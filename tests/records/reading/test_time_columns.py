@@ -1,5 +1,7 @@
 """Which column is time, what its numbers count, and what is said where they are none."""
 
+import datetime
+
 import numpy as np
 import pytest
 
@@ -176,3 +178,119 @@ def test_a_channel_that_no_equation_reads_does_not_decide_the_common_time(tmp_pa
     assert "temperature" in read.missing
     plain = read_recording(path, resample=200.0).record
     assert plain.sample_count == N - 100
+
+
+SPELLED = {
+    "timeMs": 1e3, "time.us": 1e6, "Time ms": 1e3, "Time - ms": 1e3, "Time(mSec)": 1e3,
+    "TIME [MS]": 1e3, "millis": 1e3, "time [Seconds]": 1, "t [d]": 1 / 86400,
+    "time (days)": 1 / 86400, "Time_Minutes": 1 / 60,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPELLED)
+def test_more_spellings_of_units_of_time(tmp_path, name):
+    stamps = [f"{t:.15g}" for t in T * SPELLED[name]]
+    recording = read(tmp_path, {name: stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=2e-5)
+    assert not recording.findings
+    mapped = read(tmp_path, {"n": range(N), name: stamps, "x": X}, rename={"t": name})
+    np.testing.assert_allclose(mapped.record.time_step, STEP, rtol=2e-5)
+
+
+def test_a_scaled_time_is_in_seconds_whatever_its_name_says(tmp_path):
+    recording = read(tmp_path, {"time_ms": 1e3 * T, "x": X}, scale={"time_ms": 0.001})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-12)
+
+
+def test_a_unit_that_is_none_of_time_is_named(tmp_path):
+    with pytest.raises(DataError, match=r"'t \[samples\]' is in 'samples', which is no unit of"):
+        read(tmp_path, {"t [samples]": range(N), "x": X})
+
+
+@pytest.mark.parametrize("name", ["angle", "Frequency"])
+def test_a_first_column_of_another_name_is_doubted(tmp_path, name):
+    (finding,) = read(tmp_path, {name: 0.1 * np.arange(N), "x": X}).findings
+    assert finding.code == "time_unit_doubtful"
+    assert f"nothing says that '{name}' is time" in finding.message
+    assert "--map t=COLUMN" in finding.message
+
+
+@pytest.mark.parametrize("since", [133_537_680 * 10**9, 638_448_912 * 10**9])
+def test_ticks_of_windows_and_net(tmp_path, since):
+    stamps = [since + 50_000 * i for i in range(N)]
+    recording = read(tmp_path, {"Timestamp": stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-5)
+    assert not recording.findings
+
+
+def test_a_counter_of_32_bits_is_carried_on(tmp_path):
+    stamps = [(2**32 - 10**6 + 5000 * i) % 2**32 for i in range(N)]
+    recording = read(tmp_path, {"time_us": stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
+
+
+CLOCKS = {
+    "thousandths that are not padded": lambda ms: f"12:00:{ms // 1000:02d}:{ms % 1000}",
+    "with a point": lambda ms: f"12:00:{ms // 1000:02d}.{ms % 1000}",
+    "day of the year": lambda ms: f"061:12:00:{ms // 1000:02d}.{ms % 1000:03d}",
+    "weekday": lambda ms: f'"Fri, 01 Mar 2024 12:00:{ms // 1000:02d}.{ms % 1000:03d} +0000"',
+    "month first": lambda ms: f'"Mar 1, 2024 12:00:{ms // 1000:02d}.{ms % 1000:03d}"',
+}
+
+
+@pytest.mark.parametrize("case", CLOCKS)
+def test_more_clocks(tmp_path, case):
+    recording = read(tmp_path, {"time": [CLOCKS[case](5 * i) for i in range(N)], "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
+
+
+def test_durations_of_python_past_a_day(tmp_path):
+    start = datetime.timedelta(hours=23, minutes=59, seconds=59)
+    stamps = [f'"{start + datetime.timedelta(seconds=t)}"' for t in T]
+    recording = read(tmp_path, {"time": stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
+    assert recording.record.sample_count == N
+
+
+def test_fractions_of_unequal_length_that_rise_are_decimals(tmp_path):
+    stamps = [f"12:00:0{i // 4}.{(0, 25, 5, 75)[i % 4]}" for i in range(N)][:36]
+    rows = [f"{stamp},{i}" for i, stamp in enumerate(stamps)]
+    (tmp_path / "a.csv").write_text("\n".join(["time,x", *rows]) + "\n")
+    assert float(read_recording(tmp_path / "a.csv").record.time_step) == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("rate", [667, 700, 800, 950, 1024])
+@pytest.mark.parametrize("since", [0.0, 1.7e9])
+def test_milliseconds_that_are_hardly_shorter_than_a_step(rate, since):
+    base = time_base(since + np.round(np.arange(3000) / rate, 3))
+    assert base.pauses.size == 0
+    np.testing.assert_allclose(base.step, 1 / rate, rtol=1e-5)
+
+
+def test_a_lost_row_is_a_pause_or_refused_but_no_grid():
+    stamps = np.round(np.arange(3000) / 700, 3)
+    base = time_base(np.delete(stamps, [800, 1600]))
+    np.testing.assert_array_equal(base.pauses, [800, 1599])
+    np.testing.assert_allclose(base.step, 1 / 700, rtol=1e-5)
+    with pytest.raises(DataError, match=r"tell lost rows from rounding.*--time-step, about 0.001"):
+        time_base(np.delete(np.round(np.arange(3000) / 900, 3), 1000))
+    lossy = np.delete(np.arange(3000) / 1000, [500, 700, 1100, 1101, 2000])
+    assert time_base(lossy).step == pytest.approx(1e-3)
+
+
+BACK = {
+    "newest first": (T[::-1], "turn the rows round"),
+    "summer time ends": (np.r_[T[:200], T[200:] - 3600], "back by an hour"),
+    "a second run": (np.r_[T[:200], T[:200]], "split the file there"),
+    "two rows swapped": (np.r_[T[:100], T[[101, 100]], T[102:]], "Sort the record"),
+    "one bad stamp": (np.where(np.arange(N) == 50, 0, T), "Sort the record"),
+    "every row twice": (np.repeat(T, 2), "stands in 2 rows.*write the file anew"),
+    "up to zero": (-(T[::-1] ** 1.1), "evenly spaced"),
+}
+
+
+@pytest.mark.parametrize("case", BACK)
+def test_what_to_do_about_time_that_runs_back(case):
+    stamps, words = BACK[case]
+    with pytest.raises(DataError, match=words):
+        time_base(stamps)

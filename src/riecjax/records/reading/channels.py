@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.util
+import re
 import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -12,6 +13,8 @@ from typing import IO
 import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError
+from riecjax.records.reading.time_stamps import of_texts
+from riecjax.records.reading.units import split_unit
 
 LARGEST_FILE = 4 * 2**30
 """Bytes a file may hold, unpacked, before it is refused."""
@@ -74,11 +77,15 @@ def foreign_reader(kind: str) -> Iterator[None]:
 
 def first_sentence(error: BaseException) -> str:
     """The start of an exception's first line, or its type where it has none."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:LONGEST_REASON]
+    said = (str(error).strip().splitlines() or [""])[0][:LONGEST_REASON]
+    # A missing key says no more than its name.
+    return said if said and not isinstance(error, KeyError) else f"{type(error).__name__} {said}"
 
 
 TIME_COLUMNS = ("t", "time", "Time", "time_s", "t_s", "TIME", "timestamp", "Timestamp", "T")
 """Column names taken as time, in this order of preference; `--map t=COLUMN` names another."""
+BY_ATTRIBUTE = ", as counts with an attribute "
+"""What stands between the unit of counts and an attribute that may be their factor."""
 WIDEST_MATRIX = 1000
 """Columns of a matrix past which it is a picture and not a set of channels."""
 MOST_LISTED = 30
@@ -110,6 +117,11 @@ class Channels:
     nested: bool = False
     parts: list[str] = field(default_factory=list)
 
+    def named(self, column: str) -> tuple[str, str | None]:
+        """A column's name without its unit, and the unit that the file or the name states."""
+        name, unit = split_unit(column, self.nested)
+        return name, self.units.get(column) or unit
+
 
 def listed(names: Iterable[str]) -> str:
     """Names for a message, the first thirty of them."""
@@ -130,16 +142,18 @@ def check_names(names: Iterable[str]) -> None:
 def vectors(arrays: Mapping[str, object]) -> Channels:
     """Numeric arrays as columns: vectors by their name, matrices as `name[0]`, `name[1]`, ...
 
-    The long side of a matrix is that of the samples. Scalars are left out silently; square
-    matrices, text and objects with the reason.
+    The long side of a matrix is that of the samples. Dates, durations and stamps as text are
+    seconds. Scalars are left out silently; square matrices, other text and objects with the reason.
     """
     columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
     left_out: dict[str, str] = {}
     for name, values in arrays.items():
-        array = np.asarray(values)
-        if array.dtype.kind not in "fiub":
+        array, stamped = _real(np.asarray(values))
+        if array is None:
             left_out[name] = "it holds no real numbers"
             continue
+        units |= {name: "s"} if stamped else {}
         if not array.size:
             left_out[name] = "it is empty"
         if array.size < 2:
@@ -155,7 +169,55 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
             left_out[name] = f"its shape {array.shape} is not that of channels over time"
         if len(columns) > MOST_COLUMNS:
             raise DataError(f"has more than {MOST_COLUMNS} columns; no more are read.")
-    return Channels(columns, left_out=left_out)
+    return Channels(columns, {k: u for k, u in units.items() if k in columns}, left_out=left_out)
+
+
+def _real(array: np.ndarray) -> tuple[np.ndarray | None, bool]:
+    """An array's real numbers, and whether they are seconds of stamps; `None` if it has none."""
+    if array.dtype.kind in "mM":
+        return seconds_of(array), True
+    if array.dtype.kind == "S":
+        array = np.char.decode(array, "utf-8", "replace")
+    if array.dtype.kind == "U":
+        return of_texts(array.tolist()) if array.ndim == 1 and array.size > 1 else (None, False)
+    if array.dtype.kind == "c" and not np.imag(array).any():
+        return np.real(array), False
+    return (array if array.dtype.kind in "fiub" else None), False
+
+
+def seconds_of(stamps: np.ndarray) -> np.ndarray:
+    """NumPy's date-times as seconds from the first, and durations in seconds; NaN for NaT."""
+    unit, ticks = np.datetime_data(stamps.dtype)
+    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+    if unit not in per_second:
+        stamps = stamps.astype(f"{stamps.dtype.kind}8[us]")
+        unit, ticks = "us", 1
+    missing = np.isnat(stamps)
+    counts = stamps.astype("int64")
+    # Counted from the first before they become floats, which hold only 16 digits.
+    first = counts[~missing][0] if stamps.dtype.kind == "M" and not missing.all() else 0
+    since = (counts - first) * float(ticks) / per_second[unit]
+    return np.where(missing, np.nan, since)
+
+
+def with_units_beside(channels: Channels, texts: Mapping[str, str]) -> Channels:
+    """The same with the units that stand beside columns: `x_unit`, or `x.unit` beside `x.values`.
+
+    Beside several columns of one structure a unit is none of theirs.
+    """
+    units = dict(channels.units)
+    for name, text in texts.items():
+        found = _UNIT_BESIDE.fullmatch(name)
+        if found is None or not text.strip():
+            continue
+        within = [c for c in channels.columns if c.startswith(f"{found['of']}.")]
+        inner = [c for c in within if c[len(found["of"]) + 1 :] not in TIME_COLUMNS]
+        own = [found["of"]] if found["of"] in channels.columns else inner
+        units |= {own[0]: text.strip()} if len(own) == 1 and own[0] not in units else {}
+    return replace(channels, units=units)
+
+
+_UNIT_BESIDE = re.compile(r"(?P<of>.+?)(?:[._]|(?<=[a-z]))[uU]nits?")
 
 
 def with_structure_times(channels: Channels, separator: str = ".") -> Channels:
@@ -213,25 +275,38 @@ def called(channels: Channels, new: Callable[[str], str]) -> Channels:
 def read_npz(file: Path) -> Channels:
     """Read an NPZ archive: vectors by their name, matrices as `name[0]`, `name[1]`, ...
 
-    **Raises:** `DataError` for a damaged archive, one that unpacks to too much, and one with
-    Python objects, which are never made.
+    Fields of structured arrays are columns; Python objects are never made.
+
+    **Raises:** `DataError` for a damaged archive, and one that unpacks to too much.
     """
     with foreign_reader("NPZ"), zipfile.ZipFile(file) as archive:
         members = archive.infolist()
         check_column_count(len(members))
         check_unpacked(sum(member.file_size for member in members), file.stat().st_size)
         check_names(member.filename.removesuffix(".npy") for member in members)
-        arrays = {}
+        arrays: dict[str, np.ndarray] = {}
+        left_out = {}
         for member in members:
+            name = member.filename.removesuffix(".npy")
             with archive.open(member) as stream:
-                arrays[member.filename.removesuffix(".npy")] = read_array(stream, member.file_size)
-    return vectors(arrays)
+                array = read_array(stream, member.file_size)
+            if array is None:
+                left_out[name] = "it holds Python objects, which are not read"
+            else:
+                fields = array.dtype.names or ()
+                inner = {field: array[field] for field in fields} if fields else {name: array}
+                check_names([*arrays, *inner])
+                arrays |= inner
+    found = vectors(arrays)
+    return replace(found, left_out=found.left_out | left_out)
 
 
-def read_array(stream: IO[bytes], size: int) -> np.ndarray:
+def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:
     """One array of the NPY format, once its declared shape is known to fit into its bytes.
 
-    **Raises:** `ValueError` if it does not, or for Python objects, which are never made.
+    `None` for Python objects, which are never made.
+
+    **Raises:** `ValueError` if it does not fit.
     """
     version = np.lib.format.read_magic(stream)
     header = {
@@ -242,7 +317,7 @@ def read_array(stream: IO[bytes], size: int) -> np.ndarray:
         raise ValueError(f"arrays of version {version} are not read.")
     shape, fortran, dtype = header(stream)
     if dtype.hasobject:
-        raise ValueError("it holds Python objects.")
+        return None
     count = 1
     for side in shape:
         count *= side

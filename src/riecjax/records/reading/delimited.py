@@ -1,6 +1,5 @@
 """Reading tables in text files: CSV, TSV and what data loggers write."""
 
-import codecs
 import csv
 import io
 import re
@@ -15,7 +14,6 @@ from riecjax.errors import DataError
 from riecjax.records.reading.channels import (
     Channels,
     check_column_count,
-    check_names,
     first_sentence,
 )
 from riecjax.records.reading.dialect import NAMES, Dialect, Layout, layout
@@ -27,7 +25,14 @@ from riecjax.records.reading.numerals import (
     stripped,
 )
 from riecjax.records.reading.plain_rows import plain_rows
+from riecjax.records.reading.repetitions import (
+    distinct,
+    without_end,
+    without_headings,
+)
+from riecjax.records.reading.text_encoding import as_utf8
 from riecjax.records.reading.time_stamps import are_stamps, seconds
+from riecjax.records.reading.unit_expressions import readings, same
 from riecjax.records.reading.units import split_unit
 
 SAMPLE = 2**16
@@ -71,34 +76,49 @@ def read_delimited(
 ) -> Channels:
     """Read a text file of columns.
 
-    Delimiter, decimal sign, header, a row of units, comments, lines above the header, and brackets
-    or quotes around rows are recognised; what could be read in two ways is refused. Columns without
-    a header are called `column 1`, `column 2`, ..., or by `columns`.
+    Delimiter, decimal sign, header, a row of units, comments, lines above the header and below the
+    rows, and brackets or quotes around rows are recognised; what could be read in two ways is
+    refused. Columns without a header are called `column 1`, `column 2`, ..., or by `columns`, and
+    those of one name `x #1`, `x #2`, ...
 
     **Raises:** `DataError` naming the line and the text that is no number, for rows of unequal
     length, and for files that are not text or have no samples.
     """
     content, notes = as_utf8(file.read_bytes())
     plain = plain_rows(content)
-    found = read_table(plain.content, delimiter, decimal, columns or plain.labels)
+    found = read_table(plain.content, delimiter, decimal, columns or plain.labels, plain.units)
     return replace(found, notes=[*notes, *plain.notes, *found.notes])
 
 
 def read_table(
-    content: bytes, delimiter: str | None, decimal: str | None, columns: Sequence[str] = ()
+    content: bytes,
+    delimiter: str | None,
+    decimal: str | None,
+    columns: Sequence[str] = (),
+    units: Sequence[str] = (),
 ) -> Channels:
-    """Read a table in text, in UTF-8 with lines ended by `\\n`; see [`read_delimited`][]."""
+    """Read a table in text, in UTF-8 with lines ended by `\\n`; see [`read_delimited`][].
+
+    **Arguments:** `units` by position, where the table has no row of them.
+    """
     lines = _first_lines(content)
     found = layout(lines, delimiter, decimal, columns)
     check_column_count(found.width)
+    content, ended = without_end(content, found, lines[found.start])
     body, comments = _body(content, found)
+    head = lines[max(found.header, 0) : found.start]
+    body, repeated = without_headings(body, head, found.dialect)
     table = Table(body, found, decimal is not None)
-    names = _names(found.names)
-    read, left_out, stamped = _columns(table, names)
-    units = _units(names, found.units) | dict.fromkeys(stamped, "s")
+    parsed = _parse(table)
+    names, kept, numbered = distinct(_names(found.names), parsed)
+    read, left_out, stamped = _columns(table, parsed.select(kept), names)
+    by_place = found.units or units
+    row = [by_place[place] for place in kept if place < len(by_place)]
+    stated = _units(names, row) | dict.fromkeys(stamped, "s")
     notes = _notes(found, lines, comments, stamped, delimiter is not None)
+    notes += [*ended, *repeated, *numbered]
     notes += [f"column '{name}' left out: {why}" for name, why in left_out.items()]
-    return Channels(read, {k: u for k, u in units.items() if k in read}, {}, left_out, notes)
+    return Channels(read, {k: u for k, u in stated.items() if k in read}, {}, left_out, notes)
 
 
 def _first_lines(content: bytes) -> list[str]:
@@ -175,10 +195,9 @@ def _ragged_row(table: Table) -> str:
 
 
 def _columns(
-    table: Table, names: list[str]
+    table: Table, parsed: Any, names: list[str]
 ) -> tuple[dict[str, np.ndarray], dict[str, str], dict[str, str]]:
     """Columns of numbers, the other columns with the reason, and of time stamps the first."""
-    parsed = _parse(table)
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
     texts = {name: stripped(parsed.column(place)) for place, name in enumerate(names) if name}
@@ -212,7 +231,10 @@ def _all_valid(table: Table, valid: Any, text: Any) -> bool:
         return True
     if flags.size and flags.mean() >= MOSTLY:
         row = valid.to_pylist().index(False)
-        raise DataError(f"line {table.line_of(row)}: {text[row].as_py()[:40]!r} is not a number.")
+        raise DataError(
+            f"line {table.line_of(row)}: {text[row].as_py()[:40]!r} is not a number; correct it, or"
+            " leave the field empty."
+        )
     return False
 
 
@@ -256,16 +278,18 @@ def _without_blank_end(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _names(header: list[str]) -> list[str]:
     """Names of the columns; those at the end without a name stay empty."""
     last = max((place for place, name in enumerate(header) if name), default=-1)
-    names = [
+    return [
         name or (f"column {place + 1}" if place < last else "") for place, name in enumerate(header)
     ]
-    check_names(filter(None, names))
-    return names
 
 
 def _units(names: list[str], row: list[str]) -> dict[str, str]:
-    stated = {name: unit for name in names if (unit := split_unit(name)[1])}
-    return stated | {name: unit for name, unit in zip(names, row) if unit}
+    units = {name: unit for name in names if (unit := split_unit(name)[1])}
+    for name, unit in zip(names, row):
+        other = units.get(name, "")
+        differ = readings(other) and readings(unit) and not same(other, unit)
+        units |= {name: f"{other} or {unit}" if differ else unit} if unit else {}
+    return units
 
 
 def _notes(
@@ -290,64 +314,3 @@ def _notes(
     return notes + [
         f"column '{name}': time stamps, as seconds from {first}" for name, first in stamped.items()
     ]
-
-
-_CHUNK = 2**20
-_CONTROLS = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
-
-
-def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
-    """A text file's content in UTF-8 with lines ended by `\\n`, and what was decided.
-
-    UTF-8 and UTF-16 are recognised; any other text is taken as Latin-1, which differs from other
-    8-bit encodings in names but not in numbers.
-
-    **Raises:** `DataError` for a binary file.
-    """
-    notes: list[str] = []
-    if content.startswith(codecs.BOM_UTF8):
-        content = content[len(codecs.BOM_UTF8) :]
-    wide = _utf16(content)
-    if wide:
-        try:
-            content = content.decode(wide).removeprefix("\ufeff").encode()
-        except UnicodeError:
-            raise DataError("not a text file in UTF-16; it is damaged.") from None
-        notes.append("read as UTF-16")
-    place = content.find(b"\0")
-    if place >= 0:
-        raise DataError(f"not a text file in UTF-8: byte {place} is 0, as in binary files.")
-    if not _is_utf8(content):
-        if _CONTROLS.search(content[:_CHUNK]):
-            raise DataError("not a text file in UTF-8: it holds binary control characters.")
-        content = content.decode("latin-1").encode()
-        notes.append("read as Latin-1, not being UTF-8")
-    if b"\r" in content:
-        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return content, notes
-
-
-def _utf16(content: bytes) -> str | None:
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    # Without a mark: digits and delimiters have a zero as every other byte.
-    head = content[:4096]
-    half = len(head) // 2
-    if half < 2:
-        return None
-    if head[1::2].count(0) > 0.9 * half and 0 not in head[::2]:
-        return "utf-16-le"
-    if head[::2].count(0) > 0.9 * half and 0 not in head[1::2]:
-        return "utf-16-be"
-    return None
-
-
-def _is_utf8(content: bytes) -> bool:
-    decoder = codecs.getincrementaldecoder("utf-8")()
-    try:
-        for start in range(0, len(content), _CHUNK):
-            decoder.decode(content[start : start + _CHUNK])
-        decoder.decode(b"", final=True)
-    except UnicodeDecodeError:
-        return False
-    return True

@@ -11,7 +11,7 @@ from riecjax.errors import DataError
 from riecjax.records.reading.channels import MOST_COLUMNS
 from riecjax.records.reading.numerals import is_missing, is_number
 from riecjax.records.reading.time_stamps import is_stamp
-from riecjax.records.reading.units import UNIT, bare_unit, is_unit
+from riecjax.records.reading.units import SECONDS, bare_unit, is_known, is_unit
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In order of preference; a blank stands for any white space."""
@@ -92,9 +92,7 @@ def layout(
     found = [_layout(lines, dialect) for dialect in _dialects(lines, delimiter, decimal)]
     layouts = [one for one in found if one is not None and _plausible(one, lines, delimiter)]
     if not layouts:
-        if any(line.strip() for line in lines):
-            raise DataError("there are no samples below the column names.")
-        raise DataError("the file is empty; the first row must name the columns.")
+        raise _no_numbers(lines)
     best = min(
         layouts,
         key=lambda one: (one.badness > MISFIT, not one.named, round(one.badness, 3), -one.width),
@@ -104,11 +102,33 @@ def layout(
     if not best.named:
         raise DataError(
             f"{len(best.names)} column names but {best.width} columns of numbers"
-            f" ({best.dialect}; line {best.start + 1})."
+            f" ({best.dialect}; line {best.start + 1}).{_of_commas(best)}"
         )
     if decimal is None and delimiter is None:
         _refuse_bare_commas(best, lines)
     return best
+
+
+def _no_numbers(lines: list[str]) -> DataError:
+    """The error of lines without one that holds numbers."""
+    filled = [place for place, line in enumerate(lines) if line.strip()]
+    if not filled:
+        return DataError("the file is empty; the first row must name the columns.")
+    if len(filled) == 1:
+        return DataError("there are no samples below the column names.")
+    place = filled[min(len(filled) - 1, len(filled) // 2)]
+    return DataError(
+        f"no line holds numbers between delimiters; line {place + 1} is {lines[place][:60]!r}. Name"
+        " delimiter and decimal sign (on the command line: --delimiter, --decimal), or export the"
+        " file otherwise."
+    )
+
+
+def _of_commas(best: Layout) -> str:
+    """A remedy where commas may be decimal signs, too."""
+    if best.dialect.delimiter != "," or best.width != 2 * len(best.names):
+        return ""
+    return " If commas are decimal signs too, export the file with another delimiter."
 
 
 def _named(found: Layout, columns: Sequence[str]) -> Layout:
@@ -165,7 +185,7 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
     first = next(place for place, kind in kinds.items() if _fits(kind, pattern))
     header, units, start = _header(rows, kinds, first, pattern)
     if header is None:
-        header, names = _commented_header(lines, dialect, first, len(pattern))
+        header, names, units = _commented_header(lines, dialect, first, len(pattern))
     else:
         names = rows[header]
     names = _trimmed(names, pattern, dialect)
@@ -176,11 +196,11 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
 
 
 def _kinds(fields: list[str], decimal: str) -> str:
-    """One letter for each field, as `_kind` gives them."""
-    return "".join(_kind(field, decimal) for field in fields)
+    """One letter for each field, as `kind_of` gives them."""
+    return "".join(kind_of(field, decimal) for field in fields)
 
 
-def _kind(field: str, decimal: str) -> str:
+def kind_of(field: str, decimal: str) -> str:
     """What a field holds: `M`, nothing; `N`, a number; `S`, a time stamp; `T`, any other text."""
     if is_missing(field):
         return "M"
@@ -232,7 +252,7 @@ def _is_below_units(texts: list[int], rows: dict[int, list[str]]) -> bool:
 
 
 def _is_heading(fields: list[str]) -> bool:
-    return len(_without_empty_end(fields)) == 1 and not UNIT.fullmatch(bare_unit(fields[0]))
+    return len(_without_empty_end(fields)) == 1 and not is_known(bare_unit(fields[0]))
 
 
 def _as_wide(fields: list[str], pattern: str) -> bool:
@@ -247,22 +267,30 @@ def _after(rows: dict[int, list[str]], place: int) -> int:
 
 
 def _is_unit_row(fields: list[str]) -> bool:
-    return any(fields) and all(not field or is_unit(field) or field in PLACES for field in fields)
+    """Whether all fields are units, or most of them below one of time, which no name is."""
+    known = [not field or is_unit(field) or field in PLACES for field in fields]
+    timed = bare_unit(fields[0]).lower() in SECONDS and sum(known) > len(fields) / 2
+    return any(fields) and (all(known) or timed)
 
 
 def _commented_header(
     lines: list[str], dialect: Dialect, first: int, width: int
-) -> tuple[int, list[str]]:
-    """The last comment above the numbers, where it holds a name for each column."""
+) -> tuple[int, list[str], list[str]]:
+    """Line, names and units of the last comment above the numbers that names each column."""
+    found: list[tuple[int, list[str]]] = []
     for place in range(first - 1, -1, -1):
         sign = dialect.comment(lines[place])
         if sign:
-            names = dialect.fields(lines[place][sign.end() :])
-            named = len(names) == width and "T" in _kinds(names, dialect.decimal)
-            return (place, names) if named else (-1, [])
-        if lines[place].strip():
+            fields = dialect.fields(lines[place][sign.end() :])
+            found.append((place, _joined(fields, dialect, width)))
+        if len(found) == 2 or (lines[place].strip() and not sign):
             break
-    return -1, []
+    named = [
+        one for one in found if len(one[1]) == width and "T" in _kinds(one[1], dialect.decimal)
+    ]
+    if len(named) == 2 and _is_unit_row(named[0][1]):
+        return (*named[1], [bare_unit(field) for field in named[0][1]])
+    return (*named[0], []) if named and named[0] is found[0] else (-1, [], [])
 
 
 def _without_empty_end(fields: list[str]) -> list[str]:
@@ -270,6 +298,14 @@ def _without_empty_end(fields: list[str]) -> list[str]:
     while width and not fields[width - 1]:
         width -= 1
     return fields[:width]
+
+
+def _joined(names: list[str], dialect: Dialect, width: int) -> list[str]:
+    """Names delimited by blanks with their units: the blank before a bracket delimits none."""
+    if dialect.delimiter != " " or len(names) <= width:
+        return names
+    joined = re.sub(r"\s+(?=[\[(])", "\0", " ".join(names))
+    return [name.replace("\0", " ") for name in joined.split(" ")]
 
 
 def _trimmed(names: list[str], pattern: str, dialect: Dialect) -> list[str]:
@@ -280,10 +316,7 @@ def _trimmed(names: list[str], pattern: str, dialect: Dialect) -> list[str]:
         # What the row is, before its names, or a column of remarks that stayed empty.
         first, last = (names[place].lower() in WORDS for place, WORDS in ((0, ROWS), (-1, REMARKS)))
         names = names[1:] if first else names[:-1] if last else names
-    if dialect.delimiter == " " and len(names) > width:
-        # The blank between a name and its unit in brackets delimits no columns.
-        joined = re.sub(r"\s+(?=[\[(])", "\0", " ".join(names))
-        names = [name.replace("\0", " ") for name in joined.split(" ")]
+    names = _joined(names, dialect, width)
     if names and len(names) < width and set(pattern[len(names) :]) == {"M"}:
         names = [*names, *[""] * (width - len(names))]
     return names

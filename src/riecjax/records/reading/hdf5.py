@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.records.reading.channels import (
+    BY_ATTRIBUTE,
     Channels,
     check_column_count,
     check_names,
@@ -22,19 +23,24 @@ DEEPEST = 16
 UNITS = ("units", "unit", "Units", "Unit", "UNITS", "UNIT")
 """Attributes that state a dataset's unit."""
 
+SCALES = ("scale", "Scale", "gain", "Gain", "factor", "slope", "sensitivity")
+"""Attributes of counts by which they may be multiplied, or divided, or were."""
+
 
 def read_hdf5(file: Path) -> Channels:
     """Read an HDF5 file: datasets called by their path, as `run/position`.
 
     The path begins below the group that holds all of them. Fields of a table (a structured type)
     are columns as datasets are, those of a matrix `name[0]`, `name[1]`, ... Attributes `units`
-    state units. A group's `time` is the time of what lies in it.
+    state units; `scale_factor`, `add_offset` and `_FillValue` are applied, as NetCDF means them. A
+    group's `time` is the time of what lies in it.
 
     **Raises:** `DataError` for a damaged file or one that unpacks to too much.
     """
     arrays: dict[str, Any] = {}
     units: dict[str, str] = {}
     left_out: dict[str, str] = {}
+    notes: list[str] = []
     with foreign_reader("HDF5"):
         import h5py
 
@@ -47,14 +53,16 @@ def read_hdf5(file: Path) -> Channels:
                     found.append((name, dataset))
             check_size([dataset for _, dataset in found], file)
             for name, dataset in found:
-                columns = _columns(name, dataset)
+                columns, note = _columns(name, dataset)
+                notes += note
                 check_names([*arrays, *columns])
                 arrays |= columns
                 check_column_count(len(arrays))
                 units |= _units(columns, dataset)
     read = vectors(arrays)
-    notes = [f"dataset '{name}' left out: {why}" for name, why in left_out.items()]
+    notes += [f"dataset '{name}' left out: {why}" for name, why in left_out.items()]
     units = {c: unit for c in read.columns if (unit := units.get(c) or units.get(c.split("[")[0]))}
+    units = read.units | units
     whole = Channels(read.columns, units, {}, left_out | read.left_out, notes)
     return with_structure_times(without_common_group(whole, "/"), "/")
 
@@ -116,12 +124,27 @@ def _members(name: str, group: Any, separator: str) -> list[tuple[str, Any]]:
     ]
 
 
-def _columns(name: str, dataset: Any) -> dict[str, np.ndarray]:
-    """A dataset's numbers: of a table, its fields."""
+def _columns(name: str, dataset: Any) -> tuple[dict[str, np.ndarray], list[str]]:
+    """A dataset's numbers or texts, of a table its fields, and how counts became numbers."""
+    import h5py
+
+    if h5py.check_string_dtype(dataset.dtype):
+        return {name: np.asarray(dataset.asstr(errors="replace")[()]).astype(str)}, []
     values = np.asarray(dataset[()])
-    if values.dtype.names is None:
-        return {name: values}
-    return {f"{name}/{field}": values[field] for field in values.dtype.names}
+    if values.dtype.names is not None:
+        return {f"{name}/{field}": values[field] for field in values.dtype.names}, []
+    packed = [_number(dataset, key) for key in ("scale_factor", "add_offset")]
+    if packed == [None, None]:
+        return {name: values}, []
+    fill = _number(dataset, "_FillValue")
+    factor, offset = (1.0 if packed[0] is None else packed[0]), packed[1] or 0.0
+    unpacked = np.where(values == fill, np.nan, factor * values.astype(float) + offset)
+    return {name: unpacked}, [f"'{name}': times {factor:g} plus {offset:g}, as its attributes say"]
+
+
+def _number(dataset: Any, attribute: str) -> float | None:
+    value = np.ravel(dataset.attrs.get(attribute, ()))
+    return float(value[0]) if value.size == 1 and value.dtype.kind in "iuf" else None
 
 
 def _units(columns: Iterable[str], dataset: Any) -> dict[str, str]:
@@ -130,6 +153,9 @@ def _units(columns: Iterable[str], dataset: Any) -> dict[str, str]:
     units = [
         u.decode(errors="replace") if isinstance(u, bytes) else str(u) for u in np.ravel(stated)
     ]
+    scale = next((key for key in SCALES if _number(dataset, key) is not None), "")
+    if scale and dataset.dtype.kind in "iu":
+        units = [f"{unit or 'counts'}{BY_ATTRIBUTE}{scale}" for unit in units or [""]]
     names = list(columns)
     if len(units) == 1:
         units *= len(names)

@@ -1,7 +1,8 @@
 """Reading JSON: lines of objects (.jsonl, .ndjson), or one document of arrays (.json)."""
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from riecjax.records.reading.channels import (
     check_unpacked,
     foreign_reader,
     with_structure_times,
+    with_units_beside,
     without_common_group,
 )
-from riecjax.records.reading.numerals import numbers, stripped
-from riecjax.records.reading.time_stamps import are_stamps, seconds
+from riecjax.records.reading.time_stamps import of_texts
 
 
 def read_json_lines(file: Path) -> Channels:
@@ -28,28 +29,77 @@ def read_json_lines(file: Path) -> Channels:
 
     **Raises:** `DataError` naming the line that is no object, and for damaged files.
     """
+    notes: list[str] = []
     with foreign_reader("JSON"), file.open("rb") as stream:
-        return _channels({"": _objects(stream)})
+        found = _channels({"": _objects(stream, notes)})
+    return replace(found, notes=notes + found.notes)
 
 
 def read_json(file: Path) -> Channels:
     """Read one JSON document: an array of objects, or an object of arrays, perhaps in others.
 
-    Names as in [`read_json_lines`][], below the object in which all arrays lie.
+    Rows may be arrays below one of names; pandas' forms `split` and `columns` are read as well, and
+    lines of objects. Names as in [`read_json_lines`][], below the object in which all arrays lie. A
+    `unit` beside an array is its unit.
 
     **Raises:** `DataError` for damaged files.
     """
     with foreign_reader("JSON"):
-        return _channels(dict(_arrays("", json.loads(file.read_bytes()))))
+        content = file.read_bytes()
+        try:
+            document = json.loads(content)
+        except json.JSONDecodeError as error:
+            # A second document: lines of objects under the wrong ending.
+            if error.msg != "Extra data" or error.lineno != 2:
+                raise
+            return read_json_lines(file)
+        tables = dict(_arrays("", _as_rows(document)))
+        return _channels(tables, dict(_texts("", document)))
 
 
-def _objects(lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:
+def _as_rows(document: Any) -> Any:
+    """A document with its rows as objects, where their names stand apart."""
+    if isinstance(document, dict) and {"columns", "data"} <= document.keys():
+        names, rows = document["columns"], document["data"]
+        return [dict(zip(names, row, strict=True)) for row in rows]
+    if isinstance(document, dict) and all(_is_series(one) for one in document.values()):
+        return {name: list(series.values()) for name, series in document.items()}
+    if isinstance(document, list) and len(document) > 2 and isinstance(document[0], list):
+        names, *rows = document
+        if all(isinstance(name, str) for name in names) and not isinstance(rows[0][0], list):
+            return [dict(zip(names, row, strict=True)) for row in rows]
+    return document
+
+
+def _is_series(value: Any) -> bool:
+    """Whether an object holds single values by their row, as pandas writes a column."""
+    return (
+        isinstance(value, dict)
+        and len(value) > 2
+        and not any(isinstance(inner, dict | list) for inner in value.values())
+        and all(key == str(place) for place, key in enumerate(value))
+    )
+
+
+def _texts(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Texts of a document that are no rows, by their name."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _texts(f"{name}.{key}" if name else key, inner)
+    elif isinstance(value, str):
+        yield name, value
+
+
+def _objects(lines: Iterable[bytes], notes: list[str]) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
         try:
             found = json.loads(line)
         except ValueError as error:
+            if number > 1 and not line.endswith(b"\n"):
+                notes.append("the last line is cut off and left out")
+                return
             raise DataError(f"line {number} is not JSON: {error}.") from None
         if not isinstance(found, dict):
             raise DataError(f"line {number} is no object, such as {{'t': 0.1, 'x': 2}}.")
@@ -77,8 +127,11 @@ def _holds_arrays(value: Any, count: int) -> bool:
     return any(isinstance(array, list) and len(array) > count for array in inner)
 
 
-def _channels(tables: dict[str, Iterable[Any]]) -> Channels:
-    """Columns of tables, which are single values, arrays or objects in a row."""
+def _channels(tables: Mapping[str, Iterable[Any]], texts: Mapping[str, str] = {}) -> Channels:
+    """Columns of tables, which are single values, arrays or objects in a row.
+
+    **Arguments:** `texts` beside them, by name, some of which may be units.
+    """
     columns: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
     left_out: dict[str, str] = {}
@@ -91,9 +144,8 @@ def _channels(tables: dict[str, Iterable[Any]]) -> Channels:
                 columns[name] = found
                 units |= {name: why} if why else {}
     notes = [f"'{name}' left out: {why}" for name, why in left_out.items()]
-    return with_structure_times(
-        without_common_group(Channels(columns, units, {}, left_out, notes), ".")
-    )
+    found = with_units_beside(Channels(columns, units, {}, left_out, notes), texts)
+    return with_structure_times(without_common_group(found, "."))
 
 
 def gathered(table: str, rows: Iterable[Any]) -> dict[str, list[Any]]:
@@ -133,16 +185,5 @@ def numbers_of(values: list[Any]) -> tuple[np.ndarray | None, str]:
     text = next((value for value in values if isinstance(value, str)), None)
     if text is None:
         return np.array([np.nan if v is None else float(v) for v in values]), ""
-    found, stamped = _of_texts(values)
+    found, stamped = of_texts(values)
     return found, f"it holds text, {text[:40]!r}" if found is None else "s" * stamped
-
-
-def _of_texts(values: list[Any]) -> tuple[np.ndarray | None, bool]:
-    """Numbers or time stamps that stand there as text, and whether they are stamps."""
-    import pyarrow as pa
-
-    texts = stripped(pa.array([None if v is None else str(v) for v in values], pa.string()))
-    found = numbers(texts, ".", False)
-    if found is None and all(valid in (True, None) for valid in are_stamps(texts).to_pylist()):
-        return seconds(texts), True
-    return found, False

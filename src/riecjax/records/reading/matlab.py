@@ -12,6 +12,7 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from riecjax.records.reading.channels import (
     foreign_reader,
     vectors,
     with_structure_times,
+    with_units_beside,
 )
 from riecjax.records.reading.hdf5 import DEEPEST, check_size, walk
 
@@ -38,6 +40,8 @@ PLAIN = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18}
 """Types of elements of numbers or letters, as "MAT-File Format" (MathWorks) numbers them."""
 CELL, STRUCTURE, OBJECT, TEXT, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
 """Classes of arrays; all others are numbers."""
+LONGEST_WORD = 100
+"""Letters of a text that may be a unit."""
 COMPLEX = 0x800
 """Flag of an array with an imaginary part."""
 
@@ -53,12 +57,28 @@ def read_mat(file: Path) -> Channels:
     """
     with file.open("rb") as stream:
         start = stream.read(520)
-    if start.startswith(V73) or HDF5 in (start[:8], start[512:]):
-        return with_structure_times(vectors(_read_v73(file)))
-    return with_structure_times(vectors(_read_v5(file)))
+    is_v73 = start.startswith(V73) or HDF5 in (start[:8], start[512:])
+    arrays, objects = (_read_v73 if is_v73 else _read_v5)(file)
+    found = vectors({name: array for name, array in arrays.items() if not _is_word(array)})
+    words = {name: str(array.flat[0]) for name, array in arrays.items() if _is_word(array)}
+    left_out = dict.fromkeys(words, "it holds no real numbers") | {
+        name: f"it is a {kind} of MATLAB, which only MATLAB reads: save its columns as vectors"
+        for name, kind in objects.items()
+    }
+    found = with_units_beside(replace(found, left_out=found.left_out | left_out), words)
+    return with_structure_times(found)
 
 
-def _read_v5(file: Path) -> dict[str, np.ndarray]:
+def _is_word(array: np.ndarray) -> bool:
+    return array.dtype.kind == "U" and array.size == 1
+
+
+Arrays = dict[str, np.ndarray]
+Objects = dict[str, str]
+"""Variables that are objects of MATLAB's, such as timetables, with their class."""
+
+
+def _read_v5(file: Path) -> tuple[Arrays, Objects]:
     with foreign_reader("MAT"):
         import scipy.io
 
@@ -69,13 +89,21 @@ def _read_v5(file: Path) -> dict[str, np.ndarray]:
             raise ValueError("a variable's name is not text.")
         source.seek(0)
         variables = scipy.io.loadmat(source)
-        arrays: dict[str, np.ndarray] = {}
+        arrays: Arrays = {}
+        objects: Objects = {}
         for name, value in variables.items():
-            if not name.startswith("__"):
+            if type(value).__name__ == "MatlabOpaque":
+                described = np.asarray(value).flat[0]
+                objects[_word(described["s0"])] = _word(described["s2"])
+            elif not name.startswith("__"):
                 for inner, array in _parts(name, value):
                     arrays[inner] = array
                     check_column_count(len(arrays))
-    return arrays
+    return arrays, objects
+
+
+def _word(text: object) -> str:
+    return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
 
 
 def _unpacked_v5(content: bytes) -> bytes:
@@ -187,6 +215,12 @@ def _check_array(content: bytes, start: int, stop: int, order: str, depth: int =
 
 def _parts(name: str, value: object, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
     """The arrays of a variable of SciPy's, those in structures and cells included."""
+    import scipy.sparse
+
+    if scipy.sparse.issparse(value):
+        sparse: Any = value
+        check_unpacked(8 * math.prod(sparse.shape))
+        value = sparse.toarray()
     array = np.asarray(value)
     if depth > DEEPEST or type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
         return
@@ -204,26 +238,37 @@ def _parts(name: str, value: object, depth: int = 0) -> Iterator[tuple[str, np.n
         yield name, array
 
 
-def _read_v73(file: Path) -> dict[str, np.ndarray]:
+def _read_v73(file: Path) -> tuple[Arrays, Objects]:
     with foreign_reader("MAT (v7.3)"):
         import h5py
 
         with h5py.File(file, "r") as source:
             datasets = list(walk(source, ".", _elements))
             check_size([dataset for _, dataset in datasets], file)
-            return {name: _array(dataset) for name, dataset in datasets}
+            objects = {
+                name: _word(dataset.attrs.get("MATLAB_class", "object"))
+                for name, dataset in datasets
+                if "MATLAB_object_decode" in dataset.attrs
+            }
+            plain = {name: _array(d) for name, d in datasets if name not in objects}
+            return plain, objects
 
 
 def _array(dataset: Any) -> np.ndarray:
-    """A dataset's numbers; what MATLAB calls empty is stored as its size."""
-    return np.zeros(0) if dataset.attrs.get("MATLAB_empty", 0) else np.asarray(dataset[()])
+    """A dataset's numbers, or its text; what MATLAB calls empty is stored as its size."""
+    if dataset.attrs.get("MATLAB_empty", 0):
+        return np.zeros(0)
+    values = np.asarray(dataset[()])
+    if dataset.attrs.get("MATLAB_class") != b"char":
+        return values
+    return np.array(["".join(map(chr, values.reshape(-1)[:LONGEST_WORD]))])
 
 
 def _elements(name: str, item: Any) -> list[tuple[str, Any]] | None:
     """What a cell, or a field of an array of structures, refers to; `None` for numbers."""
     import h5py
 
-    if item.dtype.kind in "fiub" and item.attrs.get("MATLAB_class") != b"char":
+    if item.dtype.kind in "fiub":
         return None
     if h5py.check_ref_dtype(item.dtype) is not h5py.Reference:
         return []

@@ -5,14 +5,18 @@ from typing import Any
 
 import numpy as np
 
-MISSING = ("", "-", "--", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "<NA>", "null",
-           "NULL", "Null", "None", "none", "1.#QNAN", "-1.#IND", "1.#IND", "-nan", "nan(ind)",
-           "-nan(ind)", "NaT", "missing")  # fmt: skip
-"""What loggers and spreadsheets write where there is no value."""
+MISSING = ("", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "<NA>", "null", "NULL", "Null",
+           "None", "none", "-nan", "nan(ind)", "-nan(ind)", "NaT", "missing", "NO DATA", "No Data",
+           "OVER", "Over", "OVLD", "OVERLOAD", "Overload", "OVERRANGE", "OverRange", "OVERFLOW",
+           "Overflow", "+OVER", "-OVER", "OL", "+OL", "-OL")  # fmt: skip
+"""What loggers and spreadsheets write where there is no value, or one past the sensor's range."""
+_NOTHING = (
+    r"-+|\*+|[+-]?1\.#(?:QNAN|SNAN|IND|INF)0*|#(?:N/A|DIV/0!|VALUE!|NUM!|REF!|NAME\?|NULL!)|#+"
+)
 _EXPONENT = r"(?:[eEdD][+-]?\d+)?"
 _INFINITE = r"[+-]?(?:[iI]nf(?:inity)?|INF)"
 # Thousands and a fraction: either sign can be only what it is.
-_POINTED = r"[+-]?[1-9]\d{0,2}(?:,\d{3})+\.\d+"
+_POINTED = r"[+-]?[1-9]\d{0,2}(?:,\d{2,3})*,\d{3}\.\d+"
 _COMMAED = r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+,\d+"
 NUMBER = {
     ".": rf"^(?:[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}|{_POINTED}|{_INFINITE})$",
@@ -26,8 +30,8 @@ GROUPED = {
 }
 """A number with its digits grouped in thousands, by its decimal sign."""
 _NUMBER = {sign: re.compile(pattern) for sign, pattern in NUMBER.items()}
-_MISSING = frozenset(MISSING)
-_MISSING_PATTERN = "^(?:" + "|".join(re.escape(word) for word in MISSING) + ")$"
+_MISSING_PATTERN = f"^(?:{'|'.join(map(re.escape, MISSING))}|{_NOTHING})$"
+_MISSING = re.compile(_MISSING_PATTERN)
 
 
 def is_number(text: str, decimal: str) -> bool:
@@ -37,7 +41,7 @@ def is_number(text: str, decimal: str) -> bool:
 
 def is_missing(text: str) -> bool:
     """Whether a text stands for a value that there is not."""
-    return text in _MISSING
+    return _MISSING.fullmatch(text) is not None
 
 
 def compute() -> Any:

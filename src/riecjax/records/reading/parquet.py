@@ -15,14 +15,14 @@ from riecjax.records.reading.channels import (
     foreign_reader,
 )
 from riecjax.records.reading.numerals import compute, floats
-from riecjax.records.reading.time_stamps import unwrapped
+from riecjax.records.reading.time_stamps import of_text_column, unwrapped
 
 UNNAMED_INDEX = "__index_level_0__"
 """What pandas calls the index of a frame when it has no name."""
 
 
 def read_parquet(file: Path) -> Channels:
-    """Read a Parquet file: numbers, and time stamps and durations as seconds.
+    """Read a Parquet file: numbers, and time stamps and durations as seconds, also as text.
 
     Stamps count from the first. A unit is taken from a column's metadata `unit`.
 
@@ -49,6 +49,12 @@ def read_parquet(file: Path) -> Channels:
             table = source.read(columns=names, use_threads=True)
             columns = {name: _numbers(table.column(name)) for name in names}
             units = {name: unit for name in names if (unit := _unit(schema.field(name)))}
+            for name in [name for name in left_out if _is_text(schema.field(name).type)]:
+                found, stamped = of_text_column(_strings(source.read(columns=[name]).column(0)))
+                if found is not None:
+                    columns[name] = found
+                    units |= {name: "s"} if stamped else {}
+                    del left_out[name]
             index = _unnamed_index(schema, columns)
     notes = [f"column '{name}' left out: {why}" for name, why in left_out.items()]
     if index:
@@ -74,6 +80,19 @@ def _is_numeric(kind: Any) -> bool:
     checks = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal,
               types.is_timestamp, types.is_duration, types.is_time)  # fmt: skip
     return any(check(kind) for check in checks)
+
+
+def _is_text(kind: Any) -> bool:
+    import pyarrow.types as types
+
+    plain = kind.value_type if types.is_dictionary(kind) else kind
+    return types.is_string(plain) or types.is_large_string(plain)
+
+
+def _strings(column: Any) -> Any:
+    import pyarrow as pa
+
+    return compute().cast(column, pa.string())
 
 
 def _numbers(column: Any) -> np.ndarray:

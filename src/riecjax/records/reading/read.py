@@ -10,7 +10,7 @@ from riecjax.errors import DataError, RiecjaxError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
 from riecjax.work import Work, expect
 
-TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm")
+TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm", ".log", ".prn")
 SHEETS = (".xlsx", ".xlsm")
 READERS = {
     **dict.fromkeys(TEXT, "delimited.read_delimited"),
@@ -90,6 +90,8 @@ def _dialect(
 ) -> tuple[Any, ...]:
     """What the file's reader has to know besides the file."""
     ending = file.suffix.lower()
+    # A tab as it can be typed.
+    delimiter = "\t" if delimiter == "\\t" else delimiter
     if delimiter and ending not in TEXT:
         raise DataError(f"{file.name}: a delimiter is for text files.")
     if (decimal or columns) and ending not in TEXT + SHEETS:

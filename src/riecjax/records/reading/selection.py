@@ -8,18 +8,22 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.derived import derived, sensitivities
+from riecjax.records.derived import sensitivities, with_derived
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels, listed
 from riecjax.records.reading.dialect import NUMBERED
 from riecjax.records.reading.time_columns import (
     TimeColumn,
+    counts_in_its_name,
     find_time,
     no_time,
-    other_unit,
 )
-from riecjax.records.reading.unit_conversion import conversion
-from riecjax.records.reading.units import split_unit
+from riecjax.records.reading.unit_conversion import (
+    conversion,
+    require_known_unit,
+    require_sure_unit,
+    stated_unit,
+)
 from riecjax.records.record import Record
 from riecjax.records.time_base import StampError
 
@@ -44,14 +48,14 @@ class Selection(NamedTuple):
 class Selected(NamedTuple):
     """A record, and what was decided on selecting it, in words.
 
-    **Fields:** `converted`: signal to the unit that it was converted from; `doubtful_time`: of a
-    column whose time may be no seconds its name, the other unit, and that in seconds.
+    **Fields:** `converted`: signal to the unit that it was converted from; `doubt` in words that
+    time is what it is taken for, empty if none.
     """
 
     record: Record
     converted: Mapping[str, str] = {}
     notes: tuple[str, ...] = ()
-    doubtful_time: tuple[str, str, float] | None = None
+    doubt: str = ""
 
 
 class _Signals(NamedTuple):
@@ -86,12 +90,16 @@ def record_from_channels(
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
     rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
     signals = _united(_renamed(channels, rename), channels, selection)
+    for name, column in rename.items():
+        if name not in signals.units and not {name, column} & {*selection.scale}:
+            require_sure_unit(name, column, read.get(name, ""))
     signals = _scaled(signals, channels, selection.scale)
     time = find_time(
         signals.values,
         signals.units,
         "t" if "t" in rename else None,
         nameless=not channels.time_of,
+        shortest=shortest,
     )
     notes, times = (), {}
     if selection.time_step is not None:
@@ -112,7 +120,7 @@ def record_from_channels(
             record = _resampled(signals, times, selection, matter)
             return Selected(record, signals.converted, notes)
         values, axis = _on_one_axis(signals.values, times, matter)
-        computed = _finite(_with_derived(values, axis, selection.derive), selection)
+        computed = _finite(with_derived(values, axis, selection.derive), selection)
         record = Record.from_samples(
             computed,
             time=axis,
@@ -120,10 +128,8 @@ def record_from_channels(
             units=_with_labels(signals, selection),
         )
     judged_on = computed if axis is None else {"t": axis, **computed}
-    doubtful = other_unit(time, signals.units, shortest) if times and time else None
     record = _with_noise(record, selection, judged_on)
-    named = (time.name, *doubtful) if time and doubtful else None
-    return Selected(record, signals.converted, notes, named)
+    return Selected(record, signals.converted, notes, time.doubt if times and time else "")
 
 
 @contextlib.contextmanager
@@ -156,12 +162,12 @@ def column_named(channels: Channels, name: str) -> str:
     """
     if name in channels.columns:
         return name
-    found = [column for column in channels.columns if split_unit(column)[0] == name]
+    found = [column for column in channels.columns if channels.named(column)[0] == name]
     if not found and name.isdigit() and NUMBERED.format(name) in channels.columns:
         return NUMBERED.format(name)
     inner = (f"/{name}", f".{name}")
     found = found or [
-        c for c in channels.columns if c.endswith(inner) or split_unit(c)[0].endswith(inner)
+        c for c in channels.columns if c.endswith(inner) or channels.named(c)[0].endswith(inner)
     ]
     if len(found) == 1:
         return found[0]
@@ -174,7 +180,7 @@ def column_named(channels: Channels, name: str) -> str:
 
 def _first_reason(channels: Channels) -> str:
     """Why a column was left out, for a message; a column named as time comes first."""
-    named = sorted(channels.left_out, key=lambda name: split_unit(name)[0] not in TIME_COLUMNS)
+    named = sorted(channels.left_out, key=lambda name: channels.named(name)[0] not in TIME_COLUMNS)
     return f"; column '{named[0]}' was left out: {channels.left_out[named[0]]}" if named else ""
 
 
@@ -184,7 +190,8 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> _Signals:
     # A new name takes the place of a column that is called so.
     column |= rename
     values = {name: channels.columns[source] for name, source in column.items()}
-    units = {k: channels.units[c] for k, c in column.items() if c in channels.units}
+    called = {name: name if name in rename else "" for name in column}
+    units = {k: u for k, c in column.items() if (u := stated_unit(channels, c, called[k]))}
     empty = [name for name in values if name not in rename and np.isnan(values[name]).all()]
     values = {name: array for name, array in values.items() if name not in empty}
     return _Signals(values, column, units)
@@ -192,8 +199,8 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> _Signals:
 
 def _short_name(channels: Channels, column: str) -> str:
     """A column's name without its unit in brackets, unless another column is called that."""
-    short = split_unit(column)[0]
-    alike = [other for other in channels.columns if split_unit(other)[0] == short]
+    short = channels.named(column)[0]
+    alike = [other for other in channels.columns if channels.named(other)[0] == short]
     return short if alike == [column] else column
 
 
@@ -205,6 +212,7 @@ def _united(signals: _Signals, channels: Channels, selection: Selection) -> _Sig
             continue
         if name in selection.scale:
             raise DataError(f"'{name}' is given both a scale and a unit; leave out one of them.")
+        require_known_unit(name, unit)
         units |= dict.fromkeys(_signals_called(name, signals, channels), unit)
     return signals._replace(units=units)
 
@@ -256,6 +264,8 @@ def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -
                 raise DataError(f"'{target}' is scaled twice.")
             values[target] = values[target] * factor
             units.pop(target, None)
+            # Scaled to seconds, whatever its name says.
+            units |= {target: "s"} if counts_in_its_name(target) else {}
             done.add(target)
     return signals._replace(values=values, units=units)
 
@@ -355,7 +365,7 @@ def _resampled(
         pairs[name] = time[known], values[known]
     rate = float(selection.resample or 0.0)
     time, values = on_grid(pairs, rate, matter)
-    computed = _with_derived(values, time, selection.derive)
+    computed = with_derived(values, time, selection.derive)
     record = Record.from_samples(
         computed,
         time=time,
@@ -388,13 +398,3 @@ def _finite(values: dict[str, np.ndarray], selection: Selection) -> dict[str, np
     if not wanted - {"t"}:
         return values
     return {k: v for k, v in values.items() if k in wanted or not np.isinf(v).any()}
-
-
-def _with_derived(
-    values: dict[str, np.ndarray], time: np.ndarray | None, derive: Mapping[str, str]
-) -> dict[str, np.ndarray]:
-    values = dict(values)
-    for name, formula in derive.items():
-        known = values if time is None or "t" in values else {**values, "t": time}
-        values[name] = derived(formula, known)
-    return values

@@ -29,8 +29,9 @@ def read_spreadsheet(
     """Read the sheets of a workbook that hold tables of numbers, each as a text file is read.
 
     Formulas count as the values that were saved with them, cells of dates and times to the
-    millisecond. Of several such sheets, columns are called `Sheet/column`, and each is a part. The
-    library may crash on a damaged file, so it reads in a process of its own.
+    millisecond; hidden sheets are left out. Of several such sheets, columns are called
+    `Sheet/column`, and each is a part. The library may crash on a damaged file, so it reads in a
+    process of its own.
 
     **Arguments:** `decimal`, of numbers that stand there as text, and names of the `columns`,
     instead of detecting them.
@@ -51,7 +52,9 @@ def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> Channels:
         check_unpacked(sum(sizes), file.stat().st_size)
         book = python_calamine.load_workbook(str(file))
         worksheet = python_calamine.SheetTypeEnum.WorkSheet
-        names = [sheet.name for sheet in book.sheets_metadata if sheet.typ == worksheet]
+        sheets = [sheet for sheet in book.sheets_metadata if sheet.typ == worksheet]
+        shown = [one for one in sheets if one.visible == python_calamine.SheetVisibleEnum.Visible]
+        names = [sheet.name for sheet in shown or sheets]
         tables: dict[str, Channels] = {}
         refused: dict[str, str] = {}
         for name in names:
@@ -66,7 +69,10 @@ def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> Channels:
                 tables[name] = table
             except DataError as error:
                 refused[name] = str(error)
-    return _chosen(tables, refused)
+    hidden = [sheet.name for sheet in sheets if sheet.name not in names]
+    chosen = _chosen(tables, refused)
+    chosen.notes.extend(f"hidden sheet '{name}' left out" for name in hidden)
+    return chosen
 
 
 def _chosen(tables: dict[str, Channels], refused: dict[str, str]) -> Channels:

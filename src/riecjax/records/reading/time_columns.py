@@ -4,6 +4,7 @@ Loggers call time by many names, and call by them what is none (`T`, a temperatu
 constant). So names propose, and the samples decide: time rises from row to row.
 """
 
+import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -12,7 +13,9 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels, listed
 from riecjax.records.reading.dialect import NUMBERED
+from riecjax.records.reading.time_stamps import unwrapped
 from riecjax.records.reading.units import SECONDS, split_unit
+from riecjax.work import in_time
 
 TIME_WORDS = frozenset(
     """
@@ -21,6 +24,8 @@ TIME_WORDS = frozenset(
     testtime runningtime totaltime laptime recordtime sampletime datetime datetimeutc
     dateandtime date datumuhrzeit datumzeit uhrzeit datum utc utctime gpstime clock seconds secs
     sec epoch timesec timeseconds timeutc isotime xtime timeaxis timechannel heure horodatage
+    tout tvec timevector millis micros nanos milliseconds microseconds nanoseconds minutes
+    hours days
     """.split()  # noqa: SIM905
 )
 """What loggers call time, in small letters and without what stands between words."""
@@ -28,9 +33,16 @@ DATES = frozenset(word for word in TIME_WORDS if word.startswith(("date", "datum
 """Those that say that a date is in it."""
 
 DAY = 86400.0
-EPOCHS = {1e9: 1.0, 1e12: 1e-3, 1e15: 1e-6, 1e18: 1e-9}
-"""From which count on a stamp is taken as of the epoch 1970 (2001 to 2096), and in which unit."""
-EPOCH_SPAN = 4.0
+EPOCHS = (
+    (1e9, 4e9, 1.0, 1970), (1e12, 4e12, 1e-3, 1970), (1e15, 4e15, 1e-6, 1970),
+    (1e18, 4e18, 1e-9, 1970), (1.26e17, 1.56e17, 1e-7, 1601), (6.31e17, 6.61e17, 1e-7, 1),
+)  # fmt: skip
+"""Stamps from which count to which one are of an epoch, in which unit, since which year: of 2001
+to 2096 for all, the last two being those of Windows and of .NET."""
+COUNTER = 2**32
+"""Where counters of 32 bits, of milliseconds or microseconds, begin anew."""
+UNSAID = frozenset(("", "column", "x", "xvalue", "xaxis", "index", "unnamed", "abscissa"))
+"""What a first column is called that says nothing against being time."""
 SERIAL_DAYS = ((2e4, 8e4), (6.9e5, 8e5))
 """Days as spreadsheets (from 1900) and MATLAB (from year 0) count them: of 1954 to 2119, and
 of 1889 to 2190."""
@@ -40,17 +52,24 @@ SLOWEST = 0.5
 FASTEST_DAYS = 2e-6
 """Days (0.17 s) below which steps of stamps of that size are days: as seconds, 500 kHz."""
 
+AMBIGUOUS = frozenset(("min", "h", "d"))
+"""Units that, as a whole name, may be something else: the least, a height, a distance."""
+_BEHIND = re.compile(
+    r"(?P<name>.*[^\W_])(?:[ _.-]+(?P<unit>[^\W\d_]+)|(?<=[a-z])(?P<capital>[A-Z][a-z]+|[MUN]S))"
+)
+
 
 class TimeColumn(NamedTuple):
     """A file's time.
 
     **Fields:** `name` of the column; `seconds`, shape `(n,)`, NaN where it is missing; `notes`,
-    what was decided, in words.
+    what was decided, in words; `doubt`, in words, that it is time, or in this unit; empty if none.
     """
 
     name: str
     seconds: np.ndarray
     notes: tuple[str, ...] = ()
+    doubt: str = ""
 
 
 def find_time(
@@ -58,6 +77,7 @@ def find_time(
     units: Mapping[str, str],
     given: str | None,
     nameless: bool = False,
+    shortest: float | None = None,
 ) -> TimeColumn | None:
     """The column of time among columns: the `given` one, else by name and content.
 
@@ -67,12 +87,12 @@ def find_time(
     mere row number.
 
     **Arguments:** `values` and `units` by name; `nameless`: whether a column may be time without a
-    name of time.
+    name of time; `shortest` window in seconds that the motion asks for, if that is known.
 
     **Raises:** `DataError` for a unit that is no unit of time.
     """
     if given is not None:
-        return _timed(given, values, units, ())
+        return _timed(given, values, units, (), shortest)
     called = [name for name in values if is_called_time(name, units)]
     rising = [name for name in called if _rises(values[name])]
     found = min(rising, key=_preference, default=None)
@@ -87,7 +107,11 @@ def find_time(
     found = found or min(called, key=_preference, default=None)
     if found is None:
         return None
-    return _timed(found, values, units, notes)
+    time = _timed(found, values, units, notes, shortest)
+    # `rec.X.Data`, as ControlDesk writes it, is an X as well.
+    bare = _bare(found.removesuffix(".Data").rpartition(".")[2])
+    guessed = found not in called and not unit_of_time(found, units) and bare not in UNSAID
+    return time._replace(doubt=_GUESSED.format(found)) if guessed and not time.doubt else time
 
 
 def _timed(
@@ -95,23 +119,59 @@ def _timed(
     values: Mapping[str, np.ndarray],
     units: Mapping[str, str],
     notes: list[str] | tuple[str, ...],
+    shortest: float | None,
 ) -> TimeColumn:
-    factor, why = _seconds_each(name, values[name], units.get(name))
+    factor, why = _seconds_each(name, values[name], units)
     said = (f"time '{name}': {why}",) if why else ()
-    if factor == DAY:
-        # The 15 digits that spreadsheets write of a date are 9 microseconds of a day.
-        since = np.round((values[name] - values[name][0]) * DAY, 5)
-    else:
-        since = values[name] * factor
-    return TimeColumn(name, since, (*notes, *said))
+    counts = _carried_on(values[name])
+    # The 15 digits that spreadsheets write of a date are 9 microseconds of a day.
+    since = np.round((counts - counts[0]) * DAY, 5) if factor == DAY else counts * factor
+    stated = why or unit_of_time(name, units)
+    doubt = "" if stated else _other_unit(name, since, shortest)
+    return TimeColumn(name, since, (*notes, *said), doubt)
 
 
-def _seconds_each(name: str, values: np.ndarray, unit: str | None) -> tuple[float, str]:
+_IN_ANOTHER_UNIT = (
+    "nothing states the unit of time '{0}'; it is taken as seconds, one sample every {1:g} s for "
+    "{2}. If it is {3}: scale={{'{0}': {4:g}}} (on the command line: --scale {0}={4:g})."
+)
+_GUESSED = (
+    "nothing says that '{0}' is time; it is taken so, in seconds, as it is the first column and "
+    "rises evenly. If it is not: rename the column of time to t (on the command line: --map "
+    "t=COLUMN), or give the seconds between samples (--time-step)."
+)
+
+
+def _carried_on(counts: np.ndarray) -> np.ndarray:
+    """Counts past the end of a counter of 32 bits."""
+    known = counts[~np.isnan(counts)]
+    wraps = known.size > 1 and known.max() < COUNTER and (np.diff(known) < -0.99 * COUNTER).any()
+    return unwrapped(counts, COUNTER) if wraps else counts
+
+
+def unit_of_time(name: str, units: Mapping[str, str] = {}) -> str:
+    """The unit of a column of time, as the file or its name states it; empty if none does."""
+    alone = name.lower() if name.lower() in {*SECONDS} - AMBIGUOUS else ""
+    return units.get(name) or split_unit(name)[1] or _suffix(name)[1] or alone
+
+
+def counts_in_its_name(name: str) -> bool:
+    """Whether a name is that of a time and states its unit, as `time_ms`."""
+    return is_called_time(name, {}) and bool(unit_of_time(name))
+
+
+def seconds_in(unit: str) -> float | None:
+    """Seconds in a unit of time, `None` if it is none."""
+    # "seconds since 2024-01-01", as NetCDF has it.
+    word = unit.split(" since ")[0]
+    return SECONDS.get(word) or SECONDS.get(word.lower())
+
+
+def _seconds_each(name: str, values: np.ndarray, units: Mapping[str, str]) -> tuple[float, str]:
     """Seconds that one count of a time column is, and why where the file does not state it."""
-    stated = unit or _suffix(name)[1]
+    stated = unit_of_time(name, units)
     if stated:
-        # "seconds since 2024-01-01", as NetCDF has it.
-        factor = SECONDS.get(stated) or SECONDS.get(stated.split(" since ")[0])
+        factor = seconds_in(stated)
         if factor is None:
             raise DataError(
                 f"time '{name}' is in '{stated}', which is not known; scale it to seconds (on the"
@@ -122,10 +182,10 @@ def _seconds_each(name: str, values: np.ndarray, unit: str | None) -> tuple[floa
     if known.size < 2:
         return 1.0, ""
     low, high = float(known.min()), float(known.max())
-    for since, factor in EPOCHS.items():
-        if factor < 1 and since <= low and high < EPOCH_SPAN * since:
+    for first, last, factor, year in EPOCHS:
+        if factor < 1 and first <= low and high < last:
             word = next(word for word, each in SUBUNITS.items() if each == factor)
-            return factor, f"{word} since 1970"
+            return factor, f"{word} since {year}"
     step = float(np.median(np.diff(known)))
     if any(a < low and high < b for a, b in SERIAL_DAYS) and (
         0 < step < FASTEST_DAYS or _bare(name) in DATES
@@ -136,6 +196,12 @@ def _seconds_each(name: str, values: np.ndarray, unit: str | None) -> tuple[floa
 
 def no_time(channels: Channels, reason: str) -> DataError:
     """The error of a file without time, which says what to do."""
+    other = [
+        f"column '{name}' is in '{unit}', which is no unit of time"
+        for name in channels.columns
+        if _bare(name) in TIME_WORDS and (unit := channels.named(name)[1]) and not seconds_in(unit)
+    ]
+    reason = f"; {other[0]}" if other and not reason else reason
     numbered = any(name == NUMBERED.format(1) for name in channels.columns)
     named = ", name all columns (--columns t,x,...)" if numbered else ""
     return DataError(
@@ -145,26 +211,26 @@ def no_time(channels: Channels, reason: str) -> DataError:
     )
 
 
-def other_unit(
-    time: TimeColumn, units: Mapping[str, str], shortest: float | None
-) -> tuple[str, float] | None:
-    """What stamps whose unit nothing states may be instead of seconds, and that in seconds.
+def _other_unit(name: str, seconds: np.ndarray, shortest: float | None) -> str:
+    """What stamps whose unit nothing states may be instead of seconds, in words; empty if nothing.
 
     Asked where a window of `shortest` seconds would be shorter than a sample, and where stamps are
     whole numbers, one or more apart: the first unit in which the motion would be sampled fast
     enough.
     """
-    known = time.seconds[~np.isnan(time.seconds)]
-    if time.name in units or _suffix(time.name)[1] or time.notes or known.size < 2:
-        return None
+    known = seconds[~np.isnan(seconds)]
+    if known.size < 2:
+        return ""
     since = known - known[0]
     step = float(np.median(np.diff(known)))
     rounding = 1e-6 * step + 4 * np.spacing(np.abs(known).max())
     whole = step >= 1 - rounding and bool((np.abs(since - np.round(since)) <= rounding).all())
     if not (whole or (shortest is not None and step > shortest)):
-        return None
-    enough = (one for one in SUBUNITS.items() if step * one[1] <= (shortest or SLOWEST))
-    return next(enough, None)
+        return ""
+    for unit, factor in SUBUNITS.items():
+        if step * factor <= (shortest or SLOWEST):
+            return _IN_ANOTHER_UNIT.format(name, step, in_time(float(since[-1])), unit, factor)
+    return ""
 
 
 def is_called_time(name: str, units: Mapping[str, str]) -> bool:
@@ -173,13 +239,13 @@ def is_called_time(name: str, units: Mapping[str, str]) -> bool:
         return False
     # `T [degC]` is a temperature, and `t (mm)` a thickness.
     unit = units.get(name) or split_unit(name)[1]
-    return unit is None or unit in SECONDS or unit.split(" since ")[0] in SECONDS
+    return unit is None or seconds_in(unit) is not None
 
 
 def _is_unnamed_time(name: str, values: Mapping[str, np.ndarray], units: Mapping[str, str]) -> bool:
     if name not in units:
         return _is_even(values[name])
-    return units[name] in SECONDS and _rises(values[name])
+    return seconds_in(units[name]) is not None and _rises(values[name])
 
 
 def _bare(name: str) -> str:
@@ -187,10 +253,11 @@ def _bare(name: str) -> str:
     return "".join(c for c in _suffix(split_unit(name)[0])[0].lower() if c.isalpha())
 
 
-def _suffix(name: str) -> tuple[str, str | None]:
-    """`time_ms` as `time` and `ms`; other names as they are."""
-    head, _, tail = name.rpartition("_")
-    return (head, tail) if head and tail in SECONDS else (name, None)
+def _suffix(name: str) -> tuple[str, str]:
+    """`time_ms`, `time.ms` and `timeMs` as `time` and `ms`; other names as they are."""
+    found = _BEHIND.fullmatch(name)
+    unit = (found["unit"] or found["capital"]).lower() if found else ""
+    return (found["name"], unit) if found and unit in SECONDS and unit != "d" else (name, "")
 
 
 def _preference(name: str) -> int:

@@ -1,21 +1,24 @@
 """Dates and times of day as text, one by one and by the column, as seconds from the first."""
 
+import functools
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.numerals import compute
+from riecjax.records.reading.numerals import compute, numbers, stripped
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _ZONE = r"(?:Z|z|(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|UTC|GMT|[A-Z]{3,4})"
 _FRACTION = r"[.,:]\d+|\.|,"
 STAMP = (
-    r"^(?:"
+    r"^(?:[A-Z][a-z]{2},? )?(?:"
     r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})"
     r"|(?P<first>\d{1,2})[-/.](?P<second>\d{1,2})[-/.](?P<late>\d{4}|\d{2})"
     r"|(?P<named_day>\d{1,2})[- ](?P<name>[A-Za-z]{3})[a-z]*\.?[- ,]+(?P<named_year>\d{4}|\d{2})"
+    r"|(?P<us_name>[A-Z][a-z]{2})[a-z]*\.? (?P<us_day>\d{1,2}), ?(?P<us_year>\d{4})"
     r"|(?P<compact>\d{8})"
     r"|(?P<days>\d+) days?"
     r")?[T ,]*(?:"
@@ -28,7 +31,13 @@ STAMP = (
 or an elapsed one, alone."""
 MINUTES = r"^(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]\d)(?P<fraction>[.,]\d+)$"
 """Minutes, seconds and their fraction, all that a spreadsheet's `mm:ss.0` shows of a time."""
-_STAMP, _MINUTES = re.compile(STAMP), re.compile(MINUTES)
+OF_YEAR = (
+    r"^(?P<of_year>[0-3]\d\d):(?P<hours>\d\d):(?P<minutes>[0-5]\d):(?P<seconds>[0-5]\d)"
+    r"(?P<fraction>[.,]\d+)$"
+)
+"""Day of the year and time of day, as IRIG and recorders in flight tests have it."""
+PATTERNS = (STAMP, MINUTES, OF_YEAR)
+_COMPILED = tuple(map(re.compile, PATTERNS))
 DAY, HOUR = 86400.0, 3600.0
 
 
@@ -41,8 +50,8 @@ def is_stamp(text: str) -> bool:
 def are_stamps(text: Any) -> Any:
     """Which of a column of strings are time stamps; null where null."""
     pc = compute()
-    full, short = (pc.match_substring_regex(text, pattern) for pattern in (STAMP, MINUTES))
-    return pc.or_(full, short)
+    found = [pc.match_substring_regex(text, pattern) for pattern in PATTERNS]
+    return functools.reduce(pc.or_, found)
 
 
 def seconds(text: Any) -> np.ndarray:
@@ -57,14 +66,46 @@ def seconds(text: Any) -> np.ndarray:
     """
     found = [None if stamp is None else _match(stamp) for stamp in text.to_pylist()]
     days = _days(found)
-    clock = np.array([_clock(match) if match else np.nan for match in found], dtype=float)
-    if days is None:
-        dial = DAY if any(match and "hours" in match.groupdict() for match in found) else HOUR
-        since = unwrapped(clock, dial)
-    else:
-        since = (days - _first(days)) * DAY + clock
-    known = since[~np.isnan(since)]
-    return since - known[0] if known.size else since
+    since = _since(found, days, 0)
+    if _runs_back(since):
+        # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
+        counted = _since(found, days, max(len(_digits(match)) for match in found if match))
+        since = since if _runs_back(counted) else counted
+    return since - _first(since)
+
+
+def of_texts(values: Sequence[object]) -> tuple[np.ndarray | None, bool]:
+    """Numbers or time stamps that stand there as text, and whether they are stamps.
+
+    `None` for other text.
+    """
+    import pyarrow as pa
+
+    texts = [None if v is None else str(v) for v in values]
+    return of_text_column(pa.array(texts, pa.string()))
+
+
+def of_text_column(column: Any) -> tuple[np.ndarray | None, bool]:
+    """As [`of_texts`][], of a column of strings (PyArrow); `None` where all are missing."""
+    texts = stripped(column)
+    if texts.null_count == len(texts):
+        return None, False
+    found = numbers(texts, ".", False)
+    if found is None and all(valid in (True, None) for valid in are_stamps(texts).to_pylist()):
+        return seconds(texts), True
+    return found, False
+
+
+def _since(found: list[re.Match[str] | None], days: np.ndarray | None, places: int) -> np.ndarray:
+    clock = np.array([_clock(match, places) if match else np.nan for match in found], dtype=float)
+    if days is not None:
+        return (days - _first(days)) * DAY + clock
+    dial = DAY if any(match and "hours" in match.groupdict() for match in found) else HOUR
+    return unwrapped(clock, dial)
+
+
+def _runs_back(since: np.ndarray) -> bool:
+    return bool((np.diff(since[~np.isnan(since)]) < 0).any())
 
 
 def unwrapped(clock: np.ndarray, dial: float = DAY) -> np.ndarray:
@@ -77,7 +118,7 @@ def unwrapped(clock: np.ndarray, dial: float = DAY) -> np.ndarray:
 
 
 def _match(text: str) -> re.Match[str] | None:
-    return _STAMP.fullmatch(text) or _MINUTES.fullmatch(text)
+    return next(filter(None, (pattern.fullmatch(text) for pattern in _COMPILED)), None)
 
 
 def _first(values: np.ndarray) -> float:
@@ -90,6 +131,9 @@ def _days(found: list[re.Match[str] | None]) -> np.ndarray | None:
     dates = [_date(match.groupdict()) if match else None for match in found]
     if not any(dates):
         return None
+    if all(date[:2] == (0, 0) for date in filter(None, dates)):
+        # Elapsed times show no days where there are none.
+        dates = [date or ((0, 0, 0, False) if match else None) for date, match in zip(dates, found)]
     orders = [(0, 1)]
     if any(date and date[3] for date in dates):
         orders.append((1, 0))
@@ -102,7 +146,7 @@ def _days(found: list[re.Match[str] | None]) -> np.ndarray | None:
         except ValueError:
             continue
         days = np.array([known[date] for date in dates])
-        if not (np.diff(days[~np.isnan(days)]) < 0).any():
+        if not _runs_back(days):
             readings.append(days - _first(days))
     if not readings:
         raise DataError("it holds dates that do not exist, or that run back.")
@@ -116,15 +160,15 @@ def _date(stamp: dict[str, str | None]) -> tuple[int, int, int, bool] | None:
         return int(stamp["year"] or 0), int(stamp["month"] or 0), int(stamp["day"] or 0), False
     if stamp.get("first"):
         return _year(stamp["late"]), int(stamp["first"] or 0), int(stamp["second"] or 0), True
-    if stamp.get("name"):
-        name = (stamp["name"] or "").lower()
+    if name := (stamp.get("name") or stamp.get("us_name") or "").lower():
         month = _MONTHS.index(name) + 1 if name in _MONTHS else 0
-        return _year(stamp["named_year"]), month, int(stamp["named_day"] or 0), False
+        day = int(stamp["named_day"] or stamp["us_day"] or 0)
+        return _year(stamp["named_year"] or stamp["us_year"]), month, day, False
     if stamp.get("compact"):
         whole = stamp["compact"] or ""
         return int(whole[:4]), int(whole[4:6]), int(whole[6:]), False
-    if stamp.get("days"):
-        return 0, 0, int(stamp["days"] or 0), False
+    if stamp.get("days") or stamp.get("of_year"):
+        return 0, 0, int(stamp.get("days") or stamp.get("of_year") or 0), False
     return None
 
 
@@ -144,8 +188,17 @@ def _day(date: tuple[int, int, int, bool], order: tuple[int, int]) -> float:
     return float(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(int))
 
 
-def _clock(match: re.Match[str]) -> float:
-    """Seconds of the day, as of UTC where the stamp states a zone's shift."""
+def _digits(match: re.Match[str]) -> str:
+    """The digits of a fraction of a second."""
+    stamp = match.groupdict()
+    return (stamp.get("clock_fraction") or stamp["fraction"] or "")[1:]
+
+
+def _clock(match: re.Match[str], places: int = 0) -> float:
+    """Seconds of the day, as of UTC where the stamp states a zone's shift.
+
+    **Arguments:** `places`: of the fraction, where that is a count of its last one.
+    """
     stamp = match.groupdict()
     if stamp.get("clock"):
         whole = stamp["clock"] or ""
@@ -156,7 +209,7 @@ def _clock(match: re.Match[str]) -> float:
     half = (stamp.get("half") or "")[:1].lower()
     if half:
         hours = hours % 12 + (12 if half == "p" else 0)
-    digits = (stamp.get("clock_fraction") or stamp["fraction"] or "")[1:]
+    digits = _digits(match).zfill(places)
     since = 3600 * hours + 60 * minutes + full - _shift(stamp.get("zone") or "")
     return since + (float(f"0.{digits}") if digits else 0.0)
 

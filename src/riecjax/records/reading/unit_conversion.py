@@ -1,42 +1,13 @@
-"""From the units that loggers write to those that models compute in.
+"""From the units that loggers write to those that models compute in."""
 
-A table, not pint: importing pint and building its registry takes 0.23 s, an eighth of a second run
-of `identify`, and it takes `g` for grams and knows no `U/min`.
-"""
-
+import re
 from typing import NamedTuple
 
 from riecjax.errors import DataError
-
-GRAVITY = 9.80665
-_TURN = 6.283185307179586
-
-FACTORS = {
-    "m": {"km": 1e3, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "micron": 1e-6, "nm": 1e-9,
-          "in": 0.0254, "inch": 0.0254, "ft": 0.3048},
-    "m/s": {"km/s": 1e3, "cm/s": 0.01, "mm/s": 1e-3, "um/s": 1e-6, "km/h": 1 / 3.6, "kph": 1 / 3.6,
-            "kmh": 1 / 3.6, "mph": 0.44704, "in/s": 0.0254, "ft/s": 0.3048, "kn": 1852 / 3600},
-    "m/s^2": {"mm/s2": 1e-3, "cm/s2": 0.01, "g": GRAVITY, "gn": GRAVITY, "g0": GRAVITY,
-              "g's": GRAVITY, "mg": 1e-3 * GRAVITY, "ft/s2": 0.3048, "in/s2": 0.0254},
-    "N": {"kN": 1e3, "MN": 1e6, "mN": 1e-3, "daN": 10.0, "kgf": GRAVITY, "kp": GRAVITY,
-          "lbf": 4.4482216152605},
-    "N m": {"kNm": 1e3, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 0.01, "daNm": 10.0},
-    "rad": {"deg": _TURN / 360, "°": _TURN / 360, "mrad": 1e-3, "rev": _TURN},
-    "rad/s": {"deg/s": _TURN / 360, "°/s": _TURN / 360, "dps": _TURN / 360, "mrad/s": 1e-3,
-              "rpm": _TURN / 60, "1/min": _TURN / 60, "U/min": _TURN / 60, "rev/min": _TURN / 60,
-              "min-1": _TURN / 60, "rps": _TURN},
-    "rad/s^2": {"deg/s2": _TURN / 360, "°/s2": _TURN / 360},
-    "Pa": {"hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 1e2, "bar": 1e5, "N/mm2": 1e6,
-           "psi": 6894.757293168},
-    "kg": {"g": 1e-3, "gram": 1e-3, "t": 1e3, "lb": 0.45359237},
-    "V": {"mV": 1e-3, "kV": 1e3, "uV": 1e-6},
-    "A": {"mA": 1e-3, "kA": 1e3},
-    "Wb": {"mWb": 1e-3},
-}  # fmt: skip
-"""SI unit to the units turned into it, each with the factor to it."""
-_SPELLED = str.maketrans({"²": "2", "³": "3", "·": None, "*": None, "^": None, ".": None, " ": None,
-                          "µ": "u", "μ": "u", "⁻": "-", "¹": "1"})  # fmt: skip
-_LONG = {"sec": "s", "degrees": "deg", "degree": "deg", "grad": "deg", "Grad": "deg", "G": "g"}
+from riecjax.records.reading.channels import BY_ATTRIBUTE, Channels
+from riecjax.records.reading.time_columns import unit_of_time
+from riecjax.records.reading.unit_expressions import USUAL, readings, same, usual_name
+from riecjax.records.reading.units import DOUBTFUL, is_known, unit_behind
 
 
 class Conversion(NamedTuple):
@@ -46,29 +17,77 @@ class Conversion(NamedTuple):
     factor: float
 
 
-def plain(unit: str) -> str:
-    """A unit without what is only spelling: m/s2, m/s^2, m/s² and m/s/s are one."""
-    parts = [_LONG.get(part, part) for part in unit.translate(_SPELLED).split("/")]
-    joined = "/".join(parts)
-    return joined.removesuffix("/s/s") + "/s2" if joined.endswith("/s/s") else joined
-
-
 def conversion(signal: str, unit: str, wanted: str | None) -> Conversion | None:
     """How a signal's unit is turned into SI; `None` where it is SI already, or of no known unit.
 
     **Arguments:** `wanted`: the unit in which the model reads the signal, where that is known: no
     other is converted to.
 
-    **Raises:** `DataError` for `g` where nothing says whether it is of mass or of acceleration.
+    **Raises:** `DataError` where a unit has two meanings and nothing says which, as `g`, of mass
+    or of acceleration; and for `mm or m`, where a file says both.
     """
-    known = plain(unit)
-    found = [Conversion(si, table[known]) for si, table in FACTORS.items() if known in table]
-    if wanted is not None:
-        return next((one for one in found if plain(one.unit) == plain(wanted)), None)
-    if len(found) > 1:
+    if BY_ATTRIBUTE in unit:
+        stated, _, attribute = unit.partition(BY_ATTRIBUTE)
         raise DataError(
-            f"'{signal}' is in {unit}, which may be of mass or of acceleration; say which: "
-            f"units={{'{signal}': 'gn'}} or 'gram' (on the command line: --unit {signal}=gn or "
-            f"--unit {signal}=gram)."
+            f"'{signal}' holds whole numbers, and its dataset has an attribute '{attribute}': say "
+            f"whether they are counts, to be multiplied: scale={{'{signal}': ...}} (on the command "
+            f"line: --scale {signal}=FACTOR), or {stated} already (--unit {signal}={stated})."
         )
-    return found[0] if found else None
+    if " or " in unit:
+        raise DataError(
+            f"the name of '{signal}' and the row of units say {unit}; say which: units={{'{signal}'"
+            f": '{unit.split()[0]}'}} (on the command line: --unit {signal}={unit.split()[0]})."
+        )
+    if wanted is not None and same(unit, wanted):
+        return None
+    names = USUAL if wanted is None else (wanted,)
+    targets = {target.powers: target for name in names for target in readings(name).values()}
+    found = {
+        spelled: Conversion(wanted or usual_name(one), one.factor / targets[one.powers].factor)
+        for spelled, one in readings(unit).items()
+        if one.powers in targets
+    }
+    if len(found) > 1:
+        kinds = " or ".join(
+            f"{spelled} ({usual_name(readings(unit)[spelled])})" for spelled in found
+        )
+        typed = " or ".join(f"--unit {signal}={spelled}" for spelled in found)
+        raise DataError(
+            f"'{signal}' is in {unit}, which may be {kinds}; say which: units={{'{signal}': "
+            f"'{next(iter(found))}'}} (on the command line: {typed})."
+        )
+    one = next(iter(found.values()), None)
+    return one if one and (one.factor != 1 or wanted is not None) else None
+
+
+def stated_unit(channels: Channels, column: str, mapped: str) -> str | None:
+    """A column's unit as the file states it, or the column's name.
+
+    **Arguments:** `mapped`: the signal that the user calls it, where he does: then a unit behind
+    the name, as in `x_mm`, counts as well.
+    """
+    behind = unit_of_time(column) if mapped == "t" else unit_behind(column) if mapped else None
+    return channels.named(column)[1] or behind
+
+
+def require_known_unit(signal: str, unit: str) -> None:
+    """Refuse a unit that nothing can be converted from with a `DataError`."""
+    if not (is_known(unit) or readings(unit) or " since " in unit):
+        raise DataError(
+            f"the unit '{unit}' of '{signal}' is not known; multiply by a factor instead: scale="
+            f"{{'{signal}': ...}} (on the command line: --scale {signal}=FACTOR)."
+        )
+
+
+def require_sure_unit(signal: str, column: str, wanted: str) -> None:
+    """Refuse a column such as `x_cm` where that may be a unit of the kind that the model reads.
+
+    **Raises:** `DataError` that asks for the unit.
+    """
+    tail = re.split(r"[ _.-]", column)[-1]
+    if wanted and tail != column and tail in DOUBTFUL and conversion(signal, tail, wanted):
+        raise DataError(
+            f"column '{column}' may be in {tail}, or be called so for another reason; say its unit:"
+            f" units={{'{signal}': '{tail}'}} or '{wanted}' (on the command line: --unit"
+            f" {signal}={tail} or --unit '{signal}={wanted}')."
+        )
