@@ -85,6 +85,7 @@ def test_an_equation_is_assessed_as_its_stages_are_one_by_one():
         assert words in str(found)
 
 
+@pytest.mark.slow
 def test_two_recordings_with_offsets_of_their_own():
     offset = rx.Equation(*AXIS.terms, rx.Term("offset", rx.constant), name="axis")
     records = []
@@ -244,6 +245,7 @@ def test_an_estimate_says_what_its_recording_says_of_signals_that_are_read():
     assert float(bare["k"]) == float(found["k"])
 
 
+@pytest.mark.slow
 def test_recordings_of_one_name_are_compared_each_with_itself():
     """Two files called run.csv in two folders, one of them of another machine."""
     fitted = rx.read_recording(write("fit.csv", motion()))

@@ -24,6 +24,7 @@ def assessed(noisy):
     return rx.assess(MODEL, noisy, hold_out=0.2, refine=None)
 
 
+@pytest.mark.slow
 def test_everything_is_asked_of_it(assessed):
     for name in ("m", "M_mode", "K_mode"):
         assert float(assessed.answer[name]) == pytest.approx(TRUTH[name], rel=0.02)
@@ -40,6 +41,7 @@ def test_everything_is_asked_of_it(assessed):
     assert float(run.held.signals["v"].fit) > 90
 
 
+@pytest.mark.slow
 def test_without_the_mode_it_predicts_worse_and_says_why(assessed, noisy):
     plain = rx.assess(BODY, noisy, hold_out=0.2, refine=None)
     (run,), (better,) = plain.validations, assessed.validations
@@ -47,6 +49,7 @@ def test_without_the_mode_it_predicts_worse_and_says_why(assessed, noisy):
     assert "unmodelled_mode" in {finding.code for finding in plain.findings()}
 
 
+@pytest.mark.slow
 def test_document_words_and_map(assessed):
     document = identification_document(assessed)
     (mode,) = document["modes"]
@@ -64,6 +67,7 @@ def test_document_words_and_map(assessed):
     assert np.nanmin(there.y) < 0.1 * np.min(without.y)
 
 
+@pytest.mark.slow
 def test_a_right_model_is_told_to_leave_it_out():
     with pytest.raises(rx.IdentifiabilityError, match="do not carry this mode") as refused:
         rx.assess(MODEL, rx.Record(motion(False), STEP))

@@ -104,6 +104,7 @@ def test_an_unstable_motion_is_refined_and_validated_over_windows():
     assert run.held.horizon == pytest.approx(0.57, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_horizon_that_is_given_holds_for_refinement_and_validation():
     found, refinement = refinement_of(DRAG, drag_problem.record(0), hold_out=0.3, horizon=2.0)
     assert refinement.refined is not None
@@ -226,6 +227,7 @@ def test_a_filtered_signal_is_not_judged_by_whiteness():
     assert "filtered" in refinement.declined
 
 
+@pytest.mark.slow
 def test_sensors_of_unequal_noise_are_weighed_by_it():
     signals = drag_problem.signals()
     rng = np.random.default_rng(5)

@@ -42,6 +42,7 @@ def test_a_right_model_is_trusted_within_its_doubt(right):
     assert verdict.causes == []
 
 
+@pytest.mark.slow
 def test_noise_of_the_sensors_is_not_held_against_the_model():
     clean = motion(False)
     known = {name: 0.05 * float(np.std(signal)) for name, signal in clean.items()}
@@ -162,6 +163,7 @@ def test_a_single_known_parameter_leaves_nothing_to_judge():
     assert verdict.sentence.startswith("Trust k to ")
 
 
+@pytest.mark.slow
 def test_parameters_of_each_recording_are_judged_one_by_one():
     whole = rx.Record(motion(False), STEP)
     model = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant, unit="N"), name="body")

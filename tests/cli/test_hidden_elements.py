@@ -48,6 +48,7 @@ def asked(capsys, folder: Path, command: str, record: str, *options: str, model:
     return call(capsys, command, folder / f"{record}.csv", "--model", named, *options)
 
 
+@pytest.mark.slow
 def test_a_mode_found_elsewhere_is_said_without_being_asked(capsys, folder):
     result = asked(capsys, folder, "identify", "mode", "--add-mode", "v=25", *FAST)
     assert result.status == 0, result.err
@@ -55,6 +56,7 @@ def test_a_mode_found_elsewhere_is_said_without_being_asked(capsys, folder):
     assert "no mode near 25 Hz: the search for M_mode ended at 9.4" in said
 
 
+@pytest.mark.slow
 def test_a_mode_that_is_not_there_is_not_to_be_held(capsys, folder):
     result = asked(capsys, folder, "check", "none", "--add-mode", "v")
     assert result.status == 1
@@ -98,6 +100,7 @@ def test_windows_that_modes_cannot_have_are_refused_in_words_of_the_command_line
     assert "--band, --alpha and --beta may stay" in advice
 
 
+@pytest.mark.slow
 def test_a_band_may_stay(capsys, folder):
     result = asked(
         capsys, folder, "identify", "mode", "--add-mode", "v", "--band", "1", "8", *FAST, "--json"

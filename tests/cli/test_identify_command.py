@@ -207,6 +207,7 @@ def test_every_kind_of_interval_is_the_library_s(from_file, drive_record):
             assert others["naive_std_error"] == pytest.approx(entry["naive_std_error"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_sandwich_intervals_are_wider_than_the_standard_error_by_students_t(from_file):
     document = from_file("--intervals", "sandwich", "--no-sweep")
     judged = document["provenance"]["intervals"]
@@ -298,7 +299,7 @@ def test_of_all_windows_a_seed_moves_the_bootstrap_only(from_file):
 
 
 def test_set_moves_parameters_to_known(from_file, drive_record):
-    document = from_file("--set", "M_s=300", "--set", "M_us=30")
+    document = from_file("--set", "M_s=300", "--set", "M_us=30", "--no-sweep")
     assert document["known"] == {
         "M_s": {"value": 300.0, "unit": "kg"},
         "M_us": {"value": 30.0, "unit": "kg"},
@@ -419,7 +420,7 @@ def test_a_mode_is_a_signal_and_perhaps_a_frequency(capsys, drive_file, wrong):
 
 
 def test_table_on_a_terminal(capsys, drive_file):
-    options = ("--set", "M_s=300", "--set", "M_us=30")
+    options = ("--set", "M_s=300", "--set", "M_us=30", "--no-sweep")
     result = call(capsys, "identify", drive_file, "--model", "quarter-car", *PLAIN, *options)
     assert result.status == 0
     for word in (*PARAMETERS, *set(UNITS), "known", "95 %", "RIEC", "0.05", "--verbose"):
@@ -537,12 +538,11 @@ def test_out_into_an_existing_folder_replaces_its_own_files_only(capsys, drive_f
     out.mkdir()
     (out / "notes.txt").write_text("mine")
     (out / "results.json").write_text("old")
-    options = ("--model", "quarter-car", "--set", "M_s=300", "--set", "M_us=30", "--out", out)
-    result = call(capsys, "identify", drive_file, *PLAIN, *options)
+    result = call(capsys, "identify", drive_file, "--model", "quarter-car", *PLAIN, "--out", out)
     assert result.status == 0
     assert str(out) in result.out
     assert (out / "notes.txt").read_text() == "mine"
-    assert json.loads((out / "results.json").read_text())["known"]["M_s"]["value"] == 300
+    assert json.loads((out / "results.json").read_text())["model"] == "quarter-car"
     assert sorted(p.name for p in out.iterdir()) == [
         "correlation.png",
         "curves.png",

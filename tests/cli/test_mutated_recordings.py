@@ -7,17 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nightly import nightly, nightly_among
+
 sys.path.append(str(Path(__file__).parents[2]))  # for whoever runs `pytest` and not `python -m`
 
 from benchmarks.fuzz import judged, outcome
 from benchmarks.mutations import NAMES, TRUTH, WRITERS, Case, mutated, rigs
 
 RIGS = rigs()
-NIGHTLY = pytest.mark.slow
-"""For what a refinement adds, which compiles anew for each number of samples."""
 LINEAR = ("--refine", "none")
+"""What a refinement adds, which compiles anew for each number of samples, is for the night."""
 SLOW = {"shuffled signals", "shuffled column", "many nan", "text entry", "whole numbers", "cut out"}
-SLOW |= {"spliced", "parquet bomb"}
+SLOW |= {"spliced", "dropout", "huge", "swapped blocks", "parquet bomb", "coarse", "offset jump"}
+SLOW |= {"repeated block", "truth values"}
 """What leaves another number of samples, or much to read."""
 
 
@@ -26,12 +28,14 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("rig", RIGS, ids=("velocity recorded", "position only"))
+@pytest.mark.parametrize(
+    "rig", [RIGS[0], *nightly(RIGS[1:])], ids=("velocity recorded", "position only")
+)
 @pytest.mark.parametrize(
     ("file", "options"),
     [
         *((file, LINEAR) for file in WRITERS),
-        *(pytest.param(file, (), marks=NIGHTLY) for file in WRITERS),
+        *nightly((file, ()) for file in WRITERS),
     ],
 )
 def test_sound_recordings_are_answered_to_half_a_percent_without_a_warning(
@@ -48,11 +52,8 @@ def test_sound_recordings_are_answered_to_half_a_percent_without_a_warning(
         assert document["parameters"][name]["value"] == pytest.approx(value, rel=0.005)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=NIGHTLY if n in SLOW else ()) for n in NAMES if n != "clean"],
-)
-@pytest.mark.parametrize("options", [LINEAR, pytest.param((), marks=NIGHTLY)])
+@pytest.mark.parametrize("name", nightly_among([n for n in NAMES if n != "clean"], SLOW))
+@pytest.mark.parametrize("options", [LINEAR, pytest.param((), marks=pytest.mark.slow)])
 def test_no_wrong_number_without_a_warning(name, options):
     for number in range(1):
         case = mutated(name, RIGS, np.random.default_rng([20240501, NAMES.index(name), number]))

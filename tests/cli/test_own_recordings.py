@@ -82,6 +82,7 @@ def test_position_and_force_in_a_loggers_own_dialect(capsys):
     assert "q: column scaled by 0.001" in document["provenance"]["preparation"]
 
 
+@pytest.mark.slow
 def test_recordings_with_offsets_of_their_own(capsys):
     for i, offset in enumerate((4.0, -7.0)):
         write_csv(Path(f"run{i}.csv"), motion(offset, phase=i, count=COUNT - 1000 * i))
@@ -136,6 +137,7 @@ def test_a_model_that_does_not_predict_is_called_so(capsys):
     assert {"does_not_predict", "window_sensitive"} <= set(codes(document))
 
 
+@pytest.mark.slow
 def test_another_recording_validates(capsys):
     write_csv(Path("one.csv"), motion())
     write_csv(Path("two.csv"), motion(phase=2.0))
@@ -269,6 +271,7 @@ def test_a_formula_makes_the_signal_that_was_not_recorded(capsys):
     assert "F: 35*volt" in document["provenance"]["preparation"]
 
 
+@pytest.mark.slow
 def test_the_report_holds_everything_that_was_found(capsys):
     write_csv(Path("run.csv"), motion(offset=4.0))
     call(capsys, "identify", "run.csv", *IDENTIFY, "--hold-out", "0.2", "--out", "result")
@@ -309,7 +312,7 @@ def test_a_cut_by_absolute_stamps_says_where_the_clock_begins(capsys):
     )
 
 
-def test_noise_is_judged_or_given_and_written_down(capsys):
+def test_noise_is_judged_and_written_down(capsys):
     samples = motion()
     samples["q"] = samples["q"] + 0.02 * np.random.default_rng(0).normal(size=COUNT)
     write_csv(Path("noisy.csv"), samples)
@@ -317,10 +320,15 @@ def test_noise_is_judged_or_given_and_written_down(capsys):
     judged = call(capsys, *check).document["noise"]
     assert judged["q"]["std"] == pytest.approx(0.02, rel=0.05)
     assert judged["q"]["share"] == pytest.approx(0.02 / np.std(samples["q"]), rel=0.05)
+
+
+@pytest.mark.slow
+def test_noise_is_what_is_given_or_none(capsys):
+    write_csv(Path("run.csv"), motion())
+    check = ("check", "run.csv", *CHECK, "--json")
     given = call(capsys, *check, "--noise", "q=0.5", "--noise", "F=0").document["noise"]
     assert (given["q"]["std"], given["F"]["std"]) == (0.5, 0.0)
-    none = call(capsys, *check, "--noise", "none").document["noise"]
-    assert none["q"]["std"] == 0.0
+    assert call(capsys, *check, "--noise", "none").document["noise"]["q"]["std"] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -120,6 +120,7 @@ def test_each_of_two_recordings_is_summed_once(capsys):
     }
 
 
+@pytest.mark.slow
 def test_a_curve_is_drawn_over_samples_that_are_computed_for_it(capsys):
     assert executions(capsys, "curved", one=recording("one.csv", SAMPLES, seed=0)) == {
         # The one pass, and in it the reach of the curve's variable, which the survey keeps. Noise

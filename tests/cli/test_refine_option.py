@@ -80,6 +80,7 @@ def test_integral_refinement_prints_both_values(recording, capsys):
     assert "from the state as recorded" in " ".join(printed.split())
 
 
+@pytest.mark.slow
 def test_windows_shorter_than_the_recording(recording, capsys):
     document = call(
         capsys, "identify", str(recording), *IDENTIFY, "--refine", "output-error", "--horizon",
@@ -113,6 +114,7 @@ def test_by_default_the_answer_is_refined_where_white_noise_is_left(recording, c
         assert low - (high - low) < true < high + (high - low)
 
 
+@pytest.mark.slow
 def test_of_another_model_the_identified_values_stay_with_one_table(recording, capsys, tmp_path):
     """The oscillator without its drag."""
     model = tmp_path / "linear.py"

@@ -14,20 +14,23 @@ from nightly import nightly
 from riecjax.reporting.identification import identification_document
 
 
-@pytest.mark.parametrize("windows", ["all", *nightly([500])])
-def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows):
+@pytest.mark.parametrize(
+    ("windows", "sweep"), [("all", False), *nightly([("all", True), (500, True)])]
+)
+def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows, sweep):
     monkeypatch.chdir(tmp_path)
     Path("machine.py").write_text(MODEL)
     write_csv(Path("run.csv"), motion(offset=4.0, count=3000))
     options = ("--alpha", "0.1", "--beta", "0.5", "--windows", windows, "--test-function", "hat")
     options += ("--hold-out", "0.3", "--remove-drift", "q", "--json")
+    options += () if sweep else ("--no-sweep",)
     printed = call(capsys, "identify", "run.csv", "--model", "machine.py:axis", *options).document
 
     model = rx.find_model("machine.py:axis")
     recording = rx.read_recording("run.csv", model=model, drifts=["q"])
     drawn = rx.AllWindows(0.1, 0.5) if windows == "all" else rx.RandomWindows(0.1, 0.5, 500)
     criterion = rx.RIEC(drawn, rx.Hat())
-    found = rx.assess(model, recording, criterion, key=jax.random.key(0), hold_out=0.3)
+    found = rx.assess(model, recording, criterion, key=jax.random.key(0), hold_out=0.3, sweep=sweep)
 
     # What only a command line has: the command, and those that go on from it.
     asked = ["riecjax", "identify", "run.csv", "--model", "machine.py:axis", *map(str, options)]

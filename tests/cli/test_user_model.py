@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from command_line import call, rejected, write_csv
 
+from nightly import nightly
+
 TEN_LINES = """
 import riecjax as rx
 
@@ -131,6 +133,7 @@ def test_names_with_square_brackets_are_printed_as_they_are(capsys):
     assert "[N s/m]" in result.out
 
 
+@pytest.mark.slow
 def test_figures_where_a_stage_has_nothing_left_to_find(capsys):
     second = 'Equation(Term("c", "v"), -Term(1.0, "f"), name="drag")'
     model(IMPORTS + f"thing = simultaneous({EQUATION}, {second})")
@@ -255,23 +258,35 @@ cart = rx.Equation(
 """
 
 
-def test_a_velocity_that_was_not_recorded_is_made_or_to_be_differentiated(capsys):
+MADE_OF_X = ("identify", "cart.csv", "--model", "mine.py", "--refine", "none", "--map", "x=p")
+
+
+def without_velocity() -> None:
     lines = [line.split(",") for line in Path("cart.csv").read_text().splitlines()]
     Path("cart.csv").write_text("\n".join(f"{t},{p},{f}" for t, p, _, _, f in lines))
+
+
+def test_a_velocity_that_was_not_recorded_is_to_be_differentiated(capsys):
+    without_velocity()
     model(DERIVED)
-    arguments = ("identify", "cart.csv", "--model", "mine.py", "--refine", "none", "--map", "x=p")
-    message = rejected(capsys, 1, *arguments)
+    message = rejected(capsys, 1, *MADE_OF_X)
     for remedy in ("--map v=COLUMN", "--differentiate v=SIGNAL", "--derive v=FORMULA"):
         assert remedy in message
-    # Where the model calls it the derivative of x it is made of x, and the answer says how.
+
+
+@pytest.mark.parametrize("test_function", ["boxcar", *nightly(["hat"])])
+def test_a_velocity_that_is_a_derivative_of_x_is_made_of_x_and_the_answer_says_how(
+    capsys, test_function
+):
+    without_velocity()
     spring = ', -rx.Term(1.0, "f"), rx.Term("k", lambda s: s["x"] ** 3)'
     made = DERIVED.replace('"v", derivative=1, measured=("a",)', POSITION)
     model(made.replace(', -rx.Term(1.0, "f")', spring))
-    for test_function in ("boxcar", "hat"):
-        document = call(capsys, *arguments, "--test-function", test_function, "--json").document
-        assert "v: slope of x by local polynomials" in document["provenance"]["preparation"][-1]
-        for name, value in TRUTH.items():
-            assert document["parameters"][name]["value"] == pytest.approx(value, rel=1e-5)
+    options = (*MADE_OF_X, "--test-function", test_function, "--no-sweep", "--json")
+    document = call(capsys, *options).document
+    assert "v: slope of x by local polynomials" in document["provenance"]["preparation"][-1]
+    for name, value in TRUTH.items():
+        assert document["parameters"][name]["value"] == pytest.approx(value, rel=1e-5)
 
 
 def test_an_equation_cannot_be_simulated(capsys):

@@ -107,6 +107,7 @@ def test_all_windows(answer):
     assert found[0] == pytest.approx(version_0_1(signals, *all_windows(8000)), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_random_windows(answer):
     found, signals = answer(0, "--windows", "8000")
     assert in_six_digits(found[0]) == RANDOM_WINDOWS.split()

@@ -159,7 +159,7 @@ def coloured(kind):
 
 
 @pytest.mark.parametrize("criterion", ["boxcar", *nightly(["hat"])])
-@pytest.mark.parametrize("kind", ["velocity", "low-passed"])
+@pytest.mark.parametrize("kind", ["low-passed", *nightly(["velocity"])])
 def test_coloured_noise_is_sent_through_the_windows(kind, criterion, many_probes):
     noise, added = coloured(kind)
     corrected, plain = left_over(LINEAR, CRITERIA[criterion], noise, added)

@@ -66,6 +66,7 @@ def test_it_may_be_asked_for_inside_of_jit():
     assert float(mass(signals["x"], force)) == pytest.approx(truth["m"], rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_it_is_about_as_good_as_the_best_of_those_chosen_by_hand(noise):
     equation, truth, signals, step = noise_problems.linear_motion()

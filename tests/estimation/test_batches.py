@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nightly import by_day
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
@@ -83,7 +84,7 @@ CASES = {
 LAST = {name: tuple(n - 1 for n in shape) for name, (_, _, shape) in CASES.items()}
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(scope="module", params=by_day(CASES, "keys, and in them known values"))
 def case(request):
     batch, single, shape = CASES[request.param]
     return batch(), {place: single(*place) for place in ((0,) * len(shape), LAST[request.param])}

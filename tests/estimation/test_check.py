@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
@@ -174,7 +175,7 @@ def test_windows_of_few_samples_and_short_records_are_told():
     assert {"short_windows", "short_record"} <= set(codes)
 
 
-@pytest.mark.parametrize(("samples", "told"), [(6, True), (14, False)])
+@pytest.mark.parametrize(("samples", "told"), [(6, True), *nightly([(14, False)])])
 def test_a_bump_needs_more_samples_than_a_boxcar(samples, told):
     """Of 6 samples its second derivative is 11 % off for a parabola."""
     windows = AllWindows(samples * 0.01, 1.0)

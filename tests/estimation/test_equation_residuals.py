@@ -109,6 +109,7 @@ def test_each_equation_leaves_a_share_of_its_own(case):
     assert total == pytest.approx(float(stage.residual_rms) ** 2 * float(stage.count), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_several_records_with_a_parameter_of_their_own_add_up():
     records = [record(0), record(1)]
     found = identify(
@@ -125,6 +126,7 @@ def test_several_records_with_a_parameter_of_their_own_add_up():
     assert found.equations["damped"].parameters == ("k", "c[1]", "c[2]")
 
 
+@pytest.mark.slow
 def test_rows_solved_instead_of_gram_matrices_leave_the_same():
     one = record()
     close = Record({**one.arrays, "v": one["x"] + 1e-6 * one["v"]}, STEP)
@@ -186,6 +188,7 @@ def test_stages_of_one_equation_print_as_before():
         assert found.equations[name].relative_rms == stage.relative_rms
 
 
+@pytest.mark.slow
 def test_equations_of_the_same_name_are_numbered():
     model = simultaneous(spring("side"), damped("side"))
     one = record()
@@ -318,6 +321,7 @@ def test_without_a_target_the_share_is_of_the_largest_term():
     assert share == pytest.approx(np.sqrt(np.sum(error**2) / largest), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_what_an_earlier_stage_found_is_a_target():
     found = of_masses(Procedure(((driven(),), (hung(), hung()))), two_masses(600.0))
     assert list(found.equations) == ["driven", "hung (1)", "hung (2)"]

@@ -4,11 +4,11 @@ import pytest
 
 import riecjax as rx
 from hidden_body import BODY, STEP, motion
-from nightly import nightly
 from riecjax.estimation import carried_modes
 
 
-@pytest.mark.parametrize("mode", [False, *nightly([True])])
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [False, True])
 def test_as_many_modes_as_there_are(mode):
     found = carried_modes(BODY, rx.Record(motion(mode), STEP), "v", most=2)
     assert len(found.procedure.modes) == int(mode)

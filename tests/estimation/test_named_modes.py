@@ -52,6 +52,7 @@ def test_of_a_mode_that_is_near_nothing_is_said(record, hz):
     assert evidence.findings() == []
 
 
+@pytest.mark.slow
 def test_modes_have_the_names_of_the_frequencies_asked_for():
     """Two modes on one body, of 8 and 20 Hz, whichever is asked for first."""
     a = np.zeros((6, 6))
@@ -90,6 +91,7 @@ def test_the_map_follows_the_best_damping(record):
     assert np.unique(np.round(damping[inside], 3)).size > 0.9 * inside.sum()
 
 
+@pytest.mark.slow
 def test_a_second_mode_that_fails_is_named(record):
     model = MODEL.with_modes(rx.HiddenMode("v"))
     evidence = mode_evidence(model, rx.identify(model, record))[0]

@@ -1,3 +1,5 @@
+from functools import partial
+
 import jax
 import numpy as np
 import pytest
@@ -12,6 +14,10 @@ from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import Sharing, values_of_record
 from riecjax.records.record import Record
+from riecjax.uncertainty.intervals import Naive
+
+fit = partial(identify, intervals=Naive())
+"""No test here asks for intervals."""
 
 EQUATION = Equation(
     Term("M", "q", derivative=2, measured=("dq", "ddq"), unit="kg"),
@@ -39,7 +45,7 @@ KEY = jax.random.key(0)
 
 @pytest.mark.parametrize("criterion", CRITERIA, ids=["dols", "riec"])
 def test_offsets_of_each_record_leave_the_shared_parameters_exact(criterion):
-    estimate = identify(EQUATION, RECORDS, criterion, key=KEY, per_record=["offset"])
+    estimate = fit(EQUATION, RECORDS, criterion, key=KEY, per_record=["offset"])
     assert estimate.parameters == ("M", "c", "offset[1]", "offset[2]", "offset[3]")
     assert float(estimate["M"]) == pytest.approx(12.0, rel=1e-5)
     assert float(estimate["c"]) == pytest.approx(5.0, rel=1e-4)
@@ -54,7 +60,7 @@ def test_own_offsets_equal_the_dense_solution():
         r.with_signals({"force": r["force"] + np.random.default_rng(i).normal(size=r.sample_count)})
         for i, r in enumerate(RECORDS)
     ]
-    estimate = identify(EQUATION, noisy, DOLS(), per_record=["offset"])
+    estimate = fit(EQUATION, noisy, DOLS(), per_record=["offset"])
     ones = [np.zeros((r.sample_count, 3)) for r in noisy]
     for i, block in enumerate(ones):
         block[:, i] = 1.0
@@ -66,17 +72,15 @@ def test_own_offsets_equal_the_dense_solution():
 
 
 def test_without_own_offsets_one_shared_offset_is_found():
-    estimate = identify(EQUATION, RECORDS, DOLS())
+    estimate = fit(EQUATION, RECORDS, DOLS())
     assert estimate.parameters == ("M", "c", "offset")
     assert min(OFFSETS) < float(estimate["offset"]) < max(OFFSETS)
 
 
 def test_own_parameters_may_be_known_all_at_once_or_one_by_one():
-    at_once = identify(EQUATION, RECORDS, DOLS(), per_record=["offset"], known={"offset": 1.0})
+    at_once = fit(EQUATION, RECORDS, DOLS(), per_record=["offset"], known={"offset": 1.0})
     assert at_once.parameters == ("M", "c")
-    one = identify(
-        EQUATION, RECORDS, DOLS(), per_record=["offset"], known={"offset[2]": OFFSETS[1]}
-    )
+    one = fit(EQUATION, RECORDS, DOLS(), per_record=["offset"], known={"offset[2]": OFFSETS[1]})
     assert one.parameters == ("M", "c", "offset[1]", "offset[3]")
     assert float(one["offset[1]"]) == pytest.approx(OFFSETS[0], rel=1e-6)
 
@@ -96,8 +100,8 @@ def test_a_parameter_that_is_called_like_another_ones_own_keeps_its_value():
 def test_names_that_own_parameters_would_collide_with_are_refused(count):
     equation = Equation(*EQUATION.terms, Term("offset[2]", "q"))
     with pytest.raises(ModelError, match=r"called 'offset\[2\]'.*per_record=\['offset'\].*Rename"):
-        identify(equation, RECORDS[:count], DOLS(), per_record=["offset"])
-    apart = identify(equation, RECORDS[0], DOLS())
+        fit(equation, RECORDS[:count], DOLS(), per_record=["offset"])
+    apart = fit(equation, RECORDS[0], DOLS())
     assert float(apart["offset"]) == pytest.approx(OFFSETS[0], rel=1e-6)
     assert float(apart["offset[2]"]) == pytest.approx(0.0, abs=1e-6)
 
@@ -107,7 +111,7 @@ def test_a_known_value_of_one_record_goes_before_that_of_all():
         {"offset": 1.0, "offset[2]": OFFSETS[1]},
         {"offset[2]": OFFSETS[1], "offset": 1.0},
     ):
-        estimate = identify(EQUATION, RECORDS, DOLS(), per_record=["offset"], known=known)
+        estimate = fit(EQUATION, RECORDS, DOLS(), per_record=["offset"], known=known)
         assert [float(estimate[f"offset[{i}]"]) for i in (1, 2, 3)] == [1.0, OFFSETS[1], 1.0]
 
 
@@ -119,6 +123,7 @@ def test_entries_of_an_array_may_be_own_and_known():
     assert "F[0]" not in sharing.settled({"F[0][1]"})
 
 
+@pytest.mark.slow
 def test_own_parameters_survive_the_solve_by_rows():
     """Two nearly equal regressors force the SVD of the rows."""
     nearly = [
@@ -128,7 +133,7 @@ def test_own_parameters_survive_the_solve_by_rows():
         for i, r in enumerate(RECORDS)
     ]
     equation = Equation(*EQUATION.terms, Term("c2", "dp"))
-    estimate = identify(equation, nearly, DOLS(), per_record=["offset"])
+    estimate = fit(equation, nearly, DOLS(), per_record=["offset"])
     assert float(estimate["offset[1]"]) == pytest.approx(OFFSETS[0], rel=1e-6)
     assert float(estimate["c"] + estimate["c2"]) == pytest.approx(5.0, rel=1e-6)
 
@@ -146,7 +151,7 @@ def test_own_parameters_survive_the_solve_by_rows():
 )
 def test_unknown_names_are_answered_with_those_that_exist(settings, words):
     with pytest.raises(ModelError, match=words):
-        identify(EQUATION, RECORDS, DOLS(), **settings)
+        fit(EQUATION, RECORDS, DOLS(), **settings)
 
 
 def test_an_offset_beside_a_step_at_rest_is_reported_with_the_null_direction():
@@ -160,4 +165,4 @@ def test_an_offset_beside_a_step_at_rest_is_reported_with_the_null_direction():
         with pytest.raises(
             IdentifiabilityError, match=r"cannot tell these apart.*0\.71 k - 0\.71 offset"
         ):
-            identify(equation, still, criterion, key=KEY)
+            fit(equation, still, criterion, key=KEY)

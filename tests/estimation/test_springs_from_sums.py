@@ -74,6 +74,10 @@ def test_a_spring_that_is_known_is_no_unknown(clean):
     estimate = rx.identify(MODEL, clean, known=known)
     assert estimate.parameters == ("m", "k")
     assert float(estimate["m"]) == pytest.approx(TRUTH["m"], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_spring_is_found_beside_a_damper_that_is_known(clean):
     beside = rx.identify(MODEL, clean, known={"c": TRUTH["c"]})
     assert float(beside["K_series"]) == pytest.approx(TRUTH["K_series"], rel=1e-3)
 
@@ -115,6 +119,7 @@ def test_residual_is_the_product_of_polynomials():
     assert found == {}
 
 
+@pytest.mark.slow
 def test_gradients_and_batches(clean):
     weight = rx.criteria.GradedBump(lengths=1, derivatives=2)
     criterion = rx.RIEC(rx.AllWindows(0.16, 0.17), weight)
@@ -140,6 +145,7 @@ def test_what_lags_closes_the_equation(clean):
     assert "v behind K_series" in record.arrays
 
 
+@pytest.mark.slow
 def test_a_spring_is_assessed_like_any_parameter(clean):
     assessed = rx.assess(MODEL, clean, hold_out=0.3, refine=None)
     low, high = assessed.estimate.interval("K_series")

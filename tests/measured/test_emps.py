@@ -7,6 +7,7 @@ import scipy.io
 import scipy.signal
 
 from conftest import measured_data
+from nightly import nightly
 from riecjax.cli.main import run
 
 GAIN = 35.1507
@@ -81,7 +82,7 @@ MODELS = {
 }
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", ["emps", *nightly(["emps-asymmetric"])])
 def test_dols_is_near_the_published_values(identified, model):
     published, _, tolerance = MODELS[model]
     found = identified(model, *PUBLISHED_PREPARATION)
@@ -90,7 +91,7 @@ def test_dols_is_near_the_published_values(identified, model):
         assert found[name]["value"] == pytest.approx(value, rel=tolerance), name
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", ["emps", *nightly(["emps-asymmetric"])])
 def test_dols_is_least_squares_on_filtered_differences(identified, raw, model):
     published, friction, _ = MODELS[model]
     _, velocity, acceleration, force = (part[::10] for part in motion(raw, 100.0))

@@ -111,6 +111,7 @@ def test_every_length_of_window_finds_the_truth_without_noise(shooting, initial)
         assert float(refined[name]) == pytest.approx(true, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_straight_lines_between_samples_are_another_answer_of_clean_data():
     """What they leave of each tone's force, pi^2 / (3 n^2), is 0.018 % of a mass at most here."""
     lines = refine(oscillator(), record(), START, OutputError(intersample="lines"))
@@ -129,6 +130,7 @@ def test_an_input_with_a_gap_is_smooth_on_either_side():
         assert float(refined[name]) == pytest.approx(true, rel=2e-5)
 
 
+@pytest.mark.slow
 def test_a_batch_of_smooth_inputs_is_its_members():
     records = [record(seed) for seed in (0, 1)]
     by = OutputError(method=FixedStep(1))
@@ -333,13 +335,11 @@ def test_a_prior_pulls_as_one_more_observation(noisy, whole):
     np.testing.assert_allclose(refined.standard_errors[place], error[place], rtol=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "solver",
-    [
-        optx.Dogleg(1e-8, 1e-8),
-        *nightly([optx.LevenbergMarquardt(1e-8, 1e-8), optx.BFGS(1e-8, 1e-8)]),
-    ],
-    ids=["dogleg", "levenberg-marquardt", "bfgs"],
+    [optx.LevenbergMarquardt(1e-8, 1e-8), optx.Dogleg(1e-8, 1e-8), optx.BFGS(1e-8, 1e-8)],
+    ids=["levenberg-marquardt", "dogleg", "bfgs"],
 )
 def test_other_solvers_of_optimistix_find_the_same(noisy, whole, solver):
     start = {name: 1.02 * float(value) for name, value in whole.values.items()}
@@ -355,6 +355,7 @@ def test_too_few_steps_are_a_status(noisy):
     assert "max_steps" in refined.reason
 
 
+@pytest.mark.slow
 def test_progress_is_reported(noisy):
     seen: list[float] = []
     refined = refine(oscillator(), noisy, START, progress=lambda cost: seen.append(float(cost)))
@@ -371,6 +372,7 @@ def test_a_start_without_a_finite_residual_is_a_status(noisy):
     assert refined.findings()[0].code == "refinement_not_converged"
 
 
+@pytest.mark.slow
 def test_weights_are_the_users(noisy, whole):
     same = OutputError(sigma={"x": signals(0)["x"].std(), "dx": signals(0)["dx"].std()})
     np.testing.assert_allclose(

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.models.catalogue import built_in_model
@@ -117,7 +118,9 @@ def test_free_break_points_predict_another_road_better_than_riec(from_white_nois
     assert 0.1 < freed["v_3"] < 0.3
 
 
-@pytest.mark.parametrize(("balance", "mass"), [(body_balance(), "M_s"), (wheel_balance(), "M_us")])
+@pytest.mark.parametrize(
+    ("balance", "mass"), [(body_balance(), "M_s"), *nightly([(wheel_balance(), "M_us")])]
+)
 def test_integral_refinement_finds_the_break_points_of_a_map_that_has_them(balance, mass):
     truth = {
         "K_t": 178e3,

@@ -151,6 +151,7 @@ def switched() -> Record:
 VALVE, NEAR = Valve(jnp.asarray(1.0), jnp.asarray(1.0)), {"c": 4.0, "g": 2.0}
 
 
+@pytest.mark.slow
 def test_a_sharp_input_is_found_at_the_optimum_and_resolved(switched):
     """No eigenvalue tells of it: it begins with one step and ends with what changes nothing."""
     assert steps_for(VALVE, switched, NEAR) == 1
@@ -269,6 +270,7 @@ def test_an_implicit_solver_refines_a_stiff_model(stiff, pole):
     assert not refined.coarse.any()
 
 
+@pytest.mark.slow
 def test_steps_too_long_for_a_stiff_model_are_named(stiff):
     by = OutputError(method=FixedStep(1))
     refined = refine(stiff, lagged(1e5), {"k": 2.0}, by, known={"pole": 1e5})

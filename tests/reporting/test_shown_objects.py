@@ -85,18 +85,8 @@ def test_equations_are_words():
     assert "2. oscillator" in str(rx.staged(body, equation()))
 
 
-def test_everything_prints_briefly_and_in_html(estimate, batch, assessed):
-    sweep = rx.studies.window_sweep(equation(), record(), CRITERION)
-    held = assessed.validations[0].held
-    checked = rx.check(equation(), record(), CRITERION)
-    known = rx.identify(equation(), record(), CRITERION, known={"m": 2.0, "k": 50.0})
-    recording = assessed.recordings[0]
-    comparison = rx.compare([estimate, known])
-    model, verdict = rx.find_model("quarter-car"), assessed.verdict
-    for one in (
-        *(estimate, batch, assessed, sweep, held, checked, known, recording, comparison),
-        *(model, verdict),
-    ):
+def all_print_briefly(*objects):
+    for one in objects:
         for text in (repr(one), str(one)):
             assert len(text.splitlines()) <= 30
             assert "Array(" not in text
@@ -104,7 +94,31 @@ def test_everything_prints_briefly_and_in_html(estimate, batch, assessed):
         page = one._repr_html_()
         assert "<table" in page
         assert not re.search("http|src=|background:(?!none)|[^-]color:#", page)
+
+
+@pytest.mark.slow
+def test_a_batch_prints_briefly_and_is_drawn(batch):
+    from matplotlib import pyplot
+
+    all_print_briefly(batch)
     assert "batch of 3 estimates" in repr(batch)
+    _, own = pyplot.subplots()
+    assert batch.plot(own) is own
+    pyplot.close("all")
+
+
+def test_everything_prints_briefly_and_in_html(estimate, assessed):
+    sweep = rx.studies.window_sweep(equation(), record(), CRITERION)
+    held = assessed.validations[0].held
+    checked = rx.check(equation(), record(), CRITERION)
+    known = rx.identify(equation(), record(), CRITERION, known={"m": 2.0, "k": 50.0})
+    recording = assessed.recordings[0]
+    comparison = rx.compare([estimate, known])
+    model, verdict = rx.find_model("quarter-car"), assessed.verdict
+    all_print_briefly(
+        *(estimate, assessed, sweep, held, checked, known, recording, comparison),
+        *(model, verdict),
+    )
     assert re.search(r"^k +50 +known +N/m$", str(known), re.MULTILINE)
     assert "&lt;b&gt;" in rx.Record({"<b>": jnp.ones(3)}, 0.1)._repr_html_()
 
@@ -157,6 +171,7 @@ def test_a_frame_holds_values_read_one_by_one(estimate):
     assert single.to_frame().loc["m", "value"] == np.float32(estimate["m"])
 
 
+@pytest.mark.slow
 def test_a_batch_has_a_row_for_each_member(batch):
     frame, data = batch.to_frame(), batch.to_xarray()
     assert len(frame) == 9
@@ -202,18 +217,25 @@ def test_tables_of_a_paper_round_by_the_error(estimate):
     assert "none" in repr(lost)
 
 
-def test_a_saved_estimate_comes_back_equal(estimate, batch, tmp_path):
-    file = tmp_path / "kept"
-    for one in (estimate, batch.member(1)):
-        one.save(file)
-        again = rx.load(file)
-        assert str(again) == str(one)
-        assert again.findings() == one.findings()
-        for level in (0.5, 0.95, 0.99):
-            np.testing.assert_array_equal(again.intervals(level), one.intervals(level))
+def comes_back_equal(one, file):
+    one.save(file)
+    again = rx.load(file)
+    assert str(again) == str(one)
+    assert again.findings() == one.findings()
+    for level in (0.5, 0.95, 0.99):
+        np.testing.assert_array_equal(again.intervals(level), one.intervals(level))
+
+
+@pytest.mark.slow
+def test_of_a_batch_members_are_saved(batch, tmp_path):
+    comes_back_equal(batch.member(1), tmp_path / "kept")
     with pytest.raises(rx.ModelError, match="one by one"):
-        batch.save(file)
-    estimate.save(file)
+        batch.save(tmp_path / "kept")
+
+
+def test_a_saved_estimate_comes_back_equal(estimate, tmp_path):
+    file = tmp_path / "kept"
+    comes_back_equal(estimate, file)
     fresh = rx.estimate(equation(), rx.load(file).summary)
     np.testing.assert_allclose(fresh.theta, estimate.theta, rtol=1e-12)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
@@ -287,7 +309,7 @@ def test_a_comparison_counts_a_useless_term_against_its_model(estimate, assessed
         rx.compare([estimate, 3.0])
 
 
-def test_objects_draw_into_new_and_given_axes(estimate, batch, assessed):
+def test_objects_draw_into_new_and_given_axes(estimate, assessed):
     from matplotlib import pyplot
 
     axes = estimate.plot()
@@ -297,7 +319,7 @@ def test_objects_draw_into_new_and_given_axes(estimate, batch, assessed):
     expected = 100 * (np.array(estimate.interval("m")) / estimate["m"] - 1)
     np.testing.assert_allclose(ends, expected)
     _, own = pyplot.subplots()
-    assert batch.plot(own) is own
+    assert estimate.plot(own) is own
     held = assessed.validations[0].held
     assert len(held.plot().lines) == 2
     assert len(record().plot().axes) == 2

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from nightly import by_day, nightly
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
-from riecjax.simulation.intersample import bends_of
+from riecjax.simulation import intersample
 from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep, SimulationStatus
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem
@@ -20,6 +20,7 @@ from riecjax.simulation.system import AbstractSystem
 SECONDS = 4.0
 STEADY = (0.8, 1.1)
 RNG = np.random.default_rng(7)
+bends_of = jax.jit(intersample.bends_of)
 
 
 class Swing(AbstractSystem):

@@ -12,6 +12,7 @@ import scipy.linalg
 from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
+from nightly import nightly
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 from riecjax.simulation.method import (
@@ -107,9 +108,9 @@ def run(method: AbstractMethod, system, inputs, time_step, first):
 
 TABLEAUS = [
     pytest.param(CLASSICAL_RUNGE_KUTTA, 4, id="classical"),
-    pytest.param(diffrax.Tsit5.tableau, 5, id="tsit5"),
-    pytest.param(diffrax.Bosh3.tableau, 3, id="bosh3"),
-    pytest.param(diffrax.Heun.tableau, 2, id="heun"),
+    pytest.param(diffrax.Tsit5.tableau, 5, id="tsit5", marks=pytest.mark.slow),
+    pytest.param(diffrax.Bosh3.tableau, 3, id="bosh3", marks=pytest.mark.slow),
+    pytest.param(diffrax.Heun.tableau, 2, id="heun", marks=pytest.mark.slow),
 ]
 
 
@@ -179,6 +180,7 @@ def test_adaptive_fixed_and_scipy_solutions_agree(swing_by_scipy, swing_by_adapt
     assert int(reached) == 40
 
 
+@pytest.mark.slow
 def test_a_tighter_tolerance_makes_the_adaptive_solution_better(swing_by_scipy, swing_by_adaptive):
     loose = run(Adaptive(1e-4, 1e-4), SWING, 2 * sampled(40, 1), 0.1, jnp.array([1.0, 0.0]))[0]
     error = np.abs(loose - swing_by_scipy).max()
@@ -186,6 +188,7 @@ def test_a_tighter_tolerance_makes_the_adaptive_solution_better(swing_by_scipy, 
     assert error < 0.1
 
 
+@pytest.mark.slow
 def test_an_implicit_solver_takes_a_stiff_system_with_few_steps():
     stiff = Linear(jnp.array([[-1e6, 1.0], [0.0, -1.0]]), jnp.array([[1e6, 0.0], [0.0, 1.0]]))
     inputs, first = sampled(20, 2), jnp.array([0.0, 0.0])
@@ -253,7 +256,9 @@ def final_state(gain, method=None):
 
 
 @pytest.mark.parametrize(
-    "method", [FixedStep(8), Adaptive(1e-8, 1e-10, max_steps=2000)], ids=["fixed", "adaptive"]
+    "method",
+    [FixedStep(8), *nightly([Adaptive(1e-8, 1e-10, max_steps=2000)])],
+    ids=["fixed", "adaptive"],
 )
 def test_a_lost_lane_of_a_batch_leaves_the_others_alone(method):
     states, status, reached = jax.vmap(lambda gain: final_state(gain, method))(GAINS)

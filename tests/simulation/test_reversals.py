@@ -93,6 +93,7 @@ def test_states_and_their_derivatives_are_those_of_pieces_between_reversals(fric
     np.testing.assert_allclose(found, by_f, atol=2e-3 * float(np.abs(by_f).max()))
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_members():
     u = jnp.asarray(force(STEP * np.arange(300)))
 

@@ -229,9 +229,8 @@ def test_vmap_over_seeds_equals_one_by_one():
             np.testing.assert_allclose(together[name][i], samples, atol=1e-10 * scale)
 
 
-@pytest.mark.parametrize(
-    "differentiate", [jax.jacfwd, *nightly([jax.grad])], ids=["forward", "reverse"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("differentiate", [jax.grad, jax.jacfwd], ids=["reverse", "forward"])
 def test_derivative_by_a_parameter_equals_finite_differences(differentiate):
     def energy(k3):
         return jnp.sum(simulate(duffing(k3), force(1)).record["y"] ** 2)
@@ -275,8 +274,7 @@ class Counting(AbstractSystem):
     [
         lambda: None,
         lambda: FixedStep(3),
-        lambda: FixedStep(2, diffrax.Tsit5.tableau),
-        lambda: Adaptive(1e-5, 1e-7),
+        *nightly([lambda: FixedStep(2, diffrax.Tsit5.tableau), lambda: Adaptive(1e-5, 1e-7)]),
     ],
     ids=["default", "fixed", "tsit5", "adaptive"],
 )

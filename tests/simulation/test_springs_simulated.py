@@ -122,6 +122,7 @@ def test_a_map_that_falls_is_simulated_with_a_least_slope():
     assert np.all(np.isfinite(np.asarray(run.record["v"])))
 
 
+@pytest.mark.slow
 def test_validation_starts_a_spring_at_the_map():
     record = recorded(2.0)
     part = record.part(250, 1000).select("F", "u", "v", "d")

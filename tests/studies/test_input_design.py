@@ -141,6 +141,7 @@ def drag_task(travel):
     return _task(experiment, "r2", frequencies, COUNT, 6.0, travel)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_cost_is_that_of_finite_differences():
     task, rng = drag_task({"x": 0.3}), np.random.default_rng(1)
     size = 2 * task.frequencies.shape[0]

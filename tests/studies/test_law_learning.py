@@ -118,6 +118,7 @@ def test_errors_are_those_of_an_identified_mass_integrated_by_hand():
         assert miss > 0.02
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_error_is_that_of_finite_differences():
     rng = np.random.default_rng(0)
     at, along = (jnp.asarray(rng.standard_normal(5)) for _ in range(2))

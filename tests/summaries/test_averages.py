@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows
@@ -199,7 +198,8 @@ BURSTS = Equation(
 )
 
 
-@pytest.mark.parametrize("criterion", [DOLS(), *nightly([HATS])])
+@pytest.mark.slow
+@pytest.mark.parametrize("criterion", [HATS, DOLS()])
 def test_sizes_in_bursts_are_those_of_the_samples_where_a_term_acts(criterion):
     records = [record_of_bursts(0, 1.0), record_of_bursts(1, 7.0)]
     procedure = as_procedure(BURSTS)

@@ -667,6 +667,7 @@ def test_its_size_does_not_grow_with_the_length_of_a_recording():
     assert max(sizes) < 8 * 1024 * (2 * 2**2 + 1) + 1200
 
 
+@pytest.mark.slow
 def test_moments_and_counts_are_the_only_ones_that_grow():
     short, long = (spring_summary().recordings[0], spring_summary_of(6000).recordings[0])
     for one, other in zip(jax.tree.leaves(fixed(short)), jax.tree.leaves(fixed(long))):

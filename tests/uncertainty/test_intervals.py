@@ -193,7 +193,7 @@ def test_the_sandwich_weighs_lags_as_newey_and_west_do():
 
 
 def test_replicates_are_refits_of_drawn_blocks_divided_by_their_sandwich():
-    fine = two_stages(jax.random.key(5))
+    fine = jax.jit(two_stages)(jax.random.key(5))
     statistics = statistics_of(fine, 20)
     draws = jnp.asarray(uniform_draws(7, 3, 1))
     found = studentized_replicates(statistics, draws)
@@ -290,7 +290,7 @@ def test_too_few_replicates_are_refused():
 
 
 def test_a_variance_that_hangs_on_few_blocks_has_few_degrees_of_freedom():
-    fine = one_stage(jax.random.key(2))
+    fine = jax.jit(one_stage)(jax.random.key(2))
     statistics = statistics_of(fine, 20)
 
     def freedom(influence):

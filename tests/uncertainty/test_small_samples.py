@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nightly import nightly
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.rows import Rows
 from riecjax.criteria.windows import AllWindows
@@ -120,7 +121,7 @@ def bursts(rng, size=60):
     return a @ [1.0, 3.0] + 0.1 * rng.normal(size=size), a
 
 
-@pytest.mark.parametrize("used", [3, 6])
+@pytest.mark.parametrize("used", [3, *nightly([6])])
 def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(used):
     rng = np.random.default_rng(0)
     y, a = bursts(rng)
@@ -165,6 +166,7 @@ def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(use
     assert float(found.seen[1]) < 0.5 * float(found.seen[0])
 
 
+@pytest.mark.slow
 def test_the_corrected_sandwich_is_the_same_in_32_bit_and_in_any_unit():
     y, a = bursts(np.random.default_rng(1))
     fine, _ = blocks_of((y, a * [1.0, 1e-6]), 6, ("a", "b"))
@@ -229,6 +231,7 @@ def test_what_one_pulse_alone_tells_has_a_finite_interval_that_holds_it():
     assert sum(held) >= 7
 
 
+@pytest.mark.slow
 def test_exact_data_have_finite_intervals_next_to_nothing_wide():
     signals = motion("waves")
     exact = Equation(Term(1.0, "F"), -Term("k", "x"), -Term("c", "v"))
@@ -277,6 +280,7 @@ def test_a_friction_that_acts_for_moments_is_called_hardly_determined():
     assert [f.message.split()[3] for f in wide] == ["Fs"]
 
 
+@pytest.mark.slow
 def test_a_parameter_near_zero_whose_term_could_not_matter_is_left_alone():
     estimate = identify(
         Equation(*KNOWN_TERMS, -Term("b", "w"), -Term("offset", constant), name="axis"),

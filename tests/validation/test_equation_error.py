@@ -119,6 +119,7 @@ def test_rises_of_the_impulse_are_the_errors_of_windows(weight):
     np.testing.assert_allclose(rises, whole, rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_impulse_of_a_mode_is_bounded_by_equation_8():
     force = band_limited_noise(jax.random.key(3), 20_000, 0.001, bandwidth=100.0, rms=100.0)
     system = TwoMass(*(jnp.asarray(value) for value in (10.0, 1.0, 100.0, 0.5)))
@@ -159,6 +160,7 @@ def test_without_a_known_term_the_first_one_is_the_target():
     np.testing.assert_allclose(found.explained, 700 * x + 4, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_it_jits_and_vmaps_and_names_every_equation_of_a_procedure():
     records = [oscillation(), oscillation()]
     records[1] = records[1].with_signals({"F": 2 * records[1]["F"]})

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.records.noise import Noise
 from riecjax.records.preparation.local_polynomial import derivative_taps, with_local_derivative
@@ -56,7 +57,7 @@ def test_smoothing_errs_by_little_of_the_noise_that_is_left(level):
     assert dict(record.units)["v"] == "m/s"
 
 
-@pytest.mark.parametrize("count", [1000, 4000])
+@pytest.mark.parametrize("count", [1000, *nightly([4000])])
 def test_noise_that_stands_out_by_chance_is_not_taken_for_motion(count):
     """Of a thousand frequencies one is likely to; the polynomial then was 3 samples wide."""
     recordings = (noisy(0.05, seed).part(0, count) for seed in range(150))

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from damage import damaged, outcome
+from nightly import nightly
 
 N = 60
 TIME = np.arange(N) * 0.125
@@ -90,6 +91,7 @@ def test_injured_files(tmp_path, case):
     assert sum(message is not None for message in refused) > 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["MAT", "MAT v7.3", "NPZ", "Parquet"])
 def test_single_flipped_bits(tmp_path, case):
     ending, content = FILES[case]
@@ -125,7 +127,7 @@ def tables(draw: st.DrawFn) -> dict[str, np.ndarray]:
     return columns or {"x": np.zeros(0)}
 
 
-@pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
+@pytest.mark.parametrize("ending", [".csv", ".npz", *nightly([".parquet"])])
 @given(tables())
 @settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
