@@ -184,7 +184,8 @@ def _seconds_each(name: str, values: np.ndarray, units: Mapping[str, str]) -> tu
     low, high = float(known.min()), float(known.max())
     for first, last, factor, year in EPOCHS:
         if factor < 1 and first <= low and high < last:
-            word = next(word for word, each in SUBUNITS.items() if each == factor)
+            words = {each: word for word, each in SUBUNITS.items()}
+            word = words.get(factor, f"ticks of {1e9 * factor:g} nanoseconds")
             return factor, f"{word} since {year}"
     step = float(np.median(np.diff(known)))
     if any(a < low and high < b for a, b in SERIAL_DAYS) and (
