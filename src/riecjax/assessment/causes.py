@@ -5,7 +5,7 @@ seven parameters that drift: eight findings, one cause. A reader needs the cause
 which parameters it concerns; the findings stay as its evidence.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from riecjax.assessment.doubt import TRUSTED, Doubt, concerned
@@ -161,8 +161,7 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
     answer = assessment.answer
     size = {name: max(abs(float(answer[name])), 1e-300) for name in found}
     grouped, said = [], assessment.findings()
-    widened = with_constant_part(assessment)
-    widened |= {name for f in said if f.code == "records_disagree" for name in f.parameters}
+    widened = widening(assessment, names=found)
     for kind, codes in KINDS.items():
         own = [f for code in codes for f in said if f.code == code]
         if not own:
@@ -172,8 +171,7 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
         share = max((found[n].by_kind(kind) / size[n] for n in names), default=0.0)
         phrase, step = _phrase(assessment, own[0]), next(_steps(assessment, own), None)
         if kind == "data" and all(
-            found[n].scatter <= TRUSTED * size[n] or {n, n.partition("[")[0]} & widened
-            for n in names
+            found[n].scatter <= TRUSTED * size[n] or n in widened for n in names
         ):
             # A longer record mends neither a good value nor what a common error widens.
             step = None
@@ -186,7 +184,7 @@ def _phrase(assessment: "Assessment", finding: Finding) -> str:
         peaks = (one.peak for one in _equations(assessment) if one.peak is not None)
         peak = max(peaks, key=lambda one: one.size)
         return f"the model leaves out a mode near {peak.frequency:.3g} Hz"
-    if finding.code in ("large_residual", "uneven_errors") and with_constant_part(assessment):
+    if finding.code in ("large_residual", "uneven_errors") and _with_constant_part(assessment):
         return CONSTANT
     pattern = PHRASES.get(finding.code, finding.code.replace("_", " "))
     return pattern.format(
@@ -199,7 +197,16 @@ def _equations(assessment: "Assessment") -> Sequence[EquationResidual]:
     return () if assessment.residuals is None else assessment.residuals.equations
 
 
-def with_constant_part(assessment: "Assessment") -> set[str]:
+def widening(assessment: "Assessment", names: Iterable[str]) -> dict[str, str]:
+    """Of parameters whose intervals are wide by more than chance, what is known to make them so."""
+    said = [f for f in assessment.findings() if f.code == "records_disagree"]
+    disagreeing = {name for finding in said for name in finding.parameters}
+    constant = _with_constant_part(assessment)
+    found = {n: CONSTANT for n in names if n.partition("[")[0] in constant}
+    return found | {n: PHRASES["records_disagree"] for n in names if n in disagreeing}
+
+
+def _with_constant_part(assessment: "Assessment") -> set[str]:
     """Parameters of equations whose errors share a constant part."""
     some = (one for one in _equations(assessment) if one.has_constant_part)
     return {name for one in some for name in one.parameters}
@@ -212,7 +219,7 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     smooth = isinstance(weight, AbstractSmoothTestFunction)
     if "prior_disagrees" in by or "outside_bound" in by:
         names = [f.parameters[0] for f in own if f.code in ("prior_disagrees", "outside_bound")]
-        yield Step(f"Check what you said of {_joined(names)}, its unit too, or leave it out")
+        yield Step(f"Check what you said of {joined(names)}, its unit too, or leave it out")
     if "time_unit_doubtful" in by:
         yield Step(
             "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
@@ -232,7 +239,7 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     if "records_disagree" in by:
         names = [f.parameters[0] for f in own if f.code == "records_disagree"]
         options = [word for name in names for word in ("--per-record", name)]
-        yield Step(f"Let {_joined(names)} differ between recordings", tuple(options))
+        yield Step(f"Let {joined(names)} differ between recordings", tuple(options))
     if "noise_dominates" in by:
         yield Step("Compare simulations, which need no derivative", ("--refine", "output-error"))
     if "coarse_sampling" in by and assessment.estimate.criterion.in_closed_form:
@@ -249,7 +256,8 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
 SMOOTH = ("--test-function", "bump")
 
 
-def _joined(names: Sequence[str]) -> str:
+def joined(names: Sequence[str]) -> str:
+    """At least one name, the last of several behind an "and"."""
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from riecjax.assessment.causes import CONSTANT, Cause, causes, with_constant_part
+from riecjax.assessment.causes import Cause, causes, joined, widening
 from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
 from riecjax.shows import Shown
 
@@ -76,13 +76,12 @@ def verdict(assessment: "Assessment") -> Verdict:
     found = doubts(assessment)
     grouped = causes(assessment, found)
     answer, units = assessment.answer, dict(assessment.answer.units)
-    constant = with_constant_part(assessment)
+    widened = widening(assessment, names=found)
     judged = {}
     for name, doubt in found.items():
         value = float(answer[name])
         size = max(abs(value), 1e-300)
-        widened = _widened(name, grouped, name.partition("[")[0] in constant)
-        level, reason = _judged(name, doubt, size, grouped, widened)
+        level, reason = _judged(name, doubt, size, grouped, widened.get(name, ""))
         share = doubt.size / size
         judged[name] = ParameterVerdict(
             name, value, units.get(name, ""), level, reason, doubt.around(value), share
@@ -113,14 +112,6 @@ def _judged(
     parts = {"model": wrong, "sensors": doubt.sensors, "data": doubt.scatter}
     kind = max(parts, key=lambda part: parts[part])
     return level, (widened if kind == "data" else "") or _reason(kind, name, grouped)
-
-
-def _widened(name: str, grouped: Sequence[Cause], constant: bool) -> str:
-    """What makes an interval wide beside chance; empty if nothing is known to."""
-    found = [f for cause in grouped for f in cause.findings if name in f.parameters]
-    if any(f.code == "records_disagree" for f in found):
-        return "the recordings disagree"
-    return CONSTANT if constant else ""
 
 
 def _reason(kind: str, name: str, grouped: Sequence[Cause]) -> str:
@@ -170,17 +161,13 @@ def _listed(some: Sequence[ParameterVerdict]) -> str:
     if more > 0:
         worst = max((one.share for one in some if one.share < 1), default=1.0)
         words.append(f"{more} more{f' to {percent(worst)}' if worst < 1 else ''}")
-    return _joined(words)
+    return joined(words)
 
 
 def _names(some: Sequence[ParameterVerdict]) -> str:
     words = [one.name for one in some[:NAMED]]
     more = len(some) - NAMED
-    return _joined([*words, f"{more} more"] if more > 0 else words)
-
-
-def _joined(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+    return joined([*words, f"{more} more"] if more > 0 else words)
 
 
 def _with_share(one: ParameterVerdict) -> str:
