@@ -20,6 +20,7 @@ from benchmarks.faults.faults import FAULTS, recorded
 from benchmarks.faults.machines import MACHINES, RATE, Machine
 from riecjax.cli.identify import command
 from riecjax.cli.main import run
+from riecjax.finding_codes import code_of
 
 OPTIONS = ("--json", "--refine", "none", "--no-sweep")
 UNTREATED = {
@@ -191,14 +192,7 @@ def judged(
 
 def counts(code: str) -> bool:
     """Whether a finding speaks of sensors, the model or noise, and not of amount or computing."""
-    return kind_of(code) not in ("data", "computation")
-
-
-def kind_of(code: str) -> str:
-    """Kind of a finding's code."""
-    from riecjax.assessment.causes import KINDS
-
-    return next((kind for kind, codes in KINDS.items() if code in codes), "")
+    return code_of(code).kind not in ("data", "computation")
 
 
 @functools.lru_cache(maxsize=256)
