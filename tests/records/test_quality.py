@@ -69,6 +69,7 @@ def spiked(values: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 # What must be found.
 
 
+@pytest.mark.raises_finding("clipped")
 @pytest.mark.parametrize("share", [0.5, 0.8, 0.95])
 @pytest.mark.parametrize("hertz", [1.0, 3.7, 51.0])
 def test_a_clipped_sine(hertz, share):
@@ -97,6 +98,7 @@ def test_clipped_on_one_side_says_where_how_much_and_what_to_do():
     assert "larger range" in said
 
 
+@pytest.mark.raises_finding("stuck_sensor")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_frozen_sensor(seed):
     for values in (white(seed), smooth(seed), walk(seed), sine(3.1, seed) + 0.01 * white(seed)):
@@ -123,6 +125,7 @@ def test_a_sensor_that_drops_to_zero():
     assert "(300 samples in 1 place(s), 6 %)" in said
 
 
+@pytest.mark.raises_finding("outliers")
 @pytest.mark.parametrize("make", [white, smooth, walk, lambda seed: sine(3.0, seed)])
 def test_three_spikes_of_ten_sigma(make):
     def found(seed: int) -> bool:
@@ -148,6 +151,7 @@ def test_outliers_say_how_many_how_far_and_where():
     assert "NaN" in said
 
 
+@pytest.mark.raises_finding("missing_samples")
 def test_missing_samples():
     values = white(0)
     values[[100, 101, 3000]] = np.nan
@@ -170,6 +174,7 @@ def test_a_pause_is_a_gap():
     assert "(1 of 10001) are missing in 1 gap" in message(paused, "missing_samples")
 
 
+@pytest.mark.raises_finding("quantised")
 @pytest.mark.parametrize("offset", [0.0, np.pi, -1e3])
 @pytest.mark.parametrize("quantum", [0.05, 0.1, 0.3])
 def test_coarse_resolution(quantum, offset):
