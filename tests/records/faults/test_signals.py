@@ -6,7 +6,7 @@ import scipy.io
 
 from conftest import measured_data
 from riecjax.errors import DataError
-from riecjax.records.quality import check_signals
+from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record
 
 RATE = 1000.0
