@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
+from riecjax.records.faults.outliers import outliers
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.resolution import MOST_OUTLIERS, levels_of, resolution_of, rounding_of
 
@@ -78,7 +79,7 @@ def check_signals(record: Record, names: Iterable[str]) -> list[Finding]:
             rest = [s for key, s in {**signals, **others}.items() if key != name]
             findings += _clipped(signal)
             findings += _stuck(signal, rest)
-            findings += _outliers(signal)
+            findings += outliers(signal.name, signal.values, signal.time, signal.unit)
             findings += _quantised(signal)
     return findings
 

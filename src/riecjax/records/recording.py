@@ -214,6 +214,7 @@ def _recording(
             Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
             for n, why in mismatches.items()
         ),
+        *(f._replace(message=f"{file}: {f.message}") for f in selected.findings),
         *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
         *(
             Finding("column_left_out", f"{file}: {why}, {computed.format(n)}", (n,))

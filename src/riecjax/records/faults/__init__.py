@@ -1,0 +1,1 @@
+"""Faults of sensors, converters and loggers, one module for each."""
