@@ -8,7 +8,7 @@ from riecjax.errors import DataError, require
 from riecjax.records.faults.outliers import Treatment
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.preparation.steps import Preparation
-from riecjax.records.reading.selection import Selection
+from riecjax.records.reading.selected import Selection
 
 
 class ReadingSettings(TypedDict, total=False):

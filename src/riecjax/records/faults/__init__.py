@@ -1,1 +1,1 @@
-"""Faults of sensors, converters and loggers, one module for each."""
+"""Faults of recordings, each found by a module that is named for it."""

@@ -18,14 +18,21 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from riecjax.records.noise import DIFFERENCE_ORDER
-from riecjax.records.resolution import LAST_DIGITS, ROUNDING, levels_of, resolution_of
+from riecjax.records.resolution import (
+    FEW_LEVELS,
+    LAST_DIGITS,
+    ROUNDING,
+    is_piecewise_linear,
+    levels_of,
+    resolution_of,
+)
 
 SUSPECT = 4.5
 """Standard deviations past which a sixth difference makes suspects of the samples around it."""
 SPIKE = 6.0
 """Standard deviations that a spike is off the cubic at the least."""
-MOST_SUSPECTS = 0.5
-"""Share of samples past which suspects are how the signal is; seven are around each spike."""
+MOST_SUSPECTS = 0.8
+"""Share of samples past which suspects are how the signal is; 13 are around each spike."""
 BESIDE = 8
 """Samples to each side that the cubic goes through."""
 LONGEST = 3
@@ -34,8 +41,6 @@ BLOCK = 128
 """Samples over which noise is taken to be alike."""
 STEADIEST = 0.1
 """Share of the noise of all of a signal that its noise is anywhere, at the least."""
-FEW_LEVELS = 20
-"""Distinct values up to which a signal counts as a command or a relay, not as a sensor's."""
 BEYOND = 1e3
 """Times the largest other value past which a sample of a command is none that was meant."""
 IMPOSSIBLE = 1e30
@@ -111,16 +116,6 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     return Spikes(places, repaired, np.abs(values[places] - repaired), scale * noise[places])
 
 
-def is_piecewise_linear(
-    values: Float[np.ndarray, " n"], levels: Float[np.ndarray, " levels"], rounding: float
-) -> bool:
-    """Whether more than half of the samples lie on straight lines, as only commands do."""
-    bend = np.diff(values, 2)
-    extreme = np.isin(values[1:-1], levels[[0, -1]])
-    inner = np.abs(bend[~extreme & ~np.isnan(bend)])
-    return not inner.size or bool(np.mean(inner <= rounding) > 0.5)
-
-
 def _spread(known: np.ndarray) -> float:
     """How widely values spread that are not spikes."""
     for share in (0.1, 0.01, 0.0):
@@ -133,8 +128,12 @@ def _spread(known: np.ndarray) -> float:
 def _beyond_all(values: np.ndarray) -> Spikes | None:
     """Of a command, what is far beyond all other values; the value before takes its place."""
     sizes = np.abs(values)
-    usual = float(np.nanquantile(sizes, 0.95))
-    far = sizes > (BEYOND * usual if usual else IMPOSSIBLE)
+    ranked = np.sort(sizes[~np.isnan(sizes)])[::-1]
+    ranked = ranked[: ranked.size // 10 + 2]
+    apart = ranked[:-1] > np.where(ranked[1:] > 0, BEYOND * ranked[1:], IMPOSSIBLE)
+    if not apart.any():
+        return None
+    far = sizes >= ranked[np.flatnonzero(apart)[-1]]
     far &= ~_in_runs_beyond(far, LONGEST)
     places = np.flatnonzero(far)
     if not places.size:
@@ -177,8 +176,11 @@ def _judged(
         found[places] &= off[places] > np.maximum(clear, SPIKE / 2 * scale)
     found &= off > USUAL_TAIL * _tail(np.abs(np.diff(cleaned, DIFFERENCE_ORDER)) / GAIN, off.size)
     rest = _off_cubics(cleaned)
-    found &= sizes >= _threshold(rest, sizes[found], noise)
-    return found & ~_among_others(np.where(rest > SUSPECT * noise, rest, 0.0), off, found), noise
+    # Where noise changes within a block, the block's own is too small for a part of it.
+    edged = np.pad(noise, BLOCK, mode="edge")
+    most = np.maximum(noise, np.maximum(edged[: -2 * BLOCK], edged[2 * BLOCK :]))
+    found &= sizes >= _threshold(rest, sizes[found], most)
+    return found & ~_among_others(np.where(rest > SUSPECT * most, rest, 0.0), off, found), noise
 
 
 def _local_noise(sixth: np.ndarray, count: int, quantum: float) -> np.ndarray:

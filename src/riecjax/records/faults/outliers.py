@@ -69,7 +69,8 @@ def finding_of(
         f"({100 * count / present:.2g} %), up to {f'{np.max(spikes.sizes):.4g} {unit}'.rstrip()} "
         f"off the samples around{against}, at {listed}{more}. {said}."
     )
-    return Finding("outliers", message, (name,), doubt=doubt)
+    remedy = ("--outliers", "repair") if kept and not too_many(spikes, values) else ()
+    return Finding("outliers", message, (name,), doubt=doubt, remedy=remedy)
 
 
 def _share_of_energy(spikes: Spikes, values: Float[np.ndarray, " n"]) -> float:

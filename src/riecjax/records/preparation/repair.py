@@ -1,6 +1,7 @@
 """Spikes replaced by what the samples around them say, before anything else is made of a signal."""
 
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from riecjax.findings import Finding
 from riecjax.records.faults.local_cubics import find_spikes
 from riecjax.records.faults.outliers import DONE, Treatment, finding_of, too_many
 from riecjax.records.preparation.filtering import with_gaps
+from riecjax.records.reading.selected import Selection
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -47,26 +49,28 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
 
 def treat_all(
     columns: Mapping[str, Float[np.ndarray, " n"]],
-    time: Mapping[str, Float[np.ndarray, " n"]],
-    how: Treatment,
+    times: Mapping[str, Float[np.ndarray, " n"]],
+    selection: Selection,
     units: Mapping[str, str],
-    used: Mapping[str, Collection[str]],
 ) -> tuple[dict[str, np.ndarray], list[str], list[Finding]]:
     """Columns of a file without their spikes, what was done in words, and what is amiss with them.
 
-    **Arguments:** `time` of each that is to be looked at; `used`, signals that are computed from a
-    column, which its finding concerns too.
+    A finding concerns what is computed from a column too.
+
+    **Arguments:** `times` of those that have stamps, the others are at the selection's time step.
 
     **Raises:** `DataError` for another treatment.
     """
-    values, words, findings = dict(columns), [], []
-    for name, stamps in time.items():
-        found = treat(name, columns[name], stamps, how, units.get(name, ""))
+    values, words, findings = {}, [], []
+    for name, column in columns.items():
+        even = (selection.time_step or 1.0) * np.arange(column.size)
+        stamps = times.get(name, even)
+        found = treat(name, column, stamps, selection.outliers, units.get(name, ""))
+        values[name] = found.values
         if found.finding is not None:
-            values[name] = found.values
+            used = [k for k, f in selection.derive.items() if name in re.findall(r"\w+", f)]
             words.append(found.words)
-            concerned = (name, *used.get(name, ()))
-            findings.append(found.finding._replace(signals=concerned))
+            findings.append(found.finding._replace(signals=(name, *used)))
     return values, words, findings
 
 
