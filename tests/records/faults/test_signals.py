@@ -146,9 +146,9 @@ def test_a_spike_of_any_height(make, height):
 def test_outliers_say_how_many_how_far_and_where():
     values, where = spiked(sine(3.0) + 0.01 * white(0))
     said = message(record("N", x=values), "outliers")
-    assert said.startswith("x: 3 sample(s) stand out from their neighbours by up to 7.")
-    assert f"first at {TIME[where[0]]:.4g} s" in said
-    assert "NaN" in said
+    assert said.startswith("x: 3 samples are spikes (0.06 %), up to 7.")
+    assert f"at {', '.join(f'{t:.6g}' for t in TIME[where])} s" in said
+    assert "repair_outliers" in said
 
 
 @pytest.mark.raises_finding("missing_samples")
@@ -303,7 +303,8 @@ def test_pendulum():
     folder = measured_data("pendulum_single")
     data = scipy.io.loadmat(folder / "SinglePendulumDataForParameterEstimation.mat")
     for piece in (*data["Y_id"].ravel(), *data["Y_vad"].ravel()):
-        assert found_in({"theta": piece[0], "dtheta": piece[1]}, 1e-3) == set()
+        # Single angles are one count of the encoder off, 2 pi / 40960, 13 times their noise.
+        assert found_in({"theta": piece[0], "dtheta": piece[1]}, 1e-3) <= {("theta", "outliers")}
     small = scipy.io.loadmat(
         folder / "SingleDataFreeSwing_1_Dt_0_0001.mat", squeeze_me=True, struct_as_record=False
     )
@@ -321,12 +322,12 @@ def test_damper_velocity_is_a_difference_of_a_coarse_displacement(number):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        # The angle jumps by 1.3 degrees from one sample to the next, and the control kicks.
+        # The angle jumps by up to 1.3 degrees from one sample to the next, and the control kicks.
         ("sinal1_semi_estatica", {("u", "outliers")}),
-        ("sinal2_degraus", set()),
+        ("sinal2_degraus", {("u", "outliers")}),
         # The same at 60.95 s; and the control is held at its limit of -10 %.
         ("sinal3_swept_sine", {("u", "outliers"), ("u", "clipped")}),
-        ("sinal4_multiseno", set()),
+        ("sinal4_multiseno", {("u", "outliers")}),
     ],
 )
 def test_quarter_drone(name, expected):
