@@ -20,7 +20,7 @@ from riecjax.records.reading.time_stamps import of_text_column, unwrapped
 from riecjax.work import Work, expect
 
 BESIDE = 6
-"""Columns of numbers that PyArrow holds at its peak, with time stamps, beside those that are read."""
+"""Columns of numbers that PyArrow holds beside those that are read, at most: with time stamps."""
 UNNAMED_INDEX = "__index_level_0__"
 """What pandas calls the index of a frame when it has no name."""
 
