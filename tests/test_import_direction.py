@@ -28,7 +28,17 @@ STAGES = (
 )
 OUTSIDE = ("models", "assessment", "paper", "reporting", "cli")
 """What the engine never imports."""
-SHARED = ("errors", "findings", "leaves", "linear_algebra", "runtime", "shows", "tails", "work")
+SHARED = (
+    "errors",
+    "finding_codes",
+    "findings",
+    "leaves",
+    "linear_algebra",
+    "runtime",
+    "shows",
+    "tails",
+    "work",
+)
 """Modules beside the stages that all may import, and that import nothing of the package."""
 STUDY = ("paper", "models/quarter_car", "reporting/paper_charts")
 """A user's own study could stand in the place of these: they import what is public, as public."""
