@@ -10,7 +10,7 @@ import sys
 
 import click
 
-from riecjax.errors import RiecjaxError
+from riecjax.errors import RiecjaxError, printable
 from riecjax.work import REMEDY
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
@@ -104,5 +104,5 @@ def _no_answer(message: str, code: str, arguments: list[str]) -> int:
 
 
 def _fail(message: str, status: int) -> int:
-    click.echo(f"riecjax: {' '.join(message.split())}", err=True)
+    click.echo(f"riecjax: {printable(' '.join(message.split()))}", err=True)
     return status

@@ -9,7 +9,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from riecjax.errors import DataError, MissingSignalError, ModelError, require
+from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
 from riecjax.records.preparation import split
 from riecjax.records.preparation.steps import Preparation, prepare
@@ -57,7 +57,8 @@ class Recording(Drawn):
     @property
     def name(self) -> str:
         """What messages and tables call it: its file's name, and which part of it."""
-        return ", ".join(filter(None, (Path(self.source).name or "the record", self.part)))
+        file = Path(self.source).name or "the record"
+        return printable(", ".join(filter(None, (file, self.part))))
 
     def split(self, share: float) -> tuple["Recording", "Recording"]:
         """Hold out the last `share` of its samples; see [`split`][riecjax.split].
@@ -284,9 +285,10 @@ def _explaining(
                 message = (
                     f"{why}, so that the record has no signal '{error.signal}'; it has: {listed}."
                 )
-        name = ", ".join(filter(None, (Path(source).name, part)))
+        name = printable(", ".join(filter(None, (Path(source).name, part))))
         prefix = "" if message.startswith(f"{name}: ") else f"{name}: "
-        raise DataError(" ".join((prefix + message).split())[:LONGEST_MESSAGE]) from None
+        said = " ".join(printable(prefix + message).split())
+        raise DataError(said[:LONGEST_MESSAGE]) from None
 
 
 def _in_model_units(

@@ -50,6 +50,8 @@ STYLE: Any = {
     "legend.columnspacing": 1.2,
     "hatch.linewidth": 0.6,
     "figure.constrained_layout.use": True,
+    # A name with two dollars in it is no formula.
+    "text.parse_math": False,
 }
 
 
