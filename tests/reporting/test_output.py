@@ -30,7 +30,7 @@ from riecjax.records.recording import Recording
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
-from riecjax.reporting.document import versions
+from riecjax.reporting.document import sealed, versions
 from riecjax.reporting.identification import (
     identification_document,
     print_everything,
@@ -80,7 +80,7 @@ def test_terminal(capsys):
 def test_json(capsys):
     emitted(as_json=True)
     captured = capsys.readouterr()
-    assert json.loads(captured.out) == DOCUMENT
+    assert json.loads(captured.out) == sealed(DOCUMENT)
     assert captured.err == "warning [odd]: 5 < 6 & so on\n"
 
 
@@ -94,7 +94,7 @@ def test_folder(capsys, tmp_path):
     names = sorted(path.name for path in out.iterdir())
     assert names == ["one.png", "report.html", "results.json", "two.png"]
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
-    assert json.loads((out / "results.json").read_text()) == DOCUMENT
+    assert json.loads((out / "results.json").read_text()) == sealed(DOCUMENT)
     assert str(out) in capsys.readouterr().out
 
 
@@ -153,9 +153,9 @@ def test_no_file_is_left_open(tmp_path):
 
 def test_results_are_made_in_a_folder_that_keeps_no_one_out(tmp_path):
     (tmp_path / "ordinary").mkdir()
-    made = _folder_beside(tmp_path / "out")
-    assert made.parent == tmp_path
-    assert made.stat().st_mode == (tmp_path / "ordinary").stat().st_mode
+    with _folder_beside(tmp_path / "out") as made:
+        assert made.parent == tmp_path
+        assert made.stat().st_mode == (tmp_path / "ordinary").stat().st_mode
 
 
 @pytest.mark.parametrize("module", ["matplotlib", "jinja2", "plotly"])

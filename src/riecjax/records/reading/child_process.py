@@ -6,9 +6,11 @@ for all memory. So it runs in a separate process, which is this module as a prog
 """
 
 import contextlib
+import ctypes
 import importlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -20,6 +22,7 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
+from riecjax.whole_files import temporary
 
 PATIENCE = 60.0
 """Seconds that reading may take, besides those that the file's size explains."""
@@ -27,6 +30,8 @@ SLOWEST_READING = 5e6
 """Bytes a second."""
 MEMORY = 4 * LARGEST_FILE
 """Bytes that the reading process may ask for."""
+END_WITH_PARENT = 1
+"""Linux's number for that wish."""
 OUT_OF_MEMORY = 77
 """Exit status of the reading process: not 3, with which abort() ends one on Windows."""
 
@@ -42,11 +47,11 @@ def read_apart(
     """
     limit = PATIENCE + size_of(file) / SLOWEST_READING
     # What the library leaves behind when it crashes goes with this folder.
-    with tempfile.TemporaryDirectory(prefix="riecjax-", ignore_cleanup_errors=True) as folder:
-        out = Path(folder) / "channels.npz"
+    with temporary(Path(tempfile.gettempdir()), is_folder=True, mode=0o700) as folder:
+        out = folder / "channels.npz"
         words = (read.__module__, read.__name__, file.absolute(), out, json.dumps(arguments))
         try:
-            status = _run(list(map(str, words)), Path(folder), limit)
+            status = _run(list(map(str, words)), folder, limit)
         except subprocess.TimeoutExpired:
             raise DataError(
                 f"not a readable {kind} file: reading it took longer than {limit:.0f} s."
@@ -113,6 +118,8 @@ def _limit_resources() -> None:
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # of Linux alone
+        ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
 
 
 if __name__ == "__main__":
