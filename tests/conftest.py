@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from riecjax.findings import Finding
 from riecjax.runtime import processor, start_jax
 
 ROOT = Path(__file__).parents[1]
@@ -52,6 +53,29 @@ def forget_compiled_functions() -> Iterator[None]:
     if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """A test that says which findings it raises, or that it raises none of some, is held to it."""
+    raised = {code for mark in item.iter_markers("raises_finding") for code in mark.args}
+    absent = {code for mark in item.iter_markers("no_finding") for code in mark.args}
+    if not raised | absent:
+        return (yield)
+    made: set[str] = set()
+    new = Finding.__new__
+
+    def noted(cls, code, *args, **kwargs):
+        made.add(code)
+        return new(cls, code, *args, **kwargs)
+
+    Finding.__new__ = noted
+    try:
+        yield
+    finally:
+        Finding.__new__ = new
+    assert raised <= made, f"no finding {sorted(raised - made)} was made, as the mark says"
+    assert not absent & made, f"a finding {sorted(absent & made)} was made, against the mark"
 
 
 def measured_data(folder: str) -> Path:

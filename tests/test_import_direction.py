@@ -30,6 +30,7 @@ OUTSIDE = ("models", "assessment", "paper", "reporting", "cli")
 """What the engine never imports."""
 SHARED = (
     "errors",
+    "finding_codes",
     "findings",
     "leaves",
     "linear_algebra",

@@ -1,14 +1,17 @@
 """What a user should know of data or of a result, with a code for scripts."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 
 class Finding(NamedTuple):
     """Something a user should know, with a code for scripts.
 
-    **Fields:** `code`; `message`, with what to do about it; `signals` and `parameters`, the names
-    of those that it concerns, empty where it concerns all or none; `doubt`, the share of a value by
-    which it puts each of them in doubt, where it tells.
+    **Fields:** `code`, one of `riecjax.finding_codes.CODES`; `message`, with what to do about it;
+    `signals` and `parameters`, the names of those that it concerns, empty where it concerns all or
+    none; `doubt`, the share of a value by which it puts each of them in doubt, where it tells, and
+    `doubts`, the same by parameter where it differs; `remedy`, options of `riecjax identify` that
+    put it right, and `step`, the same in words.
     """
 
     code: str
@@ -16,3 +19,6 @@ class Finding(NamedTuple):
     signals: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
     doubt: float = 0.0
+    doubts: Mapping[str, float] = {}
+    remedy: tuple[str, ...] = ()
+    step: str = ""

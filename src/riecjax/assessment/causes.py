@@ -13,6 +13,7 @@ from riecjax.criteria.smooth_test_functions import AbstractSmoothTestFunction
 from riecjax.equations.expressions import constant
 from riecjax.equations.hidden_modes import is_hidden_name
 from riecjax.equations.term import Term
+from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
 from riecjax.findings import Finding
 from riecjax.studies.drift import MOST, WindowSweep
 from riecjax.validation.residuals import EquationResidual
@@ -20,111 +21,6 @@ from riecjax.validation.residuals import EquationResidual
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
 
-KINDS = {
-    "undetermined": (
-        "unidentifiable",
-        "undetermined",
-        "mode_not_carried",
-        "series_spring_not_carried",
-        "negative_value",
-        "interval_wider_than_estimate",
-        "not_excited",
-        "rarely_excited",
-    ),
-    "sensors": (
-        "prior_disagrees",
-        "outside_bound",
-        "time_unit_doubtful",
-        "unit_mismatch",
-        "not_its_derivative",
-        "constant_signal",
-        "stuck_sensor",
-        "clipped",
-        "outliers",
-        "missing_samples",
-        "quantised",
-        "column_left_out",
-        "part_left_out",
-        "nothing_cut",
-        "rows_left_out",
-    ),
-    "model": (
-        "unmodelled_mode",
-        "large_residual",
-        "residual_follows_signal",
-        "window_sensitive",
-        "uneven_errors",
-        "does_not_predict",
-        "records_disagree",
-        "no_known_term",
-        "break_points_outside",
-    ),
-    "noise": ("noise_dominates",),
-    "data": (
-        "nearly_collinear",
-        "ill_conditioned",
-        "few_blocks",
-        "few_effective_windows",
-        "short_record",
-    ),
-    "computation": (
-        "mode_elsewhere",
-        "coarse_sampling",
-        "coarse_steps",
-        "refinement_not_converged",
-        "refined_predicts_worse",
-        "at_bound",
-        "short_windows",
-        "single_precision",
-        "band_snapped",
-        "residuals_not_tested",
-        "not_validated",
-        "validated_on_fitted",
-    ),
-}
-"""Codes of each kind of cause, first what says most of it. What a user says of a parameter is held
-against the answer as a sensor is."""
-PHRASES = {
-    "unidentifiable": "the recordings cannot tell {parameters} apart",
-    "undetermined": "the recordings say nothing of {parameters}",
-    "mode_not_carried": "the recordings carry no such mode",
-    "mode_elsewhere": "no mode is near the frequency asked for",
-    "series_spring_not_carried": "the recordings do not tell {parameters} from infinity",
-    "negative_value": "{parameters} is below zero",
-    "interval_wider_than_estimate": "the recordings hardly determine {parameters}",
-    "rarely_excited": "{parameters} is seldom excited",
-    "prior_disagrees": "the recordings and the prior of {parameters} disagree",
-    "outside_bound": "{parameters} lies outside its bounds",
-    "time_unit_doubtful": "time may be in another unit than seconds",
-    "unit_mismatch": "{signals} has another unit than the model expects",
-    "not_its_derivative": "{signals} do not fit each other",
-    "constant_signal": "{signals} never varies",
-    "stuck_sensor": "{signals} is stuck for a while",
-    "clipped": "{signals} is clipped",
-    "outliers": "{signals} has outliers",
-    "missing_samples": "samples of {signals} are missing",
-    "quantised": "{signals} is coarsely quantised",
-    "large_residual": "the model leaves more than half of the signal",
-    "residual_follows_signal": "what the model leaves follows {signals}",
-    "window_sensitive": "estimates drift with window length",
-    "uneven_errors": "errors differ much along the record",
-    "does_not_predict": "the model does not predict",
-    "records_disagree": "the recordings disagree",
-    "no_known_term": "no term of an equation is known",
-    "noise_dominates": "noise of {signals} makes much of what tells {parameters} apart",
-    "nearly_collinear": "little tells {parameters} apart",
-    "ill_conditioned": "little tells some parameters apart",
-    "few_blocks": "few stretches of the record tell of {parameters}",
-    "few_effective_windows": "few independent windows tell of {parameters}",
-    "short_record": "the record is short",
-    "coarse_sampling": "the motion is sampled coarsely",
-    "coarse_steps": "the simulation's steps are coarse",
-    "refinement_not_converged": "the refinement did not converge",
-    "refined_predicts_worse": "the refined model predicts worse",
-    "validated_on_fitted": "it was validated on what it was fitted to",
-    "at_bound": "{parameters} sits on a bound",
-    "single_precision": "it was computed in 32-bit",
-}
 CONSTANT = "errors share a constant part, as of a sensor's offset"
 
 
@@ -162,8 +58,8 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
     size = {name: max(abs(float(answer[name])), 1e-300) for name in found}
     grouped, said = [], assessment.findings()
     widened = widening(assessment, names=found)
-    for kind, codes in KINDS.items():
-        own = [f for code in codes for f in said if f.code == code]
+    for kind in KINDS:
+        own = [f for code in codes_of(kind) for f in said if f.code == code]
         if not own:
             continue
         of = {name for f in own for name in concerned(assessment, f)}
@@ -186,11 +82,7 @@ def _phrase(assessment: "Assessment", finding: Finding) -> str:
         return f"the model leaves out a mode near {peak.frequency:.3g} Hz"
     if finding.code in ("large_residual", "uneven_errors") and _with_constant_part(assessment):
         return CONSTANT
-    pattern = PHRASES.get(finding.code, finding.code.replace("_", " "))
-    return pattern.format(
-        signals=" and ".join(finding.signals) or "a signal",
-        parameters=", ".join(finding.parameters) or "some parameters",
-    )
+    return code_of(finding.code).said(finding.signals, finding.parameters)
 
 
 def _equations(assessment: "Assessment") -> Sequence[EquationResidual]:
@@ -203,7 +95,7 @@ def widening(assessment: "Assessment", names: Iterable[str]) -> dict[str, str]:
     disagreeing = {name for finding in said for name in finding.parameters}
     constant = _with_constant_part(assessment)
     found = {n: CONSTANT for n in names if n.partition("[")[0] in constant}
-    return found | {n: PHRASES["records_disagree"] for n in names if n in disagreeing}
+    return found | {n: CODES["records_disagree"].phrase for n in names if n in disagreeing}
 
 
 def _with_constant_part(assessment: "Assessment") -> set[str]:
@@ -217,6 +109,7 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     by = {f.code: f for f in reversed(own)}
     weight = getattr(assessment.estimate.criterion, "test_function", None)
     smooth = isinstance(weight, AbstractSmoothTestFunction)
+    yield from (Step(f.step, f.remedy) for f in own if f.step)
     if "prior_disagrees" in by or "outside_bound" in by:
         names = [f.parameters[0] for f in own if f.code in ("prior_disagrees", "outside_bound")]
         yield Step(f"Check what you said of {joined(names)}, its unit too, or leave it out")

@@ -144,11 +144,12 @@ def _amiss(assessment: "Assessment") -> dict[str, float]:
     """By what is amiss with the recordings: of each kind of fault all of it, of kinds the worst."""
     found: dict[str, dict[str, float]] = {}
     for finding in assessment.findings():
-        if finding.doubt > 0:
-            for name in concerned(assessment, finding):
+        for name in concerned(assessment, finding):
+            share = finding.doubts.get(name, finding.doubt)
+            if share > 0:
                 own = found.setdefault(name, {})
-                share = finding.doubt * abs(float(assessment.answer[name]))
-                own[finding.code] = own.get(finding.code, 0.0) + share
+                moved = share * abs(float(assessment.answer[name]))
+                own[finding.code] = own.get(finding.code, 0.0) + moved
     return {name: max(own.values()) for name, own in found.items()}
 
 
