@@ -8,10 +8,12 @@ takes longer than most reading, and is ended where a file took too long or too m
 
 import atexit
 import contextlib
+import ctypes
 import importlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -25,6 +27,7 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
+from riecjax.whole_files import temporary
 from riecjax.work import free_memory
 
 PATIENCE = 60.0
@@ -35,6 +38,8 @@ MEMORY = 4 * LARGEST_FILE
 """Bytes that the reading process may ask for, where so many are free."""
 LEAST_MEMORY = 2 * 2**30
 """Bytes that it may ask for in any case: libraries reserve much that they never use."""
+END_WITH_PARENT = 1
+"""Linux's number for that wish."""
 
 
 def read_apart(
@@ -70,13 +75,15 @@ class _Reader:
     """The reading process and the folder for what it hands over, and what crashes leave behind."""
 
     def __init__(self):
-        self.folder = tempfile.TemporaryDirectory(prefix="riecjax-", ignore_cleanup_errors=True)
-        self.out = Path(self.folder.name) / "channels.npz"
+        self.ending = contextlib.ExitStack()
+        place = temporary(Path(tempfile.gettempdir()), is_folder=True, mode=0o700)
+        folder = str(self.ending.enter_context(place))
+        self.out = Path(folder) / "channels.npz"
         self.made_for = _surroundings()
-        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self.folder.name)
+        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
         self.process = subprocess.Popen(
             # -P: it finds its modules where this process does, and not in the working folder.
-            [sys.executable, "-P", "-m", __spec__.name, self.folder.name],
+            [sys.executable, "-P", "-m", __spec__.name, folder],
             env={**os.environ, **places, "PYTHONPATH": self.made_for[1]},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -101,7 +108,7 @@ class _Reader:
     def end(self) -> None:
         self.process.kill()
         self.process.communicate()
-        self.folder.cleanup()
+        self.ending.close()
 
 
 _lock = threading.RLock()
@@ -189,6 +196,8 @@ def _limit_resources() -> None:
         memory = int(max(min(MEMORY, free_memory()), LEAST_MEMORY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # of Linux alone
+        ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
 
 
 def _limit_time(limit: float) -> None:
