@@ -116,6 +116,12 @@ CODES: dict[str, FindingCode] = {
         "increments of a signal against the integral of its derivative",
         "records.consistency:GAIN",
     ),
+    "late_signal": FindingCode(
+        "sensors",
+        "{signals} is late",
+        "the delay at which an equation leaves least, and what it leaves there beyond noise",
+        "validation.late_signals:LEVEL",
+    ),
     "constant_signal": FindingCode("sensors", "{signals} never varies", "distinct values"),
     "stuck_sensor": FindingCode(
         "sensors",
