@@ -8,12 +8,10 @@ takes longer than most reading, and is ended where a file took too long or too m
 
 import atexit
 import contextlib
-import ctypes
 import importlib
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -38,8 +36,6 @@ MEMORY = 4 * LARGEST_FILE
 """Bytes that the reading process may ask for, where so many are free."""
 LEAST_MEMORY = 2 * 2**30
 """Bytes that it may ask for in any case: libraries reserve much that they never use."""
-END_WITH_PARENT = 1
-"""Linux's number for that wish."""
 
 
 def read_apart(
@@ -196,8 +192,6 @@ def _limit_resources() -> None:
         memory = int(max(min(MEMORY, free_memory()), LEAST_MEMORY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # of Linux alone
-        ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
 
 
 def _limit_time(limit: float) -> None:
