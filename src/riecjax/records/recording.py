@@ -16,7 +16,8 @@ from riecjax.records.preparation.steps import Preparation, prepare
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
-from riecjax.records.reading.selection import Selected, Selection, record_from_channels
+from riecjax.records.reading.selected import Selected, Selection
+from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.unit_expressions import same
 from riecjax.records.reading.units import split_unit
 from riecjax.records.reading_settings import ReadingSettings, sorted_settings
@@ -215,6 +216,7 @@ def _recording(
             Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
             for n, why in mismatches.items()
         ),
+        *(f._replace(message=f"{file}: {f.message}") for f in selected.findings),
         *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
         *(
             Finding("column_left_out", f"{file}: {why}, {computed.format(n)}", (n,))

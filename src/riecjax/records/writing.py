@@ -3,7 +3,6 @@
 import csv
 import os
 import re
-import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from riecjax.errors import DataError, printable
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import STEP_TOLERANCE
+from riecjax.whole_files import temporary
 
 Columns = Mapping[str, np.ndarray]
 FORMULA = r"(^|[;|,\t]\s*)(?=[=+@-])"
@@ -54,21 +54,14 @@ def check_writable(file: Path) -> None:
 def write_whole(file: Path, write: Callable[[Path], None]) -> None:
     """Let `write` fill a temporary file beside `file`, then rename it: whole or not at all."""
     try:
-        handle, name = tempfile.mkstemp(dir=file.parent, suffix=f".tmp{file.suffix}")
+        with temporary(file.parent, file.suffix) as new:
+            write(new)
+            mask = os.umask(0)
+            os.umask(mask)
+            new.chmod(0o666 & ~mask)
+            new.replace(file)
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(file)
-    except OSError as error:
-        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _columns(record: Record) -> dict[str, np.ndarray]:

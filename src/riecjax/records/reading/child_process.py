@@ -25,6 +25,7 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
+from riecjax.whole_files import temporary
 from riecjax.work import free_memory
 
 PATIENCE = 60.0
@@ -70,13 +71,15 @@ class _Reader:
     """The reading process and the folder for what it hands over, and what crashes leave behind."""
 
     def __init__(self):
-        self.folder = tempfile.TemporaryDirectory(prefix="riecjax-", ignore_cleanup_errors=True)
-        self.out = Path(self.folder.name) / "channels.npz"
+        self.ending = contextlib.ExitStack()
+        place = temporary(Path(tempfile.gettempdir()), is_folder=True, mode=0o700)
+        folder = str(self.ending.enter_context(place))
+        self.out = Path(folder) / "channels.npz"
         self.made_for = _surroundings()
-        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self.folder.name)
+        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
         self.process = subprocess.Popen(
             # -P: it finds its modules where this process does, and not in the working folder.
-            [sys.executable, "-P", "-m", __spec__.name, self.folder.name],
+            [sys.executable, "-P", "-m", __spec__.name, folder],
             env={**os.environ, **places, "PYTHONPATH": self.made_for[1]},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -101,7 +104,7 @@ class _Reader:
     def end(self) -> None:
         self.process.kill()
         self.process.communicate()
-        self.folder.cleanup()
+        self.ending.close()
 
 
 _lock = threading.RLock()
