@@ -1,0 +1,1 @@
+"""Faults of recordings, each found by a module that is named for it."""
