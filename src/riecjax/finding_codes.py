@@ -130,9 +130,10 @@ CODES: dict[str, FindingCode] = {
     ),
     "late_signal": FindingCode(
         "sensors",
-        "{signals} do not fit each other in time",
-        "phase and size of a derivative against its signal, over frequencies",
-        "records.faults.derivative_pairs:LATE",
+        "{signals} is late",
+        "phase of a derivative against its signal, over frequencies; or the delay at which an "
+        "equation leaves least, and what it leaves there beyond noise",
+        "validation.late_signals:LEVEL",
     ),
     "low_passed": FindingCode(
         "sensors",
@@ -163,19 +164,19 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} is stuck for a while",
         "runs of one value that begin or end abruptly while other signals move",
-        "records.quality:STUCK_RATIO",
+        "records.faults.stuck_sensor:STUCK_RATIO",
     ),
     "clipped": FindingCode(
         "sensors",
         "{signals} is clipped",
         "how often and how abruptly a signal meets its extreme values",
-        "records.quality:PILE_UP",
+        "records.faults.clipping:PILE_UP",
     ),
     "outliers": FindingCode(
         "sensors",
         "{signals} has outliers",
-        "single samples against their neighbours",
-        "records.quality:OUTLIER_GAP",
+        "sixth differences, and cubics through the samples around, against the noise",
+        "records.faults.local_cubics:SPIKE",
     ),
     "missing_samples": FindingCode(
         "sensors", "samples of {signals} are missing", "samples that are no number"
@@ -184,7 +185,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} is coarsely quantised",
         "the greatest common step of a signal's values against its size",
-        "records.quality:COARSE",
+        "records.faults.quantisation:COARSE",
     ),
     "column_left_out": FindingCode(
         "sensors",

@@ -366,6 +366,7 @@ def test_a_signal_whose_column_was_left_out_says_why(capsys, case):
     assert "--map" not in message
 
 
+@pytest.mark.raises_finding("column_left_out")
 def test_a_signal_that_is_computed_because_its_column_was_left_out(capsys):
     columns = axis_columns(quarter_car_columns())
     time = columns["t"]

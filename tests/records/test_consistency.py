@@ -63,6 +63,7 @@ def test_derivatives_that_fit_raise_no_alarm(case):
     assert found(sound()[case]) == []
 
 
+@pytest.mark.raises_finding("not_its_derivative")
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("name", "factor"), [("x", 1e3), ("v", 57.29578), ("x", -1), ("v", 1.2)])
 def test_units_and_signs(seed, name, factor):

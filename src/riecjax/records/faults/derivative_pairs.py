@@ -221,7 +221,7 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
                 f"{late} is {size} late against {other}. {' '.join(advance)} brings it forward, "
                 f"as --align auto does when the file is read. Whether both are late against other "
                 f"signals the two cannot tell.",
-                (late, other),
+                (late,),
                 doubt=doubt,
                 remedy=advance,
                 step=f"Bring {late} forward by {by * step:.3g} s",

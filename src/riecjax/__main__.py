@@ -1,0 +1,5 @@
+"""`python -m riecjax`, which is the command line."""
+
+from riecjax.cli.start import main
+
+main()

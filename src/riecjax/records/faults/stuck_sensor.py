@@ -1,0 +1,86 @@
+"""A signal that does not change while the rest of the record moves."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from riecjax.findings import Finding
+from riecjax.records.faults.sampled_signal import (
+    FEW_LEVELS,
+    LONGEST_REST,
+    SampledSignal,
+    is_piecewise_linear,
+    percent,
+)
+
+STUCK_SAMPLES = 20
+"""Samples of one value that may be a stuck sensor."""
+STUCK_RATIO = 10.0
+"""Times that a stuck run is longer than what is usual (19 of 20 runs) in the signal."""
+ABRUPT = 0.1
+"""Share of the usual step past which a run begins or ends abruptly. What comes to rest at a finite
+deceleration takes a last step far below."""
+ABRUPT_QUANTA = 3.0
+"""The same in quanta of the signal."""
+MOVES = 0.3
+"""Share of its usual sample-to-sample change past which another signal moves meanwhile."""
+
+
+def stuck(signal: SampledSignal, others: list[SampledSignal]) -> Iterator[Finding]:
+    """A long run of one value, begun or left by a jump, while another signal moves on."""
+    starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
+    usual = float(np.quantile(lengths, 0.95))
+    long = np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
+    if not long.size or signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
+        return
+    steps = np.abs(np.diff(signal.values))
+    elsewhere = np.ones(steps.size, bool)
+    for run in long:
+        elsewhere[starts[run] : starts[run] + lengths[run] - 1] = False
+    moving = steps[elsewhere & ~np.isnan(steps)]
+    if not moving.size or np.mean(moving == 0) > LONGEST_REST:
+        return
+    least = max(ABRUPT * float(np.median(moving[moving > 0])), ABRUPT_QUANTA * signal.resolution)
+    # The larger one of the steps into and out of each run.
+    padded = np.pad(steps, 1, constant_values=np.nan)
+    edges = np.fmax(padded[starts], padded[starts + lengths])
+    # A machine comes to rest and leaves it gently, and rests in the same place more than once.
+    stuck = [
+        run
+        for run in long
+        if np.sum(values[long] == values[run]) == 1
+        and edges[run] > least
+        and _rest_of_record(others, starts[run], lengths[run])
+    ]
+    if not stuck:
+        return
+    samples, first = int(lengths[stuck].sum()), stuck[0]
+    yield signal.finding(
+        "stuck_sensor",
+        f"stays at exactly {signal.with_unit(values[first])} for {lengths[first]} samples from "
+        f"{signal.time[starts[first]]:.4g} s on while the rest of the record "
+        f"{_rest_of_record(others, starts[first], lengths[first])} ({samples} samples in "
+        f"{len(stuck)} place(s), {percent(samples, signal.sample_count)}). Leave that stretch out "
+        f"and check the sensor, its cable and the logger.",
+    )
+
+
+def _rest_of_record(others: list[SampledSignal], start: int, length: int) -> str:
+    """What the other sensors do during a run, if it suggests a fault; else empty.
+
+    Either one of them changes from sample to sample, or every one shows one value to the last
+    digit, as when a logger writes one row again and again. Quiet sensors suggest no fault.
+    """
+    sensors = [s for s in others if s.levels.size > FEW_LEVELS]
+    still = []
+    for other in sensors:
+        steps = np.diff(other.values)
+        meanwhile = steps[start : start + length - 1]
+        if np.isnan(meanwhile).all():
+            continue
+        if np.nanstd(meanwhile) > MOVES * np.nanstd(steps):
+            return "moves"
+        still.append(not np.nanmax(np.abs(meanwhile)))
+    if not sensors:
+        return "moves"
+    return "stands as still" if still and all(still) else ""
