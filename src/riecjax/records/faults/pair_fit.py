@@ -158,8 +158,9 @@ def fit_pair(
 
 def _levels(pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray]:
     """Noise of x and v, and what to begin with: of none at all, whatever is left is trusted."""
-    levels = np.array([np.median([noise_level(p[i]) for p in pieces]) for i in (1, 2)])
-    return levels, np.maximum(levels, [ROUGHLY * max(np.std(p[i]) for p in pieces) for i in (1, 2)])
+    levels = np.array([np.median([noise_level(getattr(p, a)) for p in pieces]) for a in "xv"])
+    sizes = [max(np.std(getattr(p, a)) for p in pieces) for a in "xv"]
+    return levels, np.maximum(levels, ROUGHLY * np.array(sizes))
 
 
 def _step(
