@@ -136,7 +136,7 @@ CODES: dict[str, FindingCode] = {
     ),
     "late_signal": FindingCode(
         "sensors",
-        "the time of {signals} is off",
+        "{signals} is late",
         "phase of a derivative against its signal, over frequencies; or the delay at which an "
         "equation leaves least, and what it leaves there beyond noise",
         "validation.late_signals:LEVEL",
