@@ -116,6 +116,13 @@ CODES: dict[str, FindingCode] = {
         "increments of a signal against the integral of its derivative",
         "records.consistency:GAIN",
     ),
+    "at_rest": FindingCode(
+        "sensors",
+        "{signals} rests where friction jumps",
+        "stretches in which a velocity scatters about zero no more than its noise",
+        "records.faults.at_rest:LEAST",
+        "remark",
+    ),
     "lost_rows": FindingCode(
         "sensors",
         "{signals} part by a jump",

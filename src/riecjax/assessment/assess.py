@@ -11,7 +11,7 @@ from riecjax.assessment.asked import Asked, expect_assessing
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure
+from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, with_rests
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.check import (
     check,
@@ -26,6 +26,8 @@ from riecjax.estimation.identify import estimate as estimate_of
 from riecjax.estimation.linearised import linearised
 from riecjax.estimation.mode_evidence import mode_evidence
 from riecjax.estimation.parameters import plan_parameters
+from riecjax.estimation.resting import at_rest_findings
+from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.models.model import as_model
 from riecjax.records.noise_judgement import GivenNoise
@@ -54,6 +56,7 @@ def assess(
     per_record: Sequence[str] = (),
     intervals: AbstractIntervals | None = None,
     noise: GivenNoise = "auto",
+    at_rest: AtRest | None = None,
     refine: "AbstractObjective | Literal['auto'] | None" = "auto",
     bounds: "Mapping[str, Bounds] | None" = None,
     priors: "Mapping[str, Prior] | None" = None,
@@ -83,8 +86,7 @@ def assess(
     - `validate_on`: further recordings to simulate the identified model on.
     - `sweep`: whether to estimate against window length, which shows an inexact model, not of
       hidden modes.
-    - `on_estimate`: called with the estimate as soon as it is there, before all that is slow; not
-      with one that means nothing, where only refinement answers.
+    - `on_estimate`: called with the estimate before all that is slow, unless refinement answers.
     - `progress`: called with the sum of squares after each step of a refinement that was asked for.
 
     **Returns:** an [`Assessment`][].
@@ -94,7 +96,7 @@ def assess(
     simulated raises nothing: it is a finding.
     """
     model = as_model(model)
-    procedure = model.build_procedure()
+    procedure = with_rests(model.build_procedure(), at_rest)
     recordings = ready(procedure, recordings, noise)
     if criterion is None:
         criterion = suited(procedure, model.band, [each.record for each in recordings])
@@ -205,10 +207,25 @@ def _assessed(
         seeds=trust.seeds(asked),
         validations=validations,
         refinement=refinement,
-        failures=[*failed, *untested, *trust.validated_on_fitted(asked)],
+        failures=[
+            *failed,
+            *_resting(asked, estimate),
+            *untested,
+            *trust.validated_on_fitted(asked),
+        ],
         key=asked.key,
         modes=evidence,
     )
+
+
+def _resting(asked: Asked, found: Estimate) -> list[Finding]:
+    """What is said of velocities that rest."""
+
+    def otherwise(procedure: Procedure) -> Estimate:
+        summary = summarise(procedure, asked.records, asked.criterion, key=asked.key)
+        return estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals)
+
+    return at_rest_findings(asked.procedure, asked.records, found, otherwise)
 
 
 def _concerned(

@@ -24,6 +24,7 @@ from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
+    from riecjax.equations.procedure import AtRest
     from riecjax.findings import Finding
 
 
@@ -69,6 +70,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="Estimates against window length, which show an inexact model.",
 )
+@click.option(
+    "--at-rest",
+    type=click.Choice(["mask", "keep"]),
+    help="Leave out where a velocity with dry friction rests, or keep it.  [default: mask]",
+)
 @click.option("--verbose", is_flag=True, help="Tell everything, not the verdict alone.")
 @seed_option
 @job_option
@@ -86,6 +92,7 @@ def command(
     hold_out: float | None,
     validation_files: tuple[Path, ...],
     sweep: bool,
+    at_rest: "AtRest | None",
     verbose: bool,
     seed: int,
     as_json: bool,
@@ -136,6 +143,7 @@ def command(
             hold_out=hold_out,
             validate_on=recordings.read(validation_files, model),
             sweep=sweep,
+            at_rest=at_rest,
             on_estimate=progress.show_estimate,
             progress=progress.refining,
         )

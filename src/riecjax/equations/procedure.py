@@ -6,7 +6,8 @@ equations; its remark that all parameters may be estimated at once is `simultane
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from dataclasses import replace
+from typing import Literal, Protocol, TypeAlias
 
 import equinox as eqx
 
@@ -30,18 +31,23 @@ from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.shows import Shown
 
+AtRest: TypeAlias = Literal["mask", "keep"]
+"""What is done where a velocity with dry friction rests: weights that vanish there leave it out of
+the sums, or it stays as any other sample."""
+
 
 class Procedure(Shown, eqx.Module):
     """Stages of equations; see [`staged`][] and [`simultaneous`][].
 
     `modes` are hidden in every equation that accelerates their bodies, see
     [`Procedure.with_modes`][], and `springs` stand in series with force elements, see
-    [`Procedure.with_series_springs`][].
+    [`Procedure.with_series_springs`][]; `at_rest`, see [`AtRest`][riecjax.equations.AtRest].
     """
 
     stages: tuple[tuple[Equation, ...], ...]
     modes: tuple[HiddenMode, ...] = ()
     springs: tuple[SeriesSpring, ...] = ()
+    at_rest: AtRest = eqx.field(static=True, default="mask")
 
     def with_modes(self, *modes: HiddenMode) -> "Procedure":
         """The same equations with oscillators that they leave out.
@@ -55,7 +61,7 @@ class Procedure(Shown, eqx.Module):
                     f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
-        return Procedure(self.stages, (*self.modes, *modes), self.springs)
+        return replace(self, modes=(*self.modes, *modes))
 
     def with_unknown_offset(self, signal: str, unit: str = "") -> "Procedure":
         """The same equations, with the unknown zero of a signal's sensor as a coefficient.
@@ -75,7 +81,7 @@ class Procedure(Shown, eqx.Module):
         """Others in their place, stage by stage."""
         rest = iter(equations)
         stages = tuple(tuple(next(rest) for _ in stage) for stage in self.stages)
-        return Procedure(stages, self.modes, self.springs)
+        return replace(self, stages=stages)
 
     def with_series_springs(self, *springs: SeriesSpring) -> "Procedure":
         """The same equations with springs in series with force elements.
@@ -89,7 +95,7 @@ class Procedure(Shown, eqx.Module):
             if spring.of in taken:
                 raise ModelError(f"'{spring.of}' has a spring in series already.")
             taken += self._element(spring).parameters
-        return Procedure(self.stages, self.modes, (*self.springs, *springs))
+        return replace(self, springs=(*self.springs, *springs))
 
     def _element(self, spring: SeriesSpring) -> AbstractTerm:
         """The term that a spring is in series with, in whichever equations."""
@@ -140,7 +146,9 @@ class Procedure(Shown, eqx.Module):
         are none."""
         if not self.has_hidden:
             return self
-        return Procedure(tuple(tuple(e.equation for e in stage) for stage in self.expanded))
+        stages = tuple(tuple(e.equation for e in stage) for stage in self.expanded)
+        # Their derivatives are of more than one body, which do not rest together.
+        return Procedure(stages, at_rest="keep")
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -263,6 +271,16 @@ def require_no_slip(model: object) -> None:
     else:
         return
     require("the model", model, (), write)
+
+
+def with_rests(procedure: Procedure, at_rest: AtRest | None) -> Procedure:
+    """The procedure, with this done at rest, or what it says itself.
+
+    **Raises:** `ModelError` for a word that says nothing of it.
+    """
+    if at_rest not in ("mask", "keep", None):
+        raise ModelError(f"at_rest must be 'mask' or 'keep'; got {at_rest!r}.")
+    return procedure if at_rest is None else replace(procedure, at_rest=at_rest)
 
 
 def staged(*equations: Equation) -> Procedure:

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.estimation.estimate import combination, weighing
-from riecjax.estimation.identify import not_excited, raise_if_nothing_to_fit
 from riecjax.estimation.noise_level import largest_share
 from riecjax.estimation.parameters import ParameterPlan
+from riecjax.estimation.refusals import not_excited, raise_if_nothing_to_fit
 from riecjax.estimation.remedies import excite_or_hold
 from riecjax.estimation.stages import stages_over_records
 from riecjax.findings import Finding

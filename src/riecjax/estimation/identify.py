@@ -8,20 +8,20 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
-from numpy.typing import ArrayLike
 
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.rows import Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import DataError, IdentifiabilityError, ModelError, renamed, require
+from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, as_procedure
+from riecjax.errors import IdentifiabilityError, ModelError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.estimate import MATTERING_SHARE, Estimate, combination, weighing
+from riecjax.estimation.estimate import MATTERING_SHARE, Estimate
 from riecjax.estimation.mode_windows import find_modes
 from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
-from riecjax.estimation.remedies import excite_or_hold
+from riecjax.estimation.refusals import raise_if_nothing_to_fit, raise_if_unidentifiable
+from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
     found_values,
@@ -64,6 +64,7 @@ def identify(
     per_record: Sequence[str] = (),
     intervals: AbstractIntervals | None = None,
     noise: GivenNoise = "auto",
+    at_rest: AtRest | None = None,
 ) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
@@ -87,6 +88,9 @@ def identify(
     - `noise` of the signals, whose mark on the windows' sums is taken off: judged from the samples
       unless it is given, see [`GivenNoise`][riecjax.records.GivenNoise]; `"none"` leaves the sums
       as they are.
+    - `at_rest`: `"mask"`, the default, leaves out of the sums where a velocity rests at whose zero
+      the equation jumps, as dry friction does; `"keep"` does not. See
+      [`AtRest`][riecjax.equations.AtRest].
 
     **Returns:** an [`Estimate`][].
 
@@ -95,11 +99,17 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    asked = task(model, records, criterion, key, noise)
+    asked = task(model, records, criterion, key, noise, at_rest)
     plan = plan_parameters(asked.procedure, len(asked.records), known, per_record)
     _require_intervals(intervals)
     found = _estimated(asked.procedure, summed(asked), plan, intervals)
-    doubts = tuple(_doubts(asked, records))
+
+    def otherwise(procedure: Procedure) -> Estimate:
+        other = summed(asked._replace(procedure=procedure))
+        return _estimated(procedure, other, plan, intervals)
+
+    resting = at_rest_findings(asked.procedure, asked.records, found, otherwise)
+    doubts = (*_doubts(asked, records), *resting)
     return dataclasses.replace(found, doubts=doubts) if doubts else found
 
 
@@ -186,7 +196,7 @@ def _estimated(
         poor = modes is None and condition > gram_condition_limit(window.dtype)
         if poor and (rows := _rows(summary, equations)):
             fit = _solve(equations, *settings, rows)
-        _raise_if_unidentifiable(fit.stages, plan)
+        raise_if_unidentifiable(fit.stages, plan)
         if modes is None:
             fit = fit._replace(stages=_with_sizes_in_bursts(fit, procedure, plan, summary))
     # Rows there would be without gaps are not known of another band than the criterion's.
@@ -346,55 +356,3 @@ def _with_sizes_in_bursts(
             stage = eqx.tree_at(lambda s: s.relative_size, stage, larger)
         stages.append(stage)
     return stages
-
-
-def raise_if_nothing_to_fit(
-    plan: ParameterPlan, counts: Sequence[ArrayLike], sums: Sequence[ArrayLike]
-) -> None:
-    """Refuse a stage without rows, or with sums that are not finite numbers (not under jit).
-
-    **Arguments:** of each stage of the plan, `counts` of its rows and `sums` of their products.
-
-    **Raises:** `DataError` naming the stage.
-    """
-    for (label, unknown), count in zip(plan.stages, counts):
-        if unknown and not bool(np.sum(np.asarray(count)) > 0):
-            raise DataError(
-                f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
-                f"or repair the record's gaps."
-            )
-    for (label, _), values in zip(plan.stages, sums):
-        if not bool(np.all(np.isfinite(values))):
-            raise DataError(
-                f"{label}: its terms are not finite numbers on this record: a division by zero, a "
-                f"root of a negative number, or values too large to be squared. Scale the signals "
-                f"to SI units and check the equation's expressions."
-            )
-
-
-def not_excited(stage_name: str, name: str) -> Finding:
-    """That a parameter's regressor is zero throughout."""
-    return Finding(
-        "not_excited",
-        f"{stage_name}: nothing in the record tells of {name}; its regressor is zero throughout. "
-        f"{excite_or_hold([name], name)}",
-        parameters=(name,),
-    )
-
-
-def _raise_if_unidentifiable(solutions: list[StageSolution], plan: ParameterPlan) -> None:
-    for stage in solutions:
-        if int(stage.solution.rank) == len(stage.parameters):
-            continue
-        label, _ = plan.stages[stage.stage]
-        for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
-            if size == 0:
-                silent = not_excited(label, name)
-                raise IdentifiabilityError(silent.message, silent.code)
-        direction = np.asarray(stage.solution.weakest_direction)
-        which = combination(stage.parameters, direction)
-        raise IdentifiabilityError(
-            f"{label}: the record cannot tell these apart (collinear regressors): {which}, in "
-            f"units of each regressor's size. "
-            f"{excite_or_hold(weighing(stage.parameters, direction))}"
-        )

@@ -20,11 +20,11 @@ from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression
+from riecjax.equations.jumps import reversing_states
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, users_code
 from riecjax.records.signals import Signals
 from riecjax.simulation.hidden_modes import ModeStates
-from riecjax.simulation.reversals import reversing_states
 from riecjax.simulation.series_springs import SpringElement
 
 

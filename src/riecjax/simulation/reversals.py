@@ -17,7 +17,6 @@ depended on, until at the beginning of a step some side lets it go. So f+ / f- i
 Of several velocities the first to reverse cuts the step.
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -26,18 +25,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.equations.expressions import Expression
-from riecjax.records.signals import Signals
 from riecjax.simulation.system import AbstractSystem
 
 NEWTON_STEPS = 5
 """From the secant's root to that of a cubic which is nearly straight."""
 FLAT = 1e-3
 """Slope at its root that a cubic is taken to have at the least, of what its ends are apart."""
-ASIDE, JUMP = 1e-9, 1e-4
-"""A velocity to either side of zero, and the share of itself that a function jumps by there."""
-
-Basis = Callable[[Array], Array]
 Moves = Callable[["Regime", Array, float | Array, float | Array], Array]
 """From a state, at a share of the step, by another share of it."""
 Rises = Callable[["Regime", Array, float | Array], Array]
@@ -143,50 +136,3 @@ def _first_root(
         0, NEWTON_STEPS, lambda _, at: jax.lax.stop_gradient(newton(at)), share
     )
     return newton(share)
-
-
-def reversing_states(
-    functions: Sequence[tuple[Expression, Basis | None]],
-    states: Sequence[str],
-    signals: Sequence[str],
-) -> tuple[str, ...]:
-    """States at whose zero a function jumps, as dry friction does of a velocity.
-
-    **Arguments:** expressions, and what bases make of them, of `signals`, the states among these.
-    """
-    found: set[str] = set()
-    for of, basis in functions:
-        if basis is not None:
-            found |= _jumping(of, basis, tuple(states), tuple(signals))
-        elif not isinstance(of, str):
-            found |= _jumping_alone(of, tuple(states), tuple(signals))
-    return tuple(state for state in states if state in found)
-
-
-@functools.lru_cache
-def _jumping_alone(of: Expression, states: tuple[str, ...], signals: tuple[str, ...]) -> set[str]:
-    return _jumping(of, None, states, signals)
-
-
-def _jumping(
-    of: Expression, basis: Basis | None, states: tuple[str, ...], signals: tuple[str, ...]
-) -> set[str]:
-    """The states at whose zero one function jumps (none of a function that is not concrete)."""
-    # Four samples for each state: next to its zero and well away, on both sides.
-    places = np.array([ASIDE, -ASIDE, 1.0, -1.0])
-    levels = np.random.default_rng(0).uniform(0.2, 0.9, (len(signals), 1))
-    at = dict(zip(signals, np.repeat(levels, len(states) * places.size, axis=1)))
-    for i, state in enumerate(states):
-        at[state][i * places.size : (i + 1) * places.size] = places
-    try:
-        with jax.ensure_compile_time_eval():
-            probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
-            samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
-            values = np.asarray(samples if basis is None else basis(samples))
-    except Exception:  # whatever is wrong with a user's function is said where it is used
-        return set()
-    if not values.shape or values.shape[-1] != len(states) * places.size:
-        return set()
-    above, below, far, other = np.moveaxis(values.reshape(-1, len(states), places.size), -1, 0)
-    jumps = np.abs(above - below) > JUMP * np.maximum(np.abs(far), np.abs(other))
-    return {state for state, jump in zip(states, np.atleast_1d(jumps.any(axis=0))) if jump}

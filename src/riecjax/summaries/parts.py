@@ -28,6 +28,7 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
+from riecjax.equations.in_motion import InMotion
 from riecjax.equations.noisy_columns import NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Terms
@@ -370,6 +371,7 @@ def _reaches(
     real = jnp.arange(record.sample_count) < held
     found = {}
     for term in equation.terms:
+        term = term.term if isinstance(term, InMotion) else term
         if isinstance(term, Terms):
             argument, _ = evaluate(term.of, record)
             low = jnp.min(argument, where=real, initial=jnp.inf)

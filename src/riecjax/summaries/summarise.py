@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.length_bins import LengthBins
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure
+from riecjax.equations.in_motion import in_motion
+from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.noise_judgement import GivenNoise
@@ -30,6 +31,7 @@ def summarise(
     bins: int | ArrayLike | None = None,
     survey: bool = False,
     noise: GivenNoise = "auto",
+    at_rest: AtRest | None = None,
 ) -> Summary:
     """Sum up what one or several recordings say to a model: all that [`estimate`][] needs.
 
@@ -37,7 +39,8 @@ def summarise(
     Under `jax.jit`, `jax.vmap` and `jax.grad` shapes are those of the records, and only moments are
     summed.
 
-    **Arguments:** `model`, `record`, `criterion`, `key` and `noise` as for [`identify`][];
+    **Arguments:** `model`, `record`, `criterion`, `key`, `noise` and `at_rest` as for
+    [`identify`][];
 
     - `bins`: keep the sums of windows of different length apart, so that a band can be chosen
       afterwards: so many bins from alpha to beta in equal ratios, or their edges in seconds, to
@@ -50,7 +53,7 @@ def summarise(
     windows, or for an expression that mixes samples of a long record; `DataError` for a missing
     signal or a record shorter than a window.
     """
-    asked = task(model, record, criterion, key, noise)
+    asked = task(model, record, criterion, key, noise, at_rest)
     return summed(asked, bins=bins, survey=survey)
 
 
@@ -70,7 +73,7 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
-        read = with_less_noise(procedure, record, criterion)
+        read = with_less_noise(in_motion(procedure, record), record, criterion)
         if traced:
             return traced_sums(read, record, criterion, key, own is not None)
         averaged = not asked.procedure.has_hidden

@@ -14,7 +14,13 @@ from jaxtyping import Array, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.procedure import (
+    AtRest,
+    HasProcedure,
+    Procedure,
+    as_procedure,
+    with_rests,
+)
 from riecjax.equations.term import Terms
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
@@ -44,6 +50,7 @@ def task(
     criterion: AbstractCriterion | None,
     key: Key[Array, ""] | None,
     noise: GivenNoise = "auto",
+    at_rest: AtRest | None = None,
 ) -> Task:
     """What can be refused of records before arithmetic; see [`identify`][] for the arguments.
 
@@ -51,7 +58,7 @@ def task(
 
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
-    procedure = as_procedure(model)
+    procedure = with_rests(as_procedure(model), at_rest)
     _require_no_springs_on_maps(procedure)
     recordings = ready(procedure, records, noise)
     if criterion is None:

@@ -24,6 +24,7 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_motion import with_hidden_motion
+from riecjax.equations.in_motion import in_motion
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_of_record
@@ -131,7 +132,11 @@ def errors_over_records(
     own = [values_of_record(values, i) for i in range(len(records))]
     # Only what the equations read: other names would compile them anew.
     parts = [
-        _compiled(procedure, record, {name: _value(v, name) for name in procedure.parameters})
+        _compiled(
+            in_motion(procedure, record),
+            record,
+            {name: _value(v, name) for name in procedure.parameters},
+        )
         for record, v in zip(records, own)
     ]
     return [list(of_equation) for of_equation in zip(*parts)]

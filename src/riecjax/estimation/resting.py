@@ -1,0 +1,75 @@
+"""What is said of velocities that rest where the equation of motion jumps."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from riecjax.equations.in_motion import in_motion, rests_of
+from riecjax.equations.procedure import Procedure, with_rests
+from riecjax.errors import RiecjaxError
+from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding
+from riecjax.records.record import Record
+
+MOVED = 2.0
+"""Standard errors of the surer estimate from which on what is done at rest moves a parameter."""
+
+
+def at_rest_findings(
+    procedure: Procedure,
+    records: Sequence[Record],
+    found: Estimate,
+    otherwise: Callable[[Procedure], Estimate],
+) -> list[Finding]:
+    """That velocities rest, what was done about it, and what it did to the parameters.
+
+    **Arguments:** `otherwise`, makes the estimate by a procedure that does the other thing.
+    """
+    rests = [rests_of(procedure, record) for record in records]
+    names = tuple(dict.fromkeys(name for of in rests for name in of))
+    if not names:
+        return []
+    count = sum(record.sample_count for record in records)
+    rested = sum(
+        max((rest.share for rest in of.values()), default=0.0) * record.sample_count
+        for of, record in zip(rests, records)
+    )
+    masked = any(in_motion(procedure, record) is not procedure for record in records)
+    other = with_rests(procedure, "keep" if procedure.at_rest == "mask" else "mask")
+    moved = _moved(found, other, otherwise) if masked or procedure.at_rest == "keep" else {}
+    width = max(rest.width for of in rests for rest in of.values())
+    which = " and ".join(f"'{name}'" for name in names)
+    if masked:
+        done = f"weights that vanish there, over {width:.2g} to each side of zero, leave it out"
+        change = "; with it" if moved else ""
+        step = ""
+    elif procedure.at_rest == "keep":
+        done, step = "it was kept", "Leave it out: at_rest='mask' (--at-rest mask)"
+        change = "; without it" if moved else ""
+    else:
+        done = "it was kept, since the equation holds derivatives of other motions than this one"
+        change, step = "", "Mask it in the equation: where=rx.equations.faster_than(...)"
+    listed = ", ".join(f"{n} {a:.4g} would be {b:.4g}" for n, (a, b) in moved.items())
+    message = (
+        f"{which} is at rest {100 * rested / count:.2g} % of the time, where friction is whatever "
+        f"balances the other forces; {done}{change}{' ' if listed else ''}{listed}."
+    )
+    doubts = {} if masked else {n: abs(b - a) / max(abs(a), 1e-300) for n, (a, b) in moved.items()}
+    if step:
+        message += f" {step}."
+    options = ("--at-rest", "mask") if moved and not masked else ()
+    return [Finding("at_rest", message, names, tuple(doubts), 0.0, doubts, options, step)]
+
+
+def _moved(
+    found: Estimate, other: Procedure, otherwise: Callable[[Procedure], Estimate]
+) -> dict[str, tuple[float, float]]:
+    """Parameters that the other treatment moves, with both values."""
+    try:
+        beside = otherwise(other)
+    except RiecjaxError:
+        return {}
+    pairs = {n: (float(found[n]), float(beside[n])) for n in found.parameters}
+    errors = np.minimum(*(np.asarray(one.standard_errors) for one in (found, beside)))
+    least = MOVED * errors
+    return {n: ab for (n, ab), by in zip(pairs.items(), least) if abs(ab[1] - ab[0]) > by}
