@@ -116,24 +116,42 @@ CODES: dict[str, FindingCode] = {
         "increments of a signal against the integral of its derivative",
         "records.consistency:GAIN",
     ),
+    "copied_signal": FindingCode(
+        "sensors",
+        "{signals} are one signal",
+        "what a straight line leaves of one signal by another",
+        "records.faults.copies:ROUNDED",
+    ),
+    "duplicate_recording": FindingCode(
+        "sensors",
+        "a recording was given twice",
+        "samples of recordings, wherever in them they lie",
+        "records.faults.duplicates:ALIKE",
+    ),
     "constant_signal": FindingCode("sensors", "{signals} never varies", "distinct values"),
     "stuck_sensor": FindingCode(
         "sensors",
         "{signals} is stuck for a while",
         "runs of one value that begin or end abruptly while other signals move",
-        "records.quality:STUCK_RATIO",
+        "records.faults.stuck_sensor:STUCK_RATIO",
     ),
     "clipped": FindingCode(
         "sensors",
         "{signals} is clipped",
         "how often and how abruptly a signal meets its extreme values",
-        "records.quality:PILE_UP",
+        "records.faults.clipping:PILE_UP",
     ),
     "outliers": FindingCode(
         "sensors",
         "{signals} has outliers",
         "single samples against their neighbours",
-        "records.quality:OUTLIER_GAP",
+        "records.faults.signals:OUTLIER_GAP",
+    ),
+    "hum": FindingCode(
+        "sensors",
+        "the mains hum in {signals}",
+        "lines of a grid in a signal's spectrum against what surrounds them",
+        "records.faults.hum:BY_CHANCE",
     ),
     "missing_samples": FindingCode(
         "sensors", "samples of {signals} are missing", "samples that are no number"
@@ -142,7 +160,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} is coarsely quantised",
         "the greatest common step of a signal's values against its size",
-        "records.quality:COARSE",
+        "records.faults.quantisation:COARSE",
     ),
     "column_left_out": FindingCode(
         "sensors",
