@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import os
+import re
 import site
 import sysconfig
 import traceback
@@ -16,6 +17,15 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 MOST_WORDS = 300
+_STEERING = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Characters that steer a terminal or turn the direction of writing, and halves of characters."""
+
+
+def printable(text: str) -> str:
+    """The text, of a file or its name, with its control characters as escapes such as `\\x1b`."""
+    return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 class RiecjaxError(ValueError):

@@ -9,6 +9,8 @@ import zlib
 from importlib import metadata
 from pathlib import Path
 
+from riecjax.whole_files import Store
+
 SMALL_LOOP_BYTES = 10**6
 """Loops that touch less memory than this in a turn are compiled whole; XLA's own limit is 1024."""
 CACHE_BYTES = 2**28
@@ -79,6 +81,7 @@ def compiles_loops_whole() -> bool:
 
 def _keep_compiled() -> None:
     import jax
+    from jax._src import compilation_cache
 
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -93,6 +96,13 @@ def _keep_compiled() -> None:
     # Small functions too: there are many of them.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    # JAX's files are neither written whole nor checked: what a process that was killed left half
+    # written it would warn of for ever.
+    others = compilation_cache.get_file_cache
+    kept = Store(folder, ".compiled", CACHE_BYTES)
+    compilation_cache.get_file_cache = lambda path: (
+        (kept, path) if path == str(folder) else others(path)
+    )
     global _programs_folder
     _programs_folder = folder
 

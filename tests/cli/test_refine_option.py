@@ -152,6 +152,7 @@ def test_a_horizon_needs_something_to_simulate(recording, capsys):
     assert found.document["refinement"] is None
 
 
+@pytest.mark.raises_finding("prior_disagrees")
 def test_a_prior_counts_as_one_more_observation(recording, capsys):
     """Of two normal distributions: weighed by their inverse variances."""
 
@@ -184,6 +185,7 @@ def test_a_prior_that_the_recording_contradicts_is_the_reason(recording, capsys)
     assert verdict["next"][0]["words"].startswith("Check what you said of m")
 
 
+@pytest.mark.raises_finding("outside_bound")
 def test_a_linear_value_out_of_its_bounds_is_said_and_no_search_fails_at_its_start(
     recording, capsys
 ):

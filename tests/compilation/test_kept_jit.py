@@ -20,6 +20,7 @@ from riecjax.compilation import kept_jit as module
 from riecjax.compilation import program_files, program_key
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.compilation.program_key import NoKey, key_of
+from riecjax.whole_files import write_sealed
 
 TRACED: list[str] = []
 
@@ -173,7 +174,7 @@ def test_a_disk_that_is_full_keeps_no_part_of_a_program(folder, monkeypatch):
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(program_files.os, "replace", full)
+    monkeypatch.setattr(os, "replace", full)
     assert_right(evaluate(curve(), X, 2))
     assert list(folder.iterdir()) == []
 
@@ -205,7 +206,7 @@ def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):
     assert_right(evaluate(curve(), X, 2))
     assert TRACED == ["evaluate"]
     for file in folder.glob("*.calls"):
-        file.write_text('{"not": "keys", "../../etc": 1}')
+        write_sealed(file, b'{"not": "keys", "../../etc": 1}')
     another_process()
     program_files._ahead.clear()
     program_files.load_ahead("identify", "sine")

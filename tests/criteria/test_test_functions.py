@@ -194,6 +194,7 @@ def test_windows_that_touch_a_missing_sample_are_left_out_and_no_others(gaps, se
         np.testing.assert_array_equal(np.asarray(whole), ~touched)
 
 
+@pytest.mark.raises_finding("rows_left_out")
 @pytest.mark.parametrize(
     "criterion", [DOLS(), RIEC(RandomWindows(0.1, 0.4, 4000), Hat(4))], ids=str
 )

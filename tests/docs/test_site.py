@@ -1,6 +1,5 @@
 """Pages of the site say what the code says: names, warnings, and code that runs."""
 
-import ast
 import re
 import shlex
 from pathlib import Path
@@ -15,28 +14,6 @@ from riecjax.cli.main import run
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 CODE = re.compile(r"```python\n(.*?)```", flags=re.DOTALL)
-
-
-def finding_codes() -> set[str]:
-    """Codes of all findings that the sources make."""
-    found = set()
-    for path in (ROOT / "src").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.Call) or not node.args:
-                continue
-            made = getattr(node.func, "id", "") == "Finding"
-            if made or getattr(node.func, "attr", "") == "finding":
-                constants = [n.value for n in ast.walk(node.args[0]) if isinstance(n, ast.Constant)]
-                found |= {value for value in constants if isinstance(value, str)}
-    return found
-
-
-def test_every_warning_is_explained_and_no_other():
-    page = (DOCS / "warnings.md").read_text(encoding="utf-8")
-    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
-    explained = set(re.findall(r"`(\w+)`", " ".join(rows)))
-    of_the_reproduction = {"simulation_lost", "few_roads"}
-    assert explained == finding_codes() | of_the_reproduction
 
 
 def public_names() -> list[str]:

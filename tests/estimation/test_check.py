@@ -66,6 +66,7 @@ def test_what_differs_only_by_noise_is_unidentifiable():
     assert not found.answerable
 
 
+@pytest.mark.raises_finding("nearly_collinear")
 def test_what_differs_little_but_truly_is_nearly_collinear():
     t = np.arange(4000) / 200
     motion = np.sin(5 * t)
@@ -132,6 +133,7 @@ def test_what_a_fit_refuses_before_it_solves_a_check_refuses_too():
                 verb(equation("a", "b"), record, CRITERION, key=KEY)
 
 
+@pytest.mark.raises_finding("break_points_outside")
 @pytest.mark.parametrize(
     ("points", "expected"), [([-1, -0.3, 0.3, 1], []), ([-1, -0.3, 0.3, 9], ["9"]), ([-9, 9], [])]
 )
@@ -145,6 +147,7 @@ def test_break_points_that_no_sample_comes_near_are_named(points, expected):
     assert all(f"at {point}" in message for point, message in zip(expected, named))
 
 
+@pytest.mark.raises_finding("not_excited", "constant_signal")
 def test_a_silent_regressor_is_named():
     record = record_of(b=np.zeros(4000))
     found = check(equation("a", "b"), record, DOLS())
@@ -155,6 +158,7 @@ def test_a_silent_regressor_is_named():
     assert (refused.value.code, str(refused.value)) == tuple(found.findings[1])[:2]
 
 
+@pytest.mark.raises_finding("coarse_sampling")
 def test_coarse_sampling_is_measured_on_the_integrals_themselves():
     """Ten samples per period: the trapezoid loses pi^2 / (3 n^2) = 3.3 % of the area."""
     t = np.arange(4000) * 0.02
@@ -168,6 +172,7 @@ def test_coarse_sampling_is_measured_on_the_integrals_themselves():
     assert "coarse_sampling" not in [f.code for f in finer.findings]
 
 
+@pytest.mark.raises_finding("short_windows", "short_record")
 def test_windows_of_few_samples_and_short_records_are_told():
     record = record_of(count=200)
     found = check(equation("a", "b"), record, RIEC(RandomWindows(0.02, 0.5, 500)), key=KEY)

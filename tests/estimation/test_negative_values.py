@@ -20,6 +20,7 @@ def codes(truth: float, unit: str, noise: float = 0.01) -> list[str]:
     return [f.code for f in identify(equation, record, DOLS(), key=jax.random.key(0)).findings()]
 
 
+@pytest.mark.raises_finding("negative_value")
 @pytest.mark.parametrize("unit", ["kg", "kg m^2", "kg·m²", "N s/m", "N*s/m", "N m s/rad"])
 def test_masses_and_dampers(unit):
     assert codes(-2.0, unit) == ["negative_value"]

@@ -50,6 +50,7 @@ def test_units_of_the_model_and_derivatives_that_the_file_lacks():
     assert np.array_equal(scaled.record["q"], recording.record["q"])
 
 
+@pytest.mark.raises_finding("unit_mismatch")
 def test_a_unit_of_another_kind_is_pointed_out():
     write(rows("t,q [N]", "{i}"))
     recording = rx.read_recording("a.csv", model=MODEL)
@@ -80,6 +81,7 @@ def test_a_unit_goes_to_one_column_and_not_beside_a_scale():
         rx.read_recording("a.csv", units={"y": "mm"})
 
 
+@pytest.mark.raises_finding("nothing_cut")
 def test_preparation_is_taken_in_its_order_and_said():
     write(rows("t,x", "{i}"))
     recording = rx.read_recording("a.csv", start=1.0, stop=99.0, offsets=["x"], every=2)

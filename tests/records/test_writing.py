@@ -1,3 +1,5 @@
+import csv
+import re
 import tempfile
 from pathlib import Path
 
@@ -168,6 +170,13 @@ def refusal(path: Path, record: Record) -> str | None:
         "F (left)",
         "#1",
         "-",
+        "=1+1",
+        "@A1",
+        "a;\t=HYPERLINK(0)",
+        "/etc/x",
+        "a/../../x",
+        "C:x",
+        "a/..b",
     ],
 )
 def test_signal_names_survive_or_are_refused(tmp_path, ending, name):
@@ -252,3 +261,21 @@ def test_a_folder_is_no_target(tmp_path):
     (tmp_path / "a.csv").mkdir()
     with pytest.raises(DataError, match="it is a folder"):
         write_record(tmp_path / "a.csv", Record({"x": TIME}, 0.1))
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(1)", "a;=1+1", "a, =1+1"])
+def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path, name):
+    write_record(tmp_path / "a.csv", Record({name: TIME, "x=y-z": TIME}, 0.1))
+    (header,) = csv.reader((tmp_path / "a.csv").read_text().splitlines()[:1])
+    assert header[2] == "x=y-z"
+    for cell in re.split("[;,]", header[1]):
+        assert cell.strip()[0] not in "=+-@"
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/x", "a/../../x", "a\\..\\x", "C:\\x", "x\0.exe"])
+def test_no_member_of_an_archive_leaves_its_folder(tmp_path, name):
+    message = refusal(tmp_path / "a.npz", Record({name: TIME}, 0.1))
+    assert message is not None
+    assert "rename it" in message
+    assert message.isprintable()
+    no_temporaries(tmp_path)

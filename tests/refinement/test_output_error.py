@@ -304,6 +304,7 @@ def test_missing_samples_of_outputs_do_not_count_and_those_of_inputs_cut():
         assert low < true < high
 
 
+@pytest.mark.raises_finding("at_bound")
 def test_a_bound_is_kept_and_said(noisy, whole):
     refined = refine(oscillator(), noisy, START, bounds={"k": (5.0, 15.0), "m": (0.0, None)})
     assert 14.99 < float(refined["k"]) <= 15.0
@@ -347,6 +348,7 @@ def test_other_solvers_of_optimistix_find_the_same(noisy, whole, solver):
     np.testing.assert_allclose(refined.theta, whole.theta, rtol=1e-4)
 
 
+@pytest.mark.raises_finding("refinement_not_converged")
 def test_too_few_steps_are_a_status(noisy):
     refined = refine(oscillator(), noisy, START, max_steps=2)
     assert not bool(refined.converged)

@@ -111,6 +111,7 @@ def decaying():
     return Decay(jnp.asarray(1.0), jnp.asarray(1.0)), held
 
 
+@pytest.mark.raises_finding("undetermined")
 def test_parameters_that_make_up_for_each_other_are_called_undetermined(decaying):
     model, held = decaying
     both = refine(model, held, {"a": 0.5, "b": 1.1})

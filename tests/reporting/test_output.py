@@ -1,6 +1,7 @@
 import base64
 import io
 import json
+import os
 import sys
 import warnings
 from collections.abc import Callable, Mapping
@@ -9,6 +10,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 import pytest
 from rich.console import Console
 
@@ -25,12 +27,13 @@ from riecjax.errors import DataError
 from riecjax.estimation.check import Check
 from riecjax.estimation.identify import estimate, identify
 from riecjax.models.model import as_model
+from riecjax.paper.variations import write_variations
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
-from riecjax.reporting.document import versions
+from riecjax.reporting.document import is_intact, sealed, versions
 from riecjax.reporting.identification import (
     identification_document,
     print_everything,
@@ -42,6 +45,7 @@ from riecjax.reporting.page import Page, Section
 from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.summaries.summarise import summarise
 from riecjax.validation.residuals import ResidualTests
+from riecjax.whole_files import stamp
 
 DOCUMENT = {
     "answer": 42,
@@ -80,7 +84,7 @@ def test_terminal(capsys):
 def test_json(capsys):
     emitted(as_json=True)
     captured = capsys.readouterr()
-    assert json.loads(captured.out) == DOCUMENT
+    assert json.loads(captured.out) == sealed(DOCUMENT)
     assert captured.err == "warning [odd]: 5 < 6 & so on\n"
 
 
@@ -94,7 +98,7 @@ def test_folder(capsys, tmp_path):
     names = sorted(path.name for path in out.iterdir())
     assert names == ["one.png", "report.html", "results.json", "two.png"]
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
-    assert json.loads((out / "results.json").read_text()) == DOCUMENT
+    assert json.loads((out / "results.json").read_text()) == sealed(DOCUMENT)
     assert str(out) in capsys.readouterr().out
 
 
@@ -131,6 +135,56 @@ def test_a_failure_leaves_the_folder_as_it_was(capsys, tmp_path, monkeypatch, ex
         assert (out / "results.json").read_text() == "old"
 
 
+def test_figures_of_an_earlier_run_do_not_stay(tmp_path):
+    out = tmp_path / "out"
+    table = lambda file: write_variations(pa.table({"x": [1.0]}), file, stamp(file))  # noqa: E731
+    write_folder(
+        out, DOCUMENT, {"one": CHART, "two": CHART}, page(DOCUMENT), {"variations.parquet": table}
+    )
+    (out / "mine.png").write_bytes((out / "one.png").read_bytes())
+    (out / "photo.png").write_bytes(b"\x89PNG")
+    (out / "table.parquet").write_bytes((out / "variations.parquet").read_bytes())
+    write_folder(out, DOCUMENT, {"two": CHART}, page(DOCUMENT))
+    names = ["mine.png", "photo.png", "report.html", "results.json", "table.parquet", "two.png"]
+    assert sorted(path.name for path in out.iterdir()) == names
+
+
+@pytest.mark.parametrize("moves", range(4))
+def test_results_never_stand_beside_what_is_of_others(tmp_path, monkeypatch, moves):
+    """Wherever it ends while files take their places, and whatever stood there."""
+    out = tmp_path / "out"
+    write_folder(out, DOCUMENT, {"one": CHART, "two": CHART}, page(DOCUMENT))
+    done = []
+
+    def killed(file: Path, target: Path) -> Path:
+        if len(done) == moves:
+            raise KeyboardInterrupt
+        done.append(target)
+        os.replace(file, target)
+        return target
+
+    monkeypatch.setattr(Path, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_folder(out, {**DOCUMENT, "answer": 43}, {"one": CHART, "two": CHART}, page(DOCUMENT))
+    assert not (out / "results.json").exists()
+
+
+def test_a_flipped_bit_of_results_is_seen(tmp_path):
+    write_folder(tmp_path / "out", DOCUMENT, {}, page(DOCUMENT))
+    file = tmp_path / "out" / "results.json"
+    whole = file.read_bytes()
+    assert is_intact(json.loads(whole))
+    for place in range(8 * len(whole)):
+        damaged = bytearray(whole)
+        damaged[place // 8] ^= 1 << (place % 8)
+        try:
+            read = json.loads(damaged.decode())
+        except ValueError:
+            continue
+        told = {key: value for key, value in read.items() if key in DOCUMENT}
+        assert not is_intact(read) or told == DOCUMENT
+
+
 def test_a_failing_chart_leaves_nothing(tmp_path):
     broken = single([Line([1, 2], [3, 4, 5])], Axis(), Axis())
     with pytest.raises(ValueError, match="same first dimension"):
@@ -153,9 +207,9 @@ def test_no_file_is_left_open(tmp_path):
 
 def test_results_are_made_in_a_folder_that_keeps_no_one_out(tmp_path):
     (tmp_path / "ordinary").mkdir()
-    made = _folder_beside(tmp_path / "out")
-    assert made.parent == tmp_path
-    assert made.stat().st_mode == (tmp_path / "ordinary").stat().st_mode
+    with _folder_beside(tmp_path / "out") as made:
+        assert made.parent == tmp_path
+        assert made.stat().st_mode == (tmp_path / "ordinary").stat().st_mode
 
 
 @pytest.mark.parametrize("module", ["matplotlib", "jinja2", "plotly"])

@@ -151,3 +151,12 @@ def test_a_chart_is_written_in_its_size_and_leaves_the_style_as_it_was(tmp_path)
     print_chart(single([Line(X, Y)], Axis("x"), Axis("y"), size=(4, 3)), tmp_path / "one.png")
     assert imread(tmp_path / "one.png").shape[:2] == (450, 600)
     assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.parametrize("name", ["$x", "$x$ and $y$", "$\\frac{a}{$", "a_{b}^$2$"])
+def test_names_are_no_formulas(tmp_path, name):
+    chart = single([Line(X, Y, label=name)], Axis(name), Axis(name))
+    print_chart(chart, tmp_path / "a.png")
+    axes = printed(chart).axes[0]
+    assert not axes.xaxis.label.get_parse_math()
+    assert axes.get_xlabel() == name

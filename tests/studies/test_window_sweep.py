@@ -59,6 +59,7 @@ def test_noise_alone_seldom_makes_an_exact_model_window_sensitive():
     assert alarms <= 2
 
 
+@pytest.mark.raises_finding("window_sensitive")
 def test_a_term_left_out_shows():
     sweep = window_sweep(linear_oscillator(), oscillator(), CRITERION, key=KEY)
     (finding,) = sweep.findings()

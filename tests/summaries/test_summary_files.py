@@ -568,6 +568,7 @@ def test_a_factor_of_all_rows_does_not_bring_back_what_was_left_out():
         rx.estimate(model, summary.leave_out(9.9, 14.1))
 
 
+@pytest.mark.raises_finding("band_snapped")
 @pytest.mark.parametrize("weight", [rx.Boxcar(), *nightly([rx.Hat()])], ids=["boxcar", "hat"])
 @pytest.mark.parametrize("step", [STEP, *nightly([0.0073])])
 @pytest.mark.parametrize(

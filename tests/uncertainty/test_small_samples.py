@@ -186,6 +186,7 @@ def test_the_corrected_sandwich_is_the_same_in_32_bit_and_in_any_unit():
         np.testing.assert_allclose(single, double, rtol=0.02)
 
 
+@pytest.mark.raises_finding("few_blocks")
 def test_few_blocks_are_named_and_say_what_stands_in():
     estimate = identify(FORCE, noisy("step", 0), SHORT_WINDOWS)
     finding = next(f for f in estimate.findings() if f.code == "few_blocks")
@@ -267,6 +268,7 @@ def coulomb(s):
 KNOWN_TERMS = (Term(1.0, "F"), -Term("m", "v", derivative=1), -Term("c", "v"), -Term("Fc", coulomb))
 
 
+@pytest.mark.raises_finding("interval_wider_than_estimate")
 def test_a_friction_that_acts_for_moments_is_called_hardly_determined():
     estimate = identify(
         Equation(*KNOWN_TERMS, -Term("Fs", near_rest), name="axis"),

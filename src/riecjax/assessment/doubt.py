@@ -103,6 +103,7 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
     below, above = answer.uncertainty.reach(LEVEL)
     errors = np.asarray(answer.standard_errors)
     exact = refinement is not None and refinement.chosen and _white(assessment)
+    known = _moved_by_faults(assessment)
     drift = {} if exact else drifts(assessment)
     left = {} if exact else left_out(assessment)
     amiss = _amiss(assessment)
@@ -110,8 +111,7 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
     for i, name in enumerate(answer.parameters):
         finest = FINEST * abs(float(answer[name]))
         scatter = float((below * errors)[i]), float((above * errors)[i])
-        drifted = drift.get(name, 0.0)
-        moved = left.get(name, 0.0)
+        drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, left))
         if assessment.sweep is not None:
             moved = min(moved, STEADIER * (drifted + max(scatter)))
         found[name] = Doubt(*scatter, drifted, moved, amiss.get(name, 0.0), finest)
@@ -151,6 +151,12 @@ def _amiss(assessment: "Assessment") -> dict[str, float]:
                 moved = share * abs(float(assessment.answer[name]))
                 own[finding.code] = own.get(finding.code, 0.0) + moved
     return {name: max(own.values()) for name, own in found.items()}
+
+
+def _moved_by_faults(assessment: "Assessment") -> set[str]:
+    """Parameters that a fault moves by a known amount, where it explains what is left."""
+    faults = () if assessment.residuals is None else assessment.residuals.faults
+    return {name for fault in faults for name in fault.doubts}
 
 
 def _white(assessment: "Assessment") -> bool:

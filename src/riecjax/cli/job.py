@@ -103,6 +103,7 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         if file.suffix.lower() == ".json":
             document = json.loads(text)
             recorded = document["provenance"].get("files", [])
+            _require_intact(document, file)
             return dict(document["job"]), [
                 {"file": str(one["file"]), "sha256": str(one["sha256"])} for one in recorded
             ]
@@ -120,6 +121,16 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     except ValueError as error:  # of TOML and JSON
         toml = "" if file.suffix.lower() == ".json" else " Words stand in quotes in TOML."
         raise click.UsageError(f"--job {file}: it is not understood: {error}.{toml}") from None
+
+
+def _require_intact(document: Any, file: Path) -> None:
+    from riecjax.reporting.document import is_intact
+
+    if not is_intact(document):
+        raise click.UsageError(
+            f"--job {file}: it is damaged or was changed: its checksum differs. Other options "
+            f"stand beside --job, or in a TOML file ('riecjax init' prints one)."
+        )
 
 
 def _unknown(key: str, known: Sequence[str]) -> click.UsageError:

@@ -1,5 +1,6 @@
 """Entry point of the command line."""
 
+import contextlib
 import errno
 import gc
 import importlib
@@ -10,7 +11,7 @@ import sys
 
 import click
 
-from riecjax.errors import RiecjaxError
+from riecjax.errors import RiecjaxError, printable
 from riecjax.work import REMEDY
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
@@ -40,6 +41,8 @@ def cli() -> None:
     """Identify physical parameters of reduced mechanical models from recorded motion."""
 
 
+INTERRUPTED = 130
+"""Exit status, as of shells, after Ctrl-C, where `riecjax.cli.start` does not see to it."""
 COLLECT_AFTER = 100_000
 """New objects after which Python looks for cycles: tracing makes many, and hardly any cycle."""
 
@@ -61,7 +64,17 @@ def run(arguments: list[str] | None = None) -> int:
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:
-        status = cli.main(arguments, prog_name="riecjax", standalone_mode=False, obj=given)
+        status = _status(given)
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
+        return status
+    except OSError as error:
+        return _lost(error)
+
+
+def _status(given: list[str]) -> int:
+    try:
+        status = cli.main(given, prog_name="riecjax", standalone_mode=False, obj=given)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         return 2
@@ -69,16 +82,9 @@ def run(arguments: list[str] | None = None) -> int:
         where = error.ctx.command_path if error.ctx else "riecjax"
         return _fail(f"{error.format_message()} See '{where} --help'.", 2)
     except click.Abort:
-        return _fail("interrupted.", 1)
+        return _fail("interrupted.", INTERRUPTED)
     except RiecjaxError as error:
         return _no_answer(str(error), error.code, given)
-    except OSError as error:
-        # The reader of our output went away (`| head`), for which Windows has two numbers; leave
-        # quietly.
-        if error.errno != errno.EPIPE and (error.errno, sys.platform) != (errno.EINVAL, "win32"):
-            raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except MemoryError as error:
         message = str(error) or "not enough memory for this record."
         return _no_answer(message, "memory", given)
@@ -94,6 +100,22 @@ def run(arguments: list[str] | None = None) -> int:
     return status if isinstance(status, int) else 0
 
 
+def _lost(error: OSError) -> int:
+    """What to do about an error of a standard stream, or of a file that nothing else told of."""
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except OSError:
+            # Python flushes it again when it ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    # The reader of our output went away (`| head`), for which Windows has two numbers; leave
+    # quietly.
+    if error.errno == errno.EPIPE or (error.errno, sys.platform) == (errno.EINVAL, "win32"):
+        return 1
+    what = "the output" if error.filename is None else f"'{error.filename}'"
+    return _fail(f"{what} cannot be written or read: {error.strerror}.", 1)
+
+
 def _no_answer(message: str, code: str, arguments: list[str]) -> int:
     if "--json" in arguments:
         from riecjax.reporting.document import SCHEMA
@@ -104,5 +126,6 @@ def _no_answer(message: str, code: str, arguments: list[str]) -> int:
 
 
 def _fail(message: str, status: int) -> int:
-    click.echo(f"riecjax: {' '.join(message.split())}", err=True)
+    with contextlib.suppress(OSError):  # there is no one to tell
+        click.echo(f"riecjax: {printable(' '.join(message.split()))}", err=True)
     return status

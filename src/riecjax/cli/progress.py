@@ -10,6 +10,7 @@ from riecjax.work import Work, in_time, listening
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
     from riecjax.estimation.estimate import Estimate
 
@@ -29,9 +30,11 @@ class _Doing(NamedTuple):
     seconds: float
     began: float
 
-    def __rich__(self) -> str:
+    def __rich__(self) -> "Text":
+        from rich.text import Text
+
         passed = time.monotonic() - self.began
-        return f"{self.what}: {passed:.0f} s of about {in_time(max(self.seconds, passed))}"
+        return Text(f"{self.what}: {passed:.0f} s of about {in_time(max(self.seconds, passed))}")
 
 
 class Progress:

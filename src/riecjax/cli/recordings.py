@@ -112,6 +112,14 @@ RECORD_OPTIONS = (
         "the others are judged from their samples. Repeatable. [default: auto]",
     ),
     click.option(
+        "--outliers",
+        type=click.Choice(["repair", "missing", "keep"]),
+        default="repair",
+        show_default=True,
+        help="Spikes of one to three samples: replace each by a cubic through the samples around "
+        "it, mark it as missing, or keep it, as a pulse that really acted.",
+    ),
+    click.option(
         "--from",
         "start",
         type=FINITE,
@@ -200,6 +208,7 @@ class RecordingOptions:
     delimiter: str | None
     decimal: str | None
     noise: str | Mapping[str, float]
+    outliers: str
     start: float | None
     stop: float | None
     offsets: tuple[str, ...]

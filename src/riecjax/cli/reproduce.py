@@ -1,6 +1,7 @@
 """`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
 import os
+import shutil
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ import click
 from riecjax.cli.options import json_option, out_option, seed_option
 from riecjax.cli.progress import announce
 from riecjax.runtime import start_jax
+from riecjax.whole_files import stamp
 from riecjax.work import Work, expect, listening
 
 if TYPE_CHECKING:
@@ -116,9 +118,12 @@ def _study(seed: int, quick: bool, as_json: bool, out: Path | None) -> None:
         show=print_reproduction,
         charts=lambda: study_charts(study, shapes),
         page=reproduction_page,
+        others={
+            "variations.parquet": lambda file: write_variations(study.table, file, stamp(file))
+        },
     )
-    if out is not None and parts is not None:
-        write_variations(study.table, out / "variations.parquet", parts)
+    if parts is not None:
+        shutil.rmtree(parts, ignore_errors=True)
 
 
 @contextmanager

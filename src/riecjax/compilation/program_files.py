@@ -4,16 +4,14 @@ XLA loads a program without Python: beside the imports of a process, on another 
 last process of a kind called is loaded from the start.
 """
 
-# This module imports no more than JAX, so that loading can begin before anything else is imported.
+# This module imports little beside JAX, so that loading can begin before all else is imported.
 
 import atexit
 import contextlib
 import hashlib
 import json
-import os
 import pickle
 import re
-import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -24,8 +22,8 @@ from jax.experimental import serialize_executable
 from jaxlib import lapack
 
 from riecjax.runtime import CACHE_BYTES, programs_folder
+from riecjax.whole_files import Store, read_sealed, write_sealed
 
-_DIGEST_BYTES = 32
 _SUFFIX = ".program"
 _KEY = re.compile("[0-9a-f]{64}")
 
@@ -50,9 +48,9 @@ def load_ahead(*kind: str) -> None:
     calls = folder / (hashlib.sha256("\0".join(kind).encode()).hexdigest() + ".calls")
     atexit.register(_note, calls)
     with contextlib.suppress(OSError, ValueError):
-        keys = [key for key in json.loads(calls.read_text(encoding="utf-8")) if _KEY.fullmatch(key)]
+        keys = [key for key in json.loads(read_sealed(calls) or b"[]") if _KEY.fullmatch(key)]
         loader = ThreadPoolExecutor(1)
-        _ahead.update({key: loader.submit(_loaded, _file(folder, key)) for key in keys})
+        _ahead.update({key: loader.submit(_loaded, folder, key) for key in keys})
         loader.shutdown(wait=False)
 
 
@@ -60,7 +58,7 @@ def read_program(folder: Path, key: str) -> Stored | None:
     """The program of a key; `None` if there is none, or none that can be loaded."""
     _called[key] = None
     ahead = _ahead.pop(key, None)
-    return _loaded(_file(folder, key)) if ahead is None else ahead.result()
+    return _loaded(folder, key) if ahead is None else ahead.result()
 
 
 def write_program(folder: Path, key: str, program: Stored) -> None:
@@ -70,24 +68,16 @@ def write_program(folder: Path, key: str, program: Stored) -> None:
     except Exception:  # each part of JAX that cannot be kept has an error of its own
         return
     counts = (inputs.num_leaves, outputs.num_leaves)
-    content = pickle.dumps((counts, payload, program.template))
-    with contextlib.suppress(OSError):
-        _make_room(folder, len(content))
-        _replace(_file(folder, key), hashlib.sha256(content).digest() + content)
+    _store(folder).put(key, pickle.dumps((counts, payload, program.template)))
 
 
-def _file(folder: Path, key: str) -> Path:
-    return folder / (key + _SUFFIX)
+def _store(folder: Path) -> Store:
+    return Store(folder, _SUFFIX, CACHE_BYTES)
 
 
-def _loaded(file: Path) -> Stored | None:
-    try:
-        content = memoryview(file.read_bytes())
-        os.utime(file)
-    except OSError:
-        return None
-    told, written = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-    if hashlib.sha256(written).digest() != told:
+def _loaded(folder: Path, key: str) -> Stored | None:
+    written = _store(folder).get(key)
+    if written is None:
         return None
     try:
         (inputs, outputs), payload, template = pickle.loads(written)
@@ -106,30 +96,4 @@ def _loaded(file: Path) -> Stored | None:
 def _note(calls: Path) -> None:
     if _called:
         with contextlib.suppress(OSError):
-            _replace(calls, json.dumps(list(_called)).encode())
-
-
-def _replace(file: Path, content: bytes) -> None:
-    """Write a file whole or not at all, which no one else may read.
-
-    `riecjax.records.writing` has the same for files of the user's, and imports what must wait here.
-    """
-    handle, name = tempfile.mkstemp(dir=file.parent, suffix=_SUFFIX)
-    try:
-        with open(handle, "wb") as new:
-            new.write(content)
-        os.replace(name, file)
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
-def _make_room(folder: Path, needed: int) -> None:
-    """Forget the programs that were not used for longest."""
-    used = sorted((file.stat().st_mtime, file) for file in folder.glob("*" + _SUFFIX))
-    sizes = [file.stat().st_size for _, file in used]
-    excess = sum(sizes) + needed - CACHE_BYTES
-    for (_, file), size in zip(used, sizes):
-        if excess <= 0:
-            return
-        file.unlink(missing_ok=True)
-        excess -= size
+            write_sealed(calls, json.dumps(list(_called)).encode())

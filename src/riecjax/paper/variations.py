@@ -5,8 +5,9 @@ models is driven with it, and the variant B_id is identified by DOLS and by RIEC
 of windows. All of these models are validated on the two inputs of Section 5.
 """
 
+import hashlib
+import io
 import json
-import shutil
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -121,6 +122,8 @@ UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | {
 ERRORS = tuple(f"{where} p_{i + 1} [%]" for where in INPUTS for i in range(len(VALIDATED_STATES)))
 """Columns of validation errors: infinite where a model lost its solution."""
 SETTINGS = b"riecjax.variations"
+DIGEST = 32
+"""Bytes of the SHA-256 that a part's file begins with."""
 
 
 class Part(NamedTuple):
@@ -133,7 +136,7 @@ class Part(NamedTuple):
     @property
     def file(self) -> str:
         """Name of its file."""
-        return f"{self.case}-{self.first:05d}.parquet"
+        return f"{self.case}-{self.first:05d}.part"
 
 
 def parts_of(plan: Variations) -> list[Part]:
@@ -178,13 +181,13 @@ def run_variations(
     return pa.concat_tables(tables)
 
 
-def write_variations(table: pa.Table, file: Path, parts: Path) -> None:
-    """The whole table as one Parquet file; the parts that it was made of are removed.
+def write_variations(table: pa.Table, file: Path, stamp: str = "") -> None:
+    """The whole table as one Parquet file, whose pages have checksums, and which says `stamp`.
 
-    **Raises:** `DataError` for a file that cannot be written.
+    **Raises:** `OSError` for a file that cannot be written.
     """
-    _keep(table, file)
-    shutil.rmtree(parts, ignore_errors=True)
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"riecjax": stamp})
+    pq.write_table(table, file, write_page_checksum=True)
 
 
 def _run(
@@ -242,19 +245,26 @@ def _settings(plan: Variations, key: Key[Array, ""]) -> bytes:
 
 def _kept(file: Path, settings: bytes) -> pa.Table | None:
     try:
-        table = pq.read_table(file)
-    except (OSError, pa.ArrowInvalid):
-        return None  # not there, or broken
+        content = file.read_bytes()
+    except OSError:
+        return None
+    told, written = content[:DIGEST], content[DIGEST:]
+    if hashlib.sha256(written).digest() != told:
+        return None
+    table = pq.read_table(pa.BufferReader(written))
     metadata = table.schema.metadata or {}
     return table if metadata.get(SETTINGS) == settings else None
 
 
 def _keep(table: pa.Table, file: Path) -> None:
+    content = io.BytesIO()
+    pq.write_table(table, content)
+    digest = hashlib.sha256(content.getbuffer()).digest()
     # Renamed when it is whole: an interruption leaves no broken file behind.
     temporary = file.with_suffix(".tmp")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(table, temporary)
+        temporary.write_bytes(digest + content.getvalue())
         temporary.replace(file)
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None

@@ -5,9 +5,10 @@ from dataclasses import fields
 from typing import Any, Literal, TypedDict
 
 from riecjax.errors import DataError, require
+from riecjax.records.faults.outliers import Treatment
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.preparation.steps import Preparation
-from riecjax.records.reading.selection import Selection
+from riecjax.records.reading.selected import Selection
 
 
 class ReadingSettings(TypedDict, total=False):
@@ -32,6 +33,9 @@ class ReadingSettings(TypedDict, total=False):
     - `noise`: on the signals as measured, in SI units: `"auto"`, judged from their samples;
       `"none"`; or a standard deviation by signal (0 for none), the others are judged. Steps of
       preparation carry it on. See [`Noise`][riecjax.Noise].
+    - `outliers`: what becomes of spikes of one to three samples, before anything else is made of a
+      signal: `"repair"` (the default) by a cubic through the samples around, `"missing"` to mark
+      them as missing, or `"keep"`. See [`repair_outliers`][riecjax.records.repair_outliers].
 
     What is done to the record then, in this order:
 
@@ -56,6 +60,7 @@ class ReadingSettings(TypedDict, total=False):
     columns: Sequence[str]
     part: str | None
     noise: GivenNoise
+    outliers: Treatment
     start: float | None
     stop: float | None
     offsets: Sequence[str]
@@ -80,7 +85,7 @@ def sorted_settings(
     """
     if unknown := [name for name in settings if name not in ReadingSettings.__annotations__]:
         raise TypeError(f"read_recording() got an unexpected keyword argument '{unknown[0]}'")
-    given: dict[str, Any] = dict(settings)
+    given: dict[str, Any] = {"outliers": "repair", **settings}
     for name in (n for n in MAPPINGS if n in given):
         given[name] = given[name] or {}
         require(name, given[name], Mapping, f"{name}={{'x': ...}}, by the signal's name", DataError)

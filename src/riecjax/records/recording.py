@@ -9,14 +9,15 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from riecjax.errors import DataError, MissingSignalError, ModelError, require
+from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
 from riecjax.records.preparation import split
 from riecjax.records.preparation.steps import Preparation, prepare
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
-from riecjax.records.reading.selection import Selected, Selection, record_from_channels
+from riecjax.records.reading.selected import Selected, Selection
+from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.unit_expressions import same
 from riecjax.records.reading.units import split_unit
 from riecjax.records.reading_settings import ReadingSettings, sorted_settings
@@ -58,7 +59,8 @@ class Recording(Drawn):
     @property
     def name(self) -> str:
         """What messages and tables call it: its file's name, and which part of it."""
-        return ", ".join(filter(None, (Path(self.source).name or "the record", self.part)))
+        file = Path(self.source).name or "the record"
+        return printable(", ".join(filter(None, (file, self.part))))
 
     def split(self, share: float) -> tuple["Recording", "Recording"]:
         """Hold out the last `share` of its samples; see [`split`][riecjax.split].
@@ -216,6 +218,7 @@ def _recording(
             Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
             for n, why in mismatches.items()
         ),
+        *(f._replace(message=f"{file}: {f.message}") for f in selected.findings),
         *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
         *(
             Finding("column_left_out", f"{file}: {why}, {computed.format(n)}", (n,))
@@ -285,9 +288,10 @@ def _explaining(
                 message = (
                     f"{why}, so that the record has no signal '{error.signal}'; it has: {listed}."
                 )
-        name = ", ".join(filter(None, (Path(source).name, part)))
+        name = printable(", ".join(filter(None, (Path(source).name, part))))
         prefix = "" if message.startswith(f"{name}: ") else f"{name}: "
-        raise DataError(" ".join((prefix + message).split())[:LONGEST_MESSAGE]) from None
+        said = " ".join(printable(prefix + message).split())
+        raise DataError(said[:LONGEST_MESSAGE]) from None
 
 
 def _in_model_units(

@@ -6,6 +6,8 @@ MOST_OUTLIERS = 0.01
 """Share of samples; more of them are how the signal is."""
 ROUNDING = 1e-9
 """Share of a signal's range within which values are one: computed ones differ in last digits."""
+FEW_LEVELS = 20
+"""Distinct values up to which a signal counts as a command or a relay, not as a sensor's."""
 LAST_DIGITS = 1e-13
 """Share of a signal's range that is rounding for certain."""
 
@@ -40,3 +42,11 @@ def resolution_of(levels: np.ndarray) -> float:
     multiples = steps / quantum
     near = np.abs(multiples - np.round(multiples)) < 0.02 + 1e-3 * multiples
     return quantum if np.mean(near[multiples < 100]) > 0.99 else 0.0
+
+
+def is_piecewise_linear(values: np.ndarray, levels: np.ndarray, rounding: float) -> bool:
+    """Whether more than half of the samples lie on straight lines, as only commands do."""
+    bend = np.diff(values, 2)
+    extreme = np.isin(values[1:-1], levels[[0, -1]])
+    inner = np.abs(bend[~extreme & ~np.isnan(bend)])
+    return not inner.size or bool(np.mean(inner <= rounding) > 0.5)

@@ -2,26 +2,30 @@
 
 import csv
 import os
-import tempfile
+import re
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from riecjax.errors import DataError
+from riecjax.errors import DataError, printable
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import STEP_TOLERANCE
+from riecjax.whole_files import temporary
 
 Columns = Mapping[str, np.ndarray]
+FORMULA = r"(^|[;|,\t]\s*)(?=[=+@-])"
+"""Where a spreadsheet would take a name for a formula, or what it splits off a name."""
 
 
 def write_record(path: str | os.PathLike[str], record: Record) -> None:
     """Write a record to CSV, NPZ, MAT or Parquet, by the file name's ending, time as column `t`.
 
     A missing sample is written as NaN, in CSV as an empty field; a pause is one in the times. Only
-    Parquet keeps units. The file appears whole or not at all: it is written under a temporary
-    name and renamed.
+    Parquet keeps units. In CSV a name that a spreadsheet would take for a formula has a `'` before
+    its sign, which is dropped where it is read. The file appears whole or not at all: it is written
+    under a temporary name and renamed.
 
     **Raises:** `DataError` for another ending, a name that the format cannot hold, or a folder
     that cannot be written to.
@@ -50,21 +54,14 @@ def check_writable(file: Path) -> None:
 def write_whole(file: Path, write: Callable[[Path], None]) -> None:
     """Let `write` fill a temporary file beside `file`, then rename it: whole or not at all."""
     try:
-        handle, name = tempfile.mkstemp(dir=file.parent, suffix=f".tmp{file.suffix}")
+        with temporary(file.parent, file.suffix) as new:
+            write(new)
+            mask = os.umask(0)
+            os.umask(mask)
+            new.chmod(0o666 & ~mask)
+            new.replace(file)
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(file)
-    except OSError as error:
-        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _columns(record: Record) -> dict[str, np.ndarray]:
@@ -91,12 +88,15 @@ def _pauses(time: np.ndarray, values: Columns, step: float) -> np.ndarray:
 def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         if not name.isprintable() or name != name.strip() or not name.strip('"') == name != "":
-            raise DataError(f"'{name}' cannot name a column in CSV; rename it or write NPZ.")
+            raise DataError(
+                f"'{printable(name)}' cannot name a column in CSV; rename it or write NPZ."
+            )
+    header = [re.sub(FORMULA, r"\1'", name) for name in columns]
     table = np.column_stack(list(columns.values()))
     missing = np.isnan(table).any()
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
+        writer.writerow(header)
         # 17 digits bring every 64-bit number back exactly.
         if missing:
             writer.writerows(["" if x != x else f"{x:.17g}" for x in row] for row in table.tolist())
@@ -114,6 +114,10 @@ def write_npz(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def _write_npz(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
+    for name in columns:
+        # What unpacks an archive would write these elsewhere, and cut at a null character.
+        if re.search(r"^[A-Za-z]:|^[/\\]|(^|[/\\])\.\.([/\\]|$)|\0", name):
+            raise DataError(f"'{printable(name)}' cannot be a member of an archive; rename it.")
     write_npz(file, columns)
 
 

@@ -1,5 +1,7 @@
 """A result as plain data: what `--json` prints, results.json holds, and pages and tables show."""
 
+import hashlib
+import json
 import math
 import platform
 from collections.abc import Sequence
@@ -17,6 +19,24 @@ SCHEMA = 1
 
 It is raised when the meaning of a key changes or a key is removed; new keys don't raise it.
 """
+
+
+def sealed(document: Document) -> Document:
+    """The document with a checksum of all else in it."""
+    return {**document, "checksum": _checksum(document)}
+
+
+def is_intact(document: Document) -> bool:
+    """Whether a document says what it said when it was sealed; one that never was does."""
+    told = document.get("checksum")
+    return told is None or told == _checksum(document)
+
+
+def _checksum(document: Document) -> str:
+    told = {key: value for key, value in document.items() if key != "checksum"}
+    # Keys that are no text become text in JSON, in an order of their own.
+    plain = json.dumps(json.loads(json.dumps(told)), sort_keys=True)
+    return hashlib.sha256(plain.encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:

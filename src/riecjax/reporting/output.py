@@ -1,10 +1,8 @@
 """Where results go: the terminal, standard output as JSON, and a folder."""
 
+import contextlib
 import json
-import os
-import shutil
-import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +11,14 @@ from rich.console import Console
 
 from riecjax.errors import DataError
 from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.document import Document
+from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
+from riecjax.whole_files import committing, is_stamped, temporary
+
+RESULTS, REPORT = "results.json", "report.html"
+STAMPED = (".png", ".parquet")
+"""Endings of files that bear a stamp by which a later run knows its own."""
+Writer = Callable[[Path], None]
 
 
 def emit(
@@ -26,15 +30,18 @@ def emit(
     charts: Callable[[], Mapping[str, Chart]],
     page: Callable[[Document], Page],
     warnings: Sequence[Mapping[str, Any]] | None = None,
+    others: Mapping[str, Writer] | None = None,
 ) -> None:
     """Write the folder first, if one is asked for, then print, the answer before warnings.
 
-    Warnings go to standard error: the document's, or only these.
+    Warnings go to standard error: the document's, or only these. `others` write further files of
+    the folder, by name.
 
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
+    document = sealed(document)
     if out is not None:
-        write_folder(out, document, charts(), page(document))
+        write_folder(out, document, charts(), page(document), others)
     if as_json:
         click.echo(json.dumps(document, indent=2, allow_nan=False))
     else:
@@ -45,36 +52,52 @@ def emit(
         line = f"warning [{warning['code']}]: {warning['message']}"
         told.print(line, markup=False, highlight=False, soft_wrap=not told.is_terminal)
     if out is not None and not as_json:
-        click.echo(f"wrote {out}/results.json, report.html and figures")
+        further = "".join(f", {name}" for name in others or ())
+        click.echo(f"wrote {out}/{RESULTS}, {REPORT}{further} and figures")
 
 
-def write_folder(folder: Path, document: Document, charts: Mapping[str, Chart], page: Page) -> None:
+def write_folder(
+    folder: Path,
+    document: Document,
+    charts: Mapping[str, Chart],
+    page: Page,
+    others: Mapping[str, Writer] | None = None,
+) -> None:
     """results.json, a PNG of each chart and report.html, each whole or not at all.
 
     Everything is made in a temporary folder beside it first; only then files are moved in.
+    results.json goes first and comes last, so that it never stands beside what belongs to another
+    one, wherever this ends.
 
     **Raises:** `DataError` if the folder cannot be written, or a package for reports is missing.
     """
     require_report_packages()
     from riecjax.reporting.charts.printed import print_chart
 
-    made = _folder_beside(folder)
-    try:
-        text = json.dumps(document, indent=2, allow_nan=False) + "\n"
-        (made / "results.json").write_text(text, encoding="utf-8")
+    with _folder_beside(folder) as made:
         pictures = {name: made / f"{name}.png" for name in charts}
         for name, chart in charts.items():
             print_chart(chart, pictures[name])
-        (made / "report.html").write_text(
-            render(page, document, charts, pictures), encoding="utf-8"
-        )
-        folder.mkdir(exist_ok=True)
-        for file in made.iterdir():
-            os.replace(file, folder / file.name)
-    except OSError as error:
-        raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
+        report = render(page, document, charts, pictures)
+        (made / REPORT).write_text(report, encoding="utf-8")
+        for name, write in (others or {}).items():
+            write(made / name)
+        text = json.dumps(sealed(document), indent=2, allow_nan=False) + "\n"
+        (made / RESULTS).write_text(text, encoding="utf-8")
+        with committing:
+            _move(made, folder)
+
+
+def _move(made: Path, folder: Path) -> None:
+    folder.mkdir(exist_ok=True)
+    names = {file.name for file in made.iterdir()}
+    (folder / RESULTS).unlink(missing_ok=True)
+    for file in folder.iterdir():
+        if file.suffix in STAMPED and file.name not in names and is_stamped(file):
+            file.unlink()
+    for name in sorted(names - {RESULTS}):
+        (made / name).replace(folder / name)
+    (made / RESULTS).replace(folder / RESULTS)
 
 
 def require_folder(folder: Path) -> None:
@@ -83,19 +106,19 @@ def require_folder(folder: Path) -> None:
     **Raises:** `DataError` if not, or if a package for reports is missing.
     """
     require_report_packages()
-    _folder_beside(folder).rmdir()
+    with _folder_beside(folder):
+        pass
 
 
-def _folder_beside(folder: Path) -> Path:
+@contextlib.contextmanager
+def _folder_beside(folder: Path) -> Iterator[Path]:
     """A temporary folder next to one that is to be written."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        # What is made in a folder of tempfile's is its owner's alone, on Windows wherever it moves.
-        made = folder.parent / f".{folder.name}.{uuid.uuid4().hex}"
-        made.mkdir()
+        with temporary(folder.parent, is_folder=True) as made:
+            yield made
     except OSError as error:
         raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
-    return made
 
 
 def require_report_packages() -> None:

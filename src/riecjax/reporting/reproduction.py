@@ -33,6 +33,21 @@ SHOWN = {
 """Heading of each table, and what its rows are divided by for reading."""
 
 
+def road_findings(roads: RoadResult, scale: Scale | None = None) -> Iterator[Finding]:
+    """Roads that lost a simulation, and roads too few for means and ranges."""
+    lost = int(np.sum(~np.asarray(roads.successful)))
+    if lost:
+        message = f"{lost} roads lost a simulation; their numbers are not to be trusted."
+        yield Finding("simulation_lost", message)
+    count = int(np.asarray(roads.contact).size)
+    fewest = count if scale is None else min(count, scale.studied)
+    if fewest < FEW_ROADS:
+        remedy = f"Use --roads {FEW_ROADS} or more" if scale is None else "Use --full"
+        which = "" if scale is None else f" behind all but the tables ({count} behind these)"
+        message = f"only {fewest} roads{which}: means and ranges are rough. {remedy}."
+        yield Finding("few_roads", message)
+
+
 def reproduction_document(
     roads: RoadResult, claims: Sequence[Claim], *, seed: int, scale: Scale | None = None
 ) -> Document:
@@ -41,18 +56,6 @@ def reproduction_document(
     **Arguments:** `scale` of the whole study, `None` where only the tables were reproduced.
     """
     tables = {"3": table_3(roads), "4": table_4(roads), "5": table_5(roads)}
-    lost = int(np.sum(~np.asarray(roads.successful)))
-    warnings = []
-    if lost:
-        message = f"{lost} roads lost a simulation; their numbers are not to be trusted."
-        warnings.append(Finding("simulation_lost", message)._asdict())
-    count = int(np.asarray(roads.contact).size)
-    fewest = count if scale is None else min(count, scale.studied)
-    if fewest < FEW_ROADS:
-        remedy = f"Use --roads {FEW_ROADS} or more" if scale is None else "Use --full"
-        which = "" if scale is None else f" behind all but the tables ({count} behind these)"
-        message = f"only {fewest} roads{which}: means and ranges are rough. {remedy}."
-        warnings.append(Finding("few_roads", message)._asdict())
     return {
         "schema": SCHEMA,
         "tables": {"1": [_mode_entry(row) for row in table_1()]}
@@ -61,10 +64,10 @@ def reproduction_document(
         "summary": _summary(tables),
         "claims": [_claim_document(claim) for claim in claims],
         "reconstruction": reconstruction_document(),
-        "warnings": warnings,
+        "warnings": [finding._asdict() for finding in road_findings(roads, scale)],
         "provenance": {
             "seed": seed,
-            "roads": count,
+            "roads": int(np.asarray(roads.contact).size),
             "study": None if scale is None else scale._asdict(),
             "settings": TABLE_2._asdict(),
             "versions": versions(),

@@ -26,7 +26,7 @@ from riecjax.leaves import is_concrete
 from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.refined import Refined
 from riecjax.reporting.document import SCHEMA as RESULTS_SCHEMA
-from riecjax.reporting.document import Document
+from riecjax.reporting.document import Document, is_intact
 from riecjax.reporting.tables import View
 from riecjax.reporting.verdict import reasons_in_words
 from riecjax.reporting.views import criterion_in_words, value_table
@@ -167,6 +167,8 @@ def _results(file: Path) -> Results:
                 f"it was written with schema {document['schema']}, this version reads "
                 f"{RESULTS_SCHEMA}: use the version of riecjax that wrote it."
             )
+        if not is_intact(document):
+            raise DataError("it is damaged or was changed: its checksum differs. Make it anew.")
         if "error" in document:
             raise DataError(f"it holds no answer: {document['error']['message']}")
         if lacking := {"model", "criterion", "parameters", "known", "warnings"} - {*document}:

@@ -77,7 +77,7 @@ def in_rich(table: Table) -> RichTable:
     """As a table on a terminal."""
     printed = RichTable(box=None, padding=(0, 2, 0, 0))
     for name, column in zip(table.header, zip(*table.rows)):
-        printed.add_column(name, justify="right" if _is_numeric(column) else "left")
+        printed.add_column(Text(name), justify="right" if _is_numeric(column) else "left")
     for row in table.rows:
         printed.add_row(*map(Text, row))
     return printed

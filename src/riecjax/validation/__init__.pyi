@@ -7,5 +7,7 @@ from .goodness_of_fit import validate as validate
 from .goodness_of_fit import variance_accounted_for as variance_accounted_for
 from .held_out import HeldOut as HeldOut
 from .held_out import validate_held_out as validate_held_out
+from .late_signals import SignalDelay as SignalDelay
+from .late_signals import signal_delays as signal_delays
 from .residuals import ResidualTests as ResidualTests
 from .residuals import residual_tests as residual_tests

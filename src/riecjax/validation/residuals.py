@@ -6,7 +6,7 @@ of the record that do not belong together as errors of unequal size. Each is rep
 chance does not explain it and it is large enough to matter.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -76,6 +76,7 @@ class EquationResidual(NamedTuple):
     - `dampers`: coefficients with which a spring that the model lacks could be in series, and
       the first ones of `maps` of which that may be said.
     - `parameters` of the equation.
+    - `explained`: whether a fault of a sensor explains what is left, which is then no model's.
     """
 
     name: str
@@ -94,10 +95,12 @@ class EquationResidual(NamedTuple):
     dampers: tuple[str, ...] = ()
     maps: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
+    explained: bool = False
 
     def findings(self) -> list[Finding]:
         """`unmodelled_mode`, `residual_follows_signal`, `uneven_errors`."""
-        found = [*self._mode(), *self._following(), *self._uneven()]
+        of_model = [] if self.explained else [*self._mode(), *self._following()]
+        found = [*of_model, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
 
     def _mode(self) -> Iterator[Finding]:
@@ -223,17 +226,19 @@ class EquationResidual(NamedTuple):
 class ResidualTests(Drawn, eqx.Module):
     """What every equation of a model leaves unexplained; see [`residual_tests`][].
 
-    **Fields:** `equations`, in the order of the procedure's stages.
+    **Fields:** `equations`, in the order of the procedure's stages; `faults` of sensors that
+    explain what some of them leave.
     """
 
     equations: tuple[EquationResidual, ...]
+    faults: tuple[Finding, ...] = ()
 
     def __getitem__(self, name: str) -> EquationResidual:
         return {equation.name: equation for equation in self.equations}[name]
 
     def findings(self) -> list[Finding]:
-        """Findings of all equations."""
-        return [finding for equation in self.equations for finding in equation.findings()]
+        """Faults of sensors, and findings of all equations."""
+        return [*self.faults, *(finding for one in self.equations for finding in one.findings())]
 
     def describe(self) -> dict[str, Any]:
         """Numbers of the tests by equation, as plain data for JSON."""
@@ -248,6 +253,7 @@ def residual_tests(
     windows: AbstractWindows | None = None,
     lags: int | None = None,
     errors: list[list[EquationError]] | None = None,
+    faults: Sequence[Finding] = (),
 ) -> ResidualTests:
     """Test what an identified model leaves unexplained (not under jit).
 
@@ -258,6 +264,7 @@ def residual_tests(
     - `lags`: longest lag of correlations in samples; by default the longest window or else 50
       samples, no more than 400 and a tenth of the records.
     - `errors` of each equation on each record, from [`errors_over_records`][], if they are known.
+    - `faults` of sensors that explain what is left where their signals are read.
 
     **Raises:** `ModelError` for a parameter without a value; `DataError` for a missing signal,
     records of unequal time steps or too short ones.
@@ -274,14 +281,19 @@ def residual_tests(
         wanted = LAGS if windows is None else round(float(windows.beta) / step)
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
-    procedure = as_procedure(model)
+    procedure, faulty = as_procedure(model), {name for fault in faults for name in fault.signals}
+    smoothness = estimate.criterion.smoothness if isinstance(estimate, Estimate) else 1
     return ResidualTests(
         tuple(
             _residual(name, of_equation, recordings, windows, lags)._replace(
-                **_lacking(procedure, equation), parameters=equation.parameters
+                **_lacking(procedure, equation),
+                parameters=equation.parameters,
+                explained=bool(faulty)
+                and not faulty.isdisjoint(equation.signals_read(recordings[0], smoothness)),
             )
             for name, of_equation, equation in zip(names, errors, procedure.equations, strict=True)
-        )
+        ),
+        tuple(faults),
     )
 
 

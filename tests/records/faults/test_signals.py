@@ -69,6 +69,7 @@ def spiked(values: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 # What must be found.
 
 
+@pytest.mark.raises_finding("clipped")
 @pytest.mark.parametrize("share", [0.5, 0.8, 0.95])
 @pytest.mark.parametrize("hertz", [1.0, 3.7, 51.0])
 def test_a_clipped_sine(hertz, share):
@@ -97,6 +98,7 @@ def test_clipped_on_one_side_says_where_how_much_and_what_to_do():
     assert "larger range" in said
 
 
+@pytest.mark.raises_finding("stuck_sensor")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_frozen_sensor(seed):
     for values in (white(seed), smooth(seed), walk(seed), sine(3.1, seed) + 0.01 * white(seed)):
@@ -123,6 +125,7 @@ def test_a_sensor_that_drops_to_zero():
     assert "(300 samples in 1 place(s), 6 %)" in said
 
 
+@pytest.mark.raises_finding("outliers")
 @pytest.mark.parametrize("make", [white, smooth, walk, lambda seed: sine(3.0, seed)])
 def test_three_spikes_of_ten_sigma(make):
     def found(seed: int) -> bool:
@@ -143,11 +146,12 @@ def test_a_spike_of_any_height(make, height):
 def test_outliers_say_how_many_how_far_and_where():
     values, where = spiked(sine(3.0) + 0.01 * white(0))
     said = message(record("N", x=values), "outliers")
-    assert said.startswith("x: 3 sample(s) stand out from their neighbours by up to 7.")
-    assert f"first at {TIME[where[0]]:.4g} s" in said
-    assert "NaN" in said
+    assert said.startswith("x: 3 samples are spikes (0.06 %), up to 7.")
+    assert f"at {', '.join(f'{t:.6g}' for t in TIME[where])} s" in said
+    assert "repair_outliers" in said
 
 
+@pytest.mark.raises_finding("missing_samples")
 def test_missing_samples():
     values = white(0)
     values[[100, 101, 3000]] = np.nan
@@ -170,6 +174,7 @@ def test_a_pause_is_a_gap():
     assert "(1 of 10001) are missing in 1 gap" in message(paused, "missing_samples")
 
 
+@pytest.mark.raises_finding("quantised")
 @pytest.mark.parametrize("offset", [0.0, np.pi, -1e3])
 @pytest.mark.parametrize("quantum", [0.05, 0.1, 0.3])
 def test_coarse_resolution(quantum, offset):
@@ -298,7 +303,8 @@ def test_pendulum():
     folder = measured_data("pendulum_single")
     data = scipy.io.loadmat(folder / "SinglePendulumDataForParameterEstimation.mat")
     for piece in (*data["Y_id"].ravel(), *data["Y_vad"].ravel()):
-        assert found_in({"theta": piece[0], "dtheta": piece[1]}, 1e-3) == set()
+        # Single angles are one count of the encoder off, 2 pi / 40960, 13 times their noise.
+        assert found_in({"theta": piece[0], "dtheta": piece[1]}, 1e-3) <= {("theta", "outliers")}
     small = scipy.io.loadmat(
         folder / "SingleDataFreeSwing_1_Dt_0_0001.mat", squeeze_me=True, struct_as_record=False
     )
@@ -316,12 +322,12 @@ def test_damper_velocity_is_a_difference_of_a_coarse_displacement(number):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        # The angle jumps by 1.3 degrees from one sample to the next, and the control kicks.
+        # The angle jumps by up to 1.3 degrees from one sample to the next, and the control kicks.
         ("sinal1_semi_estatica", {("u", "outliers")}),
-        ("sinal2_degraus", set()),
+        ("sinal2_degraus", {("u", "outliers")}),
         # The same at 60.95 s; and the control is held at its limit of -10 %.
         ("sinal3_swept_sine", {("u", "outliers"), ("u", "clipped")}),
-        ("sinal4_multiseno", set()),
+        ("sinal4_multiseno", {("u", "outliers")}),
     ],
 )
 def test_quarter_drone(name, expected):

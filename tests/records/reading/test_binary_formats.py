@@ -1,5 +1,6 @@
 """MAT, NPZ, Parquet and MDF files, made by the libraries that others make them with."""
 
+import subprocess
 import sys
 import warnings
 import zipfile
@@ -16,6 +17,7 @@ from pyarrow import parquet
 
 from riecjax.errors import DataError
 from riecjax.records.reading import channels as limits
+from riecjax.records.reading.parquet import _read
 from riecjax.records.reading.read import read_channels
 from riecjax.records.reading.selection import Selection, record_from_channels
 from riecjax.records.recording import read_record, read_recording
@@ -352,8 +354,41 @@ def test_parquet_that_unpacks_to_too_much(tmp_path, monkeypatch):
     parquet.write_table(pa.table({"x": np.zeros(10**6)}), tmp_path / "a.parquet")
     assert (tmp_path / "a.parquet").stat().st_size < 10_000
     monkeypatch.setattr(limits, "LARGEST_FILE", 5 * 10**6)
-    with pytest.raises(DataError, match=r"a\.parquet: unpacks to 8000000 bytes"):
-        read_channels(tmp_path / "a.parquet")
+    with pytest.raises(DataError, match=r"^unpacks to 8000000 bytes"):
+        _read(tmp_path / "a.parquet")
+
+
+def test_what_parquet_takes_is_counted_before_it_is_read(tmp_path, monkeypatch):
+    parquet.write_table(pa.table({"x": np.zeros(10**6)}), tmp_path / "a.parquet")
+    monkeypatch.setattr("riecjax.work.free_memory", lambda: 4e7)
+    with pytest.raises(
+        MemoryError, match=r"takes about 0\.064 GB of memory, and 0\.04 GB are free"
+    ):
+        _read(tmp_path / "a.parquet")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 4])
+def test_parquet_takes_no_more_than_is_counted(tmp_path, count):
+    # Time stamps take most: counts, their differences from the first and their numbers.
+    stamps = pa.array(np.arange(4 * 10**6) * 10**6, pa.timestamp("ns"))
+    parquet.write_table(pa.table({f"t{i}": stamps for i in range(count)}), tmp_path / "a.parquet")
+    code = """if True:
+        import sys
+        from pathlib import Path
+        import pyarrow.compute, pyarrow.parquet
+        from riecjax import work
+        from riecjax.records.reading.parquet import _read
+        def peak():
+            lines = Path("/proc/self/status").read_text().splitlines()
+            return 1024 * next(int(line.split()[1]) for line in lines if "VmHWM" in line)
+        before, counted = peak(), []
+        with work.listening(lambda what, work: counted.append(work.bytes)):
+            _read(Path(sys.argv[1]))
+        print(peak() - before, counted[0])"""
+    command = [sys.executable, "-c", code, str(tmp_path / "a.parquet")]
+    taken, counted = subprocess.run(command, capture_output=True, text=True).stdout.split()
+    assert 0.3 * float(counted) < float(taken) < float(counted)
 
 
 def test_mdf_groups_with_their_own_times(tmp_path):

@@ -1,9 +1,13 @@
 """MDF files are read in a process of their own, whose end, by whatever cause, is one line here."""
 
+import contextlib
+import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -74,14 +78,18 @@ LIBRARIES = {
     "out of memory": "def MDF(stream):\n    raise MemoryError",
     "asks for too much": "def MDF(stream):\n    return bytearray(2**40)",
     "hangs": "import time\ntime.sleep(10**6)",
+    "loops in C": "import itertools\nany(itertools.repeat(0))",
 }
+"""A loop in C, while which Python handles no signal."""
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_whatever_the_library_does(tmp_path, monkeypatch, capfd, library):
     (tmp_path / "asammdf.py").write_text(f"print('noise')\n{LIBRARIES[library]}\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(child_process, "PATIENCE", 2.0 if library == "hangs" else 60.0)
+    monkeypatch.setattr(
+        child_process, "PATIENCE", 2.0 if library in ("hangs", "loops in C") else 60.0
+    )
     (tmp_path / "a.mf4").write_bytes(b"MDF     4.10    ")
     if library in ("out of memory", "asks for too much"):
         with pytest.raises(MemoryError):
@@ -110,3 +118,38 @@ def test_modules_in_the_working_folder_are_not_imported(whole, tmp_path, monkeyp
     (tmp_path / "numpy.py").write_text("raise RuntimeError")
     monkeypatch.chdir(tmp_path)
     assert "x" in read_channels("whole.mf4").columns
+
+
+def test_one_process_reads_file_after_file(tmp_path):
+    files = [tmp_path / f"{i}.h5" for i in range(4)]
+    for path in files[::2]:
+        with h5py.File(path, "w") as file:
+            file["x"] = TIME
+    for path in files[1::2]:
+        path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(500))
+    processes = []
+    for i, path in enumerate(files):
+        with pytest.raises(DataError) if i % 2 else contextlib.nullcontext():
+            np.testing.assert_array_equal(read_channels(path).columns["x"], TIME)
+        processes.append(child_process._readers[0].process)
+    assert len(set(processes)) == 1
+    processes[0].kill()
+    processes[0].wait()
+    assert "x" in read_channels(files[0]).columns
+
+
+def test_the_process_ends_with_the_one_that_asks(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = TIME
+    code = (
+        "import os, signal, sys; from riecjax.records.reading import child_process, read\n"
+        "read.read_channels(sys.argv[1]); reader = child_process._readers[0]\n"
+        "print(reader.folder.name, flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "a.h5")]
+    folder = subprocess.run(command, capture_output=True, text=True).stdout.strip()
+    deadline = time.monotonic() + 20
+    while Path(folder).exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not Path(folder).exists()

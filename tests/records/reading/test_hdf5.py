@@ -7,6 +7,8 @@ import pytest
 from damage import damaged, outcome
 from riecjax.errors import DataError
 from riecjax.records.reading import channels as limits
+from riecjax.records.reading import child_process, hdf5
+from riecjax.records.reading.hdf5 import _read
 from riecjax.records.reading.read import read_channels
 from riecjax.records.recording import read_record
 
@@ -96,7 +98,7 @@ def test_declared_sizes_are_checked(tmp_path, monkeypatch):
         read_channels(tmp_path / "a.h5")
     monkeypatch.setattr(limits, "LARGEST_FILE", 2**50)
     with pytest.raises(DataError, match="it is damaged"):
-        read_channels(tmp_path / "a.h5")
+        _read(tmp_path / "a.h5")
 
 
 def test_damaged_files(tmp_path):
@@ -105,3 +107,37 @@ def test_damaged_files(tmp_path):
     refused = [outcome(tmp_path / "a.h5", damaged(content, rng)) for _ in range(300)]
     assert sum(message is not None for message in refused) > 50
     assert outcome(tmp_path / "a.h5", content[: len(content) // 2]) is not None
+
+
+def cells_of_each_other(path, count=10):
+    """Cells each of which refers to all of them: 10 to the 16th ways within 16 levels."""
+    with h5py.File(path, "w") as file:
+        file["t"], file["x"] = TIME, X
+        cells = [file.create_dataset(f"c{i}", (count,), h5py.ref_dtype) for i in range(count)]
+        for cell in cells:
+            cell.attrs["MATLAB_class"] = np.bytes_("cell")
+            cell[:] = [each.ref for each in cells]
+
+
+def groups_in_each_other(path, count=40):
+    with h5py.File(path, "w") as file:
+        file["t"], file["x"] = TIME, X
+        groups = [file.create_group(f"g{i}") for i in range(count)]
+        for group in groups:
+            for i, each in enumerate(groups):
+                group[f"l{i}"] = each
+
+
+@pytest.mark.parametrize("make", [cells_of_each_other, groups_in_each_other])
+@pytest.mark.parametrize("ending", [".mat", ".h5"])
+def test_what_refers_to_each_other_is_read_once(tmp_path, monkeypatch, make, ending):
+    monkeypatch.setattr(child_process, "PATIENCE", 20.0)  # for whoever breaks it
+    make(tmp_path / f"a{ending}")
+    assert set(read_channels(tmp_path / f"a{ending}").columns) == {"t", "x"}
+
+
+def test_too_many_groups_are_refused(tmp_path, monkeypatch):
+    groups_in_each_other(tmp_path / "a.h5")
+    monkeypatch.setattr(hdf5, "MOST_ITEMS", 1000)
+    with pytest.raises(DataError, match="at most 1000 are read"):
+        _read(tmp_path / "a.h5")

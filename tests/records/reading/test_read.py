@@ -3,14 +3,17 @@ import os
 import zipfile
 from pathlib import Path
 
+import h5py
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 import pytest
 import scipy.io
+from pyarrow import parquet
 
 from riecjax.errors import DataError
 from riecjax.records.reading import channels as limits
-from riecjax.records.recording import read_record
+from riecjax.records.recording import read_record, read_recording
 
 ENDINGS = (".csv", ".npz", ".mat")
 TIME = np.arange(5) * 0.1
@@ -198,3 +201,35 @@ def test_stamps_beyond_32_bit_give_no_warning(tmp_path):
     # Such numbers come from damaged files; warnings are errors here.
     path = write_columns(tmp_path, ".npz", {"t": np.array([1.0, 2.0, 1e300]), "x": np.ones(3)})
     assert np.isfinite(read_record(path).time).all()
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet", ".h5"])
+def test_names_that_would_steer_a_terminal(tmp_path, ending):
+    hostile = "F\x1b]0;owned\x07\u202e\x9b2J"
+    shown = "F\\x1b]0;owned\\x07\\u202e\\x9b2J"
+    path = tmp_path / f"a\x1b[2J{ending}"
+    columns = {"t": np.arange(5) * 0.1, hostile: np.arange(5.0)}
+    if ending == ".csv":
+        path.write_text("\n".join([",".join(columns), *(f"{i / 10},{i}" for i in range(5))]))
+    elif ending == ".npz":
+        np.savez(path, **columns)
+    elif ending == ".parquet":
+        parquet.write_table(pa.table(columns), path)
+    else:
+        with h5py.File(path, "w") as file:
+            for name, values in columns.items():
+                file[name] = values
+            file["text" + hostile] = ["a", "b"]
+    recording = read_recording(path)
+    assert list(recording.record.arrays) == [shown]
+    said = [recording.name, *recording.steps, *(f.message for f in recording.findings)]
+    assert all(map(str.isprintable, [*said, *recording.left_out, *recording.left_out.values()]))
+    with pytest.raises(DataError) as refused:
+        read_recording(path, rename={"F": "G\x1b"}, part="x\x1b")
+    assert str(refused.value).isprintable()
+
+
+def test_names_that_are_one_when_escaped(tmp_path):
+    np.savez(tmp_path / "a.npz", **{"t": np.arange(5), "x\x1b": np.ones(5), "x\\x1b": np.ones(5)})
+    with pytest.raises(DataError, match=r"two columns are called 'x\\x1b'"):
+        read_record(tmp_path / "a.npz")

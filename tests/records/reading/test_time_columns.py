@@ -120,6 +120,7 @@ def test_stamps_stored_in_32_bit_are_said_to_be(tmp_path):
     assert set(recording.record.arrays) == {"x"}
 
 
+@pytest.mark.raises_finding("time_unit_doubtful")
 def test_milliseconds_are_suggested(tmp_path):
     whole = (1e3 * T).round().astype(int)
     finding = read(tmp_path, {"time": whole, "x": X}).findings[0]

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
+from riecjax.records import resolution
 from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.resolution import FEW_LEVELS as FEW_LEVELS
 from riecjax.records.resolution import levels_of, resolution_of, rounding_of
 
-FEW_LEVELS = 20
-"""Distinct values up to which a signal counts as a command or a relay, not as a sensor's."""
 LONGEST_REST = 0.5
 """Share of samples at one value past which that is where the signal rests."""
 
@@ -87,10 +87,7 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
 
 def is_piecewise_linear(signal: SampledSignal) -> bool:
     """Whether more than half of the samples lie on straight lines, as only commands do."""
-    bend = np.diff(signal.values, 2)
-    extreme = np.isin(signal.values[1:-1], signal.levels[[0, -1]])
-    inner = np.abs(bend[~extreme & ~np.isnan(bend)])
-    return not inner.size or bool(np.mean(inner <= signal.rounding) > 0.5)
+    return resolution.is_piecewise_linear(signal.values, signal.levels, signal.rounding)
 
 
 def percent(part: float, whole: float) -> str:

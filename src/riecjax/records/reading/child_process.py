@@ -1,17 +1,22 @@
 """Reading a file in a process of its own, with limits on time and memory.
 
-On some damaged files a library ends the whole process instead of raising an error, hangs, or asks
-for all memory. So it runs in a separate process, which is this module as a program:
-`python -m <this> MODULE FUNCTION FILE OUT.npz ARGUMENTS`.
+On some damaged files a library ends the whole process instead of raising an error, hangs in code
+that no signal interrupts, or asks for all memory. So it runs in a separate process, which is this
+module as a program: `python -m <this> FOLDER`. It reads one file after the other, for to start it
+takes longer than most reading, and is ended where a file took too long or too much.
 """
 
+import atexit
 import contextlib
 import importlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,15 +25,17 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
+from riecjax.whole_files import temporary
+from riecjax.work import free_memory
 
 PATIENCE = 60.0
 """Seconds that reading may take, besides those that the file's size explains."""
 SLOWEST_READING = 5e6
 """Bytes a second."""
 MEMORY = 4 * LARGEST_FILE
-"""Bytes that the reading process may ask for."""
-OUT_OF_MEMORY = 77
-"""Exit status of the reading process: not 3, with which abort() ends one on Windows."""
+"""Bytes that the reading process may ask for, where so many are free."""
+LEAST_MEMORY = 2 * 2**30
+"""Bytes that it may ask for in any case: libraries reserve much that they never use."""
 
 
 def read_apart(
@@ -41,39 +48,90 @@ def read_apart(
     **Raises:** `DataError` where the function does, crashes, or takes too long; `MemoryError`.
     """
     limit = PATIENCE + size_of(file) / SLOWEST_READING
-    # What the library leaves behind when it crashes goes with this folder.
-    with tempfile.TemporaryDirectory(prefix="riecjax-", ignore_cleanup_errors=True) as folder:
-        out = Path(folder) / "channels.npz"
-        words = (read.__module__, read.__name__, file.absolute(), out, json.dumps(arguments))
+    words = [read.__module__, read.__name__, str(file.absolute()), arguments, limit]
+    with _lock:
+        reader, began = _reader(), time.monotonic()
         try:
-            status = _run(list(map(str, words)), Path(folder), limit)
-        except subprocess.TimeoutExpired:
-            raise DataError(
-                f"not a readable {kind} file: reading it took longer than {limit:.0f} s."
-            ) from None
-        if status == OUT_OF_MEMORY:
-            raise MemoryError
-        if status != 0 or not out.is_file():
-            raise DataError(
-                f"not a readable {kind} file: its reader crashed, as it does on damaged files."
-            )
-        return _unpacked(out)
+            if reader.answers(words, limit):
+                return _unpacked(reader.out)
+        except DataError:
+            raise  # about the file, by a process that goes on
+        except BaseException:
+            _end()
+            raise
+        _end()
+    if time.monotonic() - began < limit:
+        why = "its reader crashed, as it does on damaged files"
+    else:
+        why = f"reading it took longer than {limit:.0f} s"
+    raise DataError(f"not a readable {kind} file: {why}.")
 
 
-def _run(words: list[str], folder: Path, limit: float) -> int:
-    """Run the reading process for `limit` seconds at most, and return its exit status."""
-    paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
-    places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
-    return subprocess.run(
-        # -P: it finds its modules where this process does, and not in the working folder.
-        [sys.executable, "-P", "-m", __spec__.name, *words],
-        env={**os.environ, **places, "PYTHONPATH": paths},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        timeout=limit,
-        check=False,
-    ).returncode
+class _Reader:
+    """The reading process and the folder for what it hands over, and what crashes leave behind."""
+
+    def __init__(self):
+        self.ending = contextlib.ExitStack()
+        place = temporary(Path(tempfile.gettempdir()), is_folder=True, mode=0o700)
+        folder = str(self.ending.enter_context(place))
+        self.out = Path(folder) / "channels.npz"
+        self.made_for = _surroundings()
+        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
+        self.process = subprocess.Popen(
+            # -P: it finds its modules where this process does, and not in the working folder.
+            [sys.executable, "-P", "-m", __spec__.name, folder],
+            env={**os.environ, **places, "PYTHONPATH": self.made_for[1]},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def answers(self, words: list[object], limit: float) -> bool:
+        """Whether a file was read, or refused, within `limit` seconds: the answer is in `out`."""
+        timer = threading.Timer(limit, self.process.kill)
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        timer.start()
+        try:
+            self.process.stdin.write(json.dumps(words).encode() + b"\n")
+            self.process.stdin.flush()
+            return bool(self.process.stdout.readline())
+        except OSError:  # it has ended
+            return False
+        finally:
+            timer.cancel()
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+        self.ending.close()
+
+
+_lock = threading.RLock()
+_readers: list[_Reader] = []
+
+
+def _surroundings() -> tuple[int, str]:
+    """What a reading process is for: this process, not a fork of it, and where modules lie."""
+    return os.getpid(), os.pathsep.join(os.path.abspath(path) for path in sys.path)
+
+
+def _reader() -> _Reader:
+    if _readers and (
+        _readers[0].made_for != _surroundings() or _readers[0].process.poll() is not None
+    ):
+        _end()
+    if not _readers:
+        _readers.append(_Reader())
+    return _readers[0]
+
+
+@atexit.register
+def _end() -> None:
+    while _readers:
+        reader = _readers.pop()
+        if reader.made_for[0] == os.getpid():
+            reader.end()
 
 
 def _unpacked(out: Path) -> Channels:
@@ -81,20 +139,40 @@ def _unpacked(out: Path) -> Channels:
         described = json.loads(archive["described"].tobytes())
         if "error" in described:
             raise DataError(described["error"])
+        if "memory" in described:
+            raise MemoryError(described["memory"])
         names = described.pop("columns")
         return Channels({name: archive[str(i)] for i, name in enumerate(names)}, **described)
 
 
-def _pack(module: str, function: str, file: str, out: str, arguments: str) -> None:
+def _serve(folder: str) -> None:
+    """Read the files that are asked for, a line each, until nobody can ask any more."""
+    _limit_resources()
+    # What a library prints is no answer.
+    answers = os.dup(1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    try:
+        for line in sys.stdin.buffer:
+            module, function, file, arguments, limit = json.loads(line)
+            _limit_time(limit)
+            _pack(module, function, file, Path(folder) / "channels.npz", arguments)
+            os.write(answers, b"\n")
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _pack(module: str, function: str, file: str, out: Path, arguments: list[object]) -> None:
     """Read a file and write what it holds, or what is wrong with it."""
     columns: dict[str, np.ndarray] = {}
     try:
         read = getattr(importlib.import_module(module), function)
-        found = read(Path(file), *json.loads(arguments))
+        found = read(Path(file), *arguments)
         columns = found.columns
         described = {**vars(found), "columns": list(columns)}
     except DataError as error:
         described = {"error": str(error)}
+    except MemoryError as error:
+        described = {"memory": str(error)}
     arrays: dict[str, Any] = {str(i): values for i, values in enumerate(columns.values())}
     np.savez(out, described=np.frombuffer(json.dumps(described).encode(), np.uint8), **arrays)
 
@@ -111,13 +189,20 @@ def _limit_resources() -> None:
     with contextlib.suppress(ImportError, ValueError, OSError):
         import resource
 
+        memory = int(max(min(MEMORY, free_memory()), LEAST_MEMORY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+
+
+def _limit_time(limit: float) -> None:
+    """End a loop that the parent cannot, having been killed itself; threads count together."""
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        seconds = int(time.process_time() + limit * (1 + (os.cpu_count() or 1))) + 1
+        _, most = resource.getrlimit(resource.RLIMIT_CPU)
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
 
 
 if __name__ == "__main__":
-    _limit_resources()
-    try:
-        _pack(*sys.argv[1:])
-    except MemoryError:
-        sys.exit(OUT_OF_MEMORY)
+    _serve(sys.argv[1])

@@ -278,6 +278,8 @@ def _without_blank_end(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _names(header: list[str]) -> list[str]:
     """Names of the columns; those at the end without a name stay empty."""
     last = max((place for place, name in enumerate(header) if name), default=-1)
+    # With this mark a spreadsheet takes what follows for a text and no formula.
+    header = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in header]
     return [
         name or (f"column {place + 1}" if place < last else "") for place, name in enumerate(header)
     ]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from riecjax.errors import DataError
 from riecjax.records.reading.channels import (
     BY_ATTRIBUTE,
     Channels,
@@ -17,9 +18,12 @@ from riecjax.records.reading.channels import (
     with_structure_times,
     without_common_group,
 )
+from riecjax.records.reading.child_process import read_apart
 
 DEEPEST = 16
 """Groups within groups past which a file is not followed."""
+MOST_ITEMS = 100_000
+"""Links and references that are followed before a file is refused."""
 UNITS = ("units", "unit", "Units", "Unit", "UNITS", "UNIT")
 """Attributes that state a dataset's unit."""
 
@@ -35,8 +39,12 @@ def read_hdf5(file: Path) -> Channels:
     state units; `scale_factor`, `add_offset` and `_FillValue` are applied, as NetCDF means them. A
     group's `time` is the time of what lies in it.
 
-    **Raises:** `DataError` for a damaged file or one that unpacks to too much.
+    **Raises:** `DataError` for a damaged file or one that unpacks to too much; `MemoryError`.
     """
+    return read_apart(_read, file, "HDF5")
+
+
+def _read(file: Path) -> Channels:
     arrays: dict[str, Any] = {}
     units: dict[str, str] = {}
     left_out: dict[str, str] = {}
@@ -79,24 +87,25 @@ def walk(
 ) -> Iterator[tuple[str, Any]]:
     """Datasets of a file with their names, in the file's order.
 
-    Links to other files are not followed, and a group that several links lead to is entered once.
+    Links to other files are not followed. A group that several links lead to is entered once, and
+    so is a dataset of references, which may lead to itself.
 
     **Arguments:** `inside`: what a dataset refers to, by name, to be walked in its place; `None`
     for a dataset that counts itself.
     """
     import h5py
 
-    entered, count = set(), 0
+    # Two objects are equal, and have one hash, where they lie at one address in the file.
+    entered, columns, followed = set(), 0, 0
     waiting: list[tuple[str, Any, int]] = [("", source, 0)]
     while waiting:
         name, item, depth = waiting.pop()
-        if depth > DEEPEST:
+        if depth > DEEPEST or item in entered:
             continue
         within = None
         if isinstance(item, h5py.Group):
-            # Two groups are equal, and have one hash, where they lie at one address in the file.
-            within = [] if item in entered else _members(name, item, separator)
-            entered.add(item)
+            _check_items(followed + len(item))
+            within = _members(name, item, separator)
         elif isinstance(item, h5py.Dataset):
             if not item.shape or item.is_virtual or item.external:
                 continue
@@ -104,11 +113,21 @@ def walk(
         else:
             continue
         if within is None:
-            count += 1
-            check_column_count(count)
+            columns += 1
+            check_column_count(columns)
             yield name, item
         else:
+            entered.add(item)
+            followed += len(within)
+            _check_items(followed)
             waiting += [(inner, each, depth + 1) for inner, each in reversed(within)]
+
+
+def _check_items(count: int) -> None:
+    if count > MOST_ITEMS:
+        raise DataError(
+            f"has {count} groups and references or more; at most {MOST_ITEMS} are read."
+        )
 
 
 def _members(name: str, group: Any, separator: str) -> list[tuple[str, Any]]:

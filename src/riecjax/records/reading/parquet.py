@@ -14,9 +14,13 @@ from riecjax.records.reading.channels import (
     check_unpacked,
     foreign_reader,
 )
+from riecjax.records.reading.child_process import read_apart
 from riecjax.records.reading.numerals import compute, floats
 from riecjax.records.reading.time_stamps import of_text_column, unwrapped
+from riecjax.work import Work, expect
 
+BESIDE = 6
+"""Columns of numbers that PyArrow holds beside those that are read, at most: with time stamps."""
 UNNAMED_INDEX = "__index_level_0__"
 """What pandas calls the index of a frame when it has no name."""
 
@@ -26,8 +30,12 @@ def read_parquet(file: Path) -> Channels:
 
     Stamps count from the first. A unit is taken from a column's metadata `unit`.
 
-    **Raises:** `DataError` for a damaged file or one that unpacks to too much.
+    **Raises:** `DataError` for a damaged file or one that unpacks to too much; `MemoryError`.
     """
+    return read_apart(_read, file, "Parquet")
+
+
+def _read(file: Path) -> Channels:
     with foreign_reader("Parquet"):
         from pyarrow import parquet
 
@@ -46,8 +54,11 @@ def read_parquet(file: Path) -> Channels:
             }
             names = [schema.field(place).name for place in wanted]
             check_names(names)
-            table = source.read(columns=names, use_threads=True)
-            columns = {name: _numbers(table.column(name)) for name in names}
+            # Numbers are held here and, once handed over, there.
+            held = 8.0 * source.metadata.num_rows * (2 * len(names) + BESIDE)
+            expect("reading its columns", Work(bytes=held), "Read a part of the file.")
+            # One after the other: a table of all takes as much again as their numbers.
+            columns = {name: _numbers(source.read(columns=[name]).column(0)) for name in names}
             units = {name: unit for name in names if (unit := _unit(schema.field(name)))}
             for name in [name for name in left_out if _is_text(schema.field(name).type)]:
                 found, stamped = of_text_column(_strings(source.read(columns=[name]).column(0)))

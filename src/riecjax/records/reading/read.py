@@ -3,11 +3,12 @@
 import importlib
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from riecjax.errors import DataError, RiecjaxError
-from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
+from riecjax.errors import DataError, RiecjaxError, printable
+from riecjax.records.reading.channels import LARGEST_FILE, Channels, called, check_names, size_of
 from riecjax.work import Work, expect
 
 TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm", ".log", ".prn")
@@ -56,11 +57,24 @@ def read_channels(
     dialect = _dialect(file, delimiter, decimal, columns)
     expect(f"reading {file.name}", reading_work(file), "Read a part of the file.")
     try:
-        return reader(file, *dialect)
+        return _escaped(reader(file, *dialect))
     except RiecjaxError as error:
         raise _about(file, error) from None
     except OSError as error:
-        raise DataError(f"{file.name}: cannot be read: {error.strerror or error}.") from None
+        said = f"{file.name}: cannot be read: {error.strerror or error}."
+        raise DataError(printable(said)) from None
+
+
+def _escaped(found: Channels) -> Channels:
+    """The same with nothing in its names and words that would steer a terminal."""
+    check_names(map(printable, found.columns))
+    return replace(
+        called(found, printable),
+        units={printable(name): printable(unit) for name, unit in found.units.items()},
+        left_out={printable(name): printable(why) for name, why in found.left_out.items()},
+        notes=list(map(printable, found.notes)),
+        parts=list(map(printable, found.parts)),
+    )
 
 
 def reading_work(file: Path) -> Work:
@@ -112,4 +126,4 @@ def _dialect(
 def _about(file: Path, error: RiecjaxError) -> RiecjaxError:
     """The same error in one line that begins with the file's name."""
     kind = type(error) if type(error).__init__ is RiecjaxError.__init__ else DataError
-    return kind(" ".join(f"{file.name}: {error}".split())[:LONGEST_MESSAGE])
+    return kind(printable(" ".join(f"{file.name}: {error}".split()))[:LONGEST_MESSAGE])

@@ -8,10 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.findings import Finding
 from riecjax.records.derived import sensitivities, with_derived
-from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
+from riecjax.records.noise_judgement import given_noise, judged
+from riecjax.records.preparation.repair import treat_all
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels, listed
 from riecjax.records.reading.dialect import NUMBERED
+from riecjax.records.reading.selected import Selected, Selection
 from riecjax.records.reading.time_columns import (
     TimeColumn,
     counts_in_its_name,
@@ -26,36 +29,6 @@ from riecjax.records.reading.unit_conversion import (
 )
 from riecjax.records.record import Record
 from riecjax.records.time_base import StampError
-
-
-class Selection(NamedTuple):
-    """Which of a file's channels a user wants as signals, and how they are converted.
-
-    **Fields:** `rename`, signal to column; `scale`, column or signal to factor; `units`, signal to
-    unit; `derive`, signal to formula; `time_step` in s; `resample` in Hz; `noise`, on the signals
-    as measured.
-    """
-
-    rename: Mapping[str, str] = {}
-    scale: Mapping[str, float] = {}
-    units: Mapping[str, str] = {}
-    derive: Mapping[str, str] = {}
-    time_step: float | None = None
-    resample: float | None = None
-    noise: GivenNoise = "auto"
-
-
-class Selected(NamedTuple):
-    """A record, and what was decided on selecting it, in words.
-
-    **Fields:** `converted`: signal to the unit that it was converted from; `doubt` in words that
-    time is what it is taken for, empty if none.
-    """
-
-    record: Record
-    converted: Mapping[str, str] = {}
-    notes: tuple[str, ...] = ()
-    doubt: str = ""
 
 
 class _Signals(NamedTuple):
@@ -117,9 +90,14 @@ def record_from_channels(
     signals = _converted(signals, read, matter if read else selection.rename)
     with _naming(signals.column.get(time.name, time.name) if time else ""):
         if selection.resample is not None:
+            signals, words, findings = _treated(signals, times, selection, matter)
             record = _resampled(signals, times, selection, matter)
-            return Selected(record, signals.converted, notes)
+            return Selected(record, signals.converted, (*notes, *words), "", (*findings,))
         values, axis = _on_one_axis(signals.values, times, matter)
+        axes = {} if axis is None else dict.fromkeys(values, axis)
+        signals = signals._replace(values=values)
+        signals, words, findings = _treated(signals, axes, selection, matter)
+        values = signals.values
         computed = _finite(with_derived(values, axis, selection.derive), selection)
         record = Record.from_samples(
             computed,
@@ -129,7 +107,8 @@ def record_from_channels(
         )
     judged_on = computed if axis is None else {"t": axis, **computed}
     record = _with_noise(record, selection, judged_on)
-    return Selected(record, signals.converted, notes, time.doubt if times and time else "")
+    doubt = time.doubt if times and time else ""
+    return Selected(record, signals.converted, (*notes, *words), doubt, (*findings,))
 
 
 @contextlib.contextmanager
@@ -141,6 +120,18 @@ def _naming(column: str) -> Iterator[None]:
         if not column:
             raise
         raise DataError(f"column '{column}': {error}") from None
+
+
+def _treated(
+    signals: _Signals,
+    times: Mapping[str, np.ndarray],
+    selection: Selection,
+    matter: Collection[str],
+) -> tuple[_Signals, list[str], list[Finding]]:
+    """Signals of which those that matter have no spikes, what was done, and what is amiss."""
+    columns = {name: values for name, values in signals.values.items() if name in matter}
+    treated, words, findings = treat_all(columns, times, selection, signals.units)
+    return signals._replace(values={**signals.values, **treated}), words, findings
 
 
 def _mattering(signals: _Signals, selection: Selection, read: Collection[str]) -> set[str]:

@@ -18,6 +18,7 @@ from riecjax.records.reading.channels import (
     with_structure_times,
     without_common_group,
 )
+from riecjax.records.reading.child_process import read_apart
 from riecjax.records.reading.time_columns import find_time
 
 UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
@@ -31,9 +32,13 @@ def read_tdms(file: Path) -> Channels:
     steps by its `wf_increment`; it is called `group/time`, and `time (2)` where others differ. Time
     stamps count from the channel's first.
 
-    **Raises:** `DataError` for a damaged file, or where npTDMS is not installed.
+    **Raises:** `DataError` for a damaged file, or where npTDMS is not installed; `MemoryError`.
     """
     check_extra("nptdms", "TDMS", "tdms")
+    return read_apart(_read, file, "TDMS")
+
+
+def _read(file: Path) -> Channels:
     whole = Channels({})
     with foreign_reader("TDMS"), file.open("rb") as stream, _quietly():
         from nptdms import TdmsFile

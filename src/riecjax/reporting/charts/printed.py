@@ -25,6 +25,7 @@ from riecjax.reporting.charts.chart import (
     Span,
     Stems,
 )
+from riecjax.whole_files import stamp
 
 DOTS_PER_INCH = 150
 DECADE = 12
@@ -50,6 +51,8 @@ STYLE: Any = {
     "legend.columnspacing": 1.2,
     "hatch.linewidth": 0.6,
     "figure.constrained_layout.use": True,
+    # A name with two dollars in it is no formula.
+    "text.parse_math": False,
 }
 
 
@@ -57,7 +60,7 @@ def print_chart(chart: Chart, file: Path) -> None:
     """Write the chart as a PNG file."""
     # Numbers on axes are made as late as here, and look the style up then.
     with matplotlib.rc_context(STYLE):
-        printed(chart).savefig(file, dpi=DOTS_PER_INCH)
+        printed(chart).savefig(file, dpi=DOTS_PER_INCH, metadata={"Comment": stamp(file)})
 
 
 def printed(chart: Chart) -> Figure:

@@ -1,0 +1,1 @@
+"""Machines with known parameters, faults of their recordings, and what is said of them."""

@@ -1,0 +1,228 @@
+"""Every code of a finding is registered and explained; one test raises it, and one must not."""
+
+import ast
+import importlib
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import riecjax
+import riecjax as rx
+from finding_marks import held_to
+from riecjax.assessment.assessment import Refinement
+from riecjax.assessment.trust import validated
+from riecjax.estimation.excitation import Excitation
+from riecjax.finding_codes import CODES, code_of, codes_of
+from riecjax.findings import Finding
+from riecjax.models.model import as_model
+from riecjax.reporting.reproduction import road_findings
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = Path(riecjax.__file__).parent
+
+
+def made_in(source: str) -> set[str]:
+    """Codes of the findings that a source makes."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and node.args:
+            name = getattr(node.func, "id", "") or getattr(node.func, "attr", "")
+            if name in ("Finding", "finding"):
+                values = [n.value for n in ast.walk(node.args[0]) if isinstance(n, ast.Constant)]
+                found |= {value for value in values if isinstance(value, str)}
+    return found
+
+
+def marked(mark: str) -> set[str]:
+    """Codes that tests name in this mark, which holds them to it."""
+    found = set()
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == mark:
+                found |= {n.value for n in node.args if isinstance(n, ast.Constant)}
+    return found
+
+
+def test_what_the_sources_make_is_what_the_registry_holds():
+    made = set().union(*(made_in(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")))
+    refused = {"constant_target"}  # a refusal's code, raised as an error
+    assert made | refused == set(CODES)
+
+
+def test_every_code_is_explained_and_no_other():
+    page = (ROOT / "docs" / "warnings.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert set(re.findall(r"`(\w+)`", " ".join(rows))) == set(CODES)
+
+
+@pytest.mark.parametrize("code", [code for code, known in CODES.items() if known.threshold])
+def test_the_threshold_is_a_number_where_the_registry_says(code):
+    module, _, name = CODES[code].threshold.partition(":")
+    assert float(getattr(importlib.import_module(f"riecjax.{module}"), name)) > 0
+
+
+@pytest.mark.parametrize("mark", ["raises_finding", "no_finding"])
+def test_every_code_has_a_test_that_raises_it_and_one_that_must_not(mark):
+    assert marked(mark) == set(CODES)
+
+
+def test_a_test_is_held_to_its_marks():
+    with held_to({"clipped"}, {"hum"}):
+        Finding("clipped", "made")
+    with pytest.raises(AssertionError, match=r"no finding .*clipped"), held_to({"clipped"}, set()):
+        Finding("hum", "made")
+    with pytest.raises(AssertionError, match=r"a finding .*hum"), held_to(set(), {"hum"}):
+        Finding("hum", "made")
+
+
+def test_an_unknown_code_is_said_in_its_own_words():
+    assert code_of("wet_road").said() == "wet road"
+    assert "large_residual" in codes_of("model")
+    assert CODES["clipped"].said(("u",)) == "u is clipped"
+
+
+# Of codes that need a rare situation, or an expensive one, what makes their findings is asked.
+
+
+@pytest.mark.raises_finding("noise_dominates")
+def test_noise_that_makes_up_much_of_what_tells_parameters_apart():
+    size, own, noise, share, most = map(jnp.asarray, ([1.0, 1.0], [0.5, 0.5], [0.1, 0.1], 0.3, 0.5))
+    direction = jnp.asarray([0.7, -0.7])
+    excited = Excitation(
+        size, own, noise, direction, share, direction, most, ("m", "k"), "axis", True, "x"
+    )
+    (finding,) = excited.findings()
+    assert "50 % of what tells these apart is noise of x" in finding.message
+    assert (finding.signals, finding.parameters) == (("x",), ("m", "k"))
+
+
+@pytest.mark.raises_finding("few_effective_windows", "rarely_excited")
+def test_windows_that_overlap_nearly_all_are_few_and_replicates_may_hold_none():
+    t = 0.01 * np.arange(400)
+    rng = np.random.default_rng(0)
+    signals = {"v": np.sin(2 * t), "F": 2 * np.cos(2 * t) + 3 * np.sin(2 * t)}
+    signals["F"] += 0.1 * np.cumsum(rng.standard_normal(400))
+    body = rx.Equation(rx.Term("m", "v", derivative=1), rx.Term("c", "v"), -rx.Term(1.0, "F"))
+    estimate = rx.identify(body, rx.Record(signals, 0.01), rx.RIEC(rx.AllWindows(1.5, 1.6)))
+    assert "few_effective_windows" in [finding.code for finding in estimate.findings()]
+    lost = estimate.uncertainty.studentized
+    lost = jnp.where(jnp.arange(lost.shape[0])[:, None] % 5 == 0, jnp.nan, lost)
+    sound = eqx.tree_at(lambda e: e.uncertainty.few_blocks, estimate, jnp.zeros(2, bool))
+    rare = eqx.tree_at(lambda e: e.uncertainty.studentized, sound, lost)
+    assert "rarely_excited" in [finding.code for finding in rare.findings()]
+
+
+@pytest.mark.raises_finding("refined_predicts_worse")
+def test_a_refinement_that_predicts_worse_than_the_estimate():
+    run = SimpleNamespace(recording=SimpleNamespace(name="b.csv"), worst_fits=(90.0, 70.0))
+    refined = SimpleNamespace(findings=list)
+    (finding,) = Refinement(refined, simulations=[run]).findings()  # type: ignore[arg-type]
+    assert finding.message.startswith("b.csv: the refined model predicts worse")
+
+
+@pytest.mark.raises_finding("not_validated")
+def test_a_recording_on_which_no_simulation_is_possible():
+    axis = as_model(rx.Equation(rx.Term("c", "v"), -rx.Term(1.0, "F")))
+    t = 0.01 * np.arange(100)
+    recording = rx.Recording(rx.Record({"v": np.sin(t), "F": np.sin(t)}, 0.01), "b.csv")
+    runs, (finding,) = validated(axis, {"c": jnp.asarray(1.0)}, [(None, recording)], [None])
+    assert runs == []
+    assert finding.message.startswith("b.csv: ")
+
+
+@pytest.mark.raises_finding("simulation_lost", "few_roads")
+def test_roads_that_lost_a_simulation_and_are_few():
+    roads = SimpleNamespace(successful=np.array([True, False]), contact=np.ones(2))
+    lost, few = road_findings(roads)  # type: ignore[arg-type]
+    assert "1 roads lost" in lost.message
+    assert "only 2 roads" in few.message
+
+
+@pytest.mark.no_finding("simulation_lost", "few_roads")
+def test_enough_roads_without_a_loss():
+    roads = SimpleNamespace(successful=np.ones(8, bool), contact=np.ones(8))
+    assert not list(road_findings(roads))  # type: ignore[arg-type]
+
+
+SOUND = pytest.mark.no_finding(
+    "constant_target",
+    "unidentifiable",
+    "undetermined",
+    "mode_not_carried",
+    "series_spring_not_carried",
+    "negative_value",
+    "interval_wider_than_estimate",
+    "not_excited",
+    "rarely_excited",
+    "prior_disagrees",
+    "outside_bound",
+    "time_unit_doubtful",
+    "unit_mismatch",
+    "not_its_derivative",
+    "constant_signal",
+    "stuck_sensor",
+    "clipped",
+    "outliers",
+    "missing_samples",
+    "quantised",
+    "column_left_out",
+    "part_left_out",
+    "nothing_cut",
+    "file_changed",
+    "rows_left_out",
+    "unmodelled_mode",
+    "large_residual",
+    "residual_follows_signal",
+    "window_sensitive",
+    "uneven_errors",
+    "does_not_predict",
+    "records_disagree",
+    "no_known_term",
+    "break_points_outside",
+    "noise_dominates",
+    "nearly_collinear",
+    "ill_conditioned",
+    "few_blocks",
+    "few_effective_windows",
+    "short_record",
+    "mode_elsewhere",
+    "coarse_sampling",
+    "coarse_steps",
+    "refinement_not_converged",
+    "refined_predicts_worse",
+    "at_bound",
+    "short_windows",
+    "single_precision",
+    "band_snapped",
+    "residuals_not_tested",
+    "not_validated",
+    "validated_on_fitted",
+)
+
+
+@SOUND
+def test_a_right_model_of_sound_recordings_makes_none():
+    t = 0.01 * np.arange(3000)
+    body = rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
+        rx.Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
+        rx.Term("k", "x", unit="N/m"),
+        -rx.Term(1.0, "F"),
+    )
+    recordings = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        w, p = rng.uniform(2, 30, (40, 1)), rng.uniform(0, 6, (40, 1))
+        x, v = np.sum(np.sin(w * t + p) / w, 0), np.sum(np.cos(w * t + p), 0)
+        force = 2.0 * np.sum(-w * np.sin(w * t + p), 0) + 30.0 * v + 800.0 * x
+        signals = {"x": x, "v": v, "F": force}
+        noisy = {n: s + 0.005 * np.std(s) * rng.standard_normal(t.size) for n, s in signals.items()}
+        recordings.append(rx.Recording(rx.Record(noisy, 0.01), f"{seed}.csv"))
+    assessment = rx.assess(body, recordings[:1], validate_on=recordings[1:])
+    assert assessment.findings() == []
+    assert {one.level for one in assessment.verdict.parameters.values()} == {"good"}

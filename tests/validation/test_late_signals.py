@@ -1,0 +1,183 @@
+"""Delays of a force whose motion is known in closed form: of sums of sines it follows exactly."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import as_procedure
+from riecjax.equations.term import Term
+from riecjax.estimation.identify import identify
+from riecjax.records.record import Record
+from riecjax.summaries.task import ready
+from riecjax.uncertainty.intervals import Sandwich
+from riecjax.validation.late_signals import advanced, late_signals, signal_delays
+from riecjax.validation.residuals import residual_tests
+
+STEP, SAMPLES = 0.005, 6000
+TRUTH = {"m": 2.0, "c": 9.0, "k": 400.0}
+AXIS = as_procedure(
+    Equation(
+        Term("m", "x", derivative=2, measured=("v",), unit="kg"),
+        Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
+        Term("k", "x", unit="N/m"),
+        -Term(1.0, "F"),
+        name="axis",
+        unit="N",
+    )
+)
+
+
+def recorded(seed, *, delay=0.0, noise=0.01, friction=0.0, cubic=0.0, samples=SAMPLES, lag=0.0):
+    """The record of an axis, its force `delay` samples late, or low-passed by `lag` seconds."""
+    rng = np.random.default_rng(seed)
+    hertz, phase = rng.uniform(0.3, 9, 60), rng.uniform(0, 2 * np.pi, 60)
+    w = 2 * np.pi * hertz
+    size = 1 / np.abs(TRUTH["k"] - TRUTH["m"] * w**2 + 1j * TRUTH["c"] * w)
+
+    def motion(time):
+        angle = np.exp(1j * (w * time[:, None] + phase))
+        return tuple((size * angle * (1j * w) ** n).sum(1).real for n in range(3))
+
+    def force(time):
+        x, v, a = motion(time)
+        linear = TRUTH["m"] * a + TRUTH["c"] * v + TRUTH["k"] * x
+        scale = np.std(linear)
+        return linear + scale * (
+            friction * np.tanh(v / (0.1 * np.std(v))) + cubic * (x / np.std(x)) ** 3
+        )
+
+    time = STEP * np.arange(samples)
+    x, v, _ = motion(time)
+    signals = {"x": x, "v": v, "F": force(time - delay * STEP)}
+    if lag:
+        angle = np.exp(1j * (w * time[:, None] + phase))
+        rigid = (TRUTH["k"] - TRUTH["m"] * w**2 + 1j * TRUTH["c"] * w) / (1 + 1j * w * lag)
+        signals["F"] = (size * angle * rigid).sum(1).real
+    noisy = {n: s + noise * np.std(s) * rng.normal(size=s.size) for n, s in signals.items()}
+    return Record.from_samples(noisy, time_step=STEP)
+
+
+def fitted(record, model=AXIS):
+    records = [one.record for one in ready(model, record)]
+    return records, identify(model, records, intervals=Sandwich())
+
+
+def delay_of(record, model=AXIS):
+    records, estimate = fitted(record, model)
+    (one,) = signal_delays(model, records, estimate)
+    return one, list(late_signals(model, records, estimate))
+
+
+@pytest.mark.raises_finding("late_signal")
+@pytest.mark.parametrize("delay", [0.5, 1.0, 3.3, 11.0, -2.0])
+def test_a_delay_is_found_within_five_percent_of_a_sample(delay):
+    one, (finding,) = delay_of(recorded(0, delay=delay))
+    assert one.samples == pytest.approx(delay, abs=0.05)
+    assert abs(one.samples - delay) < 4 * one.error / STEP
+    assert finding.code == "late_signal"
+    assert finding.signals == ("F",)
+    option, value = finding.remedy
+    assert option == "--shift"
+    assert float(value.removeprefix("F=")) == pytest.approx(delay * STEP, abs=0.05 * STEP)
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_a_finding_says_how_far_the_delay_moves_each_parameter():
+    late, (finding,) = delay_of(recorded(1, delay=2.0))
+    moved = fitted(recorded(1, delay=2.0))[1]
+    records, right = fitted(advanced(recorded(1, delay=2.0), ["F"], 2, 32))
+    errors = dict(zip(right.parameters, np.asarray(right.standard_errors)))
+    for name, truth in TRUTH.items():
+        assert float(right[name]) == pytest.approx(truth, abs=4 * errors[name])
+        share = float(right[name]) / float(moved[name]) - 1
+        assert late.moved[name] == pytest.approx(share, abs=0.02 * abs(share) + 2e-3)
+        assert finding.doubts[name] == abs(late.moved[name])
+    far = max(abs(s) * TRUTH[n] / errors[n] for n, s in late.moved.items())
+    assert far > 10
+    assert not list(late_signals(AXIS, records, right))
+
+
+@pytest.mark.no_finding("late_signal")
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+def test_a_force_in_time_is_not_called_late(noise):
+    for seed in range(3):
+        one, found = delay_of(recorded(seed, noise=noise))
+        assert not found
+        assert abs(one.samples) < max(4 * one.error / STEP, 0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.no_finding("late_signal")
+def test_no_clean_record_of_two_hundred_is_called_late():
+    for seed in range(200):
+        assert not delay_of(recorded(seed, noise=(0.0, 0.01, 0.05)[seed % 3]))[1]
+
+
+@pytest.mark.no_finding("late_signal")
+@pytest.mark.parametrize("wrong", [{"friction": 0.3}, {"cubic": 0.05}])
+def test_what_a_model_leaves_out_is_not_called_a_delay(wrong):
+    for seed in range(3):
+        one, found = delay_of(recorded(seed, **wrong))
+        assert not one.explains
+        assert not found
+
+
+def test_a_delay_is_named_beside_what_a_model_leaves_out():
+    one, _ = delay_of(recorded(0, delay=3.0, friction=0.1))
+    assert one.samples == pytest.approx(3.0, abs=0.2)
+
+
+@pytest.mark.raises_finding("late_signal")
+@pytest.mark.no_finding("unmodelled_mode", "residual_follows_signal")
+def test_what_a_late_force_leaves_is_not_blamed_on_the_model():
+    records, estimate = fitted(recorded(2, delay=1.0))
+    faults = list(late_signals(AXIS, records, estimate))
+    tests = residual_tests(AXIS, records, estimate, faults=faults)
+    assert [finding.code for finding in tests.findings()] == ["late_signal"]
+
+
+def test_the_same_residual_is_the_models_where_no_fault_is_known():
+    records, estimate = fitted(recorded(2, delay=1.0))
+    codes = {finding.code for finding in residual_tests(AXIS, records, estimate).findings()}
+    assert "residual_follows_signal" in codes
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_gaps_and_several_recordings_tell_of_the_same_delay():
+    parts = []
+    for seed in (0, 1):
+        samples = {n: np.array(v) for n, v in recorded(seed, delay=1.5).arrays.items()}
+        samples["F"][1000:1040] = np.nan
+        samples["x"][3000 + 100 * seed] = np.nan
+        parts.append(Record.from_samples(samples, time_step=STEP))
+    one, (_,) = delay_of(parts)
+    assert one.samples == pytest.approx(1.5, abs=0.05)
+
+
+def _stretch(signals):
+    return signals["x"] - signals["y"]
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_of_several_inputs_the_late_one_is_named():
+    body = AXIS.equations[0].terms
+    model = as_procedure(Equation(*body[:2], Term("k", _stretch), body[3]))
+    record = recorded(0)
+    rng = np.random.default_rng(9)
+    w, phase = 2 * np.pi * rng.uniform(0.3, 9, 60), rng.uniform(0, 6.3, 60)
+    time = STEP * np.arange(SAMPLES + 4)
+    ground = 0.1 * float(np.std(record["x"])) * np.sin(w * time[:, None] + phase).sum(1)
+    force = np.asarray(record["F"]) - TRUTH["k"] * ground[4:]
+    signals = {"y": jnp.asarray(ground[:-4]), "F": jnp.asarray(force)}
+    records, estimate = fitted(record.with_signals(signals), model)
+    found = {one.signals: one for one in signal_delays(model, records, estimate)}
+    assert set(found) == {("F",), ("y",)}
+    assert found["y",].samples == pytest.approx(4, abs=0.1)
+    (finding,) = late_signals(model, records, estimate)
+    assert finding.signals == ("y",)
+
+
+def test_a_record_too_short_is_passed_over():
+    records, estimate = fitted(recorded(0, samples=400))
+    assert signal_delays(AXIS, records, estimate) == []
