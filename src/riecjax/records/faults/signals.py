@@ -59,7 +59,7 @@ def check_signals(
         elif signal.sample_count >= FEWEST_SAMPLES:
             rest = [s for key, s in {**signals, **others}.items() if key != name]
             if name not in computed:
-                findings += clipped(signal)
+                findings += clipped(signal, rest)
                 findings += stuck(signal, rest)
             findings += outliers(signal.name, signal.values, signal.time, signal.unit)
             findings += quantised(signal)
