@@ -123,6 +123,18 @@ CODES: dict[str, FindingCode] = {
         "records.faults.at_rest:LEAST",
         "remark",
     ),
+    "copied_signal": FindingCode(
+        "sensors",
+        "{signals} are one signal",
+        "what a straight line leaves of one signal by another",
+        "records.faults.copies:ROUNDED",
+    ),
+    "duplicate_recording": FindingCode(
+        "sensors",
+        "a recording was given twice",
+        "samples of recordings, wherever in them they lie",
+        "records.faults.duplicates:ALIKE",
+    ),
     "lost_rows": FindingCode(
         "sensors",
         "{signals} part by a jump",
@@ -190,6 +202,12 @@ CODES: dict[str, FindingCode] = {
         "{signals} has outliers",
         "sixth differences, and cubics through the samples around, against the noise",
         "records.faults.local_cubics:SPIKE",
+    ),
+    "hum": FindingCode(
+        "sensors",
+        "the mains hum in {signals}",
+        "lines of a grid in a signal's spectrum against what surrounds them",
+        "records.faults.hum:BY_CHANCE",
     ),
     "missing_samples": FindingCode(
         "sensors", "samples of {signals} are missing", "samples that are no number"

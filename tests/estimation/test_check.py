@@ -79,7 +79,7 @@ def test_what_differs_little_but_truly_is_nearly_collinear():
 
 def test_independent_regressors_are_not_complained_of():
     t = np.arange(4000) / 200
-    record = record_of(a=np.sin(3 * t), b=np.cos(7 * t), y=np.sin(3 * t))
+    record = record_of(a=np.sin(3 * t), b=np.cos(7 * t), y=np.sin(3 * t) + np.cos(7 * t))
     found = check(equation("a", "b"), record, CRITERION, key=KEY)
     assert found.findings == []
     assert found.signals == ("a", "b", "y")

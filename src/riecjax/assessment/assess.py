@@ -15,6 +15,7 @@ from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, with_re
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.check import (
     check,
+    naming_copies,
     raise_if_not_carried,
     raise_if_refused,
     read_of,
@@ -149,6 +150,16 @@ def _require_sense(
 
 
 def _assessed(
+    asked: Asked,
+    refining_by: tuple[Any, ...],
+    sweep: bool,
+    on_estimate: Callable[[Estimate], None] | None,
+) -> "Assessment":
+    with naming_copies(asked.procedure, asked.fitted, asked.criterion):
+        return _with_answer(asked, refining_by, sweep, on_estimate)
+
+
+def _with_answer(
     asked: Asked,
     refining_by: tuple[Any, ...],
     sweep: bool,

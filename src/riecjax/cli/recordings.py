@@ -14,6 +14,17 @@ if TYPE_CHECKING:
     from riecjax.records.recording import Recording
 
 
+class NotchType(click.ParamType):
+    """`auto`, or a frequency in Hz."""
+
+    name = "HZ|auto"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float | str:
+        return value if value == "auto" else POSITIVE.convert(value, param, ctx)
+
+
 class NoiseType(Assignment):
     """`auto`, `none`, or the standard deviation of one signal's noise."""
 
@@ -136,6 +147,15 @@ RECORD_OPTIONS = (
         metavar="SIGNAL",
         help="Subtract a signal's straight line. Repeatable.",
     ),
+    click.option(
+        "--notch",
+        "notches",
+        type=NotchType(),
+        multiple=True,
+        metavar="HZ|auto",
+        help="Take the mains' hum at this frequency, 50 or 60, and its harmonics off all signals. "
+        "Repeatable.",
+    ),
     assignments(
         "--low-pass",
         float,
@@ -160,6 +180,11 @@ RECORD_OPTIONS = (
         metavar="N",
         help="Use every N-th sample, after all other steps.",
     ),
+    click.option(
+        "--allow-duplicates",
+        is_flag=True,
+        help="Take recordings that hold the same samples, which are refused otherwise.",
+    ),
 )
 
 
@@ -168,7 +193,7 @@ class RecordingOptions:
     """What the user said of the recordings: their `files`, and how all of them are read.
 
     The other fields are the keywords of [`read_recording`][riecjax.read_recording], but for
-    `parts`, each of which is read from each file.
+    `parts`, each of which is read from each file, and `allow_duplicates`.
     """
 
     files: tuple[Path, ...]
@@ -188,29 +213,35 @@ class RecordingOptions:
     stop: float | None
     offsets: tuple[str, ...]
     drifts: tuple[str, ...]
+    notches: tuple[float | str, ...]
     cutoffs: Mapping[str, float]
     upsample: int
     derivatives: Mapping[str, str]
     every: int
+    allow_duplicates: bool
 
     def read(self, files: Sequence[Path], model: "Model") -> "list[Recording]":
         """What these files hold, read and prepared for a model.
 
-        **Raises:** `DataError` naming the file.
+        **Raises:** `DataError` naming the file, or a recording that was given twice.
         """
+        from riecjax.records.faults.duplicates import refuse_duplicates
         from riecjax.records.recording import read_recordings
 
         settings = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
-            if field.name not in ("files", "parts")
+            if field.name not in ("files", "parts", "allow_duplicates")
         }
-        return [
+        recordings = [
             one
             for file in files
             for part in self.parts or (None,)
             for one in read_recordings(file, model=model, part=part, **settings)
         ]
+        if not self.allow_duplicates:
+            refuse_duplicates(recordings)
+        return recordings
 
 
 record_options = collecting(RECORD_OPTIONS, RecordingOptions, "recordings")

@@ -1,5 +1,6 @@
 """Before a fit: whether these records can answer the question that a model asks."""
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,7 @@ from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.estimation.parameters import ParameterPlan, plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
+from riecjax.records.faults.duplicates import duplicates
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
@@ -35,6 +37,8 @@ QUADRATURE_ERROR = 0.01
 """Share of a regressor that the integrals' error may reach."""
 KNOWN_TERMS = "the known terms"
 """What stands for them beside the names of parameters."""
+COPIED = "copied_signal"
+"""Why nothing tells regressors apart, where one signal is another."""
 FATAL = ("constant_target", "not_excited", "unidentifiable")
 """Codes of findings that leave no answer, rather than a doubtful one."""
 
@@ -53,7 +57,10 @@ class Check(Shown):
 
     @property
     def refusal(self) -> Finding | None:
-        """What rules an answer out, the first of its kind in `FATAL`; `None` if nothing does."""
+        """What rules an answer out, the first of its kind in `FATAL`; `None` if nothing does.
+
+        Where one signal is a copy of another, that is said in its place.
+        """
         return _refusal(self.findings)
 
     @property
@@ -85,14 +92,34 @@ def raise_if_not_carried(modes: Iterable[ModeEvidence], excitations: Iterable[Ex
             raise IdentifiabilityError(message, first.code)
 
 
+@contextlib.contextmanager
+def naming_copies(
+    procedure: Procedure, recordings: Sequence[Recording], criterion: AbstractCriterion
+) -> Iterator[None]:
+    """Say of a refusal that one signal is a copy of another, where that is why.
+
+    **Raises:** `IdentifiabilityError`, as what it is around.
+    """
+    try:
+        yield
+    except IdentifiabilityError as error:
+        for one in recordings:
+            names = read_of(procedure, one, criterion)
+            found = check_signals(one.record, names, computed=one.computed)
+            for copy in (finding for finding in found if finding.code == COPIED):
+                raise IdentifiabilityError(f"{copy.message} {error}", COPIED) from None
+        raise
+
+
 def refusal_by(excitations: Iterable[Excitation]) -> Finding | None:
     """What `raise_if_refused` would raise."""
     return _refusal(finding for stage in excitations for finding in stage.findings())
 
 
 def _refusal(findings: Iterable[Finding]) -> Finding | None:
-    fatal = [finding for finding in findings if finding.code in FATAL]
-    return min(fatal, key=lambda finding: FATAL.index(finding.code), default=None)
+    found = {finding.code: finding for finding in reversed([*findings])}
+    fatal = [code for code in FATAL if code in found]
+    return found[COPIED if COPIED in found else fatal[0]] if fatal else None
 
 
 @renamed(own="per_record")
@@ -128,7 +155,8 @@ def check(
     excited = excitations(summary, plan) if excited is None else excited
     findings = [
         *(f for one, names in zip(recordings, read) for f in one.concerning(names).findings),
-        *_sensors(procedure, plain, read),
+        *duplicates(recordings),
+        *_sensors(procedure, recordings, read),
         *_windows(plain, criterion),
         *_quadrature(summary),
         *_break_points(procedure, summary),
@@ -151,11 +179,12 @@ def read_of(
 
 
 def _sensors(
-    procedure: Procedure, records: list[Record], read: list[tuple[str, ...]]
+    procedure: Procedure, recordings: list[Recording], read: list[tuple[str, ...]]
 ) -> list[Finding]:
     findings = []
-    for i, (record, names) in enumerate(zip(records, read)):
-        prefix = f"record {i + 1}: " if len(records) > 1 else ""
+    for i, (recording, names) in enumerate(zip(recordings, read)):
+        prefix = f"record {i + 1}: " if len(recordings) > 1 else ""
+        record, computed = recording.record, recording.computed
         pairs = [
             pair
             for stage in procedure.stages
@@ -165,7 +194,10 @@ def _sensors(
         ]
         findings += [
             finding._replace(message=prefix + finding.message)
-            for finding in (*check_signals(record, names), *check_derivatives(record, pairs))
+            for finding in (
+                *check_signals(record, names, computed=computed, pairs=pairs),
+                *check_derivatives(record, pairs),
+            )
         ]
     return findings
 

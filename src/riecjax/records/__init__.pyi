@@ -1,6 +1,7 @@
 from .faults.signals import check_signals as check_signals
 from .noise_judgement import GivenNoise as GivenNoise
 from .noise_judgement import judged as judged
+from .preparation import notch as notch
 from .preparation import repair_outliers as repair_outliers
 from .preparation import split_at as split_at
 from .preparation import upsample as upsample

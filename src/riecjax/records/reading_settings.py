@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, TypedDict
+from typing import Any, Literal, TypedDict
 
 from riecjax.errors import DataError, require
 from riecjax.records.faults.outliers import Treatment
@@ -41,6 +41,8 @@ class ReadingSettings(TypedDict, total=False):
 
     - `start`, `stop`: cut it at these seconds from its first sample.
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
+    - `notches`: lines of the mains to take off all signals, in Hz, with their harmonics, or
+      `"auto"` for those that stand out.
     - `cutoffs`: signal to cut-off in Hz of a zero-phase low-pass.
     - `upsample`: factor of a band-limited interpolation.
     - `derivatives`: new signal to the signal whose central differences it is.
@@ -63,6 +65,7 @@ class ReadingSettings(TypedDict, total=False):
     stop: float | None
     offsets: Sequence[str]
     drifts: Sequence[str]
+    notches: Sequence[float | Literal["auto"]]
     cutoffs: Mapping[str, float] | None
     upsample: int
     derivatives: Mapping[str, str] | None
@@ -70,7 +73,7 @@ class ReadingSettings(TypedDict, total=False):
 
 
 MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives")
-NAMES = ("offsets", "drifts", "columns")
+NAMES = ("offsets", "drifts", "columns", "notches")
 
 
 def sorted_settings(

@@ -42,6 +42,7 @@ class Recording(Drawn):
     - `left_out`: column of the file to why it is no signal.
     - `renamed`: signal to the column that it was called.
     - `converted`: signal to the unit that it was converted from.
+    - `computed`: signals that no sensor recorded, by formulas or as derivatives.
     - `part`: which part of its file this is, where that holds several recordings or was split.
     """
 
@@ -53,6 +54,7 @@ class Recording(Drawn):
     renamed: Mapping[str, str] = field(default_factory=dict)
     part: str = ""
     converted: Mapping[str, str] = field(default_factory=dict)
+    computed: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -234,6 +236,7 @@ def _recording(
         selection.rename,
         part,
         selected.converted,
+        tuple(n for n in record.arrays if n not in read or n in selection.derive),
     )
 
 

@@ -1,6 +1,7 @@
 """A signal that sits at the end of its range, as of a converter."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,17 @@ crest of a quantised signal, a parabola, sits there at most 3.2 times as often."
 REPEATS = 2.5
 """The same for a signal that is not quantised, in which no value comes twice but by a period."""
 FEWEST_VISITS = 3
-"""Times that a signal must have run into its limits, both together, to count as clipped."""
+"""Times that a signal must have run into its limits, both together, to count as clipped; once where
+no other value of it comes twice."""
+FOLLOWED = 0.98
+"""Share of a signal that others must explain to tell what it does at its limit."""
+LAGS = range(-2, 3)
+BEYOND = 0.1
+"""Standard deviations beyond a limit where others must surely not say that a signal goes on."""
+MANY_VISITS = 10
+"""Visits to a limit that are enough to tell."""
+LOOKED_AT = 5000
+"""Samples that are enough to tell."""
 STEEP = 10.0
 """Quanta by which a steep approach lies off the extreme two samples before, so that rounding does
 not hide it. A crest that stays within its last quantum for 3 samples comes from less than 9."""
@@ -37,15 +48,20 @@ class _Visits(NamedTuple):
     """Visits that came from far off, and left for far off."""
 
 
-def clipped(signal: SampledSignal) -> Iterator[Finding]:
-    """Runs into an extreme from far off, which a crest never does, and sits there."""
+def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iterator[Finding]:
+    """Runs into an extreme from far off, which a crest never does, and sits there.
+
+    Unless other signals say that the limit is real, as the motion of a wheel that lifts does of the
+    force on its tyre.
+    """
     if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
         return
     sides = [_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0)]
     sides = [side for side in sides if side is not None and side.steep]
-    if sum(side.steep for side in sides) < FEWEST_VISITS:
+    unique = not signal.resolution and np.mean(signal.counts == 1) > 0.999
+    if sum(side.steep for side in sides) < (1 if unique else FEWEST_VISITS):
         return
-    for side in sides:
+    for side in (one for one in sides if not _is_real(signal, one, others)):
         yield signal.finding(
             "clipped",
             f"sits at its {side.which} of {signal.with_unit(side.extreme)} in {side.starts.size} "
@@ -86,3 +102,37 @@ def _comes_to_rest(near: np.ndarray, far: np.ndarray, quantum: float) -> np.ndar
     """
     hidden = np.sqrt(np.minimum(quantum / np.maximum(near, quantum), 1.0))
     return near * (2 - hidden) ** 2 <= far
+
+
+def _is_real(signal: SampledSignal, side: _Visits, others: Sequence[SampledSignal]) -> bool:
+    """Whether other signals, at lags of two samples, stay at the limit with the signal.
+
+    Of a sensor at the end of its range all that follows the signal goes on beyond. Of a real limit
+    one balance may break there, such as that of a spring that parts, so that one signal and two are
+    left out in turn; the others, such as the masses that it moves, keep to it.
+    """
+    rows = [np.stack([np.roll(s.values, lag) for lag in LAGS]) for s in others if s.levels.size > 1]
+    if len(rows) < 2 or side.starts.size < MANY_VISITS:
+        return False
+    target, inside = signal.values, np.zeros(signal.values.size, bool)
+    inside[2:-2] = True
+    known = inside & ~np.isnan(np.concatenate([target[None], *rows])).any(axis=0)
+    held = known & (np.abs(target - side.extreme) <= signal.rounding)
+    free = np.flatnonzero(known & ~held)
+    free = free[:: max(free.size // LOOKED_AT, 1)]
+    if not held.any() or free.size < 100:
+        return False
+    size = float(np.std(target[free]))
+    sign = 1.0 if side.which == "maximum" else -1.0
+    for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
+        kept = [row for i, row in enumerate(rows) if i not in left_out]
+        columns = np.concatenate([*kept, np.ones((1, target.size))])[:, known]
+        columns /= np.maximum(np.max(np.abs(columns), axis=1, keepdims=True), 1e-300)
+        outside, there = np.searchsorted(np.flatnonzero(known), free), held[known]
+        weights = np.linalg.lstsq(columns[:, outside].T, target[free] / size, rcond=1e-10)[0]
+        error = float(np.std(target[free] / size - weights @ columns[:, outside]))
+        beyond = sign * (weights @ columns[:, there] - side.extreme / size)
+        surely = np.mean(beyond) + 2 * np.std(beyond) / np.sqrt(side.starts.size)
+        if error**2 < 1 - FOLLOWED and surely < BEYOND:
+            return True
+    return False

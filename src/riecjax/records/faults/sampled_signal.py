@@ -23,6 +23,8 @@ class SampledSignal(NamedTuple):
     """Shape (n,), NaN where missing."""
     time: np.ndarray
     """Seconds from the recording's first sample, shape (n,)."""
+    time_step: float
+    """Seconds between samples."""
     levels: np.ndarray
     """Distinct values, ascending."""
     counts: np.ndarray
@@ -50,9 +52,12 @@ class SampledSignal(NamedTuple):
         """A value of the signal in words."""
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
-    def finding(self, code: str, message: str, doubt: float = 0.0) -> Finding:
+    def finding(
+        self, code: str, message: str, doubt: float = 0.0, remedy: tuple[str, ...] = ()
+    ) -> Finding:
         """A finding about this signal."""
-        return Finding(code, f"{self.name}: {message}", (self.name,), doubt=doubt)
+        said = f"{self.name}: {message}"
+        return Finding(code, said, (self.name,), doubt=doubt, remedy=remedy)
 
 
 def sampled_signal(record: Record, name: str) -> SampledSignal:
@@ -70,6 +75,7 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
         dict(record.units).get(name, ""),
         values,
         np.asarray(record.elapsed),
+        float(record.time_step),
         levels,
         counts,
         rounding,

@@ -4,6 +4,7 @@ from .filtering import low_pass as low_pass
 from .filtering import remove_drift as remove_drift
 from .filtering import remove_offset as remove_offset
 from .local_polynomial import with_local_derivative as with_local_derivative
+from .notch import notch as notch
 from .repair import repair_outliers as repair_outliers
 from .resampling import decimate as decimate
 from .resampling import on_grid as on_grid

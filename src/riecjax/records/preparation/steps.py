@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation import (
     differentiate,
     low_pass,
+    notch,
     remove_drift,
     remove_offset,
     upsample,
@@ -36,6 +37,7 @@ class Preparation:
 
     - `start`, `stop`: times to cut at in seconds from the recording's first sample, or `None`.
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
+    - `notches`: lines of the mains to take off all signals, in Hz, or `"auto"`.
     - `cutoffs`: signal to cut-off in Hz of a low-pass.
     - `upsample`: factor of a band-limited interpolation.
     - `derivatives`: new signal to the signal whose derivative it is.
@@ -46,6 +48,7 @@ class Preparation:
     stop: float | None = None
     offsets: tuple[str, ...] = ()
     drifts: tuple[str, ...] = ()
+    notches: tuple[float | Literal["auto"], ...] = ()
     cutoffs: Mapping[str, float] = field(default_factory=dict)
     upsample: int = 1
     derivatives: Mapping[str, str] = field(default_factory=dict)
@@ -75,6 +78,13 @@ class Preparation:
         steps += [
             Step(f"{name}: straight line removed", partial(_of_signal, remove_drift, name))
             for name in self.drifts
+        ]
+        steps += [
+            Step(
+                f"lines of the mains{'' if hertz == 'auto' else f' at {hertz:g} Hz'} taken off",
+                partial(_at_frequency, hertz),
+            )
+            for hertz in self.notches
         ]
         if self.cutoffs:
             listed = ", ".join(f"{name} at {cutoff:g} Hz" for name, cutoff in self.cutoffs.items())
@@ -155,6 +165,10 @@ def _lasts(record: Record) -> str:
 
 def _of_signal(step: Callable[..., Record], name: str, record: Record) -> Record:
     return step(record, name)
+
+
+def _at_frequency(hertz: float | Literal["auto"], record: Record) -> Record:
+    return notch(record, hertz)
 
 
 def _missing_derivative(record: Record, name: str, of: str, measured: bool) -> tuple[Record, str]:
