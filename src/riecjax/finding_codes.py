@@ -128,9 +128,15 @@ CODES: dict[str, FindingCode] = {
         "the delay of a derivative, from part to part of the record",
         "records.faults.delay_course:CHANGE",
     ),
+    "silent_input": FindingCode(
+        "sensors",
+        "{signals} says nothing",
+        "an input's noise against its deviation, and what the equation explains of it",
+        "validation.silent_inputs:NOTHING_EXPLAINED",
+    ),
     "late_signal": FindingCode(
         "sensors",
-        "{signals} is late",
+        "the time of {signals} is off",
         "phase of a derivative against its signal, over frequencies; or the delay at which an "
         "equation leaves least, and what it leaves there beyond noise",
         "validation.late_signals:LEVEL",
