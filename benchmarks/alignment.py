@@ -1,8 +1,9 @@
 """Delays between a signal and its derivative: `python -m benchmarks.alignment [--seeds N]`.
 
-Of four machines with known motion (the quarter car records no derivative of a signal): false alarms on sound recordings, errors of the delay that is
-found, and how often the damping of the oscillator with drag lies within its interval of 95 % after
-the derivative was brought forward, and without.
+Of four machines with known motion (the quarter car records no signal with its derivative): false
+alarms on sound recordings, errors of the delay that is found, and how often the damping of the
+oscillator with drag lies within its interval of 95 % after the derivative was brought forward, and
+without.
 """
 
 import argparse
