@@ -19,6 +19,7 @@ from riecjax.models.catalogue import find_model
 from riecjax.records import align
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.faults.derivative_pairs import compare_pair
+from riecjax.runtime import start_jax
 
 NAMES = tuple(name for name in MACHINES if name != "car")
 DELAYS = (-1.0, -0.1, 0.1, 0.3, 1.0, 2.0)
@@ -97,6 +98,7 @@ def coverage(seeds: int, delay: float = 1.0) -> None:
 
 
 if __name__ == "__main__":
+    start_jax()
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=40, help="of each machine")
     seeds = parser.parse_args().seeds

@@ -176,6 +176,7 @@ def _assessed(
     from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
     from riecjax.assessment.beforehand import outside_bounds
+    from riecjax.assessment.corrected import with_doubts
 
     checked = check(
         procedure,
@@ -186,6 +187,7 @@ def _assessed(
         summary=ordinary,
         excited=excited,
     )
+    checked = with_doubts(asked, estimate, checked)
     refused = doubted is not None
     refinement, validations, failed = refining.answered(asked, estimate, refused, *refining_by)
     if refinement is None or not refinement.chosen:
