@@ -189,6 +189,7 @@ def _with_answer(
     from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
     from riecjax.assessment.beforehand import outside_bounds
+    from riecjax.assessment.corrected import with_doubts
 
     checked = check(
         procedure,
@@ -199,6 +200,7 @@ def _with_answer(
         summary=ordinary,
         excited=excited,
     )
+    checked = with_doubts(asked, estimate, checked)
     refused = doubted is not None
     refinement, validations, failed = refining.answered(asked, estimate, refused, *refining_by)
     if refinement is None or not refinement.chosen:

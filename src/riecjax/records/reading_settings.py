@@ -40,6 +40,9 @@ class ReadingSettings(TypedDict, total=False):
     What is done to the record then, in this order:
 
     - `start`, `stop`: cut it at these seconds from its first sample.
+    - `shifts`: signal to the seconds by which it is advanced, since it is late by as much.
+    - `align`: `"auto"` advances what is late against its recorded derivative or integral, as the
+      `model` names them; `"none"`; or the signals to shift. See [`align`][riecjax.records.align].
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
     - `notches`: lines of the mains to take off all signals, in Hz, with their harmonics, or
       `"auto"` for those that stand out.
@@ -63,6 +66,8 @@ class ReadingSettings(TypedDict, total=False):
     outliers: Treatment
     start: float | None
     stop: float | None
+    shifts: Mapping[str, float] | None
+    align: str | Sequence[str]
     offsets: Sequence[str]
     drifts: Sequence[str]
     notches: Sequence[float | Literal["auto"]]
@@ -72,7 +77,7 @@ class ReadingSettings(TypedDict, total=False):
     every: int
 
 
-MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives")
+MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives", "shifts")
 NAMES = ("offsets", "drifts", "columns", "notches")
 
 
@@ -92,6 +97,9 @@ def sorted_settings(
     for name in (n for n in NAMES if n in given):
         require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
         given[name] = tuple(given[name])
+
+    if not isinstance(given.get("align", ""), str):
+        given["align"] = tuple(given["align"])
 
     def of(names: Collection[str]) -> dict[str, Any]:
         return {name: value for name, value in given.items() if name in names}

@@ -254,20 +254,26 @@ def _zero(record: Record, pair: Pair) -> Finding:
     value, unit = pair.drift or pair.offset, dict(record.units).get(derivative, "")
     share = abs(value) * pair.step / pair.scale / pair.rms
     size = f"{value:.3g} {unit}".rstrip()
+    both, doubt = (derivative, signal), min(share, 1.0)
+    rest = f"{100 * share:.2g} % of its rms, if the machine itself comes back to where it began."
     if pair.drift:
-        code, option, what = "drifting_signal", "--remove-drift", "straight line"
-        said = f"drifts by {size} over {float(record.elapsed[-1]):.4g} s against {signal}"
-    else:
-        code, option, what = "velocity_offset", "--remove-offset", "offset"
-        said = f"has an offset of {size} against {signal}, or {signal} drifts by that per second"
+        return Finding(
+            "drifting_signal",
+            f"{derivative} drifts by {size} over {float(record.elapsed[-1]):.4g} s against "
+            f"{signal}. --remove-drift {derivative} takes it off, {rest}",
+            both,
+            doubt=doubt,
+            remedy=("--remove-drift", derivative),
+            step=f"Take the straight line off {derivative}",
+        )
     return Finding(
-        code,
-        f"{derivative} {said}: {100 * share:.2g} % of its rms. {option} {derivative} takes it off, "
-        f"if the machine itself comes back to where it began.",
-        (derivative, signal),
-        doubt=min(share, 1.0),
-        remedy=(option, derivative),
-        step=f"Take the {what} off {derivative}",
+        "velocity_offset",
+        f"{derivative} has an offset of {size} against {signal}, or {signal} drifts by that per "
+        f"second. --remove-offset {derivative} takes it off, {rest}",
+        both,
+        doubt=doubt,
+        remedy=("--remove-offset", derivative),
+        step=f"Take the offset off {derivative}",
     )
 
 

@@ -1,0 +1,44 @@
+"""How far a fault of a pair moves each parameter, against how far the answer is off."""
+
+import numpy as np
+import pytest
+
+import riecjax as rx
+
+M, R, K = 2.0, 3.0, 80.0
+STEP = 0.005
+MODEL = rx.Equation(
+    rx.Term("m", "x", derivative=2, measured=("v",)),
+    rx.Term("r", "x", derivative=1, measured=("v",)),
+    rx.Term("k", "x"),
+    -rx.Term(1.0, "F"),
+)
+
+
+def recorded(**late: float) -> rx.Record:
+    """An oscillator under the force that its motion takes; signals so many samples late."""
+    rng = np.random.default_rng(5)
+    omega, phases = rng.uniform(1, 20, 20), rng.uniform(0, 2 * np.pi, 20)
+
+    def motion(order: int, samples: float) -> np.ndarray:
+        waves = np.outer(STEP * (np.arange(4000) - samples), omega) + phases
+        return np.sum(omega ** (order - 1.0) * np.cos(waves + 0.5 * np.pi * order), axis=1)
+
+    x, v = motion(0, late.get("x", 0.0)), motion(1, late.get("v", 0.0))
+    force = M * motion(2, 0.0) + R * motion(1, 0.0) + K * motion(0, 0.0)
+    signals = {"x": x, "v": v, "F": force}
+    noisy = {k: s + 0.005 * s.std() * rng.normal(size=s.size) for k, s in signals.items()}
+    return rx.Record.from_samples(noisy, time_step=STEP)
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_a_late_velocity_says_by_how_much_it_moves_each_parameter():
+    found = rx.assess(MODEL, recorded(v=1.0), refine=None, sweep=False)
+    (late,) = [f for f in found.findings() if f.code == "late_signal" and f.signals == ("v",)]
+    truth = {"m": M, "r": R, "k": K}
+    assert set(late.doubts) == set(truth)
+    off = {name: abs(truth[name] / float(found.answer[name]) - 1) for name in truth}
+    assert off["r"] > 0.03
+    for name in truth:
+        assert late.doubts[name] == pytest.approx(off[name], abs=0.02)
+    assert "Without it" in late.message
