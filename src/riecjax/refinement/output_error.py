@@ -170,9 +170,9 @@ class OutputError(AbstractObjective):
     def describe(self) -> dict[str, object]:
         """Name and settings."""
         initial = self.initial_states if isinstance(self.initial_states, str) else "partly known"
-        return {"refine": "output-error", **self.shooting.describe(), "starts": initial} | (
-            {} if self.loss == "squares" else {"loss": self.loss}
-        )
+        loss: dict[str, object] = {} if self.loss == "squares" else {"loss": self.loss}
+        shooting = self.shooting.describe()
+        return {"refine": "output-error", **shooting, "starts": initial, **loss}
 
 
 def _channels(
