@@ -1,35 +1,45 @@
-"""Damaged recordings through the whole command line: a right answer, a warning, or one line.
+"""Damaged recordings through the readers and the command line: an answer, a warning, or one line.
 
-    python -m benchmarks.fuzz [--cases 1000] [--seed 0] [--quick] [--only MUTATION] [--keep DIR]
+    python -m benchmarks.fuzz [--reading 100000] [--identify 10000] [--seed 0] [--quick]
+        [--only MUTATION] [--keep DIR] [--verbose]
 
-A wrong number without a warning is the one thing that must not come out.
+A traceback, a raw warning, a hang, 2 GB of memory or a wrong number without a word must not come
+out. Each case is drawn from the seed and its number, so that one can be run again alone.
 """
 
 import argparse
 import contextlib
 import io
 import json
-import os
 import tempfile
 import time
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.formats import ALL_WRITERS
 from benchmarks.mutations import NAMES, TRUTH, Case, mutated, rigs
+from benchmarks.watched import Watched
 from riecjax.cli.main import run
+from riecjax.errors import RiecjaxError
+from riecjax.records.recording import read_recordings
 
 CLOSE = 0.05
 """Share of a parameter that an answer may be off: what one machine differs from the next of its
 kind. The sound recording is answered within a tenth of that."""
 STANDARD_ERRORS = 5.0
 """The same in standard errors as stated: with 20 blocks of time, once in 10,000 answers."""
-SLOWEST = 30.0
-"""Seconds that a case may take. The slowest compile some ten stages anew."""
+SLOWEST = {"reading": 10.0, "identify": 30.0}
+"""Seconds of the processor that a case may take. The slowest compile some ten stages anew."""
+PATIENCE = 300.0
+"""Seconds that a process may say nothing before it counts as hanging, on a machine that is busy."""
+LARGEST = 2e9
+"""Bytes that a case may take."""
 QUICK = ("--no-sweep", "--windows", "500")
 
 
@@ -59,6 +69,37 @@ def outcome(case: Case, options: tuple[str, ...] = ()) -> Outcome:
         return Outcome("WRONG", f"traceback: {lines[-1]} {lines[-3]}", time.perf_counter() - began)
     seconds = time.perf_counter() - began
     return Outcome(*judged(status, out.getvalue(), err.getvalue()), seconds)
+
+
+def read_outcome(case: Case) -> Outcome:
+    """Read a case's file, written to the working folder, and judge what comes out."""
+    Path(case.file).write_bytes(case.content)
+    began = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = read_recordings(case.file)
+    except (RiecjaxError, MemoryError) as error:
+        said = str(error)
+        in_order = said.isprintable() and "took longer" not in said
+        verdict = "refused" if in_order else "WRONG"
+        return Outcome(verdict, said[:500], time.perf_counter() - began)
+    except Exception:
+        lines = traceback.format_exc().strip().splitlines()
+        return Outcome("WRONG", f"traceback: {lines[-1]} {lines[-3]}", time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    for one in found:
+        record = one.record
+        for name, values in {**record.arrays, "time": record.time}.items():
+            if not np.isfinite(np.asarray(values)).all():
+                return Outcome("WRONG", f"{name!r} is not finite", seconds)
+        said = [one.name, *record.arrays, *one.steps, *(f.message for f in one.findings)]
+        if bad := [
+            each for each in said if not each.replace("\n", "").replace("\t", "").isprintable()
+        ]:
+            return Outcome("WRONG", f"not printable: {bad[0]!r}", seconds)
+    codes = sorted({f.code for one in found for f in one.findings})
+    return Outcome("warned" if codes else "right", ", ".join(codes), seconds)
 
 
 def judged(status: int, out: str, err: str) -> tuple[str, str]:
@@ -103,40 +144,105 @@ def _off(name: str, found: dict[str, Any]) -> str:
     return f"{name} = {found['value']:.5g} +- {found['std_error']:.2g}, not {TRUTH[name]:g}"
 
 
+class Fuzzed(NamedTuple):
+    """A case by its number, and what it led to."""
+
+    number: int
+    case: Case
+    outcome: Outcome
+    memory: float
+
+
+def run_case(kind: str, seed: int, number: int, names: list[str], quick: bool) -> tuple[Case, Any]:
+    """Case `number` of a kind, made and judged in this process, in a folder of its own."""
+    name = names[number % len(names)]
+    rng = np.random.default_rng([seed, number])
+    case = mutated(name, _rigs(), rng, list(ALL_WRITERS))
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        if kind == "reading":
+            return case, read_outcome(case)
+        return case, outcome(case, QUICK if quick else ())
+
+
+_RIGS: list[Any] = []
+
+
+def _rigs() -> Any:
+    if not _RIGS:
+        _RIGS.append(rigs())
+    return _RIGS[0]
+
+
+def fuzzed(
+    kind: str,
+    numbers: Iterable[int],
+    seed: int = 0,
+    names: Iterable[str] = NAMES,
+    quick: bool = False,
+) -> Iterator[Fuzzed]:
+    """Cases of `reading` or `identify`, each judged as it comes back from a watched process."""
+    names = list(names)
+    with Watched(run_case, PATIENCE) as watched:
+        for number in numbers:
+            ran = watched(kind, seed, number, names, quick)
+            if ran.result is None:
+                case = Case(names[number % len(names)], "?", b"", ())
+                yield Fuzzed(number, case, Outcome("WRONG", ran.ended, 0.0), 0.0)
+                continue
+            case, found = ran.result
+            found = found._replace(seconds=ran.seconds)
+            for much, why in (
+                (ran.printed, f"printed {ran.printed[:300]!r}"),
+                (ran.seconds > SLOWEST[kind], f"took {ran.seconds:.0f} s"),
+                (ran.memory > LARGEST, f"took {ran.memory / 1e9:.1f} GB"),
+            ):
+                if much and found.verdict != "WRONG":
+                    found = found._replace(verdict="WRONG", why=why)
+            yield Fuzzed(number, case, found, ran.memory)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--cases", type=int, default=1000)
+    parser.add_argument("--reading", type=int, default=100_000, help="cases that are only read")
+    parser.add_argument("--identify", type=int, default=10_000, help="cases through identify")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--quick", action="store_true", help=f"with {' '.join(QUICK)}")
     parser.add_argument("--only", action="append", choices=NAMES, metavar="MUTATION")
     parser.add_argument("--keep", type=Path, help="where files with wrong outcomes are kept")
     parser.add_argument("--verbose", action="store_true", help="print what each case led to")
     arguments = parser.parse_args()
-    names = arguments.only or NAMES
-    machines = rigs()
-    counts: dict[str, Counter[str]] = {name: Counter() for name in names}
-    slowest: dict[str, float] = dict.fromkeys(names, 0.0)
-    wrong: list[str] = []
-    keep = arguments.keep.absolute() if arguments.keep else None
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        for number in range(arguments.cases):
-            name = names[number % len(names)]
-            case = mutated(name, machines, np.random.default_rng([arguments.seed, number]))
-            found = outcome(case, QUICK if arguments.quick else ())
-            if found.seconds > SLOWEST:
-                found = found._replace(verdict="WRONG", why=f"took {found.seconds:.0f} s")
-            counts[name][found.verdict] += 1
-            slowest[name] = max(slowest[name], found.seconds)
-            line = f"{number:5} {name} {case.file} {found.verdict} {found.why}"
-            if arguments.verbose:
-                print(f"{line} ({found.seconds:.1f} s)", flush=True)
-            if found.verdict == "WRONG":
-                wrong.append(line)
-                if keep:
-                    keep.mkdir(parents=True, exist_ok=True)
-                    os.replace(case.file, keep / f"{number}{Path(case.file).suffix}")
+    for kind in ("reading", "identify"):
+        numbers = range(arguments.first, arguments.first + getattr(arguments, kind))
+        if numbers:
+            names = arguments.only or NAMES
+            cases = fuzzed(kind, numbers, arguments.seed, names, arguments.quick)
+            _report(kind, cases, arguments.keep, print if arguments.verbose else None)
+
+
+def _report(
+    kind: str, cases: Iterable[Fuzzed], keep: Path | None, tell: Callable[[str], None] | None
+) -> None:
+    """Count what came out, keep what was wrong, and print both."""
+    counts: dict[str, Counter[str]] = {}
+    slowest: dict[str, float] = {}
+    wrong, memory, began = [], 0.0, time.perf_counter()
+    for number, case, found, held in cases:
+        name = case.mutation
+        counts.setdefault(name, Counter())[found.verdict] += 1
+        slowest[name] = max(slowest.get(name, 0.0), found.seconds)
+        memory = max(memory, held)
+        line = f"{number:5} {name} {case.file} {found.verdict} {found.why}"
+        if tell:
+            tell(f"{line} ({found.seconds:.1f} s)")
+        if found.verdict == "WRONG":
+            wrong.append(line)
+            if keep:
+                keep.mkdir(parents=True, exist_ok=True)
+                (keep / f"{number}{Path(case.file).suffix}").write_bytes(case.content)
+    print(f"\n{kind}: {time.perf_counter() - began:.0f} s, {memory / 1e9:.2f} GB at the peak")
     _print(counts, slowest)
-    print(*wrong, sep="\n")
+    print(*wrong, sep="\n", flush=True)
 
 
 def _print(counts: dict[str, Counter[str]], slowest: dict[str, float]) -> None:

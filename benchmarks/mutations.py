@@ -12,9 +12,10 @@ those that nobody could tell from the file alone:
 - Rows that are cut out with their time where the machine is at the same place at both ends.
 """
 
+import contextlib
 import io
 import struct
-import zipfile
+import warnings
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -23,11 +24,9 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import scipy.integrate
-import scipy.io
 from pyarrow import parquet
 
-Columns = list[tuple[str, np.ndarray]]
-"""Names, which may come twice, and samples of any type."""
+from benchmarks.formats import ALL_WRITERS, WRITERS, Columns
 
 TRUTH = {"m": 1.5, "r": 0.8, "r2": 0.5, "k": 20.0}
 RATE, COUNT = 200, 4000
@@ -84,65 +83,6 @@ def rigs(seed: int = 0) -> tuple[Rig, Rig]:
         Rig(noisy(1e-3, ("x", "dx", "u")), common),
         Rig(noisy(1e-5, ("x", "u")), (*common, *hat)),
     )
-
-
-# Files.
-
-
-def csv_bytes(columns: Columns, delimiter: str = ",", header: bool = True) -> bytes:
-    cells = [
-        [text if isinstance(text, str) else f"{text:.9g}" for text in values.tolist()]
-        for _, values in columns
-    ]
-    lines = [delimiter.join(row) for row in zip(*cells)]
-    names = [delimiter.join(name for name, _ in columns)] if header else []
-    return ("\n".join([*names, *lines]) + "\n").encode()
-
-
-def npz_bytes(columns: Columns) -> bytes:
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, values in columns:
-            member = io.BytesIO()
-            np.save(member, values)
-            # Another member of the same name is what is asked for: no warning.
-            info = zipfile.ZipInfo(f"{name}.npy")
-            archive.NameToInfo.pop(info.filename, None)
-            archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED)
-    return stream.getvalue()
-
-
-def mat_bytes(columns: Columns) -> bytes:
-    """Each variable's elements, one after the other, with one header: names may come twice."""
-    content = b""
-    for name, values in columns:
-        stream = io.BytesIO()
-        scipy.io.savemat(stream, {name: values})
-        content += stream.getvalue() if not content else stream.getvalue()[128:]
-    return content
-
-
-def hdf5_bytes(columns: Columns) -> bytes:
-    stream = io.BytesIO()
-    with h5py.File(stream, "w") as file:
-        for name, values in dict(columns).items():
-            file[name] = values[None, :]
-    return stream.getvalue()
-
-
-def parquet_bytes(columns: Columns) -> bytes:
-    stream = io.BytesIO()
-    names = [name for name, _ in columns]
-    parquet.write_table(pa.table([pa.array(values) for _, values in columns], names), stream)
-    return stream.getvalue()
-
-
-WRITERS: dict[str, Callable[[Columns], bytes]] = {
-    "a.csv": csv_bytes,
-    "a.npz": npz_bytes,
-    "a.mat": mat_bytes,
-    "a.parquet": parquet_bytes,
-}
 
 
 # Mutations of columns: for files of every format.
@@ -464,6 +404,53 @@ def offset_jump(columns, rng):
     return _changed(columns, name, at, columns[name][at] + by)
 
 
+def huge_spikes(columns, rng):
+    """A few samples near the largest number, in one signal or in all."""
+    at = rng.choice(COUNT, int(rng.integers(1, 40)), replace=False)
+    spikes = rng.choice([1e300, -1e300, 1.7e308], at.size)
+    if rng.random() < 0.3:
+        return _signals(columns, lambda values: _set(values, at, spikes))
+    return _changed(columns, _pick(columns, rng), at, spikes)
+
+
+def extreme_scale(columns, rng):
+    """All signals, or one, so large or small that squares overflow or vanish."""
+    factor = float(rng.choice([1e300, 1e-300, 1e160, 1e-170, 5e-324]))
+    if rng.random() < 0.5:
+        return _signals(columns, lambda values: values * factor)
+    name = _pick(columns, rng)
+    return _with(columns, name, columns[name] * factor)
+
+
+def silent(columns, rng):
+    return _signals(columns, np.zeros_like)
+
+
+NAMES_OF_ATTACKERS = (
+    "=HYPERLINK(0)", "+1", "-2+3", "@SUM(A1)", "x" * 3000, "\x1b[2J\x1b]0;a\x07", "\u202egnp.x",
+    "../../x", "/etc/x", "$\\frac{x$", "<script>alert(1)</script>", "[/red]", "a\tb", "a\rb", "",
+    "%s%n", "{0.__class__}", "x\x00y", "\ud7ff", "'; --", "__class__", "nan", "1e5", "t ", "力",
+)  # fmt: skip
+
+
+def hostile_names(columns, rng):
+    """Of a column that nobody needs, or in place of a signal's."""
+    new = str(rng.choice(NAMES_OF_ATTACKERS))
+    if rng.random() < 0.5:
+        return [*columns.items(), (new, columns["x"])]
+    old = _pick(columns, rng)
+    return [(new if name == old else name, values) for name, values in columns.items()]
+
+
+def mixed(columns, rng):
+    """Two or three at once, of those that can still be told."""
+    for place in rng.choice(len(MIXABLE), int(rng.integers(2, 4)), replace=False):
+        # What one has taken away the next may look for in vain.
+        with contextlib.suppress(KeyError, IndexError, ValueError, TypeError):
+            columns = dict(MIXABLE[place](columns, rng))
+    return list(columns.items())
+
+
 COLUMN_MUTATIONS = (
     clean, truncated_rows, shuffled_rows, shuffled_signals, shuffled_column, swapped_blocks,
     repeated_rows, repeated_block, late_column, swapped_columns, dropped_column, duplicated_column,
@@ -471,10 +458,11 @@ COLUMN_MUTATIONS = (
     whole_numbers, truth_values, half_precision, one_spike, few_spikes, spike_at_an_end, burst,
     spike_in_all, frozen, frozen_all, dropout, constant, clipped, wrapped, coarse, huge, infinite,
     scaled, flipped_sign, scaled_time, changed_stamp, still_time, coarse_time, reversed_rows,
-    cut_out, spliced, offset_jump,
+    cut_out, spliced, offset_jump, huge_spikes, extreme_scale, silent, hostile_names, mixed,
 )  # fmt: skip
 NEED_VELOCITY = (scaled, scaled_time)
 """Whose marks only a second signal of the same motion bears."""
+MIXABLE = tuple(m for m in COLUMN_MUTATIONS if m not in (clean, mixed, *NEED_VELOCITY))
 
 
 # Mutations of files.
@@ -526,7 +514,7 @@ def inserted_bytes(file, content, rng):
 
 
 def wrong_ending(file, content, rng):
-    endings = [name for name in (*WRITERS, "a.mf4", "a.txt", "a.xls", "a") if name != file]
+    endings = [name for name in (*ALL_WRITERS, "a.mf4", "a.txt", "a.xls", "a") if name != file]
     return str(rng.choice(endings)), content
 
 
@@ -680,7 +668,26 @@ def hdf5_bomb(rng):
     return "a.mat", stream.getvalue()
 
 
-LARGE = (million_columns, zip_bomb, parquet_bomb, hdf5_bomb)
+def linked_objects(rng):
+    """Groups, or cells of references, each of which leads to all."""
+    stream, count = io.BytesIO(), int(rng.integers(2, 30))
+    with h5py.File(stream, "w") as file:
+        file["t"] = np.arange(COUNT) / RATE
+        if rng.random() < 0.5:
+            objects = [file.create_group(f"g{i}") for i in range(count)]
+            for group in objects:
+                for i, each in enumerate(objects):
+                    group[f"l{i}"] = each
+        else:
+            objects = [file.create_dataset(f"c{i}", (count,), h5py.ref_dtype) for i in range(count)]
+            for cell in objects:
+                cell.attrs["MATLAB_class"] = np.bytes_("cell")
+                cell[:] = [each.ref for each in objects]
+    return str(rng.choice(["a.mat", "a.h5"])), stream.getvalue()
+
+
+LARGE = (million_columns, zip_bomb, parquet_bomb, hdf5_bomb, linked_objects)
+"""Made whole, and not of a recording."""
 
 BY_NAME: dict[str, Callable[..., Any]] = {
     mutation.__name__.replace("_", " "): mutation
@@ -689,18 +696,40 @@ BY_NAME: dict[str, Callable[..., Any]] = {
 NAMES = tuple(BY_NAME)
 
 
-def mutated(name: str, machines: tuple[Rig, Rig], rng: np.random.Generator) -> Case:
-    """A file after this mutation, of a rig and in a format drawn by chance."""
-    rig, mutation = machines[int(rng.random() < 0.3)], BY_NAME[name]
+def mutated(
+    name: str,
+    machines: tuple[Rig, Rig],
+    rng: np.random.Generator,
+    formats: Sequence[str] = tuple(WRITERS),
+) -> Case:
+    """A file after this mutation, of a rig and in one of the formats, both drawn by chance."""
+    which, mutation = int(rng.random() < 0.3), BY_NAME[name]
     if mutation in LARGE:
-        file, content = mutation(rng)
-        return Case(name, file, content, machines[0].options)
+        return Case(name, *mutation(rng), machines[0].options)
     if mutation in TEXT_MUTATIONS:
-        file, content = mutation("a.csv", csv_bytes(list(rig.columns.items())), rng)
-        return Case(name, file, content, rig.options)
-    file = str(rng.choice(list(WRITERS)))
+        file, content = mutation("a.csv", _sound("a.csv", which, machines), rng)
+        return Case(name, file, content, machines[which].options)
+    file = str(rng.choice(list(formats)))
     if mutation in BYTE_MUTATIONS:
-        file, content = mutation(file, WRITERS[file](list(rig.columns.items())), rng)
-        return Case(name, file, content, rig.options)
-    rig = machines[0] if mutation in NEED_VELOCITY else rig
-    return Case(name, file, WRITERS[file](mutation(rig.columns, rng)), rig.options)
+        file, content = mutation(file, _sound(file, which, machines), rng)
+        return Case(name, file, content, machines[which].options)
+    rig = machines[0] if mutation in NEED_VELOCITY else machines[which]
+    columns = mutation(rig.columns, rng)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            content = ALL_WRITERS[file](columns)
+        except Exception:
+            # What a format cannot hold, such as a text among numbers, NPZ can.
+            file, content = "a.npz", ALL_WRITERS["a.npz"](columns)
+    return Case(name, file, content, rig.options)
+
+
+_MADE: dict[tuple[str, int], bytes] = {}
+
+
+def _sound(file: str, which: int, machines: tuple[Rig, Rig]) -> bytes:
+    """A recording without fault, which is written once."""
+    if (file, which) not in _MADE:
+        _MADE[file, which] = ALL_WRITERS[file](list(machines[which].columns.items()))
+    return _MADE[file, which]

@@ -43,7 +43,7 @@ def test_too_late_is_said_and_a_second_time_is_no_harm():
 def test_what_is_compiled_is_kept_where_it_can_be(tmp_path):
     code = f"from riecjax import start_jax; start_jax(keep_compiled=True)\n{COMPILED}"
     assert process(code, XDG_CACHE_HOME=str(tmp_path)).returncode == 0
-    assert list(tmp_path.glob("riecjax/*/*-cache"))
+    assert list(tmp_path.glob("riecjax/*/*.compiled"))
     elsewhere = tmp_path / "elsewhere"
     chosen = {"XDG_CACHE_HOME": str(elsewhere), "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "own")}
     assert process(code, **chosen).returncode == 0

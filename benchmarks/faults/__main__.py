@@ -2,10 +2,12 @@
 
     python -m benchmarks.faults [--only FAULT ...] [--models car drag axis pendulum dry]
         [--severities mild middle severe] [--seeds N] [--clean N] [--json FILE] [--verbose]
+    python -m benchmarks.faults --page
 
 A fault harms where it moves a parameter by more than three standard errors and half a percent from
 what the sound recording of the same motion and noise gives. With `--json` results are kept, beside
-those of other faults and machines that the file holds already.
+those of other faults and machines that the file holds already; `--page` writes the table of
+docs/warnings.md from benchmarks/faults.json.
 """
 
 import argparse
@@ -21,6 +23,7 @@ import scipy.stats
 
 from benchmarks.faults.faults import FAULTS, SEVERITIES
 from benchmarks.faults.machines import MACHINES
+from benchmarks.table import FOLDER, filled_in
 from benchmarks.writing import write_json
 from riecjax.runtime import start_jax
 
@@ -29,6 +32,9 @@ CLEAN_SEEDS = 1000
 """Seeds of clean recordings begin here."""
 CURED = 3.0
 """Standard errors within which an answer is right after the remedy."""
+
+PAGE = FOLDER.parent / "docs" / "warnings.md"
+BEGIN = "<!-- measured: python -m benchmarks.faults -->"
 
 Cells = list[dict[str, Any]]
 
@@ -100,6 +106,30 @@ def print_alarms(alarms: dict[str, Any]) -> None:
         print(f"{code:<26} {share:5.2f} % ({100 * one['low']:.2f} to {100 * one['high']:.2f})")
 
 
+def page() -> str:
+    """docs/warnings.md with the tables of what is recorded."""
+    return filled_in(PAGE, BEGIN, tables(json.loads((FOLDER / "faults.json").read_text())))
+
+
+def tables(document: dict[str, Any]) -> str:
+    """In Markdown: of each fault, and of codes that sound recordings lead to."""
+    cells = document["cases"]
+    rows = ["| fault | harmed | of these detected | named | right after |", "|---|---|---|---|---|"]
+    for fault in [name for name in FAULTS if any(cell["fault"] == name for cell in cells)]:
+        told = shares(cell for cell in cells if cell["fault"] == fault)
+        rows.append(f"| {' | '.join((fault, *told))} |")
+    rows.append(f"| {' | '.join(('all', *shares(cells)))} |")
+    alarms = document["clean"]
+    if alarms is None:
+        return "\n".join(rows)
+    every = alarms["recordings"]
+    told = [
+        f"`{code}` {one['count']} ({100 * one['low']:.2g} to {100 * one['high']:.2g} %)"
+        for code, one in alarms["codes"].items()
+    ]
+    return "\n".join(rows) + f"\n\nOn {every} sound recordings: {', '.join(told) or 'nothing'}."
+
+
 def cases(arguments: argparse.Namespace, folder: Path) -> Iterable[dict[str, Any]]:
     """All that is asked for, machine by machine: each compiles its own programs."""
     from benchmarks.faults.judge import judged
@@ -158,7 +188,11 @@ def main() -> None:
     parser.add_argument("--clean", type=int, default=0, help="sound recordings beside them")
     parser.add_argument("--json", type=Path, help="where results are kept")
     parser.add_argument("--verbose", action="store_true", help="print every finding")
+    parser.add_argument("--page", action="store_true", help="write the documentation's table")
     arguments = parser.parse_args()
+    if arguments.page:
+        PAGE.write_text(page(), encoding="utf-8")
+        return
     start_jax(keep_compiled=True)
     with tempfile.TemporaryDirectory() as folder:
         cells: Cells = []

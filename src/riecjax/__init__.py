@@ -4,20 +4,32 @@ Names are imported when first used, so that what needs no JAX does not wait for 
 stands in `__init__.pyi`.
 """
 
-import importlib
-from typing import Any
-
-import lazy_loader
-
-_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_attached = None
 
 
-def __getattr__(name: str) -> Any:
+def _lazy():
+    """What gives a public name, what lists them, and their list."""
+    global _attached
+    if _attached is None:
+        import lazy_loader
+
+        _attached = lazy_loader.attach_stub(__name__, __file__)
+    return _attached
+
+
+def __dir__():
+    return _lazy()[1]()
+
+
+def __getattr__(name: str):
     """A public name; of one that a submodule has, the error says where it is."""
+    public, _, listed = _lazy()
+    if name == "__all__":
+        return listed
     try:
-        return _public(name)
+        return public(name)
     except AttributeError as error:
-        for module in __all__:
+        for module in listed:
             if module.islower() and name in _names_of(module):
                 raise AttributeError(
                     f"riecjax has no '{name}' at its top level: write rx.{module}.{name}."
@@ -26,6 +38,8 @@ def __getattr__(name: str) -> Any:
 
 
 def _names_of(module: str) -> list[str]:
+    import importlib
+
     try:
         return getattr(importlib.import_module(f"{__name__}.{module}"), "__all__", [])
     except ImportError:

@@ -116,11 +116,54 @@ CODES: dict[str, FindingCode] = {
         "increments of a signal against the integral of its derivative",
         "records.consistency:GAIN",
     ),
+    "lost_rows": FindingCode(
+        "sensors",
+        "{signals} part by a jump",
+        "the delay of a derivative, from part to part of the record",
+        "records.faults.delay_course:LOST",
+    ),
+    "two_clocks": FindingCode(
+        "sensors",
+        "{signals} run by two clocks",
+        "the delay of a derivative, from part to part of the record",
+        "records.faults.delay_course:CHANGE",
+    ),
+    "silent_input": FindingCode(
+        "sensors",
+        "{signals} says nothing",
+        "an input's noise against its deviation, and what the equation explains of it",
+        "validation.silent_inputs:NOTHING_EXPLAINED",
+    ),
     "late_signal": FindingCode(
         "sensors",
-        "{signals} is late",
-        "the delay at which an equation leaves least, and what it leaves there beyond noise",
+        "the time of {signals} is off",
+        "phase of a derivative against its signal, over frequencies; or the delay at which an "
+        "equation leaves least, and what it leaves there beyond noise",
         "validation.late_signals:LEVEL",
+    ),
+    "low_passed": FindingCode(
+        "sensors",
+        "one of {signals} is filtered",
+        "phase and size of a derivative against its signal, over frequencies",
+        "records.faults.derivative_pairs:LIKELIER",
+    ),
+    "wrong_gain": FindingCode(
+        "sensors",
+        "{signals} do not fit each other in size",
+        "size of a derivative against its signal, over frequencies",
+        "records.faults.derivative_pairs:GAIN",
+    ),
+    "drifting_signal": FindingCode(
+        "sensors",
+        "one of {signals} drifts",
+        "a derivative's lowest frequencies against its signal's",
+        "records.faults.derivative_pairs:OFFSET",
+    ),
+    "velocity_offset": FindingCode(
+        "sensors",
+        "one of {signals} has an offset",
+        "a derivative's mean against the change of its signal",
+        "records.faults.derivative_pairs:OFFSET",
     ),
     "constant_signal": FindingCode("sensors", "{signals} never varies", "distinct values"),
     "stuck_sensor": FindingCode(

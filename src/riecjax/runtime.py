@@ -99,7 +99,7 @@ def _keep_compiled() -> None:
     # JAX's files are neither written whole nor checked: what a process that was killed left half
     # written it would warn of for ever.
     others = compilation_cache.get_file_cache
-    kept = Store(folder, "-cache", CACHE_BYTES)
+    kept = Store(folder, ".compiled", CACHE_BYTES)
     compilation_cache.get_file_cache = lambda path: (
         (kept, path) if path == str(folder) else others(path)
     )

@@ -278,6 +278,7 @@ OPTIONS = {
     "--from 5": (1, "the record lasts from 0 to 1.995 s, counted from its first sample"),
     "--derive x9=import(os)": (1, "import"),
     "--upsample 0": (2, "'--upsample'"),
+    "--resample 1e9": (1, "to identify from them takes about"),
     "--remove-offset foo": (1, "'foo'"),
     "--validate none.csv": (1, "there is no file 'none.csv'"),
     "--time-step 0": (2, "greater than zero"),

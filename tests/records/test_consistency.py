@@ -24,7 +24,8 @@ def motion(seed: int = 0, offset: float = 3.0) -> dict[str, np.ndarray]:
 def found(signals: dict[str, np.ndarray], step: float = STEP) -> list[str]:
     record = Record.from_samples(signals, time_step=step)
     findings = check_derivatives(record, [("x", "v")])
-    assert {finding.code for finding in findings} <= {"not_its_derivative"}
+    # What is less than that is for tests/records/faults/test_derivative_pairs.py.
+    findings = [finding for finding in findings if finding.code == "not_its_derivative"]
     assert all(finding.signals == ("x", "v") for finding in findings)
     return [finding.message for finding in findings]
 

@@ -6,10 +6,11 @@ libraries catch some and print others. So a thread waits for signals, which C te
 what is half written, and ends the process.
 """
 
+# `signal` itself first imports enumerations, which takes as long as all else here.
+import _signal as signal  # pyright: ignore[reportMissingImports]
 import os
-import signal
 import sys
-import threading
+from _thread import start_new_thread
 
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
 
@@ -44,7 +45,7 @@ def end_on_signals() -> None:
     told, tell = os.pipe()
     os.set_blocking(tell, False)
     signal.set_wakeup_fd(tell, warn_on_full_buffer=False)
-    threading.Thread(target=_wait, args=(told,), daemon=True).start()
+    start_new_thread(_wait, (told,))
     for name in SIGNALS:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) != signal.SIG_IGN:

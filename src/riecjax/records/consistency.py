@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
+from riecjax.records.faults.derivative_pairs import compare_pair, pair_findings
+from riecjax.records.noise import noise_level
 from riecjax.records.record import Record, samples_with_nan
 
 SHORTEST, LONGEST_SHARE = 4, 8
@@ -29,13 +31,18 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
 
     Each pair names a signal and the signal that holds its derivative. The comparison is made over
     the lag at which they agree best: noise hides short increments of a position, and an offset
-    that drifts spoils long integrals of a velocity. Constant offsets do not matter. The code is
-    `not_its_derivative`. Not under jit.
+    that drifts spoils long integrals of a velocity. Constant offsets do not matter. Where they
+    agree but for little, a fit over frequencies tells how little. Codes: `not_its_derivative`,
+    `lost_rows`, `two_clocks`, `late_signal`, `low_passed`, `wrong_gain`, `drifting_signal` and
+    `velocity_offset`. A derivative that was computed from the signal is not compared. Not under
+    jit.
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
     found = []
     for signal, derivative in dict.fromkeys(pairs):
+        if record.noise.is_made_of(derivative, signal):
+            continue
         values, rates = samples_with_nan(record, signal), samples_with_nan(record, derivative)
         best = _best_lag(values, rates, float(record.time_step))
         if best is None:
@@ -54,6 +61,8 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
             # A term may hold the signal squared, as drag does.
             doubt = min(max(best.gain**2, best.gain**-2) - 1, 1.0)
         else:
+            pair = compare_pair(record, signal, derivative)
+            found += [] if pair is None else pair_findings(record, pair)
             continue
         found.append(
             Finding(
@@ -110,14 +119,15 @@ def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Regression
     rates = np.where(unknown, 0.0, rates)
     area = np.concatenate([[0.0], np.cumsum(0.5 * step * (rates[1:] + rates[:-1]))])
     found = []
-    lag = SHORTEST
+    lag, noise = SHORTEST, float(noise_level(np.where(unknown, 0.0, values), ~unknown))
     while lag <= values.size // LONGEST_SHARE:
         whole = unknown_before[lag + 1 :] == unknown_before[: values.size - lag]
         if whole.sum() >= FEWEST_LAGS:
             increments = _winsorised((values[lag:] - values[:-lag])[whole])
             integrals = _winsorised((area[lag:] - area[:-lag])[whole])
             size, other = np.std(increments), np.std(integrals)
-            if size > 0 and other > 0 and np.isfinite(size) and np.isfinite(other):
+            # Increments that are mostly noise tell nothing of the motion.
+            if size > 2 * noise and other > 0 and np.isfinite(size) and np.isfinite(other):
                 correlation = float(np.mean(increments / size * integrals / other))
                 found.append(_Regression(correlation, float(np.sign(correlation) * size / other)))
         lag *= 4

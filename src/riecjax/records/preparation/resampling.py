@@ -21,7 +21,11 @@ from riecjax.records.record import Record
 from riecjax.work import Work, expect
 
 LARGEST_GRID = 50_000_000
-"""Samples, over all channels, that a common grid may have before it is refused."""
+"""Samples, over all channels, that a new grid may have before it is refused."""
+LARGEST_GROWN, MOST_TIMES = 3_000_000, 16
+"""The same where it has more than so many times as many as were recorded, which say no more."""
+WORK_OF_IDENTIFYING = Work(4e-5, 170.0)
+"""What a sample of one channel takes in `riecjax identify`, as measured from 12,000 on."""
 WORK_PER_SAMPLE = Work(2e-6, 60.0)
 """What a sample of one channel on its new grid takes."""
 LONGEST_STEP = 3.0
@@ -45,7 +49,7 @@ def resample(record: Record, rate: float) -> Record:
 
     **Arguments:** `rate` in Hz.
 
-    **Raises:** `DataError` for an impossible rate, more than 50 million samples, or a signal whose
+    **Raises:** `DataError` for an impossible rate, too many samples, or a signal whose
     stretches are all too short.
     """
     _check_rate(rate)
@@ -60,7 +64,7 @@ def upsample(record: Record, factor: int) -> Record:
     the record's rate, with errors below 1e-6 of their amplitude; recorded samples stay as they are.
     44 samples are lost at both ends and beside gaps.
 
-    **Raises:** `DataError` for a factor below 1, more than 50 million samples, or a signal whose
+    **Raises:** `DataError` for a factor below 1, too many samples, or a signal whose
     stretches are all too short.
     """
     _check_factor(factor)
@@ -107,7 +111,7 @@ def on_grid(
     channel has a gap.
 
     **Raises:** `DataError` for time that does not increase, values that are infinite, no common
-    time, stretches that are all too short, or a grid of more than 50 million samples.
+    time, stretches that are all too short, or a grid of too many samples.
     """
     _check_rate(rate)
     if not channels:
@@ -214,19 +218,26 @@ def _common_grid(channels: Mapping[str, _Channel], rate: float) -> np.ndarray:
             f"{last[earliest] - earliest_start:g} s, counted from the first sample of all. Leave "
             f"one of them out."
         )
-    if duration * rate * len(channels) > LARGEST_GRID:
-        raise DataError(
-            f"{len(channels)} channel(s) over {duration:g} s at {rate:g} Hz would be more than "
-            f"{LARGEST_GRID} samples. Choose a lower rate, and check that time is in seconds."
-        )
-    _expect(len(channels) * duration * rate)
+    recorded = sum(stretch.time.size for each in channels.values() for stretch in each.stretches)
+    _expect(
+        len(channels) * duration * rate,
+        recorded,
+        f"{duration:g} s at {rate:g} Hz",
+        "Choose a lower rate, and check that time is in seconds.",
+    )
     return start + np.arange(int(duration * rate + SAME_TIME) + 1) / rate
 
 
-def _expect(samples: float) -> None:
-    """Say what so many samples of a new grid take, over all channels."""
+def _expect(samples: float, recorded: int, how: str, remedy: str) -> None:
+    """Say what so many samples of a new grid take, over all channels, or refuse them."""
+    if samples > min(LARGEST_GRID, max(LARGEST_GROWN, MOST_TIMES * recorded)):
+        whole = Work(*(samples * each for each in WORK_OF_IDENTIFYING))
+        raise DataError(
+            f"{how} would make {samples:.3g} samples, over all signals, of {recorded} that were "
+            f"recorded and say as much; to identify from them takes {whole.words}. {remedy}"
+        )
     work = Work(*(samples * each for each in WORK_PER_SAMPLE))
-    expect(f"resampling to {samples:.2g} samples", work, "Choose a lower rate or factor.")
+    expect(f"resampling to {samples:.2g} samples", work, remedy)
 
 
 def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
@@ -294,12 +305,13 @@ def _resampled(record: Record, step: float, spacing: float) -> Record:
     """A record with `step` seconds between samples, which are `spacing` of the old ones."""
     if abs(spacing - 1) < SAME_TIME:
         return record
-    if record.sample_count / spacing * len(record.arrays) > LARGEST_GRID:
-        raise DataError(
-            f"{len(record.arrays)} signals of {record.sample_count} samples would become more "
-            f"than {LARGEST_GRID} samples. Choose a lower rate or factor, or a part of the record."
-        )
-    _expect(len(record.arrays) * record.sample_count / spacing)
+    recorded = len(record.arrays) * record.sample_count
+    _expect(
+        recorded / spacing,
+        recorded,
+        f"{1 / step:g} Hz",
+        "Choose a lower rate or factor, or a part of the record.",
+    )
     pieces = [_piece(record, run, step, spacing) for run in _runs(record)]
     pieces = [piece for piece in pieces if piece is not None]
     for name in record.arrays:

@@ -1,0 +1,114 @@
+"""A function run case by case in another process, which is watched from outside.
+
+What hangs in code that no signal interrupts, ends the process, prints past Python or takes too much
+memory is found this way, and costs one case.
+"""
+
+import faulthandler
+import multiprocessing
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from riecjax.records.reading import child_process
+
+
+class Ran(NamedTuple):
+    """How a case ran.
+
+    **Fields:** `result`, `None` where there is none; `ended`: why not; `printed` to standard error
+    by whatever passes Python's; `seconds` of the processor; `memory`, the peak in bytes.
+    """
+
+    result: Any
+    ended: str = ""
+    printed: str = ""
+    seconds: float = 0.0
+    memory: float = 0.0
+
+
+class Watched:
+    """Calls of a function of a module in a process of its own, which begins with `begin()`."""
+
+    def __init__(self, function: Callable[..., Any], patience: float):
+        self._function, self._patience = function, patience
+        self._folder = tempfile.TemporaryDirectory()
+        self._process: Any = None
+
+    def __call__(self, *arguments: Any) -> Ran:
+        if self._process is None:
+            self._start()
+        self._pipe.send(arguments)
+        try:
+            if self._pipe.poll(self._patience):
+                return Ran(*self._pipe.recv())
+        except (EOFError, ConnectionResetError):
+            self._process.join()
+            ended = f"the process ended with {self._process.exitcode}"
+            self._process = None
+            return Ran(None, ended)
+        os.kill(self._process.pid, signal.SIGUSR1)
+        time.sleep(0.5)
+        trace = (Path(self._folder.name) / "trace").read_text().splitlines()
+        self.end()
+        return Ran(None, f"stuck for {self._patience:.0f} s: {' <- '.join(trace[:6])}")
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        arguments = (theirs, self._function, self._folder.name)
+        self._process = context.Process(target=_serve, args=arguments, daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+            self._process = None
+
+    def __enter__(self) -> "Watched":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+        self._folder.cleanup()
+
+
+def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
+    with open(f"{folder}/trace", "w") as trace, open(f"{folder}/printed", "w+b") as printed:
+        faulthandler.register(signal.SIGUSR1, file=trace)
+        os.dup2(printed.fileno(), 2)
+        child_process.PATIENCE = 10.0
+        peaks()
+        while True:
+            try:
+                arguments = pipe.recv()
+            except EOFError:
+                return
+            began = time.process_time()
+            result = function(*arguments)
+            seconds, memory = time.process_time() - began, peaks()
+            printed.seek(0)
+            said = printed.read().decode(errors="replace")
+            printed.truncate(0)
+            pipe.send((result, "", said, seconds, memory))
+
+
+def peaks() -> float:
+    """Most bytes that this process or the one that reads for it has held since this was asked."""
+    readers = [reader.process.pid for reader in child_process._readers]
+    return max(_peak(pid) for pid in ("self", *readers))
+
+
+def _peak(pid: object) -> float:
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        Path(f"/proc/{pid}/clear_refs").write_text("5")
+        return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        return 0.0

@@ -1,0 +1,305 @@
+"""What is amiss between a signal and its recorded derivative, in time, size and zero.
+
+A pair shows differences alone: whether v is late or x early, whether v has an offset or x drifts,
+it cannot tell, nor what both have in common, as a delay of both against the force.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from riecjax.findings import Finding
+from riecjax.records.faults.delay_course import SURE, Course, delay_course
+from riecjax.records.faults.pair_fit import SHORTEST_PIECE, PairFit, Piece, fit_pair
+from riecjax.records.record import Record, samples_with_nan
+
+LATE = 0.01
+"""Samples of delay past which it matters."""
+GAIN = 0.01
+"""Share by which a gain must be off; more than a calibration leaves is 2 %."""
+OFFSET = 0.002
+"""Share of the derivative's rms past which its offset, or its drift over the record, matters."""
+LIKELIER = 12.0
+"""Gain in log-likelihood past which a delay is a filter's lag."""
+FEWEST_CYCLES, CYCLES_OF_WINDOW = 1.0, 1.5
+"""Of the motion, in a record and in a part of it: on less, offset, drift and delay are alike."""
+WINDOWS, SHORTEST_WINDOW = 12, 250
+"""Parts of the record whose delays are compared, and the fewest samples of one."""
+MOST_SAMPLES, LONGEST_PIECE = 2**15, 2**13
+"""Of a long record, samples that are looked at, in pieces evenly spread."""
+SHORT_GAP = 5
+"""Missing samples in a row that are filled in."""
+SPIKE = 5.0
+"""Times that a spike leaves the median of five samples further than its neighbours range."""
+MOST_SPIKES = 0.05
+"""Share of samples past which these are no spikes."""
+
+
+class Pair(NamedTuple):
+    """How a recorded derivative follows its signal.
+
+    **Fields:** `signal`, `derivative`; `fit`, in samples and units of the signal's `scale`;
+    `lagged` where a low-pass describes it better than a delay; `course` of the delay; `rms` of the
+    derivative, in the fit's unit; `step` of time in seconds.
+    """
+
+    signal: str
+    derivative: str
+    fit: PairFit
+    lagged: bool
+    course: Course
+    scale: float
+    rms: float
+    step: float
+
+    @property
+    def delay(self) -> float:
+        """Seconds by which the derivative is surely late and steadily so, else 0."""
+        return self.fit.delay * self.step if self.is_late and not self.lagged else 0.0
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the derivative is surely late, or early, or lags, throughout the record."""
+        by, error = self.fit.delay + self.fit.lag, self.fit.errors[0]
+        return self.course.kind == "steady" and abs(by) > max(LATE, SURE * error)
+
+    @property
+    def gain_is_off(self) -> bool:
+        """Whether the derivative's size is surely wrong."""
+        return self.course.kind == "steady" and abs(self.fit.gain - 1) > max(
+            GAIN, SURE * self.fit.errors[1]
+        )
+
+    @property
+    def offset(self) -> float:
+        """Of the derivative, in its unit, 0 unless it surely matters."""
+        sure = abs(self.fit.offset) > max(OFFSET * self.rms, SURE * self.fit.errors[2])
+        return self.fit.offset * self.scale / self.step if sure else 0.0
+
+    @property
+    def drift(self) -> float:
+        """Of the derivative over the record, in its unit, 0 unless it surely matters."""
+        sure = abs(self.fit.drift) > max(2 * OFFSET * self.rms, SURE * self.fit.errors[3])
+        return self.fit.drift * self.scale / self.step if sure else 0.0
+
+
+@np.errstate(all="ignore")
+def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
+    """Fit a recorded derivative to its signal; `None` if the record does not tell. Not under jit.
+
+    **Raises:** `DataError` for a signal that the record lacks.
+    """
+    x, v = samples_with_nan(record, signal), samples_with_nan(record, derivative)
+    step, count = float(record.time_step), x.size
+    centre = np.nanmedian(x) if not np.isnan(x).all() else 0.0
+    scale = float(np.nanquantile(np.abs(x - centre), 0.9)) if np.isfinite(centre) else 0.0
+    if not (np.isfinite(scale) and scale > 0):
+        return None
+    x, v = (x - centre) / scale, v / scale * step
+    breaks = _pauses(record)
+    pieces = list(_pieces(x, v, 0, count, breaks, MOST_SAMPLES))
+    rms = float(np.sqrt(np.mean(np.concatenate([p.v for p in pieces]) ** 2))) if pieces else 0.0
+    cycles = rms * count / (2 * np.pi)
+    if not (np.isfinite(cycles) and cycles > FEWEST_CYCLES):
+        return None
+    fit = fit_pair(pieces, count)
+    if fit is None or not np.isfinite(fit.errors).all():
+        return None
+    windows = min(WINDOWS, count // SHORTEST_WINDOW, int(cycles / CYCLES_OF_WINDOW))
+    course, spread = Course(), 1.0
+    if windows > 1:
+        edges = np.linspace(0, count, windows + 1).astype(int)
+        parts = [
+            list(_pieces(x, v, a, b, breaks, MOST_SAMPLES // windows))
+            for a, b in itertools.pairwise(edges)
+        ]
+        course, spread = delay_course(parts, edges.tolist(), count, fit)
+    fit = fit._replace(errors=fit.errors * spread)
+    pair = Pair(signal, derivative, fit, False, course, scale, rms, step)
+    if pair.is_late and (lag := _low_pass(pieces, count, fit)) is not None:
+        pair = pair._replace(fit=lag, lagged=True)
+    return pair
+
+
+def _pauses(record: Record) -> Float[np.ndarray, " pauses"]:
+    """Samples that follow a pause."""
+    steps = np.diff(np.asarray(record.elapsed))
+    return np.flatnonzero(steps > 1.5 * float(record.time_step)) + 1
+
+
+def _pieces(
+    x: np.ndarray, v: np.ndarray, start: int, stop: int, breaks: np.ndarray, most: int
+) -> Iterator[Piece]:
+    """Unbroken stretches of both, short gaps and spikes filled in; of many samples some."""
+    ranges = [(start, stop)]
+    if stop - start > most:
+        starts = np.linspace(start, stop - LONGEST_PIECE, most // LONGEST_PIECE).astype(int)
+        ranges = [(first, first + LONGEST_PIECE) for first in starts]
+    for first, last in ranges:
+        both = [_filled(column[first:last]) for column in (x, v)]
+        known = ~np.isnan(both[0]) & ~np.isnan(both[1])
+        cuts = np.flatnonzero(np.diff(known)) + 1
+        within = breaks[(breaks > first) & (breaks < last)] - first
+        for piece in np.split(np.arange(last - first), np.union1d(cuts, within)):
+            if piece.size >= SHORTEST_PIECE and known[piece[0]]:
+                yield Piece(first + piece[0], *(column[piece] for column in both))
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    """Spikes and short gaps replaced by local cubics."""
+    from scipy.interpolate import Akima1DInterpolator
+
+    found = values.copy()
+    if values.size > 9:
+        around = np.lib.stride_tricks.sliding_window_view(values, 9)
+        off = np.abs(values[4:-4] - np.median(around[:, 2:7], axis=1))
+        near = around[:, [0, 1, 2, 6, 7, 8]]
+        spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=1)) + 4
+        if spikes.size <= MOST_SPIKES * values.size:
+            found[spikes] = np.nan
+    missing = np.isnan(found)
+    if missing.any() and np.sum(~missing) > 4:
+        at = np.arange(found.size)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
+        short = np.zeros(found.size, bool)
+        for first, last in edges.reshape(-1, 2):
+            short[first:last] = last - first <= SHORT_GAP
+        found[short] = Akima1DInterpolator(at[~missing], found[~missing])(at[short])
+    return found
+
+
+def _low_pass(pieces: Sequence[Piece], count: int, delayed: PairFit) -> PairFit | None:
+    """The fit of a low-pass, if it describes the pair better than a delay."""
+    lag = fit_pair(pieces, count, lagged=True)
+    if lag is None or not np.isfinite(lag.errors).all() or abs(lag.lag) < SURE * lag.errors[0]:
+        return None
+    # The likelihood of noise whose power is what is left.
+    power, counted = (
+        np.interp(delayed.left.omega, lag.left.omega, column)
+        for column in (lag.left.smoothed, lag.counted)
+    )
+    both = delayed.counted & (counted > 0.5)
+    return lag if np.sum(np.log(delayed.left.smoothed / power)[both]) > LIKELIER else None
+
+
+def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
+    """What is amiss with a pair; codes as in the docs of [`check_derivatives`][].
+
+    The doubt is the share of the derivative that is wrong: of a delay, the turn of its phase.
+    """
+    signal, derivative = pair.signal, pair.derivative
+    fit, step = pair.fit, pair.step
+    both, unit = (derivative, signal), dict(record.units).get(derivative, "")
+    # The usual frequency, from how much better a gain is known than a delay.
+    turn = fit.errors[1] / max(fit.errors[0], 1e-300)
+    if pair.course.kind != "steady":
+        yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0))
+    if pair.is_late:
+        by, error = fit.delay + fit.lag, fit.errors[0]
+        late, other = both if by > 0 else both[::-1]
+        by, doubt = abs(by), min(turn * abs(by), 1.0)
+        size = f"{by:.3g} \u00b1 {error:.1g} samples ({1e3 * by * step:.3g} ms)"
+        advance = ("--shift", f"{late}={by * step:.4g}")
+        if pair.lagged:
+            yield Finding(
+                "low_passed",
+                f"{late} is {other}{_after(late, signal)} behind a first-order low-pass with a "
+                f"time constant of {size}, a cut-off at {1 / (2 * np.pi * by * step):.3g} Hz: it "
+                f"lags, and loses what is fast. Record it without that filter, or both with the "
+                f"same; {' '.join(advance)} takes off the lag alone.",
+                both,
+                doubt=doubt,
+                remedy=advance,
+                step=f"Take the lag of {late} off",
+            )
+        else:
+            yield Finding(
+                "late_signal",
+                f"{late} is {size} late against {other}. {' '.join(advance)} brings it forward, "
+                f"as --align auto does when the file is read. Whether both are late against other "
+                f"signals the two cannot tell.",
+                (late, other),
+                doubt=doubt,
+                remedy=advance,
+                step=f"Bring {late} forward by {by * step:.3g} s",
+            )
+    if pair.gain_is_off:
+        remedy = ("--scale", f"{derivative}={1 / fit.gain:.5g}")
+        yield Finding(
+            "wrong_gain",
+            f"{derivative} is {fit.gain:.4g} \u00b1 {fit.errors[1]:.1g} times the derivative of "
+            f"{signal}. Which of the two is calibrated wrongly they cannot tell: scale that one "
+            f"({' '.join(remedy)}, or --scale {signal}={fit.gain:.5g}).",
+            both,
+            # A term may hold the signal squared, as drag does.
+            doubt=min(max(fit.gain**2, fit.gain**-2) - 1, 1.0),
+            remedy=remedy,
+            step=f"Scale {derivative} or {signal}, whichever sensor is off",
+        )
+    share = max(abs(fit.offset), abs(fit.drift) / 2) / pair.rms
+    lasts = f"{float(record.elapsed[-1]):.4g} s"
+    if pair.drift:
+        yield Finding(
+            "drifting_signal",
+            f"{derivative} drifts by {pair.drift:.3g} {unit} over {lasts} against {signal}, "
+            f"{_percent(pair.drift, pair)} of its rms. --remove-drift {derivative} takes it off, "
+            f"if the machine itself comes back to where it began.",
+            both,
+            doubt=min(share, 1.0),
+            remedy=("--remove-drift", derivative),
+            step=f"Take the straight line off {derivative}",
+        )
+    elif pair.offset:
+        yield Finding(
+            "velocity_offset",
+            f"{derivative} has an offset of {pair.offset:.4g} {unit} against {signal}, "
+            f"{_percent(pair.offset, pair)} of its rms, or {signal} itself drifts by as much per "
+            f"second. --remove-offset {derivative} takes it off, if the machine itself comes back "
+            f"to where it began.",
+            both,
+            doubt=min(share, 1.0),
+            remedy=("--remove-offset", derivative),
+            step=f"Take the offset off {derivative}",
+        )
+
+
+def _after(late: str, signal: str) -> str:
+    return "" if late == signal else "'s derivative"
+
+
+def _percent(value: float, pair: Pair) -> str:
+    return f"{100 * abs(value) * pair.step / pair.scale / pair.rms:.2g} %"
+
+
+def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
+    """Of a delay that changes along the record."""
+    course, step, time = pair.course, pair.step, np.asarray(record.elapsed)
+    lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
+    both = (pair.derivative, pair.signal)
+    if course.kind == "clocks":
+        rate = 1e6 * course.change / max(time.size - 1, 1)
+        return Finding(
+            "two_clocks",
+            f"{pair.derivative} falls behind {pair.signal} evenly, {lasts} over the record: their "
+            f"clocks differ by {rate:.3g} \u00b1 {1e6 * course.error / time.size:.1g} ppm. Give "
+            f"each its own time and --resample both, or record both by one logger.",
+            both,
+            doubt=doubt,
+            step=f"Record {pair.derivative} and {pair.signal} by one clock",
+        )
+    first, last = (time[min(place, time.size - 1)] for place in course.place)
+    jumping = pair.signal if course.change > 0 else pair.derivative
+    return Finding(
+        "lost_rows",
+        f"The delay of {pair.derivative} against {pair.signal} jumps {lasts} between {first:.4g} "
+        f"and {last:.4g} s: {jumping} has lost {abs(course.change):.3g} \u00b1 {course.error:.1g} "
+        f"samples ({1e3 * abs(course.change) * step:.3g} ms) there. Use the record up to there "
+        f"(--to {first:.4g}) or from there on (--from {last:.4g}).",
+        both,
+        doubt=doubt,
+        remedy=("--to", f"{first:.4g}") if first > time[-1] - last else ("--from", f"{last:.4g}"),
+        step="Use the longer part of the record",
+    )
