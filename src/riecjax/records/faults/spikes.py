@@ -128,8 +128,8 @@ _LOCAL = [_Local.of(degree, beside) for degree, beside in SHAPES]
 class Spikes(NamedTuple):
     """Samples that are spikes.
 
-    **Fields:** `places`, ascending; `repaired`, the local polynomial's values there; `sizes`, how far
-    off it they are; `noise`, the standard deviation of what is around them; shapes `(k,)`.
+    **Fields:** `places`, ascending; `repaired`, the local polynomial's values there; `sizes`, how
+    far off it they are; `noise`, the standard deviation of what is around them; shapes `(k,)`.
     """
 
     places: Int[np.ndarray, " k"]
