@@ -30,8 +30,8 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
 
     A spike is found against the noise around it: its sixth differences stand out by 4.5 standard
     deviations, and it lies 6 off a polynomial of degree 3, 5 or 7 through the 8 samples to each
-    side, weighed by Tukey's biweight. Steps, corners and pulses of commands stay. Of a signal of which more than 5 %
-    are spikes nothing is changed: that is a fault of its channel.
+    side, weighed by Tukey's biweight. Steps, corners and pulses of commands stay. Of a signal of
+    which more than 5 % are spikes nothing is changed: that is a fault of its channel.
 
     **Arguments:** the signals to repair, all if none is named; `how`: `"repair"`, `"missing"` to
     mark spikes as missing, or `"keep"`.
