@@ -200,8 +200,8 @@ CODES: dict[str, FindingCode] = {
     "outliers": FindingCode(
         "sensors",
         "{signals} has outliers",
-        "sixth differences, and cubics through the samples around, against the noise",
-        "records.faults.local_cubics:SPIKE",
+        "sixth differences, and polynomials through the samples around, against the noise",
+        "records.faults.spikes:SPIKE",
     ),
     "hum": FindingCode(
         "sensors",

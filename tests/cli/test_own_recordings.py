@@ -296,8 +296,9 @@ def test_times_are_seconds_from_the_first_sample_whatever_the_stamps(capsys):
         document = call(capsys, "identify", "run.csv", *IDENTIFY, *options).document
         assert document["provenance"]["start_times"] == [start]
         said[start] = {w["code"]: w["message"] for w in document["warnings"]}
-        assert document["provenance"]["preparation"] == ["cut from 6 s to the end"]
-        assert "at 7, 15 s. A cubic" in said[start]["outliers"]
+        steps = ["q: 2 outliers repaired", "cut from 6 s to the end"]
+        assert document["provenance"]["preparation"] == steps
+        assert "at 7, 15 s. A poly" in said[start]["outliers"]
         assert "first at 20 s" in said[start]["missing_samples"]
         assert "up to 900 s removes nothing" in said[start]["nothing_cut"]
     assert set(said[0.0]) == set(said[1.7e9])

@@ -125,8 +125,8 @@ RECORD_OPTIONS = (
         type=click.Choice(["repair", "missing", "keep"]),
         default="repair",
         show_default=True,
-        help="Spikes of one to three samples: replace each by a cubic through the samples around "
-        "it, mark it as missing, or keep it, as a pulse that really acted.",
+        help="Spikes of one to three samples: replace each by what the samples around it say, "
+        "mark it as missing, or keep it, as a pulse that really acted.",
     ),
     click.option(
         "--from",

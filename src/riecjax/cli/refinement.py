@@ -56,11 +56,14 @@ class RefinementOptions:
     channels: tuple[str, ...]
     bounds: tuple[tuple[str, tuple[float | None, float | None]], ...]
     priors: Mapping[str, tuple[float, float]]
+    loss: Literal["squares", "huber"]
 
     def require_sense(self, *, validates: bool) -> None:
         """**Raises:** `click.UsageError` for options that nothing would come of."""
         if self.channels and self.refine != "output-error":
             raise click.UsageError("--channel goes with --refine output-error.")
+        if self.loss != "squares" and self.refine != "output-error":
+            raise click.UsageError("--loss goes with --refine output-error.")
         simulates = validates or self.refine in ("auto", "output-error")
         if self.horizon is not None and not simulates:
             raise click.UsageError(
@@ -99,7 +102,7 @@ class RefinementOptions:
         if self.refine == "integral":
             return IntegralError()
         shooting = WholeRecord() if self.horizon is None else Tiles(seconds=self.horizon)
-        return OutputError(shooting, channels=self.channels or None)
+        return OutputError(shooting, channels=self.channels or None, loss=self.loss)
 
 
 refinement_options: Callable[[Callable[..., Any]], Callable[..., Any]] = collecting(
@@ -143,6 +146,14 @@ refinement_options: Callable[[Callable[..., Any]], Callable[..., Any]] = collect
             callback=pairs_to_dict,
             help="What is known of a refined parameter beforehand, in SI units: it counts as one "
             "more observation. Repeatable.",
+        ),
+        click.option(
+            "--loss",
+            type=click.Choice(["squares", "huber"]),
+            default="squares",
+            show_default=True,
+            help="What is made small of simulated minus recorded: squares, or Huber's loss, in "
+            "which what no noise explains pulls less.",
         ),
     ],
     RefinementOptions,

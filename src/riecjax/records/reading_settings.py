@@ -34,8 +34,8 @@ class ReadingSettings(TypedDict, total=False):
       `"none"`; or a standard deviation by signal (0 for none), the others are judged. Steps of
       preparation carry it on. See [`Noise`][riecjax.Noise].
     - `outliers`: what becomes of spikes of one to three samples, before anything else is made of a
-      signal: `"repair"` (the default) by a cubic through the samples around, `"missing"` to mark
-      them as missing, or `"keep"`. See [`repair_outliers`][riecjax.records.repair_outliers].
+      signal: `"repair"` (the default) by a polynomial through the samples around, `"missing"` to
+      mark them as missing, or `"keep"`. See [`repair_outliers`][riecjax.records.repair_outliers].
 
     What is done to the record then, in this order:
 

@@ -101,6 +101,15 @@ class AbstractMisfit(eqx.Module):
         """The residuals at a point, to first order."""
         raise NotImplementedError
 
+    def curved(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], found: Expansion
+    ) -> Expansion:
+        """What was `found` at an optimum, with the curvature of what is made small.
+
+        Other than what the search needs where that is no sum of squares.
+        """
+        return found
+
     def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
         """Root mean square of what is left of each of `labels`, in its unit."""
         raise NotImplementedError

@@ -296,7 +296,7 @@ def _with_uncertainty(
     intervals: AbstractIntervals,
 ) -> Optimum:
     theta = reached.theta
-    blocks, short = misfit.blocks(expansion)
+    blocks, short = misfit.blocks(misfit.curved(theta, reached.initial, expansion))
     variance = residual_variance(misfit, expansion.energy, at_bound.shape[0])
     # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
     # one that nothing depends on must not take the others with it.

@@ -12,7 +12,9 @@ from jaxtyping import Array, Bool, Float
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, is_number
+from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
+from riecjax.refinement.huber import LEAST_NOISE, THRESHOLD
 from riecjax.refinement.objective import AbstractObjective, Parameters, Specification
 from riecjax.refinement.output_misfit import OutputMisfit
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
@@ -55,6 +57,10 @@ class OutputError(AbstractObjective):
     - `intersample`: what inputs are between samples. `"smooth"` wherever they neither jump nor
       turn a corner, or straight `"lines"`, as of a command that is known to be, or of what
       [`simulate`][] made; of all inputs, or by name: `{"F": "lines"}`.
+    - `loss`: `"squares"`, or `"huber"`, which grows with the square up to 1.345 standard deviations
+      of a channel's noise and straight on past it, so that what no noise explains pulls less. The
+      noise is what the records say of it, or their samples do; `rms` then is that of residuals
+      whose squares are the loss.
     - `every`: compare one of so many samples. Of a record that was upsampled, the others would tell
       the same again.
     """
@@ -66,6 +72,7 @@ class OutputError(AbstractObjective):
     method: AbstractMethod | None = None
     every: int = eqx.field(static=True, default=1)
     intersample: Intersample = "smooth"
+    loss: Literal["squares", "huber"] = eqx.field(static=True, default="squares")
 
     def __check_init__(self):
         write = "rx.OutputError(rx.refinement.Tiles(0.5)), or without windows rx.OutputError()"
@@ -82,6 +89,8 @@ class OutputError(AbstractObjective):
                 f"initial_states are 'estimated', 'measured' or values by name; got '{given}'."
             )
         require_intersample(self.intersample)
+        if self.loss not in ("squares", "huber"):
+            raise ModelError(f"the loss is 'squares' or 'huber'; got {self.loss!r}.")
         if self.every < 1:
             raise ModelError(f"every must be 1 or more; got {self.every}.")
         adjoint = getattr(self.method, "adjoint", None)
@@ -145,6 +154,9 @@ class OutputError(AbstractObjective):
             scale=scale,
             longest_window=seconds if self.shooting.overlap else jnp.zeros_like(seconds),
             method=method,
+            threshold=None
+            if self.loss == "squares"
+            else THRESHOLD * (_noise(specified.records, recorded, channels) / sigma)[None, :],
             names=specified.names,
             local=specified.local,
             labels=channels,
@@ -158,7 +170,9 @@ class OutputError(AbstractObjective):
     def describe(self) -> dict[str, object]:
         """Name and settings."""
         initial = self.initial_states if isinstance(self.initial_states, str) else "partly known"
-        return {"refine": "output-error", **self.shooting.describe(), "starts": initial}
+        loss: dict[str, object] = {} if self.loss == "squares" else {"loss": self.loss}
+        shooting = self.shooting.describe()
+        return {"refine": "output-error", **shooting, "starts": initial, **loss}
 
 
 def _channels(
@@ -326,6 +340,16 @@ def _sigma(
         jnp.asarray(given.get(name, spread[i]), spread.dtype) for i, name in enumerate(channels)
     ]
     return jnp.stack(chosen)
+
+
+def _noise(
+    records: Sequence[Record], recorded: Sequence[Recorded], channels: tuple[str, ...]
+) -> Float[Array, " channels"]:
+    """Standard deviation of each channel's noise, over all records."""
+    known = [judged(record, "auto", *channels).noise for record in records]
+    mean = [sum(noise.std(name) ** 2 for noise in known) / len(known) for name in channels]
+    least = LEAST_NOISE * _sigma({}, channels, recorded)
+    return jnp.maximum(jnp.sqrt(jnp.stack([jnp.asarray(each) for each in mean])), least)
 
 
 def _scale(

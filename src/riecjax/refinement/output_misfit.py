@@ -34,6 +34,7 @@ from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled
+from riecjax.refinement.huber import Columns, as_square, for_scatter, for_search
 from riecjax.refinement.objective import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
 from riecjax.refinement.shots import Recorded, over_windows
@@ -63,6 +64,7 @@ class OutputMisfit(AbstractMisfit):
     """Simulated minus recorded channels, in units of `sigma`, over all windows of all records.
 
     `labels` are the channels.
+    `threshold` of Huber's loss by channel, in units of sigma; `None` for squares.
     `longest_window` is 0 unless windows overlap: no residual then counts twice. `most_steps`
     between samples may be taken of a method that the user left open, else 0.
     """
@@ -74,6 +76,7 @@ class OutputMisfit(AbstractMisfit):
     scale: Float[Array, " s"]
     longest_window: Float[Array, ""]
     method: AbstractMethod
+    threshold: Float[Array, "1 channels"] | None
     names: tuple[str, ...] = eqx.field(static=True)
     local: tuple[str, ...] = eqx.field(static=True)
     labels: tuple[str, ...] = eqx.field(static=True)
@@ -147,21 +150,38 @@ class OutputMisfit(AbstractMisfit):
         for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
 
             def of_window(initial: Array, window: Recorded, i: int = i) -> Array:
-                return jnp.sum(self._error(theta, initial, window, i) ** 2, axis=0)
+                error = self._error(theta, initial, window, i)
+                return jnp.sum(as_square(error, self.threshold) ** 2, axis=0)
 
             found = found + jnp.sum(over_windows(of_window, own, part), axis=0)
         return found
 
     def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
         """Of each window of each record, in pieces of time."""
+        return self._expansion(theta, initial, for_search)
+
+    def curved(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], found: Expansion
+    ) -> Expansion:
+        """With the curvature of Huber's loss itself, none past its threshold."""
+        return found if self.threshold is None else self._expansion(theta, initial, for_scatter)
+
+    def _expansion(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], columns: Columns
+    ) -> Expansion:
         pieces, energy = [], jnp.zeros(len(self.labels), theta.dtype)
         for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
 
             def of_window(initial: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
                 level, slopes = self._columns(theta, initial, window, i)
-                columns = jnp.concatenate([level[:, :, None], slopes], axis=2)
-                cut = _in_pieces(columns, window.piece)
-                return jnp.einsum("prci,prcj->pij", cut, cut), jnp.sum(level**2, axis=0)
+                left, right = columns(level, slopes, self.threshold)
+                cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
+                moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
+                upper = jnp.triu(moments, 1)
+                moments = (
+                    moments if left is right else jnp.triu(moments) + jnp.swapaxes(upper, 1, 2)
+                )
+                return moments, jnp.sum(left[..., 0] * right[..., 0], axis=0)
 
             moments, squares = over_windows(of_window, own, part)
             pieces.append(moments)

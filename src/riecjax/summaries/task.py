@@ -81,7 +81,8 @@ def _require_squares(procedure: Procedure, record: Record, criterion: AbstractCr
     """Raise `DataError` for a signal that is read and has a value too large to be squared."""
     if not is_concrete(record.arrays):
         return
-    huge = [name for name, values in record.arrays.items() if np.max(np.abs(values)) > LARGEST]
+    sizes = {name: float(np.max(np.abs(values))) for name, values in record.arrays.items()}
+    huge = [name for name, size in sizes.items() if size > LARGEST]
     for name in huge and signals_read(procedure, record, criterion):
         if name in huge:
             place = int(np.argmax(np.abs(record.arrays[name])))

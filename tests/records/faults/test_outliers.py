@@ -7,8 +7,8 @@ from benchmarks.drag_problem import signals
 from riecjax.errors import DataError
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import drag_oscillator_equation
-from riecjax.records.faults.local_cubics import find_spikes
 from riecjax.records.faults.signals import check_signals
+from riecjax.records.faults.spikes import find_spikes
 from riecjax.records.preparation import repair_outliers
 from riecjax.records.record import Record
 from riecjax.records.recording import read_recording
@@ -60,9 +60,11 @@ def test_spikes_of_ten_noises_mostly_are():
     assert np.isin(found, where).all()
 
 
-def test_without_noise_any_that_a_cubic_can_tell():
-    values, where = spiked(CLEAN["x"], 0.05 * CLEAN["x"].std(), 0)
-    np.testing.assert_array_equal(find_spikes(values).places, where)
+def test_without_noise_most_are_and_none_is_false():
+    values, where = spiked(CLEAN["x"], 0.2 * CLEAN["x"].std(), 0)
+    found = find_spikes(values).places
+    assert np.isin(where, found).mean() > 0.7
+    assert np.isin(found, where).all()
 
 
 def test_groups_of_up_to_three_count_and_longer_ones_do_not():
@@ -189,7 +191,7 @@ def test_a_file_is_repaired_before_anything_is_made_of_it(tmp_path):
     read = read_recording(file, derive={"f": "2*x"})
     assert read.steps == ("x: 1 outlier repaired", "f: 2*x")
     (finding,) = read.findings
-    assert "at 12 s. A cubic" in finding.message
+    assert "at 12 s. A poly" in finding.message
     assert finding.signals == ("x", "f")
     assert finding.doubt == 0
     there = int(np.argmin(np.abs(read.record.elapsed - 12)))

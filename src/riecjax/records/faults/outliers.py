@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.findings import Finding
-from riecjax.records.faults.local_cubics import Spikes, find_spikes
+from riecjax.records.faults.spikes import Spikes, find_spikes
 
 MOST = 0.05
 """Share of the samples past which spikes are a fault of the channel, and are not repaired."""
@@ -14,11 +14,11 @@ LISTED = 3
 """Times that are named."""
 
 Treatment: TypeAlias = Literal["repair", "missing", "keep"]
-"""What becomes of spikes: a local cubic's value takes their place, they are marked as missing, or
-they stay."""
+"""What becomes of spikes: a local polynomial's value takes their place, they are marked as missing,
+or they stay."""
 DONE = {
-    "repair": "A cubic through the samples around took the place of each; if they really acted, "
-    "keep them (--outliers keep)",
+    "repair": "A polynomial through the samples around took the place of each; if they really "
+    "acted, keep them (--outliers keep)",
     "missing": "They were marked as missing",
     "keep": "Least squares follow them: repair them (--outliers repair; in Python "
     "rx.records.repair_outliers(record)), unless they really acted",

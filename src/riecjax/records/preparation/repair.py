@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.local_cubics import find_spikes
 from riecjax.records.faults.outliers import DONE, Treatment, finding_of, too_many
+from riecjax.records.faults.spikes import find_spikes
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.reading.selected import Selection
 from riecjax.records.record import Record, samples_with_nan
@@ -26,12 +26,12 @@ class Treated(NamedTuple):
 
 
 def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") -> Record:
-    """Replace spikes of one to three samples by a cubic through the samples around them.
+    """Replace spikes of one to three samples by what the samples around them say.
 
     A spike is found against the noise around it: its sixth differences stand out by 4.5 standard
-    deviations, and it lies 6 off a cubic through the 8 samples to each side, which are weighed by
-    Tukey's biweight. Steps, corners and pulses of commands stay. Of a signal of which more than 5 %
-    are spikes nothing is changed: that is a fault of its channel.
+    deviations, and it lies 6 off a polynomial of degree 3, 5 or 7 through the 8 samples to each
+    side, weighed by Tukey's biweight. Steps, corners and pulses of commands stay. Of a signal of
+    which more than 5 % are spikes nothing is changed: that is a fault of its channel.
 
     **Arguments:** the signals to repair, all if none is named; `how`: `"repair"`, `"missing"` to
     mark spikes as missing, or `"keep"`.
@@ -91,7 +91,7 @@ def treat(
         return Treated(values)
     steps = np.diff(time) if time.size > 1 else np.ones(1)
     pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
-    # No cubic reaches across a pause.
+    # No polynomial reaches across a pause.
     spikes = find_spikes(np.insert(values, pauses, np.nan))
     if not spikes.places.size:
         return Treated(values)

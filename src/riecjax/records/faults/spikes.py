@@ -2,12 +2,13 @@
 
 A spike of height h adds h times 1, -6, 15, -20, 15, -6, 1 to seven differences of sixth order, in
 which smooth motion is next to nothing and white noise of standard deviation sigma has sqrt(924)
-sigma. Samples near a large one are suspects. Each is judged by a cubic through the samples around
-it, itself left out and others weighed by Tukey's biweight, which no neighbouring spike moves.
+sigma. Samples near a large one are suspects. Each is judged by a polynomial through the samples
+around it, itself left out and others weighed by Tukey's biweight, which no neighbouring spike
+moves. Motion that no such polynomial follows hides spikes that are no larger than it is off them.
 
-What machines do stays: after a step or a corner the cubic follows one side, and the other side is
-off it for longer than a spike lasts; a pulse among steps of its own size, as of a relay, is one of
-them; and of a command that follows straight lines, or takes few values, only what is far beyond
+What machines do stays: after a step or a corner the polynomial follows one side, and the other side
+is off it for longer than a spike lasts; a pulse among steps of its own size, as of a relay, is one
+of them; and of a command that follows straight lines, or takes few values, only what is far beyond
 all others is a spike.
 """
 
@@ -30,11 +31,15 @@ from riecjax.records.resolution import (
 SUSPECT = 4.5
 """Standard deviations past which a sixth difference makes suspects of the samples around it."""
 SPIKE = 6.0
-"""Standard deviations that a spike is off the cubic at the least."""
+"""Standard deviations that a spike is off the polynomial at the least."""
 MOST_SUSPECTS = 0.8
 """Share of samples past which suspects are how the signal is; 13 are around each spike."""
-BESIDE = 8
-"""Samples to each side that the cubic goes through."""
+SHAPES = ((3, 8), (5, 8), (7, 8))
+"""Degree of the polynomials, and samples to each side that they go through. Of each signal, those
+that lie nearest to samples left out: a cubic has 0.37 of the noise in its middle, and bends least.
+Motion quicker than the last shows in sixth differences too."""
+FEWEST = 20
+"""Samples below which nothing is looked for."""
 LONGEST = 3
 """Neighbouring samples past which it is no spike."""
 BLOCK = 128
@@ -50,10 +55,10 @@ TAIL = 2.0
 long tails, of which no line separates spikes."""
 BY_CHANCE = 3
 """More of them that may be by chance."""
-CLEAR = 4.0
-"""Times that a spike is further off the cubic than all samples around it are (rms)."""
-NEIGHBOUR = 3.0
-"""The same of the nearest sample on each side, which at a step is off a cubic that spans it."""
+CLEAR = 5.0
+"""Times that a spike is further off the polynomial than all samples around it are (rms)."""
+NEIGHBOUR = 4.0
+"""The same of the nearest sample on each side, which at a step is off one that spans it."""
 FEW, TAIL_BLOCK, USUAL_TAIL = 0.03, 1024, 3.0
 """A spike adds two thirds of its size to a difference; that is to be twice what three in a hundred
 of them reach nearby once spikes are taken out. In white noise this asks for 6.5 of its standard
@@ -61,29 +66,70 @@ deviations, and among corners, kicks or steps for more than is usual there."""
 TUKEY = 4.685
 """Scales past which a sample has no weight."""
 AT_ONCE = 2**16
-"""Cubics that are fitted side by side, for what memory they take."""
-ROUNDS, PASSES = 6, 4
-"""Times that weights are found anew, and that suspects are, once spikes do not hide others."""
+"""Polynomials that are fitted side by side, for what memory they take."""
+ROUNDS, FIRST, PASSES = 8, 3, 12
+"""Times that weights are found anew, the first of them for the least sum of absolute values; and
+that suspects are, once spikes do not hide others."""
 LARGEST = 1e60
 """Robust scales at which values are cut off, so that their squares are numbers."""
-FEWEST = 5
-"""Samples that a cubic needs more than, to tell of the one it leaves out."""
 RIDGE = 1e-9
 """What keeps a fit through fewer samples than coefficients from a division by zero."""
 GAIN = float(np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2)))
 NORMAL = 0.6745
 """Median size of a standard normal variable."""
 
-_OFFSETS = np.arange(-BESIDE, BESIDE + 1)
-_POWERS = (_OFFSETS[:, None] / BESIDE) ** np.arange(4)
-_PRODUCTS = (_POWERS[:, :, None] * _POWERS[:, None, :]).reshape(-1, 16)
+
+class _Local(NamedTuple):
+    """Polynomials of one degree over the samples of a window.
+
+    **Fields:** `offsets` of its samples; orthonormal `columns`, shape `(samples, degree + 1)`;
+    `products` of each two, a row for each sample.
+    """
+
+    offsets: Int[np.ndarray, " samples"]
+    columns: Float[np.ndarray, "samples coefficients"]
+    products: Float[np.ndarray, "samples pairs"]
+
+    @classmethod
+    def of(cls, degree: int, beside: int) -> "_Local":
+        offsets = np.arange(-beside, beside + 1)
+        columns = np.linalg.qr((offsets[:, None] / beside) ** np.arange(degree + 1))[0]
+        products = columns[:, :, None] * columns[:, None, :]
+        return cls(offsets, columns, products.reshape(offsets.size, -1))
+
+    @property
+    def beside(self) -> int:
+        """Samples to each side."""
+        return self.offsets.size // 2
+
+    def off(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """How far each sample is off the one through all, over its gain for white noise.
+
+        0 where its window has gaps or ends.
+        """
+        taps = self.columns @ self.columns[self.beside]
+        taps[self.beside] -= 1
+        off = np.abs(np.convolve(values, taps[::-1], "valid")) / np.linalg.norm(taps)
+        return np.pad(np.nan_to_num(off), self.beside)
+
+    @property
+    def gain(self) -> float:
+        """Times `off` that a sample is off the one through the others."""
+        return float(1 / np.sqrt(1 - np.sum(self.columns[self.beside] ** 2)))
+
+    def error(self, values: Float[np.ndarray, " n"]) -> float:
+        """How far samples mostly are off the one through the others."""
+        return float(self.gain * np.median(self.off(values)))
+
+
+_LOCAL = [_Local.of(degree, beside) for degree, beside in SHAPES]
 
 
 class Spikes(NamedTuple):
     """Samples that are spikes.
 
-    **Fields:** `places`, ascending; `repaired`, the local cubic's values there; `sizes`, how far
-    off it they are; `noise`, the standard deviation of what is around them; shapes `(k,)`.
+    **Fields:** `places`, ascending; `repaired`, the local polynomial's values there; `sizes`, how
+    far off it they are; `noise`, the standard deviation of what is around them; shapes `(k,)`.
     """
 
     places: Int[np.ndarray, " k"]
@@ -99,19 +145,20 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     values = np.asarray(values, float)
     known = values[~np.isnan(values)]
     none = Spikes(np.zeros(0, int), *(np.zeros(0) for _ in range(3)))
-    if known.size <= 2 * BESIDE + 1:
+    if known.size < FEWEST:
         return none
     centre, scale = np.median(known), _spread(known)
     scaled = np.clip((values - centre) / scale, -LARGEST, LARGEST)
     levels = levels_of(scaled[np.abs(scaled) < BEYOND], ROUNDING)[0]
     if levels.size <= FEW_LEVELS or is_piecewise_linear(scaled, levels, ROUNDING):
         return _beyond_all(values) or none
-    found, noise = _judged(scaled, resolution_of(levels))
+    local = min(_LOCAL, key=lambda each: each.error(scaled))
+    found, noise = _judged(scaled, resolution_of(levels), local)
     places = np.flatnonzero(found)
     if not places.size:
         return none
     stretch = np.cumsum(np.isnan(scaled))
-    repaired = _fits(np.where(found, np.nan, scaled), places, noise, stretch)[0]
+    repaired = _fits(np.where(found, np.nan, scaled), places, noise, stretch, local)[0]
     repaired = centre + scale * repaired
     return Spikes(places, repaired, np.abs(values[places] - repaired), scale * noise[places])
 
@@ -144,7 +191,7 @@ def _beyond_all(values: np.ndarray) -> Spikes | None:
 
 
 def _judged(
-    scaled: Float[np.ndarray, " n"], quantum: float
+    scaled: Float[np.ndarray, " n"], quantum: float, local: _Local
 ) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Which samples are spikes, and the noise around each."""
     cleaned, sizes = scaled.copy(), np.zeros(scaled.size)
@@ -160,27 +207,33 @@ def _judged(
         suspects = np.flatnonzero(near & ~np.isnan(cleaned) & (sizes == 0))
         if not 0 < suspects.size <= MOST_SUSPECTS * scaled.size:
             break
-        fit, scale, _ = _fits(cleaned, suspects, noise, stretch)
-        off = np.abs(cleaned[suspects] - fit) / scale
-        new = off > SPIKE
+        held = np.where(sizes > 0, np.nan, scaled)
+        fit, scale, _ = _fits(held, suspects, noise, stretch, local)
+        off = np.abs(scaled[suspects] - fit)
+        # A spike spoils the polynomials of its neighbours: the largest first.
+        largest = np.zeros(scaled.size)
+        largest[suspects] = np.where(off > SPIKE * scale, off, 0.0)
+        new = (off > SPIKE * scale) & (off >= _running_maximum(largest, local.beside)[suspects])
         if not new.any():
             break
-        sizes[suspects[new]], cleaned[suspects[new]] = off[new], fit[new]
+        sizes[suspects[new]], cleaned[suspects[new]] = (off / scale)[new], fit[new]
     found = (sizes > 0) & ~_in_runs_beyond(sizes > 0, LONGEST)
     off = sizes
     for _ in range(2):  # what is dropped tells more of those beside it
         places, cleaned = np.flatnonzero(found), np.where(found, np.nan, scaled)
-        fit, scale, clear = _fits(cleaned, places, noise, stretch)
+        fit, scale, clear = _fits(cleaned, places, noise, stretch, local)
         cleaned[places] = fit
         off = np.abs(scaled - cleaned)
         found[places] &= off[places] > np.maximum(clear, SPIKE / 2 * scale)
-    found &= off > USUAL_TAIL * _tail(np.abs(np.diff(cleaned, DIFFERENCE_ORDER)) / GAIN, off.size)
-    rest = _off_cubics(cleaned)
+    sixth = np.abs(np.diff(cleaned, DIFFERENCE_ORDER))
+    rest = local.off(cleaned)
+    found &= off > USUAL_TAIL * _tail(sixth / GAIN, off.size)
+    found &= off > USUAL_TAIL * local.gain * _tail(rest, off.size)
     # Where noise changes within a block, the block's own is too small for a part of it.
     edged = np.pad(noise, BLOCK, mode="edge")
     most = np.maximum(noise, np.maximum(edged[: -2 * BLOCK], edged[2 * BLOCK :]))
     found &= sizes >= _threshold(rest, sizes[found], most)
-    return found & ~_among_others(np.where(rest > SUSPECT * most, rest, 0.0), off, found), noise
+    return found & ~_among_others(rest[rest > SUSPECT * most], off, found), noise
 
 
 def _local_noise(sixth: np.ndarray, count: int, quantum: float) -> np.ndarray:
@@ -234,43 +287,55 @@ def _fits(
     places: Int[np.ndarray, " k"],
     noise: Float[np.ndarray, " n"],
     stretch: Int[np.ndarray, " n"],
+    local: _Local,
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """At each place the cubic through the other samples of its unbroken stretch.
+    """At each place the polynomial through the other samples of its unbroken stretch.
 
     **Returns:** its value, the standard deviation off it, and by how much a spike stands clear of
     all others.
     """
     parts = np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE))
-    value, scale, clear = zip(*(_fits_at_once(values, part, noise, stretch) for part in parts))
+    value, scale, clear = zip(
+        *(_fits_at_once(values, part, noise, stretch, local) for part in parts)
+    )
     return np.concatenate(value), np.concatenate(scale), np.concatenate(clear)
 
 
 def _fits_at_once(
-    values: np.ndarray, places: np.ndarray, noise: np.ndarray, stretch: np.ndarray
+    values: np.ndarray, places: np.ndarray, noise: np.ndarray, stretch: np.ndarray, local: _Local
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    near = places[:, None] + _OFFSETS
+    near = places[:, None] + local.offsets
     inside = np.clip(near, 0, values.size - 1)
     there = (near == inside) & (stretch[inside] == stretch[places][:, None])
-    there &= (_OFFSETS != 0) & ~np.isnan(values[inside])
+    there &= (local.offsets != 0) & ~np.isnan(values[inside])
     window = np.where(there, values[inside], np.nan)
     least = noise[places] + LAST_DIGITS * (1 + np.abs(_medians(window)))
     window = np.where(there, window, 0.0)
     off = np.where(there, np.abs(window - _running_median(values, inside)), np.nan)
-    weight = there * (off <= SUSPECT * np.fmax(least, _medians(off) / NORMAL)[:, None])
-    gram, found, scale = (np.zeros(0) for _ in range(3))
-    for _ in range(ROUNDS):
-        gram = (weight @ _PRODUCTS).reshape(-1, 4, 4) + RIDGE * np.eye(4)
-        found = np.linalg.solve(gram, ((weight * window) @ _POWERS)[:, :, None])[:, :, 0]
-        off = np.where(there, np.abs(window - found @ _POWERS.T), np.nan)
+    start = there * (off <= SUSPECT * np.fmax(least, _medians(off) / NORMAL)[:, None])
+    weight, gram, found, scale = start, *(np.zeros(0) for _ in range(3))
+    count, middle = local.columns.shape[1], local.columns[local.beside]
+    for i in range(ROUNDS):
+        gram = (weight @ local.products).reshape(-1, count, count) + RIDGE * np.eye(count)
+        found = np.linalg.solve(gram, ((weight * window) @ local.columns)[:, :, None])[:, :, 0]
+        off = np.where(there, np.abs(window - found @ local.columns.T), np.nan)
         scale = np.fmax(least, _medians(off) / NORMAL)
-        weight = np.nan_to_num(np.maximum(1 - (off / (TUKEY * scale[:, None])) ** 2, 0.0) ** 2)
-    enough = np.sum(weight > 0, axis=1) > FEWEST
-    reach = np.linalg.solve(gram, np.eye(4)[:, :1])[:, 0, 0]
+        share = np.nan_to_num(off) / scale[:, None]
+        # Absolute values first, whose least sum is one, so that weights do not settle elsewhere.
+        weight = (
+            start / np.maximum(share, 1.0)
+            if i < FIRST
+            else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
+        )
+    enough = np.sum(weight > 0, axis=1) > count
+    reach = np.linalg.solve(gram, np.broadcast_to(middle[:, None], (len(gram), count, 1)))
+    reach = reach[:, :, 0] @ middle
     clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
-    for side in (off[:, BESIDE - LONGEST : BESIDE][:, ::-1], off[:, BESIDE + 1 :][:, :LONGEST]):
+    before, after = off[:, : local.beside], off[:, local.beside + 1 :]
+    for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
         nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
         clear = np.fmax(clear, NEIGHBOUR * nearest)
-    return found[:, 0], np.where(enough, scale, np.inf) * np.sqrt(1 + reach), clear
+    return found @ middle, np.where(enough, scale, np.inf) * np.sqrt(1 + reach), clear
 
 
 def _running_median(
@@ -283,6 +348,12 @@ def _running_median(
     return _medians(rows)[where].reshape(near.shape)
 
 
+def _running_maximum(values: Float[np.ndarray, " n"], beside: int) -> Float[np.ndarray, " n"]:
+    """The largest of as many values to each side, and its own."""
+    padded = np.pad(values, beside)
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * beside + 1).max(axis=1)
+
+
 def _in_runs_beyond(mask: Bool[np.ndarray, " n"], longest: int) -> Bool[np.ndarray, " n"]:
     """Where a mask is true for more than so many samples in succession."""
     edges = np.flatnonzero(np.diff(np.pad(mask.astype(np.int8), 1)))
@@ -292,14 +363,6 @@ def _in_runs_beyond(mask: Bool[np.ndarray, " n"], longest: int) -> Bool[np.ndarr
     np.add.at(inside, starts[long], 1)
     np.add.at(inside, stops[long], -1)
     return np.cumsum(inside)[:-1] > 0
-
-
-def _off_cubics(cleaned: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """How far each sample is off the plain cubic around it, 0 where that has gaps or ends."""
-    taps = _POWERS @ np.linalg.inv(_POWERS.T @ _POWERS)[0]
-    taps[BESIDE] -= 1
-    off = np.abs(np.convolve(cleaned, taps, "valid")) / np.sqrt(np.sum(taps**2))
-    return np.pad(np.nan_to_num(off), BESIDE)
 
 
 def _threshold(
@@ -319,13 +382,12 @@ def _threshold(
 
 
 def _among_others(
-    rest: Float[np.ndarray, " n"], sizes: Float[np.ndarray, " n"], found: Bool[np.ndarray, " n"]
+    rest: Float[np.ndarray, " k"], off: Float[np.ndarray, " n"], found: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Spikes that are no more often than steps, or whatever else the cubics leave, of that size."""
-    own = np.sort(sizes[found])
-    others = np.sort(rest[rest > 0])
+    """Spikes that are no more often than steps, or whatever else is left, of about that size."""
 
-    def alike(ordered: np.ndarray) -> np.ndarray:
-        return np.searchsorted(ordered, 3 * sizes) - np.searchsorted(ordered, sizes / 3)
+    def alike(some: np.ndarray) -> np.ndarray:
+        ordered = np.sort(some)
+        return np.searchsorted(ordered, 3 * off) - np.searchsorted(ordered, off / 3)
 
-    return found & (alike(others) >= alike(own))
+    return found & (alike(rest) >= alike(off[found]))

@@ -1,0 +1,110 @@
+"""Huber's loss: its optimum against SciPy, and its standard errors against scatter."""
+
+import jax
+import numpy as np
+import pytest
+import scipy.integrate
+from benchmarks.drag_problem import COUNT, RATE, START, TRUTH, force, oscillator, signals
+
+from riecjax.errors import ModelError
+from riecjax.records.noise_judgement import judged
+from riecjax.records.record import Record, stack_records
+from riecjax.refinement.huber import THRESHOLD
+from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.refine import refine
+from riecjax.simulation.method import FixedStep
+
+NOISE = {name: 0.05 * signals()[name].std() for name in ("x", "dx")}
+BY = {"sigma": NOISE, "method": FixedStep(1)}
+
+
+def measured(seed: int, spikes: float = 20.0) -> dict[str, np.ndarray]:
+    """With spikes of so many standard deviations of the noise on a hundredth of the samples."""
+    found, rng = signals(seed), np.random.default_rng(seed)
+    for name, noise in NOISE.items():
+        where = rng.choice(COUNT, COUNT // 100, replace=False)
+        found[name][where] += spikes * noise * rng.choice([-1, 1], where.size)
+    return found
+
+
+def record(seed: int, spikes: float = 20.0) -> Record:
+    return Record.from_samples(measured(seed, spikes), time_step=1 / RATE)
+
+
+def huber_costs_by_scipy(data, sizes, points):
+    """Twice the loss at several points, simulated side by side by SciPy."""
+    m, r, r2, k, x, v = np.transpose(points)
+
+    def derivative(t, s):
+        x, v = np.split(s, 2)
+        return np.concatenate([v, (force(t) - r * v - r2 * v * abs(v) - k * x) / m])
+
+    t = np.arange(COUNT) / RATE
+    start = np.concatenate([x, v])
+    run = scipy.integrate.solve_ivp(
+        derivative, (0, t[-1]), start, "DOP853", t, rtol=1e-10, atol=1e-12
+    )
+    total = np.zeros(len(points))
+    for states, name in zip(np.split(run.y, 2), ("x", "dx")):
+        off = np.abs(states.T - data[name][:, None]) / sizes[name]
+        bent = THRESHOLD * (2 * off - THRESHOLD)
+        total += np.sum(np.where(off <= THRESHOLD, off**2, bent), axis=0)
+    return total
+
+
+def test_the_optimum_is_scipys_and_spikes_hardly_move_it():
+    held = record(0)
+    found = refine(oscillator(), held, START, OutputError(loss="huber", **BY))
+    known = judged(held).noise
+    noise = {name: float(known.std(name)) for name in NOISE}
+    p = np.concatenate([found.theta, found.initial_states[0]])
+    steps = np.diag(np.concatenate([found.standard_errors, [3e-3, 1e-2]]))
+    centre, *around = huber_costs_by_scipy(measured(0), noise, [p, *(p - steps), *(p + steps)])
+    below, above = np.split(np.array(around), 2)
+    vertices = (below - above) / (2 * (below + above - 2 * centre))
+    # The loss is no parabola over two standard errors.
+    assert np.all(np.abs(vertices) < 0.05)
+    assert dict(found.by)["loss"] == "huber"
+    plain = refine(oscillator(), held, START, OutputError(**BY))
+    truth = np.array(list(TRUTH.values()))
+    off = [
+        np.abs(np.asarray(each.theta) - truth) / found.standard_errors for each in (found, plain)
+    ]
+    assert np.max(off[0]) < 3.5
+    assert np.all(np.asarray(found.standard_errors) < 0.8 * np.asarray(plain.standard_errors))
+
+
+def test_without_spikes_it_costs_a_fortieth_of_the_standard_errors():
+    found, plain = (
+        refine(oscillator(), record(1, 0.0), START, OutputError(loss=loss, **BY))
+        for loss in ("huber", "squares")
+    )
+    # By the search's own curvature they would come out 0.85 of these.
+    ratio = np.asarray(found.standard_errors) / np.asarray(plain.standard_errors)
+    assert np.all((ratio > 0.96) & (ratio < 1.1))
+
+
+def test_a_loss_that_there_is_not():
+    with pytest.raises(ModelError, match="got 'tukey'"):
+        OutputError(loss="tukey")  # pyright: ignore
+
+
+@pytest.mark.slow
+def test_standard_errors_are_the_scatter_of_recordings_with_spikes():
+    by = OutputError(loss="huber", **BY)
+
+    @jax.jit
+    def all_of(records):
+        def one(arrays):
+            found = refine(oscillator(), Record(arrays, 1 / RATE), START, by)
+            return found.theta, found.standard_errors
+
+        return jax.vmap(one)(records.arrays)
+
+    theta, errors = all_of(stack_records([record(seed) for seed in range(100)]))
+    # The standard deviation of a hundred draws is known to 7 %.
+    scatter = np.std(np.asarray(theta), axis=0)
+    np.testing.assert_allclose(np.mean(np.asarray(errors), axis=0), scatter, rtol=0.2)
+    truth = np.array(list(TRUTH.values()))
+    inside = np.abs(np.asarray(theta) - truth) < 1.96 * np.asarray(errors)
+    assert np.all((inside.mean(axis=0) > 0.88) & (inside.mean(axis=0) < 0.995))
