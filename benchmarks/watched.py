@@ -14,6 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+
 from riecjax.records.reading import child_process
 
 
@@ -40,30 +42,30 @@ class Watched:
         self._process: Any = None
 
     def __call__(self, *arguments: Any) -> Ran:
-        if self._process is None:
-            self._start()
+        process = self._process = self._process or self._started()
         self._pipe.send(arguments)
         try:
             if self._pipe.poll(self._patience):
                 return Ran(*self._pipe.recv())
         except (EOFError, ConnectionResetError):
-            self._process.join()
-            ended = f"the process ended with {self._process.exitcode}"
+            process.join()
             self._process = None
-            return Ran(None, ended)
-        os.kill(self._process.pid, signal.SIGUSR1)
+            return Ran(None, f"the process ended with {process.exitcode}")
+        os.kill(process.pid, signal.SIGUSR1)
         time.sleep(0.5)
         trace = (Path(self._folder.name) / "trace").read_text().splitlines()
         self.end()
         return Ran(None, f"stuck for {self._patience:.0f} s: {' <- '.join(trace[:6])}")
 
-    def _start(self) -> None:
+    def _started(self) -> Any:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         arguments = (theirs, self._function, self._folder.name)
-        self._process = context.Process(target=_serve, args=arguments, daemon=True)
-        self._process.start()
+        process = context.Process(target=_serve, args=arguments, daemon=True)
+        process.start()
         theirs.close()
+        self._pipe.recv()  # starting takes its own time
+        return process
 
     def end(self) -> None:
         if self._process is not None:
@@ -84,7 +86,10 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
         faulthandler.register(signal.SIGUSR1, file=trace)
         os.dup2(printed.fileno(), 2)
         child_process.PATIENCE = 10.0
+        # As the command line has it.
+        jax.config.update("jax_enable_x64", True)
         peaks()
+        pipe.send("ready")
         while True:
             try:
                 arguments = pipe.recv()
