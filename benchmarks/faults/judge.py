@@ -106,7 +106,7 @@ def answered(machine: Machine, files: Sequence[str], options: Sequence[str] = ()
         error = json.loads(out.getvalue())["error"]
         return Answer({}, {}, (), f"{error['code']}: {error['message']}")
     if status:
-        raise RuntimeError(err.getvalue())
+        return Answer({}, {}, (), f"usage: {err.getvalue()}")
     document = json.loads(out.getvalue())
     found = document["parameters"]
     said = [

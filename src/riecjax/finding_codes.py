@@ -128,6 +128,12 @@ CODES: dict[str, FindingCode] = {
         "the delay of a derivative, from part to part of the record",
         "records.faults.delay_course:CHANGE",
     ),
+    "silent_input": FindingCode(
+        "sensors",
+        "{signals} says nothing",
+        "an input's noise against its deviation, and what the equation explains of it",
+        "validation.silent_inputs:NOTHING_EXPLAINED",
+    ),
     "late_signal": FindingCode(
         "sensors",
         "the time of {signals} is off",

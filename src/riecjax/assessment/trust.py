@@ -28,6 +28,7 @@ from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.held_out import validate_held_out
 from riecjax.validation.late_signals import late_signals
 from riecjax.validation.residuals import ResidualTests, residual_tests
+from riecjax.validation.silent_inputs import silent_inputs
 
 
 def seeds(asked: Asked) -> SeedScatter | None:
@@ -47,7 +48,8 @@ def what_is_left(
     # A fit is not lost because what it leaves cannot be tested.
     try:
         errors = errors_over_records(procedure, records, estimate.values)
-        faults = tuple(late_signals(procedure, records, estimate))
+        silent = silent_inputs(procedure.equations, records, errors, estimate.criterion.windows)
+        faults = tuple(silent) or tuple(late_signals(procedure, records, estimate))
         residuals = residual_tests(procedure, records, estimate, errors=errors, faults=faults)
         choice = window_choice(procedure, records, estimate, errors=errors) if windowed else None
     except RiecjaxError as error:

@@ -97,8 +97,10 @@ def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
         rest = [other for other in rest if other not in near]
     if not moving:
         return ""
+    inputs = [t.of for t in seen.equation.terms if not t.parameters and isinstance(t.of, str)]
+    named = f" ({', '.join(inputs)})" if inputs else ""
     return (
-        f"what is known of the equation is zero throughout, so zero for all of "
+        f"what is known of the equation is zero throughout{named}, so zero for all of "
         f"{', '.join(moving)} would fit: check the input's channel, or hold {moving[0]} at a known "
         f"value (on the command line: --set {moving[0]}=VALUE)."
     )

@@ -16,10 +16,14 @@ from riecjax.criteria.suited import suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import Terms
-from riecjax.errors import MissingSignalError, ModelError, require
+from riecjax.errors import DataError, MissingSignalError, ModelError, require
+from riecjax.leaves import is_concrete
 from riecjax.records.noise_judgement import GivenNoise, judged
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
+
+LARGEST = 1e150
+"""Size of a value past which its square is no number."""
 
 
 class Task(NamedTuple):
@@ -61,8 +65,25 @@ def task(
     for recording in recordings:
         with recording.explaining_errors():
             criterion.check(recording.record)
+            _require_squares(procedure, recording.record, criterion)
     plain = [recording.record for recording in recordings]
     return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
+
+
+def _require_squares(procedure: Procedure, record: Record, criterion: AbstractCriterion) -> None:
+    """Raise `DataError` for a signal that is read and has a value too large to be squared."""
+    if not is_concrete(record.arrays):
+        return
+    huge = [name for name, values in record.arrays.items() if np.max(np.abs(values)) > LARGEST]
+    for name in huge and signals_read(procedure, record, criterion):
+        if name in huge:
+            place = int(np.argmax(np.abs(record.arrays[name])))
+            raise DataError(
+                f"{name} is {float(record.arrays[name][place]):.4g} at "
+                f"{float(record.elapsed[place]):.6g} s, so large that its square is not finite. If "
+                f"that is a spike, repair it (--outliers repair; in Python "
+                f"rx.records.repair_outliers(record)); else scale the signals to SI units."
+            )
 
 
 def _require_no_springs_on_maps(procedure: Procedure) -> None:

@@ -5,6 +5,8 @@ import pytest
 from benchmarks.drag_problem import signals
 
 from riecjax.errors import DataError
+from riecjax.estimation.identify import identify
+from riecjax.models.oscillators import drag_oscillator_equation
 from riecjax.records.faults.local_cubics import find_spikes
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.preparation import repair_outliers
@@ -173,8 +175,8 @@ def test_more_than_a_twentieth_is_a_fault_and_stays():
 
 
 def write(path, values: np.ndarray, time: np.ndarray):
-    table = np.column_stack([time, values, noisy(1, 0.01)["dx"]])
-    np.savetxt(path, table, delimiter=",", header="t,x,v", comments="")
+    table = np.column_stack([time, values, noisy(1, 0.01)["dx"], CLEAN["u"]])
+    np.savetxt(path, table, delimiter=",", header="t,x,dx,u", comments="")
     return path
 
 
@@ -196,6 +198,8 @@ def test_a_file_is_repaired_before_anything_is_made_of_it(tmp_path):
     assert float(read.record.noise.std("x")) == pytest.approx(size_of(0.01, "x"), rel=0.1)
     kept = read_recording(file, outliers="keep")
     assert kept.record["x"][there] == 1e300
+    with pytest.raises(DataError, match=r"a.csv: x is 1e\+300 at 12 s, .*--outliers repair"):
+        identify(drag_oscillator_equation(), kept)
     missing = read_recording(file, outliers="missing").record
     np.testing.assert_array_equal(np.flatnonzero(missing.missing["x"]), [300, there])
     even = read_recording(write(tmp_path / "b.csv", values, time), resample=50.0)
