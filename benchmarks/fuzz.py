@@ -9,6 +9,7 @@ out. Each case is drawn from the seed and its number, so that one can be run aga
 
 import argparse
 import contextlib
+import functools
 import io
 import json
 import tempfile
@@ -34,7 +35,7 @@ CLOSE = 0.05
 kind. The sound recording is answered within a tenth of that."""
 STANDARD_ERRORS = 5.0
 """The same in standard errors as stated: with 20 blocks of time, once in 10,000 answers."""
-SLOWEST = {"reading": 10.0, "identify": 30.0}
+SLOWEST = {"reading": 10.0, "identify": 60.0}
 """Seconds of the processor that a case may take. The slowest compile some ten stages anew."""
 PATIENCE = 300.0
 """Seconds that a process may say nothing before it counts as hanging, on a machine that is busy."""
@@ -211,12 +212,13 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="where files with wrong outcomes are kept")
     parser.add_argument("--verbose", action="store_true", help="print what each case led to")
     arguments = parser.parse_args()
+    tell = functools.partial(print, flush=True)
     for kind in ("reading", "identify"):
         numbers = range(arguments.first, arguments.first + getattr(arguments, kind))
         if numbers:
             names = arguments.only or NAMES
             cases = fuzzed(kind, numbers, arguments.seed, names, arguments.quick)
-            _report(kind, cases, arguments.keep, print if arguments.verbose else None)
+            _report(kind, cases, arguments.keep, tell if arguments.verbose else None)
 
 
 def _report(

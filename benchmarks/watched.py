@@ -85,7 +85,6 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
     with open(f"{folder}/trace", "w") as trace, open(f"{folder}/printed", "w+b") as printed:
         faulthandler.register(signal.SIGUSR1, file=trace)
         os.dup2(printed.fileno(), 2)
-        child_process.PATIENCE = 10.0
         # As the command line has it.
         jax.config.update("jax_enable_x64", True)
         peaks()
