@@ -37,8 +37,8 @@ STANDARD_ERRORS = 5.0
 """The same in standard errors as stated: with 20 blocks of time, once in 10,000 answers."""
 SLOWEST = {"reading": 10.0, "identify": 60.0}
 """Seconds of the processor that a case may take. The slowest compile some ten stages anew."""
-PATIENCE = 300.0
-"""Seconds that a process may say nothing before it counts as hanging, on a machine that is busy."""
+PATIENCE = 120.0
+"""Seconds of the processor that a process may use before it counts as hanging."""
 LARGEST = 2e9
 """Bytes that a case may take."""
 QUICK = ("--no-sweep", "--windows", "500")

@@ -18,6 +18,9 @@ import jax
 
 from riecjax.records.reading import child_process
 
+WAITING = 20
+"""Times its patience that a process may wait, on a machine that is busy."""
+
 
 class Ran(NamedTuple):
     """How a case ran.
@@ -45,8 +48,13 @@ class Watched:
         process = self._process = self._process or self._started()
         self._pipe.send(arguments)
         try:
-            if self._pipe.poll(self._patience):
-                return Ran(*self._pipe.recv())
+            began, before = time.monotonic(), _seconds(process.pid)
+            while (
+                _seconds(process.pid) - before < self._patience
+                and time.monotonic() - began < WAITING * self._patience
+            ):
+                if self._pipe.poll(0.2):
+                    return Ran(*self._pipe.recv())
         except (EOFError, ConnectionResetError):
             process.join()
             self._process = None
@@ -101,6 +109,15 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
             said = printed.read().decode(errors="replace")
             printed.truncate(0)
             pipe.send((result, "", said, seconds, memory))
+
+
+def _seconds(pid: int) -> float:
+    """Seconds of the processor that a process has used so far; infinite once it has gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return float("inf")
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def peaks() -> float:
