@@ -150,6 +150,8 @@ WRITERS: dict[str, Callable[[Columns], bytes]] = {
     "a.parquet": parquet_bytes,
 }
 """What recordings are most often in."""
+SLOW = ("a.xlsx", "a.mf4", "a.mcap")
+"""Formats that take longer to write than to read."""
 ALL_WRITERS = WRITERS | {
     "a.txt": tabbed_bytes,
     "a.h5": hdf5_bytes,

@@ -705,7 +705,8 @@ def mutated(
     """A file after this mutation, of a rig and in one of the formats, both drawn by chance."""
     which, mutation = int(rng.random() < 0.3), BY_NAME[name]
     if mutation in LARGE:
-        return Case(name, *mutation(rng), machines[0].options)
+        file, content = mutation(rng)
+        return Case(name, file, content, machines[0].options)
     if mutation in TEXT_MUTATIONS:
         file, content = mutation("a.csv", _sound("a.csv", which, machines), rng)
         return Case(name, file, content, machines[which].options)

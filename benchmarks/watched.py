@@ -14,7 +14,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+
 from riecjax.records.reading import child_process
+
+WAITING = 20
+"""Times its patience that a process may wait, on a machine that is busy."""
 
 
 class Ran(NamedTuple):
@@ -40,30 +45,35 @@ class Watched:
         self._process: Any = None
 
     def __call__(self, *arguments: Any) -> Ran:
-        if self._process is None:
-            self._start()
+        process = self._process = self._process or self._started()
         self._pipe.send(arguments)
         try:
-            if self._pipe.poll(self._patience):
-                return Ran(*self._pipe.recv())
+            began, before = time.monotonic(), _seconds(process.pid)
+            while (
+                _seconds(process.pid) - before < self._patience
+                and time.monotonic() - began < WAITING * self._patience
+            ):
+                if self._pipe.poll(0.2):
+                    return Ran(*self._pipe.recv())
         except (EOFError, ConnectionResetError):
-            self._process.join()
-            ended = f"the process ended with {self._process.exitcode}"
+            process.join()
             self._process = None
-            return Ran(None, ended)
-        os.kill(self._process.pid, signal.SIGUSR1)
+            return Ran(None, f"the process ended with {process.exitcode}")
+        os.kill(process.pid, signal.SIGUSR1)
         time.sleep(0.5)
         trace = (Path(self._folder.name) / "trace").read_text().splitlines()
         self.end()
         return Ran(None, f"stuck for {self._patience:.0f} s: {' <- '.join(trace[:6])}")
 
-    def _start(self) -> None:
+    def _started(self) -> Any:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         arguments = (theirs, self._function, self._folder.name)
-        self._process = context.Process(target=_serve, args=arguments, daemon=True)
-        self._process.start()
+        process = context.Process(target=_serve, args=arguments, daemon=True)
+        process.start()
         theirs.close()
+        self._pipe.recv()  # starting takes its own time
+        return process
 
     def end(self) -> None:
         if self._process is not None:
@@ -83,8 +93,10 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
     with open(f"{folder}/trace", "w") as trace, open(f"{folder}/printed", "w+b") as printed:
         faulthandler.register(signal.SIGUSR1, file=trace)
         os.dup2(printed.fileno(), 2)
-        child_process.PATIENCE = 10.0
+        # As the command line has it.
+        jax.config.update("jax_enable_x64", True)
         peaks()
+        pipe.send("ready")
         while True:
             try:
                 arguments = pipe.recv()
@@ -97,6 +109,15 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
             said = printed.read().decode(errors="replace")
             printed.truncate(0)
             pipe.send((result, "", said, seconds, memory))
+
+
+def _seconds(pid: int) -> float:
+    """Seconds of the processor that a process has used so far; infinite once it has gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return float("inf")
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def peaks() -> float:

@@ -1,7 +1,11 @@
 """Damaged recordings through the whole command: a right answer, a warning, or one line."""
 
+import itertools
 import json
+import os
+import signal
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +15,16 @@ from nightly import nightly, nightly_among
 
 sys.path.append(str(Path(__file__).parents[2]))  # for whoever runs `pytest` and not `python -m`
 
-from benchmarks.fuzz import judged, outcome
+from benchmarks.fuzz import Fuzzed, Outcome, fuzzed, judged, outcome
 from benchmarks.mutations import NAMES, TRUTH, WRITERS, Case, mutated, rigs
+from benchmarks.watched import Watched
 
 RIGS = rigs()
 LINEAR = ("--refine", "none")
 """What a refinement adds, which compiles anew for each number of samples, is for the night."""
 SLOW = {"shuffled signals", "shuffled column", "many nan", "text entry", "whole numbers", "cut out"}
 SLOW |= {"spliced", "dropout", "huge", "swapped blocks", "parquet bomb", "coarse", "offset jump"}
-SLOW |= {"repeated block", "truth values"}
+SLOW |= {"repeated block", "truth values", "mixed", "extreme scale", "hostile names", "silent"}
 """What leaves another number of samples, or much to read."""
 
 
@@ -95,3 +100,46 @@ def test_what_crashes_is_not_taken_for_an_answer(monkeypatch):
     found = outcome(Case("none", "a.csv", b"", ()))
     assert found.verdict == "WRONG"
     assert "KeyError" in found.why
+
+
+def wrong(cases: Iterable[Fuzzed]) -> list[str]:
+    return [
+        f"case {one.number}, {one.case.mutation}, {one.case.file}: {one.outcome.why}"
+        for one in cases
+        if one.outcome.verdict == "WRONG"
+    ]
+
+
+@pytest.mark.parametrize("numbers", [range(100), *nightly([range(100, 2100)])])
+def test_every_format_is_read_or_refused_in_one_line(numbers):
+    # A fiftieth of what `python -m benchmarks.fuzz` reads, for the night's ten minutes.
+    assert wrong(fuzzed("reading", numbers, 20261125)) == []
+
+
+@pytest.mark.slow
+def test_every_format_is_identified_from_or_refused():
+    assert wrong(fuzzed("identify", range(100), 20261125)) == []
+
+
+def hostile(what: str) -> tuple[Case, Outcome]:
+    """What a library of C may do, in a watched process."""
+    match what:
+        case "loop":
+            any(itertools.repeat(0))
+        case "crash":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        case "print":
+            os.write(2, b"RuntimeWarning: overflow")
+        case "memory":
+            np.ones(2 * 10**8, np.int8).sum()
+    return Case(what, "a.csv", b"", ()), Outcome("right", "", 0.0)
+
+
+def test_a_case_that_hangs_crashes_prints_or_takes_memory_is_found():
+    with Watched(hostile, patience=3.0) as watched:
+        assert "stuck for 3 s" in watched("loop").ended
+        assert "ended with -11" in watched("crash").ended
+        assert watched("print").printed == "RuntimeWarning: overflow"
+        taken = watched("memory").memory
+        assert watched("nothing")[1:3] == ("", "")
+        assert taken > watched("nothing").memory + 1.5e8

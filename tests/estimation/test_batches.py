@@ -1,6 +1,8 @@
 """Estimates under vmap: every member is what an estimate of its own is."""
 
 import json
+import warnings
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -14,6 +16,7 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
+from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.integral_error import IntegralError
@@ -232,3 +235,16 @@ def test_one_estimate_is_asked_for_where_a_batch_makes_no_sense(batch):
     ):
         with pytest.raises(ModelError, match=r"batch of shape \(3, 2\): take one out by member"):
             attempt()
+
+
+def test_correlations_of_tiny_errors_do_not_overflow():
+    covariance = np.array([[1e-320, 0.0, 0.0], [0.0, 4.0, -1.0], [0.0, -1.0, 1.0]])
+    one = SimpleNamespace(covariance=covariance, standard_errors=np.sqrt(np.diagonal(covariance)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = AbstractEstimate.correlation.fget(one)  # pyright: ignore[reportOptionalCall, reportArgumentType]
+        one.standard_errors = np.array([1e-310, 2.0, np.inf])
+        worse = AbstractEstimate.correlation.fget(one)  # pyright: ignore[reportOptionalCall, reportArgumentType]
+    np.testing.assert_allclose(found[1:, 1:], [[1.0, -0.5], [-0.5, 1.0]])
+    assert np.isnan(worse[2]).all()
+    assert worse[1, 1] == 1.0

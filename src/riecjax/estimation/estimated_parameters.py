@@ -151,11 +151,14 @@ class AbstractEstimate(Saved, eqx.Module):
 
     @property
     def correlation(self) -> Float[Array, "*batch p p"]:
-        """Correlation matrix of theta."""
+        """Correlation matrix of theta; 0 for one without an error, NaN where it is not finite."""
         errors = self.standard_errors
         xp = namespace(errors)
-        scale = xp.where(errors > 0, 1 / xp.where(errors > 0, errors, 1.0), 0.0)
-        return self.covariance * scale[..., :, None] * scale[..., None, :]
+        # Divided by one after the other: the inverse of a tiny error overflows, and so a product.
+        known, scale = xp.isfinite(errors), xp.where(errors > 0, errors, xp.inf)
+        both = known[..., :, None] & known[..., None, :]
+        covariance = xp.where(both, self.covariance, xp.nan)
+        return covariance / scale[..., :, None] / scale[..., None, :]
 
     def findings(self) -> list[Finding]:
         """What a user should know before trusting this (not under jit).

@@ -211,7 +211,8 @@ def find_model(reference: str) -> Model:
 
     The object may be a `Model`, an `Equation`, a `Procedure`, or a function without arguments
     that returns one of these. It need not be named where the file holds one such object: one
-    `Model`, or else one `Equation` or `Procedure` that is no part of another.
+    `Model`, or else one `Equation` or `Procedure` that is no part of another. The file is run:
+    name only one that you would run yourself.
 
     **Raises:** `ModelError` if there is no such model, file or object.
     """

@@ -373,7 +373,7 @@ def _samples(name: str, values: ArrayLike) -> np.ndarray:
         raise DataError(
             f"signal '{name}' must be one column of samples; it has shape {samples.shape}."
         )
-    infinite = np.isinf(samples)
+    infinite = np.abs(samples) > float(jnp.finfo(jnp.result_type(float)).max)
     if infinite.any():
         raise DataError(
             f"signal '{name}' has {int(infinite.sum())} infinite value(s), the first at sample "

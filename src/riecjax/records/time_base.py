@@ -224,6 +224,8 @@ def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
     tell the step, which the last ones no longer resolve. So the grid is fitted with weights
     of the inverse squares of these, and no stamp may be off it by more than its own rounding.
     """
+    if stamps[0] == stamps[-1]:
+        return None
     decades = np.floor(np.log10(np.maximum(np.abs(stamps), np.finfo(float).tiny)))
     for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
         unit = 10.0 ** (np.maximum(decades, decades.max() - digits) + 1 - digits)

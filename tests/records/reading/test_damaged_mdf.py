@@ -144,7 +144,7 @@ def test_the_process_ends_with_the_one_that_asks(tmp_path):
     code = (
         "import os, signal, sys; from riecjax.records.reading import child_process, read\n"
         "read.read_channels(sys.argv[1]); reader = child_process._readers[0]\n"
-        "print(reader.folder.name, flush=True)\n"
+        "print(reader.out.parent, flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "a.h5")]
