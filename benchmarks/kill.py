@@ -103,7 +103,12 @@ def compare(name: str, command: tuple[str, ...], count: int, draw: random.Random
                 wrong += 1
                 others = right.files.keys() ^ again.files.keys()
                 differing = {k for k, v in right.files.items() if again.files.get(k) != v}
-                print(f"wrong: {again.status} {sorted(others | differing)} {again.said[1]}")
+                print(
+                    f"wrong: {again.status} {sorted(others | differing)} {again.said[1]}",
+                    flush=True,
+                )
+            if killed % FRESH == 0:
+                print(f"{name}: killed {killed}, wrong {wrong}", file=sys.stderr, flush=True)
     print(f"{name}: a run takes {takes:.1f} s; killed {killed}, wrong {wrong}", flush=True)
     return wrong
 
