@@ -60,8 +60,10 @@ class Machine:
         )
 
     def whole(self) -> Run:
+        began = time.monotonic()
         with self.begun() as process:
             said = process.communicate()
+        self.took = time.monotonic() - began
         found = sorted(path for path in self.work.rglob("*") if path.is_file())
         files = {str(path.relative_to(self.work)): path.read_bytes() for path in found}
         shutil.rmtree(self.work / "out")
@@ -75,7 +77,8 @@ class Machine:
         return process.returncode < 0
 
     def temporaries(self) -> list[str]:
-        return [path.name for path in self.home.rglob(".riecjax-*")]
+        """What was left behind in its caches and beside its results."""
+        return [path.name for at in (self.home, self.work) for path in at.rglob(".riecjax-*")]
 
 
 def compare(name: str, command: tuple[str, ...], count: int, draw: random.Random) -> int:
@@ -84,23 +87,28 @@ def compare(name: str, command: tuple[str, ...], count: int, draw: random.Random
     with tempfile.TemporaryDirectory() as folder:
         machine = Machine(Path(folder), command)
         machine.whole()
-        began = time.monotonic()
-        right = machine.whole()
-        takes = time.monotonic() - began
+        right, takes = machine.whole(), machine.took
         assert right.status == 0, right.said
         while killed < count:
             if killed % FRESH == FRESH - 1:
                 shutil.rmtree(machine.home)
                 machine.home.mkdir()
             if not machine.killed_at(draw.uniform(0, takes)):
+                takes *= 0.9
                 continue
             killed += 1
             again = machine.whole()
+            takes = machine.took  # which changes on a busy machine
             if again != right or machine.temporaries():
                 wrong += 1
                 others = right.files.keys() ^ again.files.keys()
                 differing = {k for k, v in right.files.items() if again.files.get(k) != v}
-                print(f"wrong: {again.status} {sorted(others | differing)} {again.said[1]}")
+                print(
+                    f"wrong: {again.status} {sorted(others | differing)} {again.said[1]}",
+                    flush=True,
+                )
+            if killed % FRESH == 0:
+                print(f"{name}: killed {killed}, wrong {wrong}", file=sys.stderr, flush=True)
     print(f"{name}: a run takes {takes:.1f} s; killed {killed}, wrong {wrong}", flush=True)
     return wrong
 

@@ -43,7 +43,8 @@ def open_standard_streams() -> None:
 def end_on_signals() -> None:
     """End the process on each of `SIGNALS` that it does not ignore, as under nohup."""
     told, tell = os.pipe()
-    os.set_blocking(tell, False)
+    if hasattr(os, "set_blocking"):  # which Windows neither has nor asks for
+        os.set_blocking(tell, False)
     signal.set_wakeup_fd(tell, warn_on_full_buffer=False)
     start_new_thread(_wait, (told,))
     for name in SIGNALS:
