@@ -42,6 +42,15 @@ def _noise(
     return words[0] if words else pairs_to_dict(ctx, param, value) or "auto"
 
 
+def _align(
+    ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
+) -> str | tuple[str, ...]:
+    words = [word for word in value if word in ("auto", "none")]
+    if words and len(value) > 1:
+        raise click.BadParameter(f"'{words[0]}' is for all signals; give it alone.", ctx, param)
+    return words[0] if words else value or "auto"
+
+
 def _names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in value.split(",")) if value else ()
 
@@ -122,6 +131,17 @@ RECORD_OPTIONS = (
         metavar="S",
         help="Use the record up to this time, in seconds from its first sample.",
     ),
+    assignments(
+        "--shift", float, "SIGNAL=SECONDS", "Advance a signal that is late by so much.", "shifts"
+    ),
+    click.option(
+        "--align",
+        metavar="auto|none|SIGNAL",
+        multiple=True,
+        callback=_align,
+        help="Advance what is late against its recorded derivative or integral: where that is "
+        "certain, never, or this signal. Repeatable. [default: auto]",
+    ),
     click.option(
         "--remove-offset",
         "offsets",
@@ -186,6 +206,8 @@ class RecordingOptions:
     outliers: str
     start: float | None
     stop: float | None
+    shifts: Mapping[str, float]
+    align: str | tuple[str, ...]
     offsets: tuple[str, ...]
     drifts: tuple[str, ...]
     cutoffs: Mapping[str, float]

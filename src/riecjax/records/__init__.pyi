@@ -1,7 +1,9 @@
 from .faults.signals import check_signals as check_signals
 from .noise_judgement import GivenNoise as GivenNoise
 from .noise_judgement import judged as judged
+from .preparation import align as align
 from .preparation import repair_outliers as repair_outliers
+from .preparation import shift as shift
 from .preparation import split_at as split_at
 from .preparation import upsample as upsample
 from .preparation import with_local_derivative as with_local_derivative

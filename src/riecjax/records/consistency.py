@@ -24,8 +24,6 @@ GAIN = 0.1
 """Share by which sensors of one motion may differ in gain: more than any calibration leaves."""
 
 
-# Values too large to be squared are for the fit to refuse.
-@np.errstate(over="ignore", invalid="ignore")
 def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[Finding]:
     """Compare the increments of signals with the integrals of their derivatives.
 
@@ -39,42 +37,48 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    found = []
+    found: list[Finding] = []
     for signal, derivative in dict.fromkeys(pairs):
         if record.noise.is_made_of(derivative, signal):
             continue
-        values, rates = samples_with_nan(record, signal), samples_with_nan(record, derivative)
-        best = _best_lag(values, rates, float(record.time_step))
-        if best is None:
-            continue
-        if abs(best.correlation) < ALIKE and best.correlation < UNRELATED:
-            what = (
-                f"does not move with {signal} (the increments of {signal} and the integral of "
-                f"{derivative} correlate by {best.correlation:.2f} at best)"
-            )
-            doubt = 1.0
-        elif best.is_off:
-            what = (
-                f"does not fit the size, sign or time of {signal}: {signal} changes by "
-                f"{best.gain:.4g} times the integral of {derivative}"
-            )
-            # A term may hold the signal squared, as drag does.
-            doubt = min(max(best.gain**2, best.gain**-2) - 1, 1.0)
-        else:
-            pair = compare_pair(record, signal, derivative)
-            found += [] if pair is None else pair_findings(record, pair)
-            continue
-        found.append(
-            Finding(
-                "not_its_derivative",
-                f"{derivative}, which is read as the derivative of {signal}, {what}. Check which "
-                f"columns they are, their units and signs, and that time is in seconds (on the "
-                f"command line: --map and --scale).",
-                (signal, derivative),
-                doubt=doubt,
-            )
-        )
+        wrong = disagreement(record, signal, derivative)
+        pair = compare_pair(record, signal, derivative) if wrong is None else None
+        found += [wrong] if wrong is not None else []
+        found += [] if pair is None else pair_findings(record, pair)
     return found
+
+
+# Values too large to be squared are for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore")
+def disagreement(record: Record, signal: str, derivative: str) -> Finding | None:
+    """`not_its_derivative` of a signal and what is read as its derivative, if they do not fit."""
+    values, rates = samples_with_nan(record, signal), samples_with_nan(record, derivative)
+    best = _best_lag(values, rates, float(record.time_step))
+    if best is None:
+        return None
+    if abs(best.correlation) < ALIKE and best.correlation < UNRELATED:
+        what = (
+            f"does not move with {signal} (the increments of {signal} and the integral of "
+            f"{derivative} correlate by {best.correlation:.2f} at best)"
+        )
+        doubt = 1.0
+    elif best.is_off:
+        what = (
+            f"does not fit the size, sign or time of {signal}: {signal} changes by "
+            f"{best.gain:.4g} times the integral of {derivative}"
+        )
+        # A term may hold the signal squared, as drag does.
+        doubt = min(max(best.gain**2, best.gain**-2) - 1, 1.0)
+    else:
+        return None
+    return Finding(
+        "not_its_derivative",
+        f"{derivative}, which is read as the derivative of {signal}, {what}. Check which columns "
+        f"they are, their units and signs, and that time is in seconds (on the command line: --map "
+        f"and --scale).",
+        (signal, derivative),
+        doubt=doubt,
+    )
 
 
 def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:

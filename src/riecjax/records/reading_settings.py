@@ -40,6 +40,9 @@ class ReadingSettings(TypedDict, total=False):
     What is done to the record then, in this order:
 
     - `start`, `stop`: cut it at these seconds from its first sample.
+    - `shifts`: signal to the seconds by which it is advanced, since it is late by as much.
+    - `align`: `"auto"` advances what is late against its recorded derivative or integral, as the
+      `model` names them; `"none"`; or the signals to shift. See [`align`][riecjax.records.align].
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
     - `cutoffs`: signal to cut-off in Hz of a zero-phase low-pass.
     - `upsample`: factor of a band-limited interpolation.
@@ -61,6 +64,8 @@ class ReadingSettings(TypedDict, total=False):
     outliers: Treatment
     start: float | None
     stop: float | None
+    shifts: Mapping[str, float] | None
+    align: str | Sequence[str]
     offsets: Sequence[str]
     drifts: Sequence[str]
     cutoffs: Mapping[str, float] | None
@@ -69,7 +74,7 @@ class ReadingSettings(TypedDict, total=False):
     every: int
 
 
-MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives")
+MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives", "shifts")
 NAMES = ("offsets", "drifts", "columns")
 
 
@@ -89,6 +94,9 @@ def sorted_settings(
     for name in (n for n in NAMES if n in given):
         require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
         given[name] = tuple(given[name])
+
+    if not isinstance(given.get("align", ""), str):
+        given["align"] = tuple(given["align"])
 
     def of(names: Collection[str]) -> dict[str, Any]:
         return {name: value for name, value in given.items() if name in names}

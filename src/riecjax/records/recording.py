@@ -11,7 +11,8 @@ import numpy as np
 
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
-from riecjax.records.preparation import split
+from riecjax.records.preparation import align, split
+from riecjax.records.preparation.alignment import declared_pairs
 from riecjax.records.preparation.steps import Preparation, prepare
 from riecjax.records.reading.channels import TIME_COLUMNS, Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
@@ -204,7 +205,11 @@ def _recording(
         read = tuple(record.arrays)
         record, mismatches = _in_model_units(record, model, selection)
         idle = preparation.idle_cuts(record)
-        record, steps = prepare(record, getattr(model, "derived", {}), preparation)
+        before, after = preparation.halves()
+        record, first_steps = prepare(record, {}, before)
+        aligned = align(record, declared_pairs(model), preparation.align)
+        record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
+        steps = (*first_steps, *aligned.words, *last_steps)
     computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
@@ -217,6 +222,7 @@ def _recording(
             for n, why in mismatches.items()
         ),
         *(f._replace(message=f"{file}: {f.message}") for f in selected.findings),
+        *(f._replace(message=f"{file}: {f.message}") for f in aligned.findings),
         *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
         *(
             Finding("column_left_out", f"{file}: {why}, {computed.format(n)}", (n,))

@@ -115,7 +115,8 @@ def test_errors_are_what_delays_and_gains_scatter_by():
 def test_the_later_one_is_named_and_brought_forward(delay, late, other):
     found = only(recorded(Motion(3), delay=delay))
     assert found.code == "late_signal"
-    assert found.signals == (late, other)
+    assert found.signals == (late,)
+    assert f"late against {other}" in found.message
     option, advance = found.remedy
     name, _, seconds = advance.partition("=")
     assert (option, name) == ("--shift", late)
@@ -163,11 +164,11 @@ def test_offsets_and_drifts(noise):
 @pytest.mark.parametrize(("lost", "whose"), [(1, "v"), (5, "v"), (3, "x")])
 def test_rows_lost_from_one_channel(lost, whose):
     kept = np.delete(np.arange(COUNT + lost), np.arange(2600, 2600 + lost)) * STEP
-    given = {"v_at": kept} if whose == "v" else {"x_at": kept}
-    found = only(recorded(Motion(7), **given))
+    record = recorded(Motion(7), v_at=kept) if whose == "v" else recorded(Motion(7), x_at=kept)
+    found = only(record)
     assert found.code == "lost_rows"
     assert f"samples: {whose} has lost" in found.message.replace(" s: ", " samples: ")
-    course = compared(recorded(Motion(7), **given)).course
+    course = compared(record).course
     assert abs(course.change) == pytest.approx(lost, abs=0.15)
     assert course.place[0] <= 2600 <= course.place[1]
 

@@ -190,88 +190,91 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
 
     The doubt is the share of the derivative that is wrong: of a delay, the turn of its phase.
     """
-    signal, derivative = pair.signal, pair.derivative
-    fit, step = pair.fit, pair.step
-    both, unit = (derivative, signal), dict(record.units).get(derivative, "")
     # The usual frequency, from how much better a gain is known than a delay.
-    turn = fit.errors[1] / max(fit.errors[0], 1e-300)
+    turn = pair.fit.errors[1] / max(pair.fit.errors[0], 1e-300)
     if pair.course.kind != "steady":
         yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0))
     if pair.is_late:
-        by, error = fit.delay + fit.lag, fit.errors[0]
-        late, other = both if by > 0 else both[::-1]
-        by, doubt = abs(by), min(turn * abs(by), 1.0)
-        size = f"{by:.3g} \u00b1 {error:.1g} samples ({1e3 * by * step:.3g} ms)"
-        advance = ("--shift", f"{late}={by * step:.4g}")
-        if pair.lagged:
-            yield Finding(
-                "low_passed",
-                f"{late} is {other}{_after(late, signal)} behind a first-order low-pass with a "
-                f"time constant of {size}, a cut-off at {1 / (2 * np.pi * by * step):.3g} Hz: it "
-                f"lags, and loses what is fast. Record it without that filter, or both with the "
-                f"same; {' '.join(advance)} takes off the lag alone.",
-                both,
-                doubt=doubt,
-                remedy=advance,
-                step=f"Take the lag of {late} off",
-            )
-        else:
-            yield Finding(
-                "late_signal",
-                f"{late} is {size} late against {other}. {' '.join(advance)} brings it forward, "
-                f"as --align auto does when the file is read. Whether both are late against other "
-                f"signals the two cannot tell.",
-                (late, other),
-                doubt=doubt,
-                remedy=advance,
-                step=f"Bring {late} forward by {by * step:.3g} s",
-            )
+        yield _late(pair, turn)
     if pair.gain_is_off:
-        remedy = ("--scale", f"{derivative}={1 / fit.gain:.5g}")
-        yield Finding(
-            "wrong_gain",
-            f"{derivative} is {fit.gain:.4g} \u00b1 {fit.errors[1]:.1g} times the derivative of "
-            f"{signal}. Which of the two is calibrated wrongly they cannot tell: scale that one "
-            f"({' '.join(remedy)}, or --scale {signal}={fit.gain:.5g}).",
-            both,
-            # A term may hold the signal squared, as drag does.
-            doubt=min(max(fit.gain**2, fit.gain**-2) - 1, 1.0),
-            remedy=remedy,
-            step=f"Scale {derivative} or {signal}, whichever sensor is off",
+        yield _gain(pair)
+    if pair.drift or pair.offset:
+        yield _zero(record, pair)
+
+
+def _late(pair: Pair, turn: float) -> Finding:
+    """Of the one of the two that comes later."""
+    by, error = pair.fit.delay + pair.fit.lag, pair.fit.errors[0]
+    late, other = (pair.derivative, pair.signal) if by > 0 else (pair.signal, pair.derivative)
+    samples, seconds = abs(by), abs(by) * pair.step
+    size = f"{samples:.3g} \u00b1 {error:.1g} samples ({1e3 * seconds:.3g} ms)"
+    advance, doubt = ("--shift", f"{late}={seconds:.4g}"), min(turn * samples, 1.0)
+    if pair.lagged:
+        return Finding(
+            "low_passed",
+            f"{late} went through a first-order low-pass that {other} did not, with a time "
+            f"constant of {size}, a cut-off at {1 / (2 * np.pi * seconds):.3g} Hz: it lags, and "
+            f"loses what is fast. Record both alike; {' '.join(advance)} takes off the lag alone.",
+            (late,),
+            doubt=doubt,
+            remedy=advance,
+            step=f"Take the lag of {late} off",
         )
-    share = max(abs(fit.offset), abs(fit.drift) / 2) / pair.rms
-    lasts = f"{float(record.elapsed[-1]):.4g} s"
+    return Finding(
+        "late_signal",
+        f"{late} is {size} late against {other}. {' '.join(advance)} brings it forward, as "
+        f"--align auto does when the file is read. Whether both are late against other signals "
+        f"the two cannot tell.",
+        (late,),
+        doubt=doubt,
+        remedy=advance,
+        step=f"Bring {late} forward by {seconds:.3g} s",
+    )
+
+
+def _gain(pair: Pair) -> Finding:
+    gain, signal, derivative = pair.fit.gain, pair.signal, pair.derivative
+    remedy = ("--scale", f"{derivative}={1 / gain:.5g}")
+    return Finding(
+        "wrong_gain",
+        f"{derivative} is {gain:.4g} \u00b1 {pair.fit.errors[1]:.1g} times the derivative of "
+        f"{signal}. Which of the two is calibrated wrongly they cannot tell: scale that one "
+        f"({' '.join(remedy)}, or --scale {signal}={gain:.5g}).",
+        (derivative, signal),
+        # A term may hold the signal squared, as drag does.
+        doubt=min(max(gain**2, gain**-2) - 1, 1.0),
+        remedy=remedy,
+        step=f"Scale {derivative} or {signal}, whichever sensor is off",
+    )
+
+
+def _zero(record: Record, pair: Pair) -> Finding:
+    """Of a drift, or else of an offset."""
+    signal, derivative = pair.signal, pair.derivative
+    value, unit = pair.drift or pair.offset, dict(record.units).get(derivative, "")
+    share = abs(value) * pair.step / pair.scale / pair.rms
+    size = f"{value:.3g} {unit}".rstrip()
+    both, doubt = (derivative, signal), min(share, 1.0)
+    rest = f"{100 * share:.2g} % of its rms, if the machine itself comes back to where it began."
     if pair.drift:
-        yield Finding(
+        return Finding(
             "drifting_signal",
-            f"{derivative} drifts by {pair.drift:.3g} {unit} over {lasts} against {signal}, "
-            f"{_percent(pair.drift, pair)} of its rms. --remove-drift {derivative} takes it off, "
-            f"if the machine itself comes back to where it began.",
+            f"{derivative} drifts by {size} over {float(record.elapsed[-1]):.4g} s against "
+            f"{signal}. --remove-drift {derivative} takes it off, {rest}",
             both,
-            doubt=min(share, 1.0),
+            doubt=doubt,
             remedy=("--remove-drift", derivative),
             step=f"Take the straight line off {derivative}",
         )
-    elif pair.offset:
-        yield Finding(
-            "velocity_offset",
-            f"{derivative} has an offset of {pair.offset:.4g} {unit} against {signal}, "
-            f"{_percent(pair.offset, pair)} of its rms, or {signal} itself drifts by as much per "
-            f"second. --remove-offset {derivative} takes it off, if the machine itself comes back "
-            f"to where it began.",
-            both,
-            doubt=min(share, 1.0),
-            remedy=("--remove-offset", derivative),
-            step=f"Take the offset off {derivative}",
-        )
-
-
-def _after(late: str, signal: str) -> str:
-    return "" if late == signal else "'s derivative"
-
-
-def _percent(value: float, pair: Pair) -> str:
-    return f"{100 * abs(value) * pair.step / pair.scale / pair.rms:.2g} %"
+    return Finding(
+        "velocity_offset",
+        f"{derivative} has an offset of {size} against {signal}, or {signal} drifts by that per "
+        f"second. --remove-offset {derivative} takes it off, {rest}",
+        both,
+        doubt=doubt,
+        remedy=("--remove-offset", derivative),
+        step=f"Take the offset off {derivative}",
+    )
 
 
 def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:

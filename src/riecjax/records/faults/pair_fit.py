@@ -125,20 +125,22 @@ def fit_pair(
     pieces = [p for p in pieces if p.x.size >= SHORTEST_PIECE]
     if not pieces:
         return None
-    levels, rough = _levels(pieces) if known is None else (known.levels, None)
+    levels, rough = _levels(pieces)
+    levels = levels if known is None else known.levels
+    afresh = start is None and known is None
     whole, theta, found = 0, np.array([0.0, 1.0, 0.0, 0.0]), None
     if start is not None:
         theta[:] = start.delay + start.lag, start.gain, start.offset, start.drift
     elif not lagged:
-        whole = _whole_delay(pieces, levels if rough is None else rough)
+        whole = _whole_delay(pieces, rough)
     for iteration in range(steps):
-        first = rough is not None and start is None and iteration < ROUGH
+        first = afresh and iteration < ROUGH
         if abs(theta[0]) > 1 and not lagged:
             whole, theta[0] = whole + round(theta[0]), theta[0] - round(theta[0])
         moved = [p for p in (_shifted(p, whole) for p in pieces) if p.x.size >= SHORTEST_PIECE]
         if not moved:
             return None
-        expected = Left(rough, *EVEN) if first and rough is not None else known
+        expected = Left(rough, *EVEN) if first else known
         bins = _bins(moved, 0.0 if lagged else theta[0], count, rough if first else levels)
         stepped = _step(bins, theta, lagged, expected)
         if stepped is None:
@@ -146,8 +148,9 @@ def fit_pair(
         step, covariance, left, counted = stepped
         theta = theta + step
         errors = np.sqrt(np.diag(covariance) * bins.shared)
-        course = (0.0, theta[0]) if lagged else (whole + theta[0], 0.0)
-        found = PairFit(*map(float, (*course, *theta[1:])), errors, left, counted)
+        gain, offset, drift = theta[1:].tolist()
+        delay, lag = (0.0, float(theta[0])) if lagged else (whole + float(theta[0]), 0.0)
+        found = PairFit(delay, lag, gain, offset, drift, errors, left, counted)
         if not first and np.all(np.abs(step) < 1e-3 * errors):
             break
     return found
@@ -155,8 +158,9 @@ def fit_pair(
 
 def _levels(pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray]:
     """Noise of x and v, and what to begin with: of none at all, whatever is left is trusted."""
-    levels = np.array([np.median([noise_level(p[i]) for p in pieces]) for i in (1, 2)])
-    return levels, np.maximum(levels, [ROUGHLY * max(np.std(p[i]) for p in pieces) for i in (1, 2)])
+    levels = np.array([np.median([noise_level(getattr(p, a)) for p in pieces]) for a in "xv"])
+    sizes = [max(np.std(getattr(p, a)) for p in pieces) for a in "xv"]
+    return levels, np.maximum(levels, ROUGHLY * np.array(sizes))
 
 
 def _step(
@@ -228,11 +232,12 @@ def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray)
 
     parts, total, squares, fourth = [], 0, 0.0, 0.0
     for start, x, v in pieces:
-        size = next_fast_len(x.size, real=True)
+        size = int(next_fast_len(x.size, real=True) or x.size)
         omega = 2 * np.pi * np.arange(size // 2) / size
         (w, slope, _), course = _taper(x.size, 0.0), (start + np.arange(x.size)) / count - 0.5
         columns = np.array([*_taper(x.size, delay) * x, w * v, slope * v, w, w * course])
-        whole, sloping, curved, rate, falling, *zero = rfft(columns, size)[:, : size // 2]
+        transforms = np.asarray(rfft(columns, size))[:, : size // 2]
+        whole, sloping, curved, rate, falling, *zero = transforms
         turned, i_omega = np.exp(-1j * omega * delay), 1j * omega
         energy = np.sum(w**2)
         noise = levels[0] ** 2 * (omega**2 * energy + np.sum(slope**2))
@@ -252,7 +257,13 @@ def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray)
         total, squares, fourth = total + size, squares + energy, fourth + np.sum(w**4)
     joined = [np.concatenate(columns) for columns in zip(*parts)]
     order = np.argsort(joined[0], kind="stable")
-    return _Bins(*(column[order] for column in joined), levels, float(total * fourth / squares**2))
+    omega, motion, turning, rate, second, zero, noise, of_motion, lowest = (
+        column[order] for column in joined
+    )
+    shared = float(total * fourth / squares**2)
+    return _Bins(
+        omega, motion, turning, rate, second, zero, noise, of_motion, lowest, levels, shared
+    )
 
 
 def _whole_delay(pieces: Sequence[Piece], levels: np.ndarray) -> int:

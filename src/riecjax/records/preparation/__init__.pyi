@@ -1,3 +1,5 @@
+from .alignment import align as align
+from .alignment import shift as shift
 from .filtering import central_difference as central_difference
 from .filtering import differentiate as differentiate
 from .filtering import low_pass as low_pass

@@ -14,6 +14,7 @@ from riecjax.records.preparation import (
     low_pass,
     remove_drift,
     remove_offset,
+    shift,
     upsample,
     with_local_derivative,
 )
@@ -35,6 +36,9 @@ class Preparation:
     **Fields:**
 
     - `start`, `stop`: times to cut at in seconds from the recording's first sample, or `None`.
+    - `shifts`: signal to the seconds that it is advanced by.
+    - `align`: whether signals that are late against their derivatives are advanced, see
+      [`align`][riecjax.records.align]; not one of the `steps`, since it depends on what is found.
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
     - `cutoffs`: signal to cut-off in Hz of a low-pass.
     - `upsample`: factor of a band-limited interpolation.
@@ -44,12 +48,19 @@ class Preparation:
 
     start: float | None = None
     stop: float | None = None
+    shifts: Mapping[str, float] = field(default_factory=dict)
+    align: str | tuple[str, ...] = "auto"
     offsets: tuple[str, ...] = ()
     drifts: tuple[str, ...] = ()
     cutoffs: Mapping[str, float] = field(default_factory=dict)
     upsample: int = 1
     derivatives: Mapping[str, str] = field(default_factory=dict)
     every: int = 1
+
+    def halves(self) -> tuple["Preparation", "Preparation"]:
+        """What comes before signals are aligned, and what comes after."""
+        first = Preparation(self.start, self.stop, self.shifts)
+        return first, replace(self, start=None, stop=None, shifts={})
 
     def idle_cuts(self, record: Record) -> dict[str, str]:
         """Of `start` and `stop`, those that cut nothing off a record, and that in words."""
@@ -68,6 +79,9 @@ class Preparation:
             low = "the start" if self.start is None else f"{self.start:g} s"
             high = "the end" if self.stop is None else f"{self.stop:g} s"
             steps.append(Step(f"cut from {low} to {high}", partial(cut, self.start, self.stop)))
+        if self.shifts:
+            listed = ", ".join(f"{name} by {seconds:g} s" for name, seconds in self.shifts.items())
+            steps.append(Step(f"advanced: {listed}", lambda record: shift(record, self.shifts)))
         steps += [
             Step(f"{name}: mean removed", partial(_of_signal, remove_offset, name))
             for name in self.offsets

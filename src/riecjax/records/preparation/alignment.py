@@ -1,0 +1,187 @@
+"""Signals brought forward in time, by what is asked or by what recorded derivatives tell."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from riecjax.errors import DataError
+from riecjax.findings import Finding
+from riecjax.records.consistency import disagreement
+from riecjax.records.faults.derivative_pairs import LATE, Pair, compare_pair
+from riecjax.records.noise_judgement import judged
+from riecjax.records.preparation.band_limited import reach_beyond, response
+from riecjax.records.preparation.filtering import longest_stretch, on_stretches, with_gaps
+from riecjax.records.record import Record
+
+POINTS = np.arange(-3, 5)
+"""Samples around a place that a polynomial of degree 7 goes through."""
+MOST_LOST = 20
+"""Times the samples lost at both ends that a stretch must hold to be interpolated band-limited."""
+
+
+class Aligned(NamedTuple):
+    """A record, what was shifted in words, and what was found amiss and put right."""
+
+    record: Record
+    words: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+def shift(record: Record, seconds: Mapping[str, float]) -> Record:
+    """Advance signals by so many seconds: those that are late by as much are in time then.
+
+    By whole samples as they are; between samples band-limited, which loses 44 at both ends, and
+    in a stretch of fewer than 1760 by polynomials of degree 7, which lose 4. What is lost beside
+    gaps becomes missing.
+
+    **Arguments:** `seconds` by signal; negative ones delay it.
+
+    **Raises:** `DataError` for a signal that the record lacks, a time that is no number, or a
+    record or stretches too short for it.
+    """
+    columns, before, after = {}, 0, 0
+    for name, late in seconds.items():
+        record.signals[name]  # an error that helps, if there is none
+        by = late / float(record.time_step)
+        if not abs(by) < record.sample_count / 2:
+            raise DataError(
+                f"cannot shift '{name}' by {late:g} s, which is {by:.4g} samples of "
+                f"{record.sample_count}. Give seconds, less than half the record."
+            )
+        reach = reach_beyond(1.0)
+        wide = longest_stretch(record, name) >= 2 * MOST_LOST * reach
+        taps, first = _taps(by, reach if wide else 0)
+        columns[name] = on_stretches(
+            record, name, lambda samples, taps=taps, first=first: _through(samples, taps, first)
+        )
+        before, after = max(before, -first), max(after, first + taps.size - 1)
+        record = judged(record, "auto", name)
+        # A shift between samples leaves white noise nearly white, but a little less of it.
+        record = record.with_noise(record.noise.filtered(name, np.array([np.linalg.norm(taps)])))
+    for name, values in columns.items():
+        if np.isnan(values).all():
+            raise DataError(f"no stretch of '{name}' is long enough to be shifted.")
+    result = with_gaps(record, columns, noise=record.noise)
+    return result.part(max(before, 0), record.sample_count - max(after, 0))
+
+
+def _taps(by: float, reach: int) -> tuple[Float[np.ndarray, " taps"], int]:
+    """Weights of samples around a place `by` samples on, and where the first of them lies."""
+    whole = int(np.floor(by + 1e-6))
+    between = by - whole
+    if between < 2e-6:
+        return np.ones(1), whole
+    if reach:
+        at = np.arange(1 - reach, reach + 1)
+        taps = response(at - between, 1.0)
+    else:
+        at = POINTS
+        taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
+    return taps / taps.sum(), whole + int(at[0])
+
+
+def _through(samples: np.ndarray, taps: np.ndarray, first: int) -> np.ndarray:
+    """Weighted sums of samples from `first` samples on; NaN where they reach beyond."""
+    found = np.full(samples.size, np.nan)
+    sums = np.convolve(samples, taps[::-1], "valid") if samples.size >= taps.size else np.zeros(0)
+    places = np.arange(sums.size) - first
+    there = (places >= 0) & (places < samples.size)
+    found[places[there]] = sums[there]
+    return found
+
+
+def align(
+    record: Record, pairs: Iterable[tuple[str, str]], how: str | Sequence[str] = "auto"
+) -> Aligned:
+    """Bring the later one of each signal and its recorded derivative forward.
+
+    Of two signals one sees which is later, not which is wrong; but sensors, filters and loggers
+    delay, and nothing comes before its time. So the earliest of signals that are derivatives of
+    each other is taken to be in time, and the others are advanced to it. Only a delay whose
+    interval of 4 standard errors excludes zero counts, and of at least 0.01 samples.
+
+    **Arguments:** `pairs` of a signal and its derivative; `how`: `"auto"`; `"none"`; or the signals
+    to shift, by whatever delay is found.
+
+    **Raises:** `DataError` for a signal that belongs to no pair in the record.
+    """
+    names = () if isinstance(how, str) else tuple(how)
+    if isinstance(how, str) and how not in ("auto", "none"):
+        raise DataError(f"align is 'auto', 'none' or a tuple of signals; got '{how}'.")
+    pairs = [pair for pair in dict.fromkeys(pairs) if set(pair) <= set(record.arrays)]
+    for name in names:
+        if not any(name in pair for pair in pairs):
+            raise DataError(
+                f"'{name}' cannot be aligned: the model knows no recorded derivative of it, nor "
+                f"what it is the derivative of. Shift it by a known time (--shift {name}=SECONDS)."
+            )
+    if how == "none":
+        return Aligned(record)
+    found = [one for pair in pairs if (one := _comparable(record, *pair)) is not None]
+    late = _named(found, names) if names else _later(found)
+    if not late:
+        return Aligned(record)
+    told = [_finding(name, seconds, found) for name, seconds in late.items()]
+    words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
+    return Aligned(shift(record, late), words, tuple(told))
+
+
+def _comparable(record: Record, signal: str, derivative: str) -> Pair | None:
+    """The pair, if its signals belong to each other."""
+    if disagreement(record, signal, derivative) is not None:
+        return None
+    return compare_pair(record, signal, derivative)
+
+
+def _named(pairs: Sequence[Pair], names: Sequence[str]) -> dict[str, float]:
+    """Seconds by which each of these signals is later than the first one it is paired with."""
+    found = {}
+    for name in names:
+        for pair in pairs:
+            seconds = (pair.fit.delay + pair.fit.lag) * pair.step
+            if name in (pair.signal, pair.derivative):
+                found.setdefault(name, seconds if name == pair.derivative else -seconds)
+    return found
+
+
+def _later(pairs: Sequence[Pair]) -> dict[str, float]:
+    """Seconds by which signals are later than the earliest of those that they belong to."""
+    groups: list[dict[str, float]] = []
+    for pair in pairs:
+        group = next((g for g in groups if {pair.signal, pair.derivative} & {*g}), None)
+        if group is None:
+            groups.append(group := {pair.signal: 0.0})
+        if pair.signal in group:
+            group.setdefault(pair.derivative, group[pair.signal] + pair.delay)
+        else:
+            group[pair.signal] = group[pair.derivative] - pair.delay
+    step = pairs[0].step if pairs else 0.0
+    return {
+        name: seconds - min(group.values())
+        for group in groups
+        for name, seconds in group.items()
+        if seconds - min(group.values()) > LATE * step
+    }
+
+
+def _finding(name: str, seconds: float, pairs: Sequence[Pair]) -> Finding:
+    pair = next(pair for pair in pairs if name in (pair.signal, pair.derivative))
+    other = pair.signal if name == pair.derivative else pair.derivative
+    return Finding(
+        "late_signal",
+        f"{name} came {seconds / pair.step:.3g} \u00b1 {pair.fit.errors[0]:.1g} samples "
+        f"({1e3 * seconds:.3g} ms) late against {other}, and was brought forward by that; --align "
+        f"none leaves it. Whether both are late against other signals the two cannot tell.",
+        (name,),
+    )
+
+
+def declared_pairs(model: Any) -> list[tuple[str, str]]:
+    """Signals and their derivatives, as a `Model` or its equations call them."""
+    pairs = [(of, name) for name, of in getattr(model, "derived", {}).items()]
+    if getattr(model, "procedure", None) is not None:
+        stages = model.build_procedure().stages
+        pairs += [pair for stage in stages for one in stage for pair in one.derivatives]
+    return list(dict.fromkeys(pairs))
