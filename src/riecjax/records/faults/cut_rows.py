@@ -56,8 +56,8 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
     lasts = place < x.size / 2
     return Finding(
         "lost_rows",
-        f"{signal} jumps by {jump * size:.3g} at {time:.4g} s, which the integral of {derivative} does "
-        f"not follow, and goes on as before: rows of all signals are gone there, and time was "
+        f"{signal} jumps by {jump * size:.3g} at {time:.4g} s, which the integral of {derivative} "
+        f"does not follow, and goes on as before: rows of all signals are gone there, and time was "
         f"numbered anew. Use the record {'from there on' if lasts else 'up to there'}, or mark the "
         f"gap in its time.",
         (signal, derivative),
