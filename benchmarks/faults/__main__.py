@@ -5,9 +5,9 @@
     python -m benchmarks.faults --page
 
 A fault harms where it moves a parameter by more than three standard errors and half a percent from
-what the sound recording of the same motion and noise gives. With `--json` results are kept, beside
-those of other faults and machines that the file holds already; `--page` writes the table of
-docs/warnings.md from benchmarks/faults.json.
+what the sound recording of the same motion and noise gives, or narrows an interval by a tenth.
+With `--json` results are kept, beside those of other faults and machines that the file holds
+already; `--page` writes the table of docs/warnings.md from benchmarks/faults.json.
 """
 
 import argparse

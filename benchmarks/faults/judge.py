@@ -32,6 +32,8 @@ UNTREATED = {
 """Options of today that leave a recording as it is, by the parameter of the command."""
 MOVED, AT_LEAST = 3.0, 0.005
 """Standard errors, and share of its value, by which a parameter moves that a fault harms."""
+NARROWER = 0.9
+"""Share of the sound recording's standard error below which a fault feigns knowledge."""
 FAR = 1e9
 """Standard errors that stand for any more, and for what is not a number."""
 
@@ -62,10 +64,10 @@ class Outcome(NamedTuple):
     """A fault of a machine's recording, and what became of it.
 
     **Fields:** `moved`, by how many of the sound recording's standard errors the answer moves at
-    the most where nothing is corrected, and `which` parameter; `harmed`, whether that counts;
-    `said`, codes that the sound recording does not lead to; `after`, as `moved`, of the answer
-    with what the command corrects by itself and what it proposes (`remedy`), or `None` where there
-    is neither.
+    the most where nothing is corrected, and `which` parameter; `harmed`, whether that counts, or
+    intervals are too narrow; `said`, codes that the sound recording does not lead to; `after`, as
+    `moved`, of the answer with what the command corrects by itself and what it proposes
+    (`remedy`), or `None` where there is neither.
     """
 
     fault: str
@@ -166,6 +168,7 @@ def judged(
     treated = bool(new or answer.error) and bool(_untreated())
     plain = answered(machine, files, _untreated()) if treated else answer
     moved, which, harmed = (0.0, "", True) if plain.error else distance(plain, sound)
+    harmed |= any(plain.errors.get(n, 0.0) < NARROWER * e for n, e in sound.errors.items())
     naming = [f for f in new if names_the_fault(f, fault, machine)]
     remedy = next((f.remedy for f in (*naming, *new) if f.remedy), ())
     last = answered(machine, files, remedy) if remedy else answer

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.findings import Finding
+from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.delay_course import SURE, Course, delay_course
 from riecjax.records.faults.pair_fit import SHORTEST_PIECE, PairFit, Piece, fit_pair
 from riecjax.records.record import Record, samples_with_nan
@@ -190,6 +191,9 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
 
     The doubt is the share of the derivative that is wrong: of a delay, the turn of its phase.
     """
+    if pair.course.kind != "rows" and (cut := cut_rows(record, pair.signal, pair.derivative)):
+        yield cut
+        return
     # The usual frequency, from how much better a gain is known than a delay.
     turn = pair.fit.errors[1] / max(pair.fit.errors[0], 1e-300)
     if pair.course.kind != "steady":
