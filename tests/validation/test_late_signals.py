@@ -143,6 +143,24 @@ def test_the_same_residual_is_the_models_where_no_fault_is_known():
     assert "residual_follows_signal" in codes
 
 
+@pytest.mark.raises_finding("low_passed")
+@pytest.mark.no_finding("late_signal")
+@pytest.mark.parametrize("samples", [1.5, 4.0])
+def test_a_force_behind_a_low_pass_is_named_as_that(samples):
+    one, (finding,) = delay_of(recorded(0, lag=samples * STEP))
+    assert one.low_passed
+    assert one.certain
+    assert one.seconds == pytest.approx(samples * STEP, rel=0.02)
+    assert finding.code == "low_passed"
+
+
+@pytest.mark.no_finding("low_passed")
+def test_a_delay_is_no_low_pass():
+    one, _ = delay_of(recorded(0, delay=2.0))
+    assert one.certain
+    assert not one.low_passed
+
+
 @pytest.mark.raises_finding("late_signal")
 def test_gaps_and_several_recordings_tell_of_the_same_delay():
     parts = []
