@@ -21,9 +21,11 @@ from riecjax.equations.hidden_modes import accelerated
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
+from riecjax.records.faults.delay_course import Course
 from riecjax.records.record import Record
 from riecjax.summaries.task import signals_read
-from riecjax.validation.least_left import Search
+from riecjax.validation.delay_courses import course_of
+from riecjax.validation.least_left import Search, Solved
 
 LEVEL = 1e-3
 """Probability by chance, over all signals, below which a delay is told."""
@@ -43,6 +45,8 @@ MOST_SAMPLES = 2**17
 """Samples of each record that are looked at: a delay needs no more."""
 FEWEST_GROUPS = 6
 """Blocks of time below which their scatter says too little."""
+VISIBLE = 0.003
+"""Rms left beyond noise, over the target, from which a delay that changes is looked for."""
 CLEARER = 4.0
 """Times as much energy that the other of delay and low-pass leaves where one of them is named."""
 SLOPE = np.array([1, -9, 45, 0, -45, 9, -1]) / 60
@@ -65,6 +69,8 @@ class SignalDelay(NamedTuple):
     - `moved`: how much larger each parameter is with the signals advanced, over its value as it is.
     - `low_passed`: whether they are rather behind a first-order low-pass of that time constant;
       `otherwise`, what the other of the two leaves.
+    - `course`: how the delay changes along a single record, where that is what explains most;
+      `left` and `moved` are then of each part at its own delay.
     """
 
     signals: tuple[str, ...]
@@ -78,6 +84,13 @@ class SignalDelay(NamedTuple):
     moved: Mapping[str, float]
     low_passed: bool = False
     otherwise: float = 0.0
+    course: Course = Course()
+
+    def leaving(self, before: Solved, after: Solved) -> "SignalDelay":
+        """The same with what is found of the signals as they are, and once it is undone."""
+        moved = {n: after.values[n] / before.values[n] - 1 for n in after.free if before.values[n]}
+        left = max(after.left, 0.0)
+        return self._replace(left=left**0.5, noise=after.noise**0.5, moved=moved)
 
     @property
     def samples(self) -> float:
@@ -87,7 +100,8 @@ class SignalDelay(NamedTuple):
     @property
     def significant(self) -> bool:
         """Whether it is more than chance and quadrature make."""
-        return abs(self.seconds) > self.reach and abs(self.samples) > SMALLEST
+        large = abs(self.seconds) > self.reach and abs(self.samples) > SMALLEST
+        return large or self.course.kind != "steady"
 
     @property
     def explains(self) -> bool:
@@ -125,50 +139,54 @@ def signal_delays(
         return []
     level = LEVEL / len(groups)
 
-    def of(signals: tuple[str, ...], undo: Undo, unit: float, most: int) -> SignalDelay | None:
+    def search(signals: tuple[str, ...], undo: Undo, unit: float, most: int) -> Search:
         def undone(count: int) -> list[Record]:
             return [undo(each, signals, count * unit / step, reach) for each in records]
 
-        found = Search(procedure, estimate, undone, most).found()
+        return Search(procedure, estimate, undone, most)
+
+    def of(searched: Search, signals: tuple[str, ...], unit: float) -> SignalDelay | None:
+        found = searched.found()
         if found is None:
             return None
-        before, after, error = found.before, found.after, found.error * unit
-        moved = {n: after.values[n] / v - 1 for n, v in before.values.items() if v}
-        return SignalDelay(
-            signals,
-            found.at * unit,
-            error,
-            float(tails.student(level / 2, found.without.size - 1)) * error,
-            step,
-            after.left**0.5,
-            before.left**0.5,
-            after.noise**0.5,
-            {name: share for name, share in moved.items() if name in estimate.parameters},
-        )
+        quantile = float(tails.student(level / 2, found.without.size - 1))
+        sizes = found.at * unit, found.error * unit, quantile * found.error * unit, step
+        delay = SignalDelay(signals, *sizes, 0.0, found.before.left**0.5, 0.0, {})
+        return delay.leaving(found.before, found.after)
 
-    every = []
+    every: list[tuple[SignalDelay, Search]] = []
     for signals in groups:
-        late = of(signals, advanced, step, reach)
+        searched = search(signals, advanced, step, reach)
+        late = of(searched, signals, step)
         if late is not None and late.significant and late.seconds > 0:
-            lagged = of(signals, unfiltered, late.seconds, MOST_LAGS)
+            lagged = of(search(signals, unfiltered, late.seconds, MOST_LAGS), signals, late.seconds)
             if lagged is not None:
                 one, other = sorted((late, lagged), key=lambda each: each.left)
                 late = one._replace(low_passed=one is lagged, otherwise=other.left)
-        every += [] if late is None else [late]
-    return every
+        every += [] if late is None else [(late, searched)]
+    found = sorted((late for late, _ in every), key=lambda each: each.left)
+    if len(records) == 1 and found and not found[0].explains and found[0].left > VISIBLE:
+        best, searched = min(every, key=lambda each: each[0].left)
+        block = criterion.block_samples(records[0])
+        course = course_of(searched, round(best.samples), block)
+        if course is not None:
+            best = best._replace(course=course.course, low_passed=False)
+            found[0] = best.leaving(searched.solved(0, 0.0), course.solved)
+    return found
 
 
 def late_signals(
     procedure: Procedure, records: Sequence[Record], estimate: Estimate
 ) -> Iterator[Finding]:
-    """`late_signal` or `low_passed` of what explains most, if one explains what the fit leaves.
+    """`late_signal`, `low_passed`, `two_clocks` or `lost_rows`: what explains most of what is left.
 
     **Raises:** as [`signal_delays`][].
     """
     delays = signal_delays(procedure, records, estimate)
     causes = [one for one in delays if one.significant and one.explains and _matters(one, estimate)]
     if causes:
-        yield _finding(min(causes, key=lambda each: each.left))
+        one = min(causes, key=lambda each: each.left)
+        yield _finding(one) if one.course.kind == "steady" else _uneven(one, records[0])
 
 
 def _finding(one: SignalDelay) -> Finding:
@@ -203,6 +221,35 @@ def _finding(one: SignalDelay) -> Finding:
         doubts={name: abs(share) for name, share in one.moved.items()},
         remedy=shift,
         step=f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms",
+    )
+
+
+def _uneven(one: SignalDelay, record: Record) -> Finding:
+    names, course, time = " and ".join(one.signals), one.course, np.asarray(record.elapsed)
+    lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
+    if course.kind == "clocks":
+        rate = 1e6 * course.change / (course.place[1] - course.place[0])
+        code, remedy = "two_clocks", ()
+        what = f"{names} falls behind evenly, {lasts}: its clock differs by {rate:.3g} ppm"
+        step = f"Record {names} by the clock of the others, or resample it by its own time"
+    else:
+        first, last = (time[min(place + LONGEST, time.size - 1)] for place in course.place)
+        remedy = ("--to", f"{first:.4g}") if first > time[-1] - last else ("--from", f"{last:.4g}")
+        code, step = "lost_rows", "Use the longer part of the record"
+        what = (
+            f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
+            f"{'all others have' if course.change > 0 else 'it has'} lost rows there"
+        )
+    return Finding(
+        code,
+        f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
+        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %. {step}"
+        f"{f' ({chr(32).join(remedy)})' if remedy else ''}.",
+        one.signals,
+        tuple(one.moved),
+        doubts={name: abs(share) for name, share in one.moved.items()},
+        remedy=remedy,
+        step=step,
     )
 
 

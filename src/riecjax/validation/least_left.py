@@ -38,7 +38,7 @@ STEPS = 5
 Blocks = Float[np.ndarray, "blocks q q"]
 
 
-class _Stage(NamedTuple):
+class StageSums(NamedTuple):
     """Sums of a stage by block of time, less noise; and those of noise."""
 
     names: tuple[str, ...]
@@ -47,11 +47,13 @@ class _Stage(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """Values of all parameters; energy left beyond noise over the target's, and that of noise."""
+    """Values of all parameters; energy left beyond noise over the target's, and that of noise;
+    and which parameters are `free`."""
 
     values: dict[str, float]
     left: float
     noise: float
+    free: tuple[str, ...] = ()
 
 
 class Lowest(NamedTuple):
@@ -87,7 +89,7 @@ class Search:
     most: int
 
     def __post_init__(self) -> None:
-        self.kept: dict[int, list[_Stage]] = {}
+        self.kept: dict[int, list[StageSums]] = {}
         zero, one = self.sums(0), self.sums(1)
         differ = (np.any(a.clean != b.clean) for a, b in zip(zero, one))
         self.reading = [i for i, other in enumerate(differ) if other]
@@ -95,7 +97,7 @@ class Search:
         count = min(int(self.estimate.block_count), GROUPS)
         self.groups = np.array_split(np.flatnonzero(rows != 0), count)
 
-    def sums(self, count: int) -> list[_Stage]:
+    def sums(self, count: int) -> list[StageSums]:
         """Of the records with so much undone."""
         if count not in self.kept:
             summary = sums_like(self.procedure, self.undone(count), self.estimate)
@@ -142,14 +144,14 @@ class Search:
                 break  # a parabola through the three reaches no further
         return at
 
-    def around(self, middle: int, left_out: np.ndarray | None = None) -> list[list[_Stage]]:
+    def around(self, middle: int, left_out: np.ndarray | None = None) -> list[list[StageSums]]:
         """Sums over all blocks, but some, at an amount and one unit to either side of it."""
         every = (self.sums(middle + k) for k in (-1, 0, 1))
-        return [[_total(stage, left_out) for stage in stages] for stages in every]
+        return [[total(stage, left_out) for stage in stages] for stages in every]
 
-    def solve(self, three: Sequence[Sequence[_Stage]], at: float) -> Solved:
+    def solve(self, three: Sequence[Sequence[StageSums]], at: float) -> Solved:
         """Values and what is left at an amount from the middle one of three."""
-        return _solve(_between(three, at), self.estimate.known, self.reading)
+        return solve(between(three, at), self.estimate.known, self.reading)
 
     def solved(self, middle: int, at: float) -> Solved:
         """Values and what is left at an amount, as energy that is not below zero."""
@@ -171,7 +173,7 @@ def sums_like(procedure: Procedure, records: list[Record], estimate: Estimate) -
     return summed(task, bins=bins, survey=surveyed)
 
 
-def _stages(summary: Summary) -> list[_Stage]:
+def _stages(summary: Summary) -> list[StageSums]:
     found = []
     for stage in summary.equations():
         names = tuple(dict.fromkeys(name for e in stage for name in e.parameters))
@@ -184,32 +186,38 @@ def _stages(summary: Summary) -> list[_Stage]:
             clean[among] += np.asarray(equation.clean).reshape(shape)
             if equation.noise is not None:
                 noise[among] += np.asarray(equation.noise).reshape(shape)
-        found.append(_Stage(names, clean, noise))
+        found.append(StageSums(names, clean, noise))
     return found
 
 
-def _total(stage: _Stage, left_out: np.ndarray | None = None) -> _Stage:
-    def of(blocks: Blocks) -> Blocks:
-        total = blocks.sum(0)
-        return total if left_out is None else total - blocks[left_out].sum(0)
+def total(
+    stage: StageSums, left_out: np.ndarray | None = None, only: np.ndarray | None = None
+) -> StageSums:
+    """The sum over all blocks, over all but some, or over some only."""
 
-    return _Stage(stage.names, of(stage.clean), of(stage.noise))
+    def of(blocks: Blocks) -> Float[np.ndarray, "q q"]:
+        if only is not None:
+            return blocks[only].sum(0)
+        every = blocks.sum(0)
+        return every if left_out is None else every - blocks[left_out].sum(0)
+
+    return StageSums(stage.names, of(stage.clean), of(stage.noise))
 
 
-def _between(parts: Sequence[Sequence[_Stage]], at: float) -> list[_Stage]:
+def between(parts: Sequence[Sequence[StageSums]], at: float) -> list[StageSums]:
     """Sums at an amount between three."""
     shares = at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2
 
-    def mixed(of: Callable[[_Stage], np.ndarray], stages: Sequence[_Stage]) -> np.ndarray:
+    def mixed(of: Callable[[StageSums], np.ndarray], stages: Sequence[StageSums]) -> np.ndarray:
         return sum((w * of(s) for w, s in zip(shares, stages)), np.zeros(()))
 
     return [
-        _Stage(three[0].names, mixed(lambda s: s.clean, three), mixed(lambda s: s.noise, three))
+        StageSums(three[0].names, mixed(lambda s: s.clean, three), mixed(lambda s: s.noise, three))
         for three in zip(*parts)
     ]
 
 
-def _solve(stages: Sequence[_Stage], known: Mapping, reading: Sequence[int]) -> Solved:
+def solve(stages: Sequence[StageSums], known: Mapping, reading: Sequence[int]) -> Solved:
     """Values of all stages in turn, and what those that the fault reaches leave, as energy."""
     values, left, noise = {n: float(v) for n, v in known.items()}, 0.0, 0.0
     for i, (names, clean, noisy) in enumerate(stages):
@@ -232,4 +240,12 @@ def _solve(stages: Sequence[_Stage], known: Mapping, reading: Sequence[int]) -> 
             target = (mix[0] @ (clean + noisy) @ mix[0]) or 1.0
             left += float(row @ clean @ row / target)
             noise += float(row @ noisy @ row / target)
-    return Solved(values, left, noise)
+    return Solved(values, left, noise, tuple(n for n in values if n not in known))
+
+
+def energy(
+    stages: Sequence[StageSums], values: Mapping[str, float], reading: Sequence[int]
+) -> float:
+    """What stages leave beyond noise with these values, in the squares of their units."""
+    rows = {i: np.array([1.0, *(-values[n] for n in stages[i].names)]) for i in reading}
+    return float(sum(row @ stages[i].clean @ row for i, row in rows.items()))
