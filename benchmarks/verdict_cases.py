@@ -161,13 +161,13 @@ def simulate(values: Values, rng: np.random.Generator, disturbed: bool) -> dict[
     frequency = rng.uniform(low[:, None], high[:, None], (systems, TONES))
     phase = rng.uniform(0, 2 * np.pi, (systems, TONES))
     time = np.arange(SAMPLES * STEPS * 2 + 1) / (RATE * STEPS * 2)
-    force = np.stack([_tones(time, f, p) for f, p in zip(frequency, phase)]) * values["m"][:, None]
+    force = np.stack([tones(time, f, p) for f, p in zip(frequency, phase)]) * values["m"][:, None]
     hidden = 0.0 * force
     if disturbed:
         other = rng.uniform(0.3, 12.0, (systems, TONES)), rng.uniform(0, 6.3, (systems, TONES))
-        hidden = np.stack([0.08 * _tones(time, f, p) for f, p in zip(*other)])
+        hidden = np.stack([0.08 * tones(time, f, p) for f, p in zip(*other)])
         hidden *= values["m"][:, None]
-    state = _integrate(values, force + hidden)
+    state = integrated(values, force + hidden)
     return {
         "x": state[0],
         "v": state[1],
@@ -177,14 +177,17 @@ def simulate(values: Values, rng: np.random.Generator, disturbed: bool) -> dict[
     }
 
 
-def _tones(time: np.ndarray, frequency: np.ndarray, phase: np.ndarray) -> np.ndarray:
+def tones(time: np.ndarray, frequency: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """A sum of sines, 3 rms."""
     total = np.zeros(time.size)
     for f, p in zip(frequency, phase):
         total += np.sin(2 * np.pi * f * time + p)
     return total * np.sqrt(2 / TONES) * 3
 
 
-def _integrate(values: Values, force: Series) -> list[Series]:
+def integrated(values: Values, force: Series) -> list[Series]:
+    """x, v, x2, v2 at the samples, of a force known at `2 STEPS` instants to each of them."""
+
     def get(name: str) -> np.ndarray:
         return values.get(name, 0.0 * values["m"])
 

@@ -28,7 +28,16 @@ AXIS = as_procedure(
 )
 
 
-def recorded(seed, *, delay=0.0, noise=0.01, friction=0.0, cubic=0.0, samples=SAMPLES, lag=0.0):
+def recorded(
+    seed,
+    *,
+    delay: float | np.ndarray = 0.0,
+    noise=0.01,
+    friction=0.0,
+    cubic=0.0,
+    samples=SAMPLES,
+    lag=0.0,
+):
     """The record of an axis, its force `delay` samples late, or low-passed by `lag` seconds."""
     rng = np.random.default_rng(seed)
     hertz, phase = rng.uniform(0.3, 9, 60), rng.uniform(0, 2 * np.pi, 60)
@@ -98,7 +107,7 @@ def test_a_finding_says_how_far_the_delay_moves_each_parameter():
     assert not list(late_signals(AXIS, records, right))
 
 
-@pytest.mark.no_finding("late_signal")
+@pytest.mark.no_finding("late_signal", "low_passed", "two_clocks", "lost_rows")
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
 def test_a_force_in_time_is_not_called_late(noise):
     for seed in range(3):
@@ -108,13 +117,13 @@ def test_a_force_in_time_is_not_called_late(noise):
 
 
 @pytest.mark.slow
-@pytest.mark.no_finding("late_signal")
+@pytest.mark.no_finding("late_signal", "low_passed", "two_clocks", "lost_rows")
 def test_no_clean_record_of_two_hundred_is_called_late():
     for seed in range(200):
         assert not delay_of(recorded(seed, noise=(0.0, 0.01, 0.05)[seed % 3]))[1]
 
 
-@pytest.mark.no_finding("late_signal")
+@pytest.mark.no_finding("late_signal", "low_passed", "two_clocks", "lost_rows")
 @pytest.mark.parametrize("wrong", [{"friction": 0.3}, {"cubic": 0.05}])
 def test_what_a_model_leaves_out_is_not_called_a_delay(wrong):
     for seed in range(3):
@@ -141,6 +150,48 @@ def test_the_same_residual_is_the_models_where_no_fault_is_known():
     records, estimate = fitted(recorded(2, delay=1.0))
     codes = {finding.code for finding in residual_tests(AXIS, records, estimate).findings()}
     assert "residual_follows_signal" in codes
+
+
+@pytest.mark.raises_finding("low_passed")
+@pytest.mark.no_finding("late_signal")
+@pytest.mark.parametrize("samples", [1.5, 4.0])
+def test_a_force_behind_a_low_pass_is_named_as_that(samples):
+    one, (finding,) = delay_of(recorded(0, lag=samples * STEP))
+    assert one.low_passed
+    assert one.certain
+    assert one.seconds == pytest.approx(samples * STEP, rel=0.02)
+    assert finding.code == "low_passed"
+
+
+@pytest.mark.no_finding("low_passed")
+def test_a_delay_is_no_low_pass():
+    one, _ = delay_of(recorded(0, delay=2.0))
+    assert one.certain
+    assert not one.low_passed
+
+
+@pytest.mark.raises_finding("two_clocks")
+@pytest.mark.no_finding("late_signal", "lost_rows")
+def test_a_clock_that_runs_slow_is_told_by_its_rate():
+    one, (finding,) = delay_of(recorded(0, delay=200e-6 * np.arange(SAMPLES)))
+    assert one.course.kind == "clocks"
+    assert one.course.change / SAMPLES == pytest.approx(200e-6, rel=0.05)
+    assert finding.signals == ("F",)
+    assert f"{1e6 * one.course.change / one.course.place[1]:.3g} ppm" in finding.message
+
+
+@pytest.mark.raises_finding("lost_rows")
+@pytest.mark.no_finding("late_signal", "two_clocks")
+@pytest.mark.parametrize(("lost", "at"), [(1, 2500), (5, 2500), (5, 5000)])
+def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
+    one, (finding,) = delay_of(
+        recorded(0, delay=-lost * np.heaviside(np.arange(SAMPLES) - at, 0.0))
+    )
+    assert one.course.change == pytest.approx(-lost, abs=0.05)
+    option, seconds = finding.remedy
+    assert option == ("--to" if at > 3000 else "--from")
+    assert float(seconds) == pytest.approx(at * STEP, abs=4.0)
+    assert (float(seconds) < at * STEP) == (option == "--to")
 
 
 @pytest.mark.raises_finding("late_signal")

@@ -399,3 +399,15 @@ def test_it_takes_gaps_several_records_and_pointwise_estimates():
     pointwise = residual_tests(duffing_equation(), records[0], dict(estimate.values))
     assert pointwise["duffing"].windows is None
     assert len(pointwise["duffing"].autocorrelation.lag) == 51
+
+
+@pytest.mark.raises_finding("residual_follows_signal")
+def test_a_force_that_was_recorded_and_not_used_is_named():
+    record = duffing(3)
+    other = band_limited_noise(jax.random.key(9), 4000, STEP, bandwidth=8.0, rms=1.5)
+    record = record.with_signals({"u": record["u"] - other, "gust": other})
+    equation = duffing_equation()
+    tests = residual_tests(equation, record, fit(equation, record, CRITERION))
+    named = [f for f in tests.findings() if f.code == "residual_follows_signal"]
+    assert [finding.signals for finding in named] == [("gust",)]
+    assert "does not use it" in named[0].message

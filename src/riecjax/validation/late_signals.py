@@ -1,37 +1,31 @@
 """Whether a signal is late against an equation: a delay estimated as a parameter, from sums.
 
 A signal recorded tau late shows z(t) = s(t - tau), so that s(t) = z(t + tau): the equation holds of
-the recording with that signal advanced by tau, and least squares leave least there. Sums over
-windows are made anew with the signal advanced by k - 1, k and k + 1 samples. Between these every
-moment is smooth in tau, a parabola to the accuracy of the motion's sampling,
-
-    M(tau) = M(k - 1) tau (tau - 1) / 2 + M(k) (1 - tau^2) + M(k + 1) tau (tau + 1) / 2,
-
-so that the estimate theta(tau) and what it leaves follow without another pass: tau is where it
-leaves least, found to a small part of a sample. Its scatter is that of estimates without each block
-of time in turn. Noise is taken off the moments as ever, which tau does not change.
+the recording with that signal advanced by tau, and least squares leave least there; `least_left`
+finds where. Behind a first-order low-pass of time constant tau it shows z with s = z + tau z':
+to first order in tau that is the same, and which of the two leaves less tells them apart.
 
 **Late, or something else.** A mode that was left out, friction or a wrong stiffness make some delay
 significant as well. They are no delay: with one, what was left beyond noise hardly becomes less.
 Only a delay that explains nearly all of it is told.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from riecjax import tails
 from riecjax.equations.hidden_modes import accelerated
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
+from riecjax.records.faults.delay_course import Course
 from riecjax.records.record import Record
-from riecjax.summaries.summarise import summed
-from riecjax.summaries.summary import Summary
-from riecjax.summaries.task import Task, record_keys, signals_read
+from riecjax.summaries.task import signals_read
+from riecjax.validation.delay_courses import course_of
+from riecjax.validation.least_left import Search, Solved
 
 LEVEL = 1e-3
 """Probability by chance, over all signals, below which a delay is told."""
@@ -39,7 +33,7 @@ SMALLEST = 0.02
 """Samples below which a delay is the quadrature's, which has no more accuracy."""
 UNEXPLAINED = 0.1
 """Share of the energy left beyond noise that a delay leaves at most if it is the cause."""
-OF_NOISE = 0.02
+OF_NOISE = 0.07
 """The same as a share of what noise leaves: no closer is known how much that is."""
 MOVES = 1.0
 """Standard errors by which it moves some parameter at the least."""
@@ -49,16 +43,16 @@ LONGEST_SHARE = 20
 """It is at most this part of a record."""
 MOST_SAMPLES = 2**17
 """Samples of each record that are looked at: a delay needs no more."""
-GROUPS = 32
-"""Blocks of time that are left out in turn at most."""
 FEWEST_GROUPS = 6
-LOST = 0.03
-"""Energy left, as a share, from which a delay may be too long to be found by going downhill."""
-COARSE = 3
-"""Samples between the shifts that are then tried."""
-STEPS = 5
-"""Times that the middle of the three shifts is moved to where least is left."""
-Blocks = Float[np.ndarray, "blocks q q"]
+"""Blocks of time below which their scatter says too little."""
+VISIBLE = 0.003
+"""Rms left beyond noise, over the target, from which a delay that changes is looked for."""
+CLEARER = 4.0
+"""Times as much energy that the other of delay and low-pass leaves where one of them is named."""
+SLOPE = np.array([1, -9, 45, 0, -45, 9, -1]) / 60
+"""Taps of a derivative of sixth order over a sample, the middle one for the same sample."""
+MOST_LAGS = 4
+"""Multiples of the delay up to which a low-pass is looked for."""
 
 
 class SignalDelay(NamedTuple):
@@ -73,6 +67,10 @@ class SignalDelay(NamedTuple):
     - `left` and `left_as_recorded`: what the fit leaves beyond noise, rms over the target's, with
       the signals advanced by `seconds` and as they are; `noise`, what noise leaves.
     - `moved`: how much larger each parameter is with the signals advanced, over its value as it is.
+    - `low_passed`: whether they are rather behind a first-order low-pass of that time constant;
+      `otherwise`, what the other of the two leaves.
+    - `course`: how the delay changes along a single record, where that is what explains most;
+      `left` and `moved` are then of each part at its own delay.
     """
 
     signals: tuple[str, ...]
@@ -84,6 +82,15 @@ class SignalDelay(NamedTuple):
     left_as_recorded: float
     noise: float
     moved: Mapping[str, float]
+    low_passed: bool = False
+    otherwise: float = 0.0
+    course: Course = Course()
+
+    def leaving(self, before: Solved, after: Solved) -> "SignalDelay":
+        """The same with what is found of the signals as they are, and once it is undone."""
+        moved = {n: after.values[n] / before.values[n] - 1 for n in after.free if before.values[n]}
+        left = max(after.left, 0.0)
+        return self._replace(left=left**0.5, noise=after.noise**0.5, moved=moved)
 
     @property
     def samples(self) -> float:
@@ -93,7 +100,8 @@ class SignalDelay(NamedTuple):
     @property
     def significant(self) -> bool:
         """Whether it is more than chance and quadrature make."""
-        return abs(self.seconds) > self.reach and abs(self.samples) > SMALLEST
+        large = abs(self.seconds) > self.reach and abs(self.samples) > SMALLEST
+        return large or self.course.kind != "steady"
 
     @property
     def explains(self) -> bool:
@@ -101,13 +109,20 @@ class SignalDelay(NamedTuple):
         most = max(UNEXPLAINED * self.left_as_recorded**2, OF_NOISE * self.noise**2)
         return self.left**2 <= most
 
+    @property
+    def certain(self) -> bool:
+        """Whether it is told apart what makes them late, a delay or a low-pass."""
+        least = max(CLEARER * self.left**2, OF_NOISE * self.noise**2)
+        return self.otherwise**2 > least
+
 
 def signal_delays(
     procedure: Procedure, records: Sequence[Record], estimate: Estimate
 ) -> list[SignalDelay]:
     """The delay of each input, and of each motion against the first (not under jit).
 
-    None are looked for in models with hidden elements or parameters of each recording, with windows
+    Of one that is late it is told whether a first-order low-pass explains it better. None are
+    looked for in models with hidden elements or parameters of each recording, with windows
     drawn at random, and in records too short for their blocks to scatter.
 
     **Raises:** as `summarise`.
@@ -120,44 +135,121 @@ def signal_delays(
     reach = min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
     read = {n for each in records for n in signals_read(procedure, each, criterion)}
     groups = _clocks(procedure, read)
-    if reach < 2 or int(estimate.block_count) < FEWEST_GROUPS or not groups:
+    if reach < 3 or int(estimate.block_count) < FEWEST_GROUPS or not groups:
         return []
     level = LEVEL / len(groups)
-    found = (_Search(procedure, records, estimate, g, reach).delay(level, step) for g in groups)
-    return [one for one in found if one is not None]
+
+    def search(signals: tuple[str, ...], undo: Undo, unit: float, most: int) -> Search:
+        def undone(count: int) -> list[Record]:
+            return [undo(each, signals, count * unit / step, reach) for each in records]
+
+        return Search(procedure, estimate, undone, most)
+
+    def of(searched: Search, signals: tuple[str, ...], unit: float) -> SignalDelay | None:
+        found = searched.found()
+        if found is None:
+            return None
+        quantile = float(tails.student(level / 2, found.without.size - 1))
+        sizes = found.at * unit, found.error * unit, quantile * found.error * unit, step
+        delay = SignalDelay(signals, *sizes, 0.0, found.before.left**0.5, 0.0, {})
+        return delay.leaving(found.before, found.after)
+
+    every: list[tuple[SignalDelay, Search]] = []
+    for signals in groups:
+        searched = search(signals, advanced, step, reach)
+        late = of(searched, signals, step)
+        if late is not None and late.significant and late.seconds > 0:
+            lagged = of(search(signals, unfiltered, late.seconds, MOST_LAGS), signals, late.seconds)
+            if lagged is not None:
+                one, other = sorted((late, lagged), key=lambda each: each.left)
+                late = one._replace(low_passed=one is lagged, otherwise=other.left)
+        every += [] if late is None else [(late, searched)]
+    found = sorted((late for late, _ in every), key=lambda each: each.left)
+    if len(records) == 1 and found and not found[0].explains and found[0].left > VISIBLE:
+        best, searched = min(every, key=lambda each: each[0].left)
+        block = criterion.block_samples(records[0])
+        course = course_of(searched, round(best.samples), block)
+        if course is not None:
+            best = best._replace(course=course.course, low_passed=False)
+            found[0] = best.leaving(searched.solved(0, 0.0), course.solved)
+    return found
 
 
 def late_signals(
     procedure: Procedure, records: Sequence[Record], estimate: Estimate
 ) -> Iterator[Finding]:
-    """`late_signal` of the delay that explains most, if one explains what the fit leaves.
+    """`late_signal`, `low_passed`, `two_clocks` or `lost_rows`: what explains most of what is left.
 
     **Raises:** as [`signal_delays`][].
     """
     delays = signal_delays(procedure, records, estimate)
     causes = [one for one in delays if one.significant and one.explains and _matters(one, estimate)]
-    if not causes:
-        return
-    one = min(causes, key=lambda each: each.left)
+    if causes:
+        one = min(causes, key=lambda each: each.left)
+        yield _finding(one) if one.course.kind == "steady" else _uneven(one, records[0])
+
+
+def _finding(one: SignalDelay) -> Finding:
     names, late = " and ".join(one.signals), one.seconds > 0
     most = max(one.moved, key=lambda name: abs(one.moved[name]))
     shift = tuple(w for n in one.signals for w in ("--shift", f"{n}={one.seconds:.4g}"))
-    yield Finding(
-        "late_signal",
-        f"{names} {'come' if len(one.signals) > 1 else 'comes'} {1e3 * abs(one.seconds):.3g} ms "
-        f"({abs(one.samples):.3g} samples, +-{1e3 * one.reach:.2g} ms) "
-        f"{'later' if late else 'earlier'} than the equation says: "
-        f"{'late, or low-passed' if late else 'all others are late, or low-passed'}. With that "
-        f"taken off, the model leaves {100 * one.left:.2g} % of the target beyond noise instead of "
-        f"{100 * one.left_as_recorded:.2g} %, and {most} changes by {100 * one.moved[most]:+.2g} "
-        f"%. Shift it (on the command line: {' '.join(shift)}), or record all by one clock.",
+    size = (
+        f"{1e3 * abs(one.seconds):.3g} ms ({abs(one.samples):.3g} samples, "
+        f"+-{1e3 * one.reach:.2g} ms)"
+    )
+    what = f"{names} {'come' if len(one.signals) > 1 else 'comes'} {size} "
+    named = one.low_passed and one.certain
+    if named:
+        what = (
+            f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
+            f"{1 / (2 * np.pi * one.seconds):.3g} Hz"
+        )
+    elif late:
+        what += f"later than the equation says{'' if one.certain else ', or low-passed'}"
+    else:
+        what += "earlier than the equation says: all others are late, or low-passed"
+    mend = f"Shift it (on the command line: {' '.join(shift)}), or record all by one clock."
+    if named:
+        mend = f"Record it without that filter; {' '.join(shift)} takes off the lag alone."
+    return Finding(
+        "low_passed" if named else "late_signal",
+        f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
+        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %, and {most} changes by "
+        f"{100 * one.moved[most]:+.2g} %. {mend}",
         one.signals,
         tuple(one.moved),
         doubts={name: abs(share) for name, share in one.moved.items()},
         remedy=shift,
-        step=f"Advance {names} by {1e3 * one.seconds:.3g} ms"
-        if late
-        else f"Delay {names} by {-1e3 * one.seconds:.3g} ms",
+        step=f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms",
+    )
+
+
+def _uneven(one: SignalDelay, record: Record) -> Finding:
+    names, course, time = " and ".join(one.signals), one.course, np.asarray(record.elapsed)
+    lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
+    if course.kind == "clocks":
+        rate = 1e6 * course.change / (course.place[1] - course.place[0])
+        code, remedy = "two_clocks", ()
+        what = f"{names} falls behind evenly, {lasts}: its clock differs by {rate:.3g} ppm"
+        step = f"Record {names} by the clock of the others, or resample it by its own time"
+    else:
+        first, last = (time[min(place + LONGEST, time.size - 1)] for place in course.place)
+        remedy = ("--to", f"{first:.4g}") if first > time[-1] - last else ("--from", f"{last:.4g}")
+        code, step = "lost_rows", "Use the longer part of the record"
+        what = (
+            f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
+            f"{'all others have' if course.change > 0 else 'it has'} lost rows there"
+        )
+    return Finding(
+        code,
+        f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
+        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %. {step}"
+        f"{f' ({chr(32).join(remedy)})' if remedy else ''}.",
+        one.signals,
+        tuple(one.moved),
+        doubts={name: abs(share) for name, share in one.moved.items()},
+        remedy=remedy,
+        step=step,
     )
 
 
@@ -185,118 +277,9 @@ def _clocks(procedure: Procedure, read: set[str]) -> list[tuple[str, ...]]:
     return [tuple(sorted(g)) for g in groups[1:]]
 
 
-class _Stage(NamedTuple):
-    """Sums of a stage by block of time, less noise; and those of noise."""
-
-    names: tuple[str, ...]
-    clean: Blocks
-    noise: Blocks
-
-
-class _Solved(NamedTuple):
-    values: dict[str, float]
-    left: float
-    noise: float
-
-
-@dataclasses.dataclass
-class _Search:
-    """The search for the delay of some signals."""
-
-    procedure: Procedure
-    records: Sequence[Record]
-    estimate: Estimate
-    signals: tuple[str, ...]
-    reach: int
-
-    def __post_init__(self) -> None:
-        self.kept: dict[int, list[_Stage]] = {}
-        zero, one = self.sums(0), self.sums(1)
-        differ = (np.any(a.clean != b.clean) for a, b in zip(zero, one))
-        self.reading = [i for i, other in enumerate(differ) if other]
-        rows = zero[0].clean[:, 0, 0]
-        count = min(int(self.estimate.block_count), GROUPS)
-        self.groups = np.array_split(np.flatnonzero(rows != 0), count)
-
-    def sums(self, shift: int) -> list[_Stage]:
-        """Of the records with the signals advanced by so many samples."""
-        if shift not in self.kept:
-            records = [advanced(each, self.signals, shift, self.reach) for each in self.records]
-            self.kept[shift] = _stages(sums_like(self.procedure, records, self.estimate))
-        return self.kept[shift]
-
-    # Values too large to be squared leave no finite sum, and no delay.
-    @np.errstate(over="ignore", invalid="ignore")
-    def delay(self, level: float, step: float) -> SignalDelay | None:
-        """The delay, if one is found."""
-        before = self.solved(0, 0.0)
-        middle, moved = self.descended(0)
-        after = self.solved(middle, moved)
-        if before.left > LOST and not after.left < UNEXPLAINED * before.left:
-            every = range(1 - self.reach, self.reach, COARSE)
-            middle, moved = self.descended(min(every, key=lambda k: self.solved(k, 0.0).left))
-            after = self.solved(middle, moved)
-        if not np.isfinite(after.left):
-            return None
-        without = np.array([self.lowest(middle, group, moved) for group in self.groups])
-        count = without.size
-        error = np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))
-        return SignalDelay(
-            self.signals,
-            (middle + moved) * step,
-            error * step,
-            float(tails.student(level / 2, count - 1)) * error * step,
-            step,
-            float(after.left**0.5),
-            float(before.left**0.5),
-            after.noise**0.5,
-            {
-                name: after.values[name] / value - 1
-                for name, value in before.values.items()
-                if name in self.estimate.parameters and value
-            },
-        )
-
-    def descended(self, middle: int) -> tuple[int, float]:
-        """The nearest shift where least is left, as whole samples and a part; NaN if not found."""
-        moved = float("nan")
-        for _ in range(STEPS):
-            moved = self.lowest(middle)
-            if not np.isfinite(moved) or abs(moved) <= 0.75:
-                break
-            middle = round(np.clip(middle + moved, 1 - self.reach, self.reach - 1))
-        return middle, moved if abs(moved) <= 1 else float("nan")
-
-    def lowest(self, middle: int, left_out: np.ndarray | None = None, near: float = 0.0) -> float:
-        """Samples from the middle shift to where the fit leaves least; NaN if it has no minimum."""
-        every = self.around(middle, left_out)
-        at, steps = near, (1.0, 0.3, 0.1) if left_out is None else (0.1, 0.1)
-        for h in steps:
-            low, here, high = (self.solve(every, at + k * h).left for k in (-1, 0, 1))
-            bend = low - 2 * here + high
-            if not bend > 0:
-                return float("nan")
-            at = float(np.clip(at + h / 2 * (low - high) / bend, -self.reach, self.reach))
-            if abs(at) > 1.5:
-                break  # a parabola through the three reaches no further
-        return at
-
-    def around(self, middle: int, left_out: np.ndarray | None = None) -> list[list[_Stage]]:
-        """Sums over all blocks, but some, at a shift and one sample to either side of it."""
-        every = (self.sums(middle + k) for k in (-1, 0, 1))
-        return [[_total(stage, left_out) for stage in stages] for stages in every]
-
-    def solve(self, three: Sequence[Sequence[_Stage]], at: float) -> _Solved:
-        return _solve(_between(three, at), self.estimate.known, self.reading)
-
-    def solved(self, middle: int, at: float) -> _Solved:
-        """Values and what is left, as energy that is not below zero."""
-        found = self.solve(self.around(middle), at)
-        return found._replace(left=np.maximum(found.left, 0.0), noise=max(found.noise, 0.0))
-
-
-def advanced(record: Record, signals: Sequence[str], shift: int, reach: int) -> Record:
+def advanced(record: Record, signals: Sequence[str], shift: float, reach: int) -> Record:
     """A record without `reach` samples at either end, some signals advanced by whole samples."""
+    shift = round(shift)
     n = record.sample_count
     here, there = slice(reach, n - reach), slice(reach + shift, n - reach + shift)
     inner = record.part(here.start, here.stop)
@@ -305,78 +288,20 @@ def advanced(record: Record, signals: Sequence[str], shift: int, reach: int) -> 
     return inner.with_signals(moved, missing=missing, noise=record.noise.of(*signals))
 
 
-def sums_like(procedure: Procedure, records: list[Record], estimate: Estimate) -> Summary:
-    """A Summary of other records, made by the functions that were compiled for an estimate's."""
-    made, criterion = estimate.summary, estimate.criterion
-    assert made is not None
-    windows = criterion.windows
-    own = None
-    if windows is not None:
-        own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
-    bins = None if own is not None or made.edges is None else np.asarray(made.edges)
-    surveyed = made.recordings[0].stages[0][0].survey is not None
-    task = Task(procedure, records, criterion, record_keys(None, len(records)))
-    return summed(task, bins=bins, survey=surveyed)
+def unfiltered(record: Record, signals: Sequence[str], lag: float, reach: int) -> Record:
+    """The same with a first-order low-pass of a time constant in samples taken off them."""
+    n, taps = record.sample_count, lag * SLOPE
+    taps[3] += 1.0
+    inner, noise = record.part(reach, n - reach), record.noise.of(*signals)
+    near = slice(reach - 3, n - reach + 3)
+    moved, missing = {}, {}
+    for name in signals:
+        moved[name] = jnp.asarray(np.convolve(np.asarray(record.arrays[name])[near], taps, "valid"))
+        noise = noise.filtered(name, taps)
+        if name in record.missing:
+            gone = np.convolve(np.asarray(record.missing[name])[near], np.ones(7), "valid")
+            missing[name] = jnp.asarray(gone > 0.5)
+    return inner.with_signals(moved, missing=missing, noise=noise)
 
 
-def _stages(summary: Summary) -> list[_Stage]:
-    found = []
-    for stage in summary.equations():
-        names = tuple(dict.fromkeys(name for e in stage for name in e.parameters))
-        size, blocks = 1 + len(names), stage[0].count.size
-        clean, noise = np.zeros((2, blocks, size, size))
-        for equation in stage:
-            place = [0, *(1 + names.index(name) for name in equation.parameters)]
-            among = np.ix_(range(blocks), place, place)
-            shape = (blocks, len(place), len(place))
-            clean[among] += np.asarray(equation.clean).reshape(shape)
-            if equation.noise is not None:
-                noise[among] += np.asarray(equation.noise).reshape(shape)
-        found.append(_Stage(names, clean, noise))
-    return found
-
-
-def _total(stage: _Stage, left_out: np.ndarray | None = None) -> _Stage:
-    def of(blocks: Blocks) -> Blocks:
-        total = blocks.sum(0)
-        return total if left_out is None else total - blocks[left_out].sum(0)
-
-    return _Stage(stage.names, of(stage.clean), of(stage.noise))
-
-
-def _between(parts: Sequence[Sequence[_Stage]], at: float) -> list[_Stage]:
-    """Sums at a shift between three."""
-    shares = at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2
-
-    def mixed(of: Callable[[_Stage], np.ndarray], stages: Sequence[_Stage]) -> np.ndarray:
-        return sum((w * of(s) for w, s in zip(shares, stages)), np.zeros(()))
-
-    return [
-        _Stage(three[0].names, mixed(lambda s: s.clean, three), mixed(lambda s: s.noise, three))
-        for three in zip(*parts)
-    ]
-
-
-def _solve(stages: Sequence[_Stage], known: Mapping, reading: Sequence[int]) -> _Solved:
-    """Values of all stages in turn, and what those that read the signals leave, as energy."""
-    values, left, noise = {n: float(v) for n, v in known.items()}, 0.0, 0.0
-    for i, (names, clean, noisy) in enumerate(stages):
-        free = [name for name in names if name not in values]
-        mix = np.zeros((1 + len(free), 1 + len(names)))
-        mix[0] = [1.0, *(-values.get(name, 0.0) for name in names)]
-        for row, name in enumerate(free, 1):
-            mix[row, 1 + names.index(name)] = 1.0
-        moments = mix @ clean @ mix.T
-        if not np.isfinite(moments).all():
-            return _Solved(values, float("nan"), 0.0)
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(moments), np.finfo(float).tiny))
-        scaled = moments * scale[:, None] * scale
-        theta = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-12)[0]
-        theta = theta * scale[1:] / scale[0]
-        values |= dict(zip(free, theta.tolist()))
-        if i in reading and free:
-            row = np.array([1.0, *-theta]) @ mix
-            target = (mix[0] @ (clean + noisy) @ mix[0]) or 1.0
-            left += float(row @ clean @ row / target)
-            noise += float(row @ noisy @ row / target)
-    return _Solved(values, left, noise)
+Undo = Callable[[Record, Sequence[str], float, int], Record]

@@ -75,7 +75,7 @@ class EquationResidual(NamedTuple):
       those of `carrying` that carry one in the model.
     - `dampers`: coefficients with which a spring that the model lacks could be in series, and
       the first ones of `maps` of which that may be said.
-    - `parameters` of the equation.
+    - `parameters` of the equation, and the signals that it `reads`.
     - `explained`: whether a fault of a sensor explains what is left, which is then no model's.
     """
 
@@ -95,6 +95,7 @@ class EquationResidual(NamedTuple):
     dampers: tuple[str, ...] = ()
     maps: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
+    reads: tuple[str, ...] = ()
     explained: bool = False
 
     def findings(self) -> list[Finding]:
@@ -150,6 +151,8 @@ class EquationResidual(NamedTuple):
                 else f"as the ringing of a mode near {self.peak.frequency:.3g} Hz does, or of a "
                 f"sensor that is late. {self._add()}, or shift the signal."
             )
+            if self.reads and first.signal not in self.reads:
+                cause = "the equation does not use it. Add a term in it."
             yield Finding(
                 "residual_follows_signal",
                 f"{self.name}: what the model leaves follows {first.signal}"
@@ -282,19 +285,17 @@ def residual_tests(
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
     procedure, faulty = as_procedure(model), {name for fault in faults for name in fault.signals}
-    smoothness = estimate.criterion.smoothness if isinstance(estimate, Estimate) else 1
-    return ResidualTests(
-        tuple(
-            _residual(name, of_equation, recordings, windows, lags)._replace(
-                **_lacking(procedure, equation),
-                parameters=equation.parameters,
-                explained=bool(faulty)
-                and not faulty.isdisjoint(equation.signals_read(recordings[0], smoothness)),
-            )
-            for name, of_equation, equation in zip(names, errors, procedure.equations, strict=True)
-        ),
-        tuple(faults),
-    )
+    found = []
+    for name, of_equation, equation in zip(names, errors, procedure.equations, strict=True):
+        read = equation.signals_read(recordings[0], of_equation[0].span)
+        residual = _residual(name, of_equation, recordings, windows, lags)._replace(
+            **_lacking(procedure, equation),
+            parameters=equation.parameters,
+            reads=tuple(sorted(read)),
+            explained=not faulty.isdisjoint(read),
+        )
+        found.append(residual)
+    return ResidualTests(tuple(found), tuple(faults))
 
 
 def _lacking(procedure: Procedure, equation: Equation) -> dict[str, tuple[str, ...]]:

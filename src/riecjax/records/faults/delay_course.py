@@ -61,7 +61,7 @@ def delay_course(
     if delays.shape[1] < FEWEST_PARTS:
         return Course(), spread
     steady, spread = _steady(delays)
-    found, left = _changing(delays, edges)
+    found, left = changing(delays, edges)
     more = float(np.sqrt(max(1.0, left / (delays.shape[1] - 3))))
     error = found.error * more
     if steady - left > UNEVEN * more**2 and abs(found.change) > max(
@@ -103,7 +103,7 @@ def _pooled(fits: Sequence[PairFit]) -> Callable[[PairFit], Left]:
     return lambda fit: Left(fit.left.levels, *means)
 
 
-def _changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tuple[Course, float]:
+def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tuple[Course, float]:
     """The course that explains the delays best, and the chi-square that it leaves."""
     first, last = delays[2:]
     ones, size = np.ones(first.size), first.size
