@@ -15,7 +15,7 @@ without spikes by two in a hundred, and a ratio of 1.2 at most; exits with 1 els
 
 import argparse
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,7 +37,7 @@ class Problem(NamedTuple):
 
     model: Any
     truth: np.ndarray
-    motions: list[Mapping[str, np.ndarray]]
+    motions: Sequence[Mapping[str, np.ndarray]]
     sensors: tuple[str, ...]
     step: float
 

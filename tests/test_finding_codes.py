@@ -111,6 +111,7 @@ def test_windows_that_overlap_nearly_all_are_few_and_replicates_may_hold_none():
     estimate = rx.identify(body, rx.Record(signals, 0.01), rx.RIEC(rx.AllWindows(1.5, 1.6)))
     assert "few_effective_windows" in [finding.code for finding in estimate.findings()]
     lost = estimate.uncertainty.studentized
+    assert lost is not None
     lost = jnp.where(jnp.arange(lost.shape[0])[:, None] % 5 == 0, jnp.nan, lost)
     sound = eqx.tree_at(lambda e: e.uncertainty.few_blocks, estimate, jnp.zeros(2, bool))
     rare = eqx.tree_at(lambda e: e.uncertainty.studentized, sound, lost)

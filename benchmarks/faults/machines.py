@@ -14,7 +14,6 @@ from jaxtyping import Array
 
 import riecjax as rx
 from riecjax.models.catalogue import MODELS
-from riecjax.models.model import Model, Quantity
 
 RATE, SAMPLES = 200, 6000
 LEAD, TAIL = 200, 200
@@ -73,18 +72,6 @@ class Machine(NamedTuple):
         return (self.position, self.velocity, self.force, *self.others)
 
 
-def _own(equation: rx.Equation, position: str, velocity: str, force: str) -> str:
-    """Make an equation a model that the command line knows, as a user's file would."""
-    units = {"q": "rad", "dq": "rad/s", "torque": "N m", "x": "m", "v": "m/s", "u": "N"}
-    name = f"{equation.name}-driven"
-    signals = tuple(Quantity(s, units[s], s) for s in (position, velocity, force))
-    parameters = tuple(Quantity(p, "", p) for p in equation.parameters)
-    MODELS[name] = Model(
-        name, name, signals, {velocity: position}, lambda: equation, parameters=parameters
-    )
-    return name
-
-
 def _defaults(model: str) -> dict[str, float]:
     return {p.name: p.default for p in MODELS[model].parameters if p.default is not None}
 
@@ -116,7 +103,7 @@ MACHINES = {
         Machine("axis", "emps", _defaults("emps"), "force", (150.0, 0.2, 4.0), "q", "dq", "force"),
         Machine(
             "pendulum",
-            _own(PENDULUM, "q", "dq", "torque"),
+            f"{__file__}:PENDULUM",
             {"J": 0.4, "c": 0.25, "g": 8.0},
             "torque",
             (2.5, 0.2, 2.0),
@@ -126,7 +113,7 @@ MACHINES = {
         ),
         Machine(
             "dry",
-            _own(DRY, "x", "v", "u"),
+            f"{__file__}:DRY",
             {"m": 2.0, "c": 3.0, "k": 200.0, "f": 4.0},
             "u",
             (30.0, 0.3, 5.0),

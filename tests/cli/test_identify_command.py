@@ -351,6 +351,7 @@ def check_schema(document: dict) -> None:
         "warnings",
         "provenance",
         "job",
+        "checksum",
     }
     assert document["schema"] == 1
     for entry in document["parameters"].values():

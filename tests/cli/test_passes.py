@@ -100,8 +100,9 @@ def test_one_command_sums_a_recording_once(capsys):
         # The one pass: moments, bins of the sweep, averaged rows, activity and the check's survey.
         # In it values, and those that noise is added to, for averaged and surveyed rows alike.
         ("one", FILLED): 2,
-        # Two steps of noise to either side, for curvature; and the rows with noise.
-        ("with noise", FILLED): 5,
+        # Two steps of noise to either side, for curvature; and the rows with noise. Then seven
+        # delays at which the force might fit better, each a pass over what is shifted by it.
+        ("with noise", FILLED): 5 + 7 * 6,
         # What is left sample by sample, which residual tests and the choice of windows share.
         ("one", SAMPLES): 1,
     }

@@ -36,6 +36,7 @@ def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows
     asked = ["riecjax", "identify", "run.csv", "--model", "machine.py:axis", *map(str, options)]
     assert printed["provenance"]["command"] == shlex.join(asked)
     assert printed.pop("job")["alpha"] == 0.1
+    assert len(printed.pop("checksum")) == 64
     assert [one["file"] for one in printed["provenance"].pop("files")] == ["machine.py", "run.csv"]
     document = identification_document(found, asked[1:])
     assert json.loads(json.dumps(document)) == printed
