@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 import riecjax as rx
-from riecjax.models.catalogue import MODELS
+from riecjax.models.catalogue import MODELS, find_model
 
 RATE, SAMPLES = 200, 6000
 LEAD, TAIL = 200, 200
@@ -141,7 +141,7 @@ def motion(name: str, seed: int, share: float = 1.0) -> dict[str, np.ndarray]:
     for frequency, phase in zip(frequencies, phases):
         drive += np.sin(2 * np.pi * frequency * time + phase)
     drive *= share * rms * np.sqrt(2 / TONES)
-    model = MODELS[machine.model]
+    model = find_model(machine.model)
     values = {k: jnp.asarray(v) for k, v in machine.truth.items()}
     system = (
         rx.equation_system(model.build_procedure(), values)

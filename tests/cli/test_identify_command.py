@@ -377,7 +377,8 @@ def check_schema(document: dict) -> None:
         assert stage["rms"] >= 0
         assert stage["rows"] > 0
     for warning in document["warnings"]:
-        assert set(warning) == {"code", "message", "signals", "parameters", "doubt"}
+        told = {"code", "message", "signals", "parameters", "doubt", "doubts", "remedy", "step"}
+        assert set(warning) == told
     provenance = document["provenance"]
     assert isinstance(provenance["seed"], int)
     assert {"riecjax", "jax", "numpy", "python"} <= set(provenance["versions"])
