@@ -23,6 +23,8 @@ TURNS = 8
 """Times that parameters and delays are found in turn."""
 PERHAPS, CERTAIN = 2.0, 40.0
 """F-statistic of a course against a steady delay, to look for more, and to name it."""
+SLIGHT = 0.05
+"""Change in samples, as far as one to either side tells it, below which no more are tried."""
 LEAST = {"clocks": 0.1, "rows": 0.5}
 """Samples by which the delay changes at the least."""
 FARTHEST = 10
@@ -47,7 +49,7 @@ def course_of(search: Search, middle: int, samples: float) -> FoundCourse | None
     if len(parts) < FEWEST:
         return None
     found = _found(search, parts, range(middle - 1, middle + 2), samples)
-    if found is None or found[1] < PERHAPS:
+    if found is None or found[1] < PERHAPS or abs(found[0].course.change) < SLIGHT:
         return None
     first, last = max(middle - FARTHEST, 1 - search.most), min(middle + FARTHEST, search.most - 1)
     found = _found(search, parts, range(first, last + 1), samples)
