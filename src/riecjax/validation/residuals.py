@@ -75,7 +75,7 @@ class EquationResidual(NamedTuple):
       those of `carrying` that carry one in the model.
     - `dampers`: coefficients with which a spring that the model lacks could be in series, and
       the first ones of `maps` of which that may be said.
-    - `parameters` of the equation, and the signals that it `reads`.
+    - `parameters` of the equation, and the signals that its model `names`.
     - `explained`: whether a fault of a sensor explains what is left, which is then no model's.
     """
 
@@ -95,7 +95,7 @@ class EquationResidual(NamedTuple):
     dampers: tuple[str, ...] = ()
     maps: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
-    reads: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
     explained: bool = False
 
     def findings(self) -> list[Finding]:
@@ -151,8 +151,8 @@ class EquationResidual(NamedTuple):
                 else f"as the ringing of a mode near {self.peak.frequency:.3g} Hz does, or of a "
                 f"sensor that is late. {self._add()}, or shift the signal."
             )
-            if self.reads and first.signal not in self.reads:
-                cause = "the equation does not use it. Add a term in it."
+            if self.names and first.signal not in self.names:
+                cause = "the model does not use it. Add a term in it."
             yield Finding(
                 "residual_follows_signal",
                 f"{self.name}: what the model leaves follows {first.signal}"
@@ -284,14 +284,17 @@ def residual_tests(
         wanted = LAGS if windows is None else round(float(windows.beta) / step)
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
-    procedure, faulty = as_procedure(model), {name for fault in faults for name in fault.signals}
-    found = []
-    for name, of_equation, equation in zip(names, errors, procedure.equations, strict=True):
-        read = equation.signals_read(recordings[0], of_equation[0].span)
+    procedure, first = as_procedure(model), recordings[0]
+    reads = [e.signals_read(first, of[0].span) for e, of in zip(procedure.equations, errors)]
+    pairs = (pair for equation in procedure.equations for pair in equation.derivatives)
+    named = {name for pair in pairs for name in pair}.union(*reads)
+    faulty = {name for fault in faults for name in fault.signals}
+    found, parts = [], zip(names, errors, procedure.equations, reads, strict=True)
+    for name, of_equation, equation, read in parts:
         residual = _residual(name, of_equation, recordings, windows, lags)._replace(
             **_lacking(procedure, equation),
             parameters=equation.parameters,
-            reads=tuple(sorted(read)),
+            names=tuple(sorted(named)),
             explained=not faulty.isdisjoint(read),
         )
         found.append(residual)
