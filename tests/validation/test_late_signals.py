@@ -189,9 +189,9 @@ def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
     )
     assert one.course.change == pytest.approx(-lost, abs=0.05)
     option, seconds = finding.remedy
-    assert option == ("--to" if at > 3000 else "--from")
-    assert float(seconds) == pytest.approx(at * STEP, abs=4.0)
-    assert (float(seconds) < at * STEP) == (option == "--to")
+    # Before the loss all were in time, however short that part is.
+    assert option == "--to"
+    assert at * STEP - 4.0 < float(seconds) < at * STEP
 
 
 @pytest.mark.raises_finding("late_signal")

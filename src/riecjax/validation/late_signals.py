@@ -234,8 +234,8 @@ def _uneven(one: SignalDelay, record: Record) -> Finding:
         step = f"Record {names} by the clock of the others, or resample it by its own time"
     else:
         first, last = (time[min(place + LONGEST, time.size - 1)] for place in course.place)
-        remedy = ("--to", f"{first:.4g}") if first > time[-1] - last else ("--from", f"{last:.4g}")
-        code, step = "lost_rows", "Use the longer part of the record"
+        remedy = course.in_time(first, last)
+        code, step = "lost_rows", "Use the part of the record in which it is in time"
         what = (
             f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
             f"{'all others have' if course.change > 0 else 'it has'} lost rows there"

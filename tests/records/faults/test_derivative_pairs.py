@@ -11,6 +11,7 @@ import pytest
 
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
+from riecjax.records.derived import derived
 from riecjax.records.faults.derivative_pairs import Pair, compare_pair
 from riecjax.records.noise import Noise
 from riecjax.records.record import Record
@@ -157,6 +158,13 @@ def test_offsets_and_drifts(noise):
     drift = recorded(Motion(6), noise, drift=-0.05)
     assert only(drift).code == "drifting_signal"
     assert compared(drift).drift == pytest.approx(-0.05 * rms, rel=0.3)
+    for record in (offset, drift):
+        option, formula = only(record).remedy
+        columns = {"v": np.asarray(record["v"]), "t": np.asarray(record.time)}
+        mended = derived(formula.removeprefix("v="), columns)
+        assert option == "--derive"
+        off = mended - np.asarray(recorded(Motion(6), noise)["v"])
+        assert np.abs(off).max() < 0.004 * rms
 
 
 @pytest.mark.raises_finding("lost_rows")
@@ -171,6 +179,9 @@ def test_rows_lost_from_one_channel(lost, whose):
     course = compared(record).course
     assert abs(course.change) == pytest.approx(lost, abs=0.15)
     assert course.place[0] <= 2600 <= course.place[1]
+    option, seconds = found.remedy
+    assert option == "--to"
+    assert 10.0 < float(seconds) <= 2600 * STEP
 
 
 @pytest.mark.raises_finding("two_clocks")

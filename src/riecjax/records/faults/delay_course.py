@@ -37,6 +37,14 @@ class Course(NamedTuple):
     place: tuple[int, int] = (0, 0)
     first: float = 0.0
 
+    def in_time(self, start: float, stop: float) -> tuple[str, str]:
+        """Options for the part with the least delay, of those before and after a sudden change.
+
+        What lost rows is early from there on; what agrees with it there is no better for it.
+        """
+        before = abs(self.first) <= abs(self.first + self.change)
+        return ("--to", f"{start:.4g}") if before else ("--from", f"{stop:.4g}")
+
 
 def delay_course(
     parts: Sequence[Sequence[Piece]], edges: Sequence[int], count: int, whole: PairFit

@@ -5,6 +5,7 @@ it cannot tell, nor what both have in common, as a delay of both against the for
 """
 
 import itertools
+import shlex
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -259,26 +260,41 @@ def _zero(record: Record, pair: Pair) -> Finding:
     share = abs(value) * pair.step / pair.scale / pair.rms
     size = f"{value:.3g} {unit}".rstrip()
     both, doubt = (derivative, signal), min(share, 1.0)
-    rest = f"{100 * share:.2g} % of its rms, if the machine itself comes back to where it began."
+    formula = _without_zero(record, pair)
+    remedy = ("--derive", f"{derivative}={formula}") if derivative.isidentifier() else ()
+    rest = (
+        f"{100 * share:.2g} % of its rms. Take it off (on the command line: {shlex.join(remedy)})."
+    )
     if pair.drift:
         return Finding(
             "drifting_signal",
             f"{derivative} drifts by {size} over {float(record.elapsed[-1]):.4g} s against "
-            f"{signal}. --remove-drift {derivative} takes it off, {rest}",
+            f"{signal}, {rest}",
             both,
             doubt=doubt,
-            remedy=("--remove-drift", derivative),
+            remedy=remedy,
             step=f"Take the straight line off {derivative}",
         )
     return Finding(
         "velocity_offset",
-        f"{derivative} has an offset of {size} against {signal}, or {signal} drifts by that per "
-        f"second. --remove-offset {derivative} takes it off, {rest}",
+        f"{derivative} has an offset of {size} against {signal}, {rest} Or {signal} drifts by "
+        f"that per second.",
         both,
         doubt=doubt,
-        remedy=("--remove-offset", derivative),
+        remedy=remedy,
         step=f"Take the offset off {derivative}",
     )
+
+
+def _without_zero(record: Record, pair: Pair) -> str:
+    """A formula of the derivative less its offset and drift, which is not less its mean or line.
+
+    Those of a record are also the machine's, as far as it does not come back to where it began.
+    """
+    time, unit = np.asarray(record.time), pair.scale / pair.step
+    rate = pair.fit.drift * unit / float(record.elapsed[-1])
+    line = f"-({rate:.6g})*(t-{0.5 * (time[0] + time[-1]):.15g})" if pair.drift else ""
+    return f"{pair.derivative}-({pair.fit.offset * unit:.6g}){line}"
 
 
 def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
@@ -304,9 +320,9 @@ def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
         f"The delay of {pair.derivative} against {pair.signal} jumps {lasts} between {first:.4g} "
         f"and {last:.4g} s: {jumping} has lost {abs(course.change):.3g} \u00b1 {course.error:.1g} "
         f"samples ({1e3 * abs(course.change) * step:.3g} ms) there. Use the record up to there "
-        f"(--to {first:.4g}) or from there on (--from {last:.4g}).",
+        f"(--to {first:.4g}) or from there on (--from {last:.4g}), where both agree in time.",
         both,
         doubt=doubt,
-        remedy=("--to", f"{first:.4g}") if first > time[-1] - last else ("--from", f"{last:.4g}"),
-        step="Use the longer part of the record",
+        remedy=course.in_time(first, last),
+        step="Use the part of the record in which both agree in time",
     )
