@@ -85,7 +85,8 @@ def _keep_compiled() -> None:
 
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(base) / "riecjax" / processor()
+        # Earlier versions, which sealed nothing, kept theirs in a folder without the suffix.
+        folder = Path(base) / "riecjax" / f"{processor()}-sealed"
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):  # the latter where there is no home
         return
