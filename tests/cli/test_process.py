@@ -12,9 +12,10 @@ import pytest
 
 from riecjax.whole_files import LEFT_BEHIND
 
-# Run in the background, tests inherit that SIGINT is ignored, as their children then would.
+# In the background or under nohup tests inherit ignored signals, as their children then would.
 LISTENING = (
-    "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); "
+    "import os, signal, sys; "
+    "[signal.signal(each, signal.SIG_DFL) for each in (signal.SIGINT, signal.SIGHUP)]; "
     "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
 )
 BEGUN = """
