@@ -159,8 +159,6 @@ def _pieces(
 
 def _filled(values: np.ndarray) -> np.ndarray:
     """Spikes and short gaps replaced by local cubics."""
-    from scipy.interpolate import Akima1DInterpolator
-
     found = values.copy()
     if values.size > 9:
         around = np.lib.stride_tricks.sliding_window_view(values, 9)
@@ -171,6 +169,8 @@ def _filled(values: np.ndarray) -> np.ndarray:
             found[spikes] = np.nan
     missing = np.isnan(found)
     if missing.any() and np.sum(~missing) > 4:
+        from scipy.interpolate import Akima1DInterpolator  # half a second, which few records need
+
         at = np.arange(found.size)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
         short = np.zeros(found.size, bool)
