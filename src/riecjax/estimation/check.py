@@ -148,7 +148,7 @@ def check(
     recordings = ready(as_procedure(model), records, noise)
     asked = task(model, recordings, criterion, key)
     procedure, plain, criterion, _ = asked
-    read = [read_of(procedure, recording, criterion) for recording in recordings]
+    read = [read_of(procedure, one, criterion, summary is not None) for one in recordings]
     plan = plan_parameters(procedure, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
     summary = linearised(procedure, summary, plan.given)
@@ -171,11 +171,11 @@ def _constant(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> It
 
 
 def read_of(
-    procedure: Procedure, recording: Recording, criterion: AbstractCriterion
+    procedure: Procedure, recording: Recording, criterion: AbstractCriterion, summed: bool = False
 ) -> tuple[str, ...]:
     """Names of the signals that a criterion reads; errors name the recording."""
     with recording.explaining_errors():
-        return signals_read(procedure, recording.record, criterion)
+        return signals_read(procedure, recording.record, criterion, summed)
 
 
 def _sensors(
