@@ -7,7 +7,7 @@ it cannot tell, nor what both have in common, as a delay of both against the for
 import itertools
 import shlex
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.delay_course import SURE, Course, delay_course
 from riecjax.records.faults.pair_fit import SHORTEST_PIECE, PairFit, Piece, fit_pair
 from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.remembered import remembered
 
 LATE = 0.01
 """Samples of delay past which it matters."""
@@ -88,6 +89,12 @@ class Pair(NamedTuple):
         return self.fit.drift * self.scale / self.step if sure else 0.0
 
 
+def _compared(record: Record, signal: str, derivative: str) -> tuple[Any, ...]:
+    signals = (samples_with_nan(record, name) for name in (signal, derivative))
+    return signal, derivative, *signals, np.asarray(record.elapsed), float(record.time_step)
+
+
+@remembered(32, _compared)
 @np.errstate(all="ignore")
 def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
     """Fit a recorded derivative to its signal; `None` if the record does not tell. Not under jit.
