@@ -181,9 +181,12 @@ def test_a_clock_that_runs_slow_is_told_by_its_rate():
     assert f"{1e6 * one.course.change / one.course.place[1]:.3g} ppm" in finding.message
 
 
+ROWS = [(1, 2500), *nightly([(5, 2500)]), (5, 5000), (20, 2500)]
+
+
 @pytest.mark.raises_finding("lost_rows")
 @pytest.mark.no_finding("late_signal", "two_clocks")
-@pytest.mark.parametrize(("lost", "at"), [(1, 2500), *nightly([(5, 2500)]), (5, 5000)])
+@pytest.mark.parametrize(("lost", "at"), ROWS)
 def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
     one, (finding,) = delay_of(
         recorded(0, delay=-lost * np.heaviside(np.arange(SAMPLES) - at, 0.0))

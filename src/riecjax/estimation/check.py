@@ -192,12 +192,17 @@ def _sensors(
             for pair in equation.derivatives
             if set(pair) <= set(names)
         ]
+        of_signals = check_signals(record, names, computed=computed, pairs=pairs)
+        # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
+        held = {n for f in of_signals if f.code in ("stuck_sensor", "clipped") for n in f.signals}
+        of_pairs = [
+            finding
+            for finding in check_derivatives(record, pairs)
+            if finding.code != "wrong_gain" or not held & {*finding.signals}
+        ]
         findings += [
             finding._replace(message=prefix + finding.message)
-            for finding in (
-                *check_signals(record, names, computed=computed, pairs=pairs),
-                *check_derivatives(record, pairs),
-            )
+            for finding in (*of_signals, *of_pairs)
         ]
     return findings
 
