@@ -185,18 +185,14 @@ def _sensors(
     for i, (recording, names) in enumerate(zip(recordings, read)):
         prefix = f"record {i + 1}: " if len(recordings) > 1 else ""
         record, computed = recording.record, recording.computed
-        pairs = [
-            pair
-            for stage in procedure.stages
-            for equation in stage
-            for pair in equation.derivatives
-            if set(pair) <= set(names)
-        ]
+        pairs = [p for e in procedure.equations for p in e.derivatives if {*p} <= {*names}]
+        # Of an input that no equation reads, as a road, a recording may tell all the same.
+        known = [one for one in procedure.kinematics if {*one.names} <= {*record.arrays}]
         findings += [
             finding._replace(message=prefix + finding.message)
             for finding in (
                 *check_signals(record, names, computed=computed, pairs=pairs),
-                *check_derivatives(record, pairs),
+                *check_derivatives(record, [*pairs, *known]),
             )
         ]
     return findings
