@@ -32,6 +32,9 @@ OFFSET = 0.002
 """Share of the derivative's rms past which its offset, or its drift over the record, matters."""
 LIKELIER = 12.0
 """Gain in log-likelihood past which a delay is a filter's lag."""
+ROUGH = 0.5
+"""Mean square of a signal's steps, over its variance, past which none is looked at in a sum: of
+white noise it is 2, of noise up to an eighth of the sampling rate 0.2."""
 UNLIKE = 4.0
 """Times the expected noise past which what is left is looked at part by part."""
 FEWEST_CYCLES, CYCLES_OF_WINDOW = 1.0, 1.5
@@ -111,28 +114,34 @@ class Pair(NamedTuple):
         return self.fit.delay * self.step if self.is_late and not self.lagged else 0.0
 
     @property
+    def _sure(self) -> float:
+        """Standard errors that count: more where several may be wrong and none stands out."""
+        several = len(self.alike) + 1 == len(self.relation.names) > 2
+        return 2 * SURE if several else SURE
+
+    @property
     def is_late(self) -> bool:
         """Whether the derivative is surely late, or early, or lags, throughout the record."""
         by, error = self.fit.delay + self.fit.lag, self.fit.errors[0]
-        return self.course.kind == "steady" and abs(by) > max(LATE, SURE * error)
+        return self.course.kind == "steady" and abs(by) > max(LATE, self._sure * error)
 
     @property
     def gain_is_off(self) -> bool:
         """Whether the derivative's size is surely wrong."""
         return self.course.kind == "steady" and abs(self.fit.gain - 1) > max(
-            GAIN, SURE * self.fit.errors[1]
+            GAIN, self._sure * self.fit.errors[1]
         )
 
     @property
     def offset(self) -> float:
         """Of the derivative, in its unit, 0 unless it surely matters."""
-        sure = abs(self.fit.offset) > max(OFFSET * self.rms, SURE * self.fit.errors[2])
+        sure = abs(self.fit.offset) > max(OFFSET * self.rms, self._sure * self.fit.errors[2])
         return self.fit.offset * self.scale / self.step if sure else 0.0
 
     @property
     def drift(self) -> float:
         """Of the derivative over the record, in its unit, 0 unless it surely matters."""
-        sure = abs(self.fit.drift) > max(2 * OFFSET * self.rms, SURE * self.fit.errors[3])
+        sure = abs(self.fit.drift) > max(2 * OFFSET * self.rms, self._sure * self.fit.errors[3])
         return self.fit.drift * self.scale / self.step if sure else 0.0
 
 
@@ -154,6 +163,8 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     x = samples_with_nan(record, relation.signal)
     terms = {name: samples_with_nan(record, name) for name in relation.terms}
     step, count = float(record.time_step), x.size
+    if len(terms) > 1 and any(_is_rough(v) for v in terms.values()):
+        return None
     centre = np.nanmedian(x) if not np.isnan(x).all() else 0.0
     scale = float(np.nanquantile(np.abs(x - centre), 0.9)) if np.isfinite(centre) else 0.0
     if not (np.isfinite(scale) and scale > 0):
@@ -286,6 +297,11 @@ def _excess(held: dict[str, _Held], fits: dict[str, PairFit]) -> dict[str, float
         counted |= np.interp(omega, fit.left.omega, fit.counted) > 0.5
     logs = np.sum(np.log(powers), axis=1, where=counted)
     return dict(zip(fits, (logs - logs.min()).tolist()))
+
+
+def _is_rough(values: np.ndarray) -> bool:
+    """Whether a signal is so fast that its integral depends on what it does between samples."""
+    return bool(np.nanmean(np.diff(values) ** 2) > ROUGH * np.nanvar(values))
 
 
 def _pauses(record: Record) -> Float[np.ndarray, " pauses"]:

@@ -8,7 +8,7 @@ import numpy as np
 from riecjax.findings import Finding
 from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.derivative_pairs import Pair
-from riecjax.records.faults.relations import summed, with_sum
+from riecjax.records.faults.relations import with_sum
 from riecjax.records.record import Record
 
 
@@ -116,29 +116,26 @@ def _gain(pair: Pair) -> Finding:
 
 def _zero(record: Record, pair: Pair) -> Finding:
     """Of a drift, or else of an offset."""
-    names, motion = pair.relation.names, f"the derivative of {pair.signal}"
-    signal, derivative, factor = pair.signal, pair.derivative, 1.0
-    if len(names) > 2:
-        # Whose it is one relation cannot tell.
-        derivative, factor = pair.zeroed
+    names = pair.relation.names
+    derivative, factor = pair.zeroed
+    signal = pair.signal if len(names) == 2 else pair.relation.words(derivative)[1]
     value, unit = pair.drift or pair.offset, dict(record.units).get(derivative, "")
     share = abs(value) * pair.step / pair.scale / pair.rms
     size = f"{value * factor:.3g} {unit}".rstrip()
+    # Whose it is one relation cannot tell.
+    others = " or ".join(n for n in names if n not in (derivative, pair.signal))
+    whose = f" Or {others} has it, or {pair.signal} drifts." if others else ""
     both, doubt = (derivative, *(n for n in names if n != derivative)), min(share, 1.0)
     formula = _without_zero(record, pair, derivative, factor)
     remedy = ("--derive", f"{derivative}={formula}") if derivative.isidentifier() else ()
     rest = (
         f"{100 * share:.2g} % of its rms. Take it off (on the command line: {shlex.join(remedy)})."
     )
-    what, against = derivative, signal
-    if len(names) > 2:
-        what = f"{summed(pair.relation.of)}, if that is of {derivative},"
-        against = motion
     if pair.drift:
         return Finding(
             "drifting_signal",
-            f"{what} drifts by {size} over {float(record.elapsed[-1]):.4g} s against "
-            f"{against}, {rest}",
+            f"{derivative} drifts by {size} over {float(record.elapsed[-1]):.4g} s against "
+            f"{signal}, {rest}{whose}",
             both,
             doubt=doubt,
             remedy=remedy,
@@ -146,8 +143,8 @@ def _zero(record: Record, pair: Pair) -> Finding:
         )
     return Finding(
         "velocity_offset",
-        f"{what} has an offset of {size} against {against}, {rest} Or {signal} drifts by "
-        f"that per second.",
+        f"{derivative} has an offset of {size} against {signal}, {rest}"
+        f"{whose or f' Or {signal} drifts by that per second.'}",
         both,
         doubt=doubt,
         remedy=remedy,
