@@ -3,6 +3,10 @@
 Motions are sums of sines, exact at any time, so that what each fault does to them is, too.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -37,7 +41,10 @@ class Motion:
 
 
 def recorded(
-    seed: int = 0, noise: float = 0.01, count: int = COUNT, **faulty: np.ndarray
+    seed: int = 0,
+    noise: float = 0.01,
+    count: int = COUNT,
+    faulty: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> Record:
     motion, rng = Motion(seed), np.random.default_rng([seed, 1])
     clean = {name: motion.at(name, TIME) for name in motion.waves}
@@ -50,7 +57,7 @@ def recorded(
 
 
 def only(**faulty: np.ndarray) -> Finding:
-    (found,) = check_derivatives(recorded(**faulty), [DEFLECTION])
+    (found,) = check_derivatives(recorded(faulty=faulty), [DEFLECTION])
     return found
 
 
@@ -82,7 +89,7 @@ def test_the_late_one_is_named_and_brought_forward(name):
     found = only(**{name: late})
     assert (found.code, found.signals) == ("late_signal", (name,))
     assert float(found.remedy[1].partition("=")[2]) == pytest.approx(0.7 * STEP, rel=0.05)
-    record = recorded(**{name: late})
+    record = recorded(faulty={name: late})
     aligned = align(record, [DEFLECTION])
     assert [finding.signals for finding in aligned.findings] == [(name,)]
     assert check_derivatives(aligned.record, [DEFLECTION]) == []
@@ -124,14 +131,14 @@ def test_an_offset_or_a_drift_is_said_of_the_relation_and_taken_off():
         ("velocity_offset", np.full(COUNT, 0.1 * clean.std())),
         ("drifting_signal", 0.2 * clean.std() * (TIME / TIME[-1] - 0.5)),
     ):
-        record = recorded(x4=clean + more)
+        record = recorded(faulty={"x4": clean + more})
         (found,) = check_derivatives(record, [DEFLECTION])
         assert found.code == code
         assert {*found.signals} == {"x2", "x3", "x4"}
         name, _, formula = found.remedy[1].partition("=")
         columns = {n: np.asarray(v) for n, v in record.arrays.items()}
         mended = derived(formula, {**columns, "t": np.asarray(record.time)})
-        left = check_derivatives(record.with_signals({name: mended}), [DEFLECTION])
+        left = check_derivatives(record.with_signals({name: jnp.asarray(mended)}), [DEFLECTION])
         assert left == []
 
 
