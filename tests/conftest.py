@@ -5,6 +5,9 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+# As the command line has it, before NumPy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from riecjax.runtime import processor, start_jax
 
 ROOT = Path(__file__).parents[1]

@@ -217,3 +217,25 @@ def test_a_constant_beside_a_resting_signal_is_the_null_direction():
     found = check(model, still, CRITERION, key=KEY)
     (finding,) = [f for f in found.findings if f.code == "unidentifiable"]
     assert "0.71 k - 0.71 offset" in finding.message
+
+
+@pytest.mark.parametrize("held", ["clipped", "stuck_sensor"])
+def test_a_velocity_that_is_held_is_not_said_to_have_a_wrong_gain(held):
+    t = np.arange(8000) / 200
+    phases = np.random.default_rng(2).uniform(0, 2 * np.pi, 12)
+    omega = 2 * np.pi * np.linspace(0.3, 3, 12)[:, None]
+    x = np.sum(np.sin(omega * t + phases[:, None]), axis=0)
+    v = np.sum(omega * np.cos(omega * t + phases[:, None]), axis=0)
+    if held == "clipped":
+        v = np.clip(v, *(0.7 * np.max(np.abs(v)) * np.array([-1, 1])))
+    else:
+        v[5000:6000] = v[5000]
+    law = Equation(
+        Term("c", "x", derivative=1, measured=("v",)),
+        Term("c2", lambda signals: signals["v"] * jnp.abs(signals["v"])),
+        -Term(1.0, "F"),
+    )
+    record = Record.from_samples({"x": x, "v": v, "F": 20 * x + 3 * v}, time_step=0.005)
+    codes = {finding.code for finding in check(law, record, RIEC(AllWindows(0.05, 0.5))).findings}
+    assert held in codes
+    assert "wrong_gain" not in codes

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nightly import nightly
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import as_procedure
 from riecjax.equations.term import Term
@@ -79,7 +80,7 @@ def delay_of(record, model=AXIS):
 
 
 @pytest.mark.raises_finding("late_signal")
-@pytest.mark.parametrize("delay", [0.5, 1.0, 3.3, 11.0, -2.0])
+@pytest.mark.parametrize("delay", [0.5, *nightly([1.0, 3.3]), 11.0, -2.0])
 def test_a_delay_is_found_within_five_percent_of_a_sample(delay):
     one, (finding,) = delay_of(recorded(0, delay=delay))
     assert one.samples == pytest.approx(delay, abs=0.05)
@@ -180,9 +181,12 @@ def test_a_clock_that_runs_slow_is_told_by_its_rate():
     assert f"{1e6 * one.course.change / one.course.place[1]:.3g} ppm" in finding.message
 
 
+ROWS = [(1, 2500), *nightly([(5, 2500)]), (5, 5000), (20, 2500)]
+
+
 @pytest.mark.raises_finding("lost_rows")
 @pytest.mark.no_finding("late_signal", "two_clocks")
-@pytest.mark.parametrize(("lost", "at"), [(1, 2500), (5, 2500), (5, 5000)])
+@pytest.mark.parametrize(("lost", "at"), ROWS)
 def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
     one, (finding,) = delay_of(
         recorded(0, delay=-lost * np.heaviside(np.arange(SAMPLES) - at, 0.0))

@@ -17,6 +17,8 @@ SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"
 
 def main() -> None:
     """Run the command line and exit: 0 done, 1 no answer from these data, 2 wrong usage."""
+    # Matrices are small here: threads wait for one another for longer than they compute.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     open_standard_streams()
     end_on_signals()
     from riecjax.cli.main import main as run

@@ -148,7 +148,7 @@ def check(
     recordings = ready(as_procedure(model), records, noise)
     asked = task(model, recordings, criterion, key)
     procedure, plain, criterion, _ = asked
-    read = [read_of(procedure, recording, criterion) for recording in recordings]
+    read = [read_of(procedure, one, criterion, summary is not None) for one in recordings]
     plan = plan_parameters(procedure, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
     summary = linearised(procedure, summary, plan.given)
@@ -171,11 +171,11 @@ def _constant(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> It
 
 
 def read_of(
-    procedure: Procedure, recording: Recording, criterion: AbstractCriterion
+    procedure: Procedure, recording: Recording, criterion: AbstractCriterion, summed: bool = False
 ) -> tuple[str, ...]:
     """Names of the signals that a criterion reads; errors name the recording."""
     with recording.explaining_errors():
-        return signals_read(procedure, recording.record, criterion)
+        return signals_read(procedure, recording.record, criterion, summed)
 
 
 def _sensors(
@@ -188,12 +188,17 @@ def _sensors(
         pairs = [p for e in procedure.equations for p in e.derivatives if {*p} <= {*names}]
         # Of an input that no equation reads, as a road, a recording may tell all the same.
         known = [one for one in procedure.kinematics if {*one.names} <= {*record.arrays}]
+        of_signals = check_signals(record, names, computed=computed, pairs=pairs)
+        # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
+        held = {n for f in of_signals if f.code in ("stuck_sensor", "clipped") for n in f.signals}
+        of_pairs = [
+            finding
+            for finding in check_derivatives(record, [*pairs, *known])
+            if finding.code != "wrong_gain" or not held & {*finding.signals}
+        ]
         findings += [
             finding._replace(message=prefix + finding.message)
-            for finding in (
-                *check_signals(record, names, computed=computed, pairs=pairs),
-                *check_derivatives(record, [*pairs, *known]),
-            )
+            for finding in (*of_signals, *of_pairs)
         ]
     return findings
 

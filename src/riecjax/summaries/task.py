@@ -163,11 +163,12 @@ def require_key(key: object) -> None:
 
 
 def signals_read(
-    procedure: Procedure, record: Record, criterion: AbstractCriterion
+    procedure: Procedure, record: Record, criterion: AbstractCriterion, summed: bool = False
 ) -> tuple[str, ...]:
     """Names of the record's signals that a criterion reads for a procedure's equations.
 
-    Raises what `identify` would raise of this one record, before any arithmetic.
+    Raises what `identify` would raise of this one record, before any arithmetic; where it was
+    `summed`, that raised it.
 
     **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
     for an expression that fails, and for windows that hidden elements cannot have.
@@ -179,7 +180,8 @@ def signals_read(
         for equation in stage:
             with _saying_whose_derivative(equation):
                 read |= equation.signals_read(record, criterion.smoothness)
-            eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
+            if not summed:
+                eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
     return tuple(name for name in record.arrays if name in read)
 
 

@@ -27,7 +27,7 @@ SLIGHT = 0.05
 """Change in samples, as far as one to either side tells it, below which no more are tried."""
 LEAST = {"clocks": 0.1, "rows": 0.5}
 """Samples by which the delay changes at the least."""
-FARTHEST = 10
+FARTHEST = 20
 """Samples to either side of the delay of all that those of parts are looked for."""
 
 
@@ -49,7 +49,8 @@ def course_of(search: Search, middle: int, samples: float) -> FoundCourse | None
     if len(parts) < FEWEST:
         return None
     found = _found(search, parts, range(middle - 1, middle + 2), samples)
-    if found is None or found[1] < PERHAPS or abs(found[0].course.change) < SLIGHT:
+    # Parts whose delays are far from the middle one are not told by three delays next to it.
+    if found is not None and (found[1] < PERHAPS or abs(found[0].course.change) < SLIGHT):
         return None
     first, last = max(middle - FARTHEST, 1 - search.most), min(middle + FARTHEST, search.most - 1)
     found = _found(search, parts, range(first, last + 1), samples)

@@ -10,6 +10,7 @@ significant as well. They are no delay: with one, what was left beyond noise har
 Only a delay that explains nearly all of it is told.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -23,7 +24,6 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.faults.delay_course import Course
 from riecjax.records.record import Record
-from riecjax.summaries.task import signals_read
 from riecjax.validation.delay_courses import course_of
 from riecjax.validation.least_left import Search, Solved
 
@@ -133,17 +133,21 @@ def signal_delays(
         return []
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
     reach = min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
-    read = {n for each in records for n in signals_read(procedure, each, criterion)}
+    each = itertools.product(records, procedure.equations)
+    read = set().union(*(e.signals_read(r, criterion.smoothness) & {*r.arrays} for r, e in each))
     groups = _clocks(procedure, read)
     if reach < 3 or int(estimate.block_count) < FEWEST_GROUPS or not groups:
         return []
-    level = LEVEL / len(groups)
+    level, unmoved = LEVEL / len(groups), {}
 
     def search(signals: tuple[str, ...], undo: Undo, unit: float, most: int) -> Search:
         def undone(count: int) -> list[Record]:
             return [undo(each, signals, count * unit / step, reach) for each in records]
 
-        return Search(procedure, estimate, undone, most)
+        # Without a shift all are the same records. Filters describe their noise otherwise.
+        made = Search(procedure, estimate, undone, most, {**(unmoved if undo is advanced else {})})
+        unmoved.setdefault(0, made.sums(0))
+        return made
 
     def of(searched: Search, signals: tuple[str, ...], unit: float) -> SignalDelay | None:
         found = searched.found()

@@ -80,16 +80,16 @@ class Search:
     """The search for how much of a fault to undo, so that a fit leaves least.
 
     **Fields:** `undone`, the records with k times a unit of it taken off, all of one length;
-    `most`, the largest k.
+    `most`, the largest k; `kept`, sums by k, of which those of 0 may be another search's.
     """
 
     procedure: Procedure
     estimate: Estimate
     undone: Callable[[int], list[Record]]
     most: int
+    kept: dict[int, list[StageSums]]
 
     def __post_init__(self) -> None:
-        self.kept: dict[int, list[StageSums]] = {}
         zero, one = self.sums(0), self.sums(1)
         differ = (np.any(a.clean != b.clean) for a, b in zip(zero, one))
         self.reading = [i for i, other in enumerate(differ) if other]

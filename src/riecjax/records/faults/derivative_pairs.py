@@ -6,7 +6,7 @@ it cannot tell, nor what both have in common, as a delay of both against the for
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +21,7 @@ from riecjax.records.faults.pair_fit import (
 )
 from riecjax.records.faults.relations import Relation
 from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.remembered import remembered
 
 LATE = 0.01
 """Samples of delay past which it matters."""
@@ -145,7 +146,6 @@ class Pair(NamedTuple):
         return self.fit.drift * self.scale / self.step if sure else 0.0
 
 
-@np.errstate(all="ignore")
 def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
     """Fit a recorded derivative to its signal; `None` if the record does not tell. Not under jit.
 
@@ -154,6 +154,12 @@ def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
     return compare(record, Relation(signal, ((derivative, 1.0),)))
 
 
+def _compared(record: Record, relation: Relation) -> tuple[Any, ...]:
+    signals = (samples_with_nan(record, name) for name in relation.names)
+    return relation, *signals, np.asarray(record.elapsed), float(record.time_step)
+
+
+@remembered(32, _compared)
 @np.errstate(all="ignore")
 def compare(record: Record, relation: Relation) -> Pair | None:
     """The same of any relation: each of its signals is fitted to what the others say it should be.
@@ -239,8 +245,9 @@ def _held(
         x, v, u = x / factors[suspect], terms[suspect], sum(rest[1:], rest[0]) if rest else None
     else:
         v = sum((c * terms[n] for n, c in relation.of), np.zeros(count))
-    pieces = list(_pieces(x, v, u, 0, count, breaks, MOST_SAMPLES))
-    if pieces and len(relation.suspects) > 1:
+    several = len(relation.suspects) > 1
+    pieces = list(_pieces(x, v, u, 0, count, breaks, MOST_SAMPLES // (1 + several)))
+    if several and pieces:
         size = apparent_gain(pieces)
         v, pieces = v / size, [p._replace(v=p.v / size) for p in pieces]
     every = [p.v if p.u is None else p.v - p.u for p in pieces]
@@ -337,8 +344,6 @@ def _pieces(
 
 def _filled(values: np.ndarray) -> np.ndarray:
     """Spikes and short gaps replaced by local cubics."""
-    from scipy.interpolate import Akima1DInterpolator
-
     found = values.copy()
     if values.size > 9:
         around = np.lib.stride_tricks.sliding_window_view(values, 9)
@@ -349,6 +354,8 @@ def _filled(values: np.ndarray) -> np.ndarray:
             found[spikes] = np.nan
     missing = np.isnan(found)
     if missing.any() and np.sum(~missing) > 4:
+        from scipy.interpolate import Akima1DInterpolator  # half a second, which few records need
+
         at = np.arange(found.size)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
         short = np.zeros(found.size, bool)

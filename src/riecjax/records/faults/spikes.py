@@ -18,18 +18,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from riecjax.records.faults.local_fits import LONGEST, NORMAL, SUSPECT, Around, Local, fits, medians
 from riecjax.records.noise import DIFFERENCE_ORDER
+from riecjax.records.remembered import remembered
 from riecjax.records.resolution import (
     FEW_LEVELS,
-    LAST_DIGITS,
     ROUNDING,
     is_piecewise_linear,
     levels_of,
     resolution_of,
 )
 
-SUSPECT = 4.5
-"""Standard deviations past which a sixth difference makes suspects of the samples around it."""
 SPIKE = 6.0
 """Standard deviations that a spike is off the polynomial at the least."""
 MOST_SUSPECTS = 0.8
@@ -40,8 +39,6 @@ that lie nearest to samples left out: a cubic has 0.37 of the noise in its middl
 Motion quicker than the last shows in sixth differences too."""
 FEWEST = 20
 """Samples below which nothing is looked for."""
-LONGEST = 3
-"""Neighbouring samples past which it is no spike."""
 BLOCK = 128
 """Samples over which noise is taken to be alike."""
 STEADIEST = 0.1
@@ -55,74 +52,16 @@ TAIL = 2.0
 long tails, of which no line separates spikes."""
 BY_CHANCE = 3
 """More of them that may be by chance."""
-CLEAR = 5.0
-"""Times that a spike is further off the polynomial than all samples around it are (rms)."""
-NEIGHBOUR = 4.0
-"""The same of the nearest sample on each side, which at a step is off one that spans it."""
 FEW, TAIL_BLOCK, USUAL_TAIL = 0.03, 1024, 3.0
 """A spike adds two thirds of its size to a difference; that is to be twice what three in a hundred
 of them reach nearby once spikes are taken out. In white noise this asks for 6.5 of its standard
 deviations, and among corners, kicks or steps for more than is usual there."""
-TUKEY = 4.685
-"""Scales past which a sample has no weight."""
-AT_ONCE = 2**16
-"""Polynomials that are fitted side by side, for what memory they take."""
-ROUNDS, FIRST, PASSES = 8, 3, 12
-"""Times that weights are found anew, the first of them for the least sum of absolute values; and
-that suspects are, once spikes do not hide others."""
+PASSES = 12
+"""Times that suspects are found anew, once spikes do not hide others."""
 LARGEST = 1e60
 """Robust scales at which values are cut off, so that their squares are numbers."""
-RIDGE = 1e-9
-"""What keeps a fit through fewer samples than coefficients from a division by zero."""
 GAIN = float(np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2)))
-NORMAL = 0.6745
-"""Median size of a standard normal variable."""
-
-
-class _Local(NamedTuple):
-    """Polynomials of one degree over the samples of a window.
-
-    **Fields:** `offsets` of its samples; orthonormal `columns`, shape `(samples, degree + 1)`;
-    `products` of each two, a row for each sample.
-    """
-
-    offsets: Int[np.ndarray, " samples"]
-    columns: Float[np.ndarray, "samples coefficients"]
-    products: Float[np.ndarray, "samples pairs"]
-
-    @classmethod
-    def of(cls, degree: int, beside: int) -> "_Local":
-        offsets = np.arange(-beside, beside + 1)
-        columns = np.linalg.qr((offsets[:, None] / beside) ** np.arange(degree + 1))[0]
-        products = columns[:, :, None] * columns[:, None, :]
-        return cls(offsets, columns, products.reshape(offsets.size, -1))
-
-    @property
-    def beside(self) -> int:
-        """Samples to each side."""
-        return self.offsets.size // 2
-
-    def off(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """How far each sample is off the one through all, over its gain for white noise.
-
-        0 where its window has gaps or ends.
-        """
-        taps = self.columns @ self.columns[self.beside]
-        taps[self.beside] -= 1
-        off = np.abs(np.convolve(values, taps[::-1], "valid")) / np.linalg.norm(taps)
-        return np.pad(np.nan_to_num(off), self.beside)
-
-    @property
-    def gain(self) -> float:
-        """Times `off` that a sample is off the one through the others."""
-        return float(1 / np.sqrt(1 - np.sum(self.columns[self.beside] ** 2)))
-
-    def error(self, values: Float[np.ndarray, " n"]) -> float:
-        """How far samples mostly are off the one through the others."""
-        return float(self.gain * np.median(self.off(values)))
-
-
-_LOCAL = [_Local.of(degree, beside) for degree, beside in SHAPES]
+_LOCAL = [Local.of(degree, beside) for degree, beside in SHAPES]
 
 
 class Spikes(NamedTuple):
@@ -139,6 +78,7 @@ class Spikes(NamedTuple):
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
+@remembered(64, lambda values: (np.asarray(values, float),))
 @np.errstate(all="ignore")
 def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
@@ -158,7 +98,7 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     if not places.size:
         return none
     stretch = np.cumsum(np.isnan(scaled))
-    repaired = _fits(np.where(found, np.nan, scaled), places, noise, stretch, local)[0]
+    repaired = fits(np.where(found, np.nan, scaled), places, noise, stretch, local).value
     repaired = centre + scale * repaired
     return Spikes(places, repaired, np.abs(values[places] - repaired), scale * noise[places])
 
@@ -191,11 +131,12 @@ def _beyond_all(values: np.ndarray) -> Spikes | None:
 
 
 def _judged(
-    scaled: Float[np.ndarray, " n"], quantum: float, local: _Local
+    scaled: Float[np.ndarray, " n"], quantum: float, local: Local
 ) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Which samples are spikes, and the noise around each."""
     cleaned, sizes = scaled.copy(), np.zeros(scaled.size)
     noise, stretch = sizes, np.cumsum(np.isnan(scaled))
+    around = Around(stretch, local)
     for _ in range(PASSES):
         sixth = np.abs(np.diff(cleaned, DIFFERENCE_ORDER)) / GAIN
         noise = _local_noise(sixth, scaled.size, quantum)
@@ -208,7 +149,7 @@ def _judged(
         if not 0 < suspects.size <= MOST_SUSPECTS * scaled.size:
             break
         held = np.where(sizes > 0, np.nan, scaled)
-        fit, scale, _ = _fits(held, suspects, noise, stretch, local)
+        fit, scale, *_ = around.at(held, suspects, noise)
         off = np.abs(scaled[suspects] - fit)
         # A spike spoils the polynomials of its neighbours: the largest first.
         largest = np.zeros(scaled.size)
@@ -217,11 +158,12 @@ def _judged(
         if not new.any():
             break
         sizes[suspects[new]], cleaned[suspects[new]] = (off / scale)[new], fit[new]
+        around.forget(suspects[new])
     found = (sizes > 0) & ~_in_runs_beyond(sizes > 0, LONGEST)
     off = sizes
     for _ in range(2):  # what is dropped tells more of those beside it
         places, cleaned = np.flatnonzero(found), np.where(found, np.nan, scaled)
-        fit, scale, clear = _fits(cleaned, places, noise, stretch, local)
+        fit, scale, clear, _ = fits(cleaned, places, noise, stretch, local)
         cleaned[places] = fit
         off = np.abs(scaled - cleaned)
         found[places] &= off[places] > np.maximum(clear, SPIKE / 2 * scale)
@@ -248,7 +190,7 @@ def _local_noise(sixth: np.ndarray, count: int, quantum: float) -> np.ndarray:
 def _local(sizes: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, " count"]:
     """Standard deviation of what has these sizes, around each of so many samples."""
     rows = _rows(sizes, BLOCK)
-    return _spread_out(_medians(rows) / NORMAL, rows.shape[1], count)
+    return _spread_out(medians(rows) / NORMAL, rows.shape[1], count)
 
 
 def _tail(sixth: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, " count"]:
@@ -270,82 +212,6 @@ def _spread_out(values: Float[np.ndarray, " blocks"], length: int, count: int) -
     """Of each of so many samples what its block of a length has."""
     local = np.repeat(values, length)
     return np.pad(local, (0, max(count - local.size, 0)), mode="edge")[:count]
-
-
-def _medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
-    """Of each row what is no NaN; NaN where nothing is."""
-    ordered = np.sort(rows, axis=1)
-    count = np.sum(~np.isnan(rows), axis=1)
-    at = np.arange(len(rows))
-    return (
-        ordered[at, np.maximum(count - 1, 0) // 2] + ordered[at, count // 2 % rows.shape[1]]
-    ) / 2
-
-
-def _fits(
-    values: Float[np.ndarray, " n"],
-    places: Int[np.ndarray, " k"],
-    noise: Float[np.ndarray, " n"],
-    stretch: Int[np.ndarray, " n"],
-    local: _Local,
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """At each place the polynomial through the other samples of its unbroken stretch.
-
-    **Returns:** its value, the standard deviation off it, and by how much a spike stands clear of
-    all others.
-    """
-    parts = np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE))
-    value, scale, clear = zip(
-        *(_fits_at_once(values, part, noise, stretch, local) for part in parts)
-    )
-    return np.concatenate(value), np.concatenate(scale), np.concatenate(clear)
-
-
-def _fits_at_once(
-    values: np.ndarray, places: np.ndarray, noise: np.ndarray, stretch: np.ndarray, local: _Local
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    near = places[:, None] + local.offsets
-    inside = np.clip(near, 0, values.size - 1)
-    there = (near == inside) & (stretch[inside] == stretch[places][:, None])
-    there &= (local.offsets != 0) & ~np.isnan(values[inside])
-    window = np.where(there, values[inside], np.nan)
-    least = noise[places] + LAST_DIGITS * (1 + np.abs(_medians(window)))
-    window = np.where(there, window, 0.0)
-    off = np.where(there, np.abs(window - _running_median(values, inside)), np.nan)
-    start = there * (off <= SUSPECT * np.fmax(least, _medians(off) / NORMAL)[:, None])
-    weight, gram, found, scale = start, *(np.zeros(0) for _ in range(3))
-    count, middle = local.columns.shape[1], local.columns[local.beside]
-    for i in range(ROUNDS):
-        gram = (weight @ local.products).reshape(-1, count, count) + RIDGE * np.eye(count)
-        found = np.linalg.solve(gram, ((weight * window) @ local.columns)[:, :, None])[:, :, 0]
-        off = np.where(there, np.abs(window - found @ local.columns.T), np.nan)
-        scale = np.fmax(least, _medians(off) / NORMAL)
-        share = np.nan_to_num(off) / scale[:, None]
-        # Absolute values first, whose least sum is one, so that weights do not settle elsewhere.
-        weight = (
-            start / np.maximum(share, 1.0)
-            if i < FIRST
-            else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
-        )
-    enough = np.sum(weight > 0, axis=1) > count
-    reach = np.linalg.solve(gram, np.broadcast_to(middle[:, None], (len(gram), count, 1)))
-    reach = reach[:, :, 0] @ middle
-    clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
-    before, after = off[:, : local.beside], off[:, local.beside + 1 :]
-    for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
-        nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
-        clear = np.fmax(clear, NEIGHBOUR * nearest)
-    return found @ middle, np.where(enough, scale, np.inf) * np.sqrt(1 + reach), clear
-
-
-def _running_median(
-    values: Float[np.ndarray, " n"], near: Int[np.ndarray, "k n"]
-) -> Float[np.ndarray, "k n"]:
-    """Of the seven samples around each of these, which no spike of up to three samples moves."""
-    used, where = np.unique(near, return_inverse=True)
-    padded = np.pad(values, LONGEST, constant_values=np.nan)
-    rows = np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used]
-    return _medians(rows)[where].reshape(near.shape)
 
 
 def _running_maximum(values: Float[np.ndarray, " n"], beside: int) -> Float[np.ndarray, " n"]:

@@ -1,0 +1,54 @@
+"""Answers that are kept by the content of what they were made of, so that none is found twice.
+
+A file is looked at when it is read and its record again when it is assessed, mostly unchanged.
+"""
+
+import functools
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+Given = ParamSpec("Given")
+Answer = TypeVar("Answer")
+
+
+def remembered(
+    most: int, made_of: Callable[Given, tuple[Any, ...]]
+) -> Callable[[Callable[Given, Answer]], Callable[Given, Answer]]:
+    """A function that keeps its last answers, `most` of them, which nobody may change.
+
+    **Arguments:** `made_of`: of its arguments the arrays, numbers and words that the answer
+    depends on.
+    """
+
+    def decorated(function: Callable[Given, Answer]) -> Callable[Given, Answer]:
+        kept: OrderedDict[bytes, Answer] = OrderedDict()
+
+        @functools.wraps(function)
+        def found(*args: Given.args, **kwargs: Given.kwargs) -> Answer:
+            key = _digest(made_of(*args, **kwargs))
+            # Of two threads both may find it, which does no harm.
+            answer = kept[key] if key in kept else function(*args, **kwargs)
+            kept[key] = answer
+            kept.move_to_end(key)
+            while len(kept) > most:
+                kept.popitem(last=False)
+            return answer
+
+        return found
+
+    return decorated
+
+
+def _digest(parts: tuple[Any, ...]) -> bytes:
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype.str}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
+        else:
+            digest.update(f"{type(part).__name__} {part!r}\0".encode())
+    return digest.digest()
