@@ -98,7 +98,7 @@ def test_the_late_one_is_named_and_brought_forward(name):
 @pytest.mark.raises_finding("low_passed")
 @pytest.mark.parametrize("name", ["x3", "x4"])
 def test_the_filtered_one_is_named(name):
-    found = only(**{name: Motion(0).at(name, TIME, lag=2 * STEP)})
+    found = only(**{name: Motion(0).at(name, TIME, lag=6 * STEP)})
     assert (found.code, found.signals) == ("low_passed", (name,))
 
 

@@ -370,10 +370,12 @@ def _low_pass(pieces: Sequence[Piece], count: int, delayed: PairFit) -> PairFit 
     lag = fit_pair(pieces, count, lagged=True)
     if lag is None or not np.isfinite(lag.errors).all() or abs(lag.lag) < SURE * lag.errors[0]:
         return None
-    # The likelihood of noise whose power is what is left.
+    # The likelihood of noise whose power is what is left. A filter makes less of that of terms.
+    known = any(piece.u is not None for piece in pieces)
     power, counted = (
         np.interp(delayed.left.omega, lag.left.omega, column)
-        for column in (lag.left.smoothed, lag.counted)
+        for column in (lag.left.unlike if known else lag.left.smoothed, lag.counted)
     )
     both = delayed.counted & (counted > 0.5)
-    return lag if np.sum(np.log(delayed.left.smoothed / power)[both]) > LIKELIER else None
+    left = delayed.left.unlike if known else delayed.left.smoothed
+    return lag if np.sum(np.log(left / power)[both]) > LIKELIER else None
