@@ -11,12 +11,14 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
 from riecjax.findings import Finding
 from riecjax.records import shift
-from riecjax.records.faults.derivative_pairs import Pair, compare_pair
+from riecjax.records.faults.derivative_pairs import Pair, compare
+from riecjax.records.faults.relations import Relation, relations
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.uncertainty.intervals import Naive
 
-IN_TIME, IN_SIZE = ("late_signal", "low_passed"), ("wrong_gain",)
+IN_TIME = ("late_signal", "low_passed")
+IN_SIZE = ("wrong_gain", "not_its_derivative")
 IN_ZERO = ("velocity_offset", "drifting_signal")
 
 
@@ -42,8 +44,7 @@ def with_doubts(asked: Asked, estimate: Estimate, checked: Check) -> Check:
 
 def _moved(asked: Asked, estimate: Estimate, code: str) -> dict[str, float]:
     """Share by which each parameter moves once the pairs of all records have no such fault."""
-    equations = asked.procedure.equations
-    pairs = list(dict.fromkeys(pair for one in equations for pair in one.derivatives))
+    pairs = list(relations(asked.procedure.derivatives))
     try:
         records = [_without(record, pairs, code) for record in asked.records]
         again = identify(
@@ -63,9 +64,9 @@ def _moved(asked: Asked, estimate: Estimate, code: str) -> dict[str, float]:
     }
 
 
-def _without(record: Record, pairs: Sequence[tuple[str, str]], code: str) -> Record:
-    for names in pairs:
-        if set(names) <= set(record.arrays) and (pair := compare_pair(record, *names)) is not None:
+def _without(record: Record, pairs: Sequence[Relation], code: str) -> Record:
+    for one in pairs:
+        if {*one.names} <= {*record.arrays} and (pair := compare(record, one)) is not None:
             record = _mended(record, pair, code)
     return record
 
@@ -73,13 +74,15 @@ def _without(record: Record, pairs: Sequence[tuple[str, str]], code: str) -> Rec
 def _mended(record: Record, pair: Pair, code: str) -> Record:
     late = (pair.fit.delay + pair.fit.lag) * pair.step
     if code in IN_TIME:
-        which = pair.derivative if late > 0 else pair.signal
-        return shift(record, {which: abs(late)}) if pair.is_late else record
-    values, noise = samples_with_nan(record, pair.derivative), record.noise
+        which = pair.relation.side(pair.suspect)[0 if late > 0 else 1]
+        return shift(record, dict.fromkeys(which, abs(late))) if pair.is_late else record
+    name, factor, zero = pair.suspect, 1.0, 0.0
     if code in IN_SIZE:
-        factor = 1 / pair.fit.gain if pair.gain_is_off else 1.0
-        values = factor * values
-        noise = noise.filtered(pair.derivative, np.array([factor]))
+        factor = pair.scaling if pair.gain_is_off else 1.0
     else:
-        values = values - pair.offset - pair.drift * (np.arange(values.size) / values.size - 0.5)
-    return with_gaps(record, {pair.derivative: values}, noise=noise)
+        name, size = pair.zeroed
+        course = np.arange(record.sample_count) / record.sample_count - 0.5
+        zero = size * (pair.offset + pair.drift * course)
+    noise = record.noise.filtered(name, np.array([factor])) if factor != 1 else record.noise
+    values = factor * samples_with_nan(record, name) - zero
+    return with_gaps(record, {name: values}, noise=noise)

@@ -12,12 +12,14 @@ from typing import Literal, Protocol, TypeAlias
 import equinox as eqx
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression
 from riecjax.equations.hidden_modes import (
     Expanded,
     HiddenMode,
     ModeParameters,
     is_hidden_name,
 )
+from riecjax.equations.kinematics import relation_of
 from riecjax.equations.sensor_errors import with_unknown_gain, with_unknown_offset
 from riecjax.equations.series_springs import (
     SeriesSpring,
@@ -28,6 +30,7 @@ from riecjax.equations.series_springs import (
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
+from riecjax.records.faults.relations import Relation
 from riecjax.records.record import Record
 from riecjax.shows import Shown
 
@@ -41,13 +44,31 @@ class Procedure(Shown, eqx.Module):
 
     `modes` are hidden in every equation that accelerates their bodies, see
     [`Procedure.with_modes`][], and `springs` stand in series with force elements, see
-    [`Procedure.with_series_springs`][]; `at_rest`, see [`AtRest`][riecjax.equations.AtRest].
+    [`Procedure.with_series_springs`][]; `at_rest`, see [`AtRest`][riecjax.equations.AtRest];
+    `kinematics`, see [`Procedure.with_rates`][].
     """
 
     stages: tuple[tuple[Equation, ...], ...]
     modes: tuple[HiddenMode, ...] = ()
     springs: tuple[SeriesSpring, ...] = ()
     at_rest: AtRest = eqx.field(static=True, default="mask")
+    kinematics: tuple[Relation, ...] = eqx.field(static=True, default=())
+
+    @property
+    def derivatives(self) -> tuple[tuple[str, str] | Relation, ...]:
+        """Signals with those that are their time derivatives, alone or as a sum."""
+        pairs = (pair for equation in self.equations for pair in equation.derivatives)
+        return tuple(dict.fromkeys((*pairs, *self.kinematics)))
+
+    def with_rates(self, rates: Mapping[str, Expression]) -> "Procedure":
+        """The same equations, knowing what the time derivatives of some signals are.
+
+        `rates` are expressions by signal, such as `{"x2": rx.difference("x3", "x4")}`. Where they
+        are sums of signals with constant factors, recordings are held against them: which signal is
+        late, or wrong in size, sign, unit or zero. Others are left out.
+        """
+        found = (relation_of(name, rate) for name, rate in rates.items())
+        return replace(self, kinematics=(*self.kinematics, *(one for one in found if one)))
 
     def with_modes(self, *modes: HiddenMode) -> "Procedure":
         """The same equations with oscillators that they leave out.

@@ -185,19 +185,15 @@ def _sensors(
     for i, (recording, names) in enumerate(zip(recordings, read)):
         prefix = f"record {i + 1}: " if len(recordings) > 1 else ""
         record, computed = recording.record, recording.computed
-        pairs = [
-            pair
-            for stage in procedure.stages
-            for equation in stage
-            for pair in equation.derivatives
-            if set(pair) <= set(names)
-        ]
+        pairs = [p for e in procedure.equations for p in e.derivatives if {*p} <= {*names}]
+        # Of an input that no equation reads, as a road, a recording may tell all the same.
+        known = [one for one in procedure.kinematics if {*one.names} <= {*record.arrays}]
         of_signals = check_signals(record, names, computed=computed, pairs=pairs)
         # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
         held = {n for f in of_signals if f.code in ("stuck_sensor", "clipped") for n in f.signals}
         of_pairs = [
             finding
-            for finding in check_derivatives(record, pairs)
+            for finding in check_derivatives(record, [*pairs, *known])
             if finding.code != "wrong_gain" or not held & {*finding.signals}
         ]
         findings += [

@@ -51,7 +51,8 @@ class Model(Shown):
     - `band`: lowest and highest frequency in hertz that the model should explain. Windows are half
       its periods long (eq. 26) unless other lengths are asked for.
     - `rates`: of states whose derivative no equation holds, such as x1' = v_r - x3: signal to an
-      expression, a function or `module:function`. With them the equations are simulated, driven by
+      expression, a function or `module:function`. Recordings are held against them, see
+      [`Procedure.with_rates`][]. With them the equations are simulated, driven by
       `inputs`, where the model's own system knows nothing of hidden elements.
     - `written`: signals that a simulated recording holds; all by default.
     - `note`: something a user should know before using it.
@@ -166,6 +167,7 @@ class Model(Shown):
         if not isinstance(built, Equation | Procedure):
             raise ModelError(f"{self.name}: its procedure must build an Equation or a Procedure.")
         procedure = staged(built) if isinstance(built, Equation) else built
+        procedure = procedure.with_rates({n: _resolve(rate) for n, rate in self.rates.items()})
         return procedure.with_modes(*self.modes).with_series_springs(*self.springs)
 
     def build_system(self, settings: Mapping[str, float]) -> AbstractSystem:

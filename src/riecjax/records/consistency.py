@@ -6,7 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.faults.derivative_pairs import compare_pair, pair_findings
+from riecjax.records.faults.derivative_pairs import Pair, compare
+from riecjax.records.faults.pair_findings import pair_findings
+from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.noise import noise_level
 from riecjax.records.record import Record, samples_with_nan
 
@@ -20,14 +22,17 @@ ALIKE = 0.95
 """Correlation of increments, of either sign, past which they belong to one motion."""
 UNRELATED = 0.5
 """Correlation below which two signals do not belong to each other."""
+TOLD = 10.0
+"""Standard errors that a gain has to be for one signal to explain what is amiss with several."""
 GAIN = 0.1
 """Share by which sensors of one motion may differ in gain: more than any calibration leaves."""
 
 
-def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[Finding]:
+def check_derivatives(record: Record, pairs: Pairs) -> list[Finding]:
     """Compare the increments of signals with the integrals of their derivatives.
 
-    Each pair names a signal and the signal that holds its derivative. The comparison is made over
+    Each pair names a signal and the signal that holds its derivative, or is a relation with
+    several whose sum does. The comparison is made over
     the lag at which they agree best: noise hides short increments of a position, and an offset
     that drifts spoils long integrals of a velocity. Constant offsets do not matter. Where they
     agree but for little, a fit over frequencies tells how little. Codes: `not_its_derivative`,
@@ -38,14 +43,28 @@ def check_derivatives(record: Record, pairs: Iterable[tuple[str, str]]) -> list[
     **Raises:** `DataError` for a signal that the record lacks.
     """
     found: list[Finding] = []
-    for signal, derivative in dict.fromkeys(pairs):
-        if record.noise.is_made_of(derivative, signal):
+    for relation in relations(pairs):
+        if any(record.noise.is_made_of(name, relation.signal) for name in relation.terms):
             continue
-        wrong = disagreement(record, signal, derivative)
-        pair = compare_pair(record, signal, derivative) if wrong is None else None
+        wrong, pair = compared(record, relation)
         found += [wrong] if wrong is not None else []
         found += [] if pair is None else pair_findings(record, pair)
-    return found
+    return list({(one.code, one.signals): one for one in reversed(found)}.values())[::-1]
+
+
+def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair | None]:
+    """What is grossly wrong with a relation, or else how its signals fit each other.
+
+    **Raises:** `DataError` for a signal that the record lacks.
+    """
+    if len(relation.of) == 1 and relation.of[0][1] == 1:
+        wrong = disagreement(record, relation.signal, relation.terms[0])
+        return wrong, compare(record, relation) if wrong is None else None
+    pair = compare(record, relation)
+    if pair is not None and abs(pair.fit.gain) > TOLD * pair.fit.errors[1]:
+        return None, pair
+    wrong = disagreement(*with_sum(record, relation))
+    return wrong and wrong._replace(signals=relation.names), None
 
 
 # Values too large to be squared are for the fit to refuse.

@@ -47,19 +47,24 @@ class Course(NamedTuple):
 
 
 def delay_course(
-    parts: Sequence[Sequence[Piece]], edges: Sequence[int], count: int, whole: PairFit
+    parts: Sequence[Sequence[Piece]],
+    edges: Sequence[int],
+    count: int,
+    whole: PairFit,
+    alone: Sequence[PairFit | None] | None = None,
 ) -> tuple[Course, float]:
     """How the delay changes from part to part, and how much more it scatters than its errors say.
 
-    **Arguments:** `parts` of the record between these `edges`; `whole`, the fit to all of it.
+    **Arguments:** `parts` of the record between these `edges`; `whole`, the fit to all of it;
+    `alone`, those to the parts, where they are known to differ.
     """
     fits = [fit_pair(part, count, start=whole, known=whole.left, steps=1) for part in parts]
     delays = _delays(fits, edges)
     steady, spread = _steady(delays)
-    if delays.shape[1] < FEWEST_PARTS or steady < UNEVEN:
+    if delays.shape[1] < FEWEST_PARTS or (alone is None and steady < UNEVEN):
         return Course(), spread
     # Too far apart for one step from the same start.
-    alone = [fit_pair(part, count) for part in parts]
+    alone = [fit_pair(part, count) for part in parts] if alone is None else alone
     again = _pooled([fit for fit in alone if fit is not None])
     fits = [
         None if fit is None else fit_pair(part, count, start=fit, known=again(fit), steps=2)

@@ -5,28 +5,39 @@ it cannot tell, nor what both have in common, as a delay of both against the for
 """
 
 import itertools
-import shlex
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.findings import Finding
-from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.delay_course import SURE, Course, delay_course
-from riecjax.records.faults.pair_fit import SHORTEST_PIECE, PairFit, Piece, fit_pair
+from riecjax.records.faults.pair_fit import (
+    SHORTEST_PIECE,
+    PairFit,
+    Piece,
+    apparent_gain,
+    fit_pair,
+)
+from riecjax.records.faults.relations import Relation
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.remembered import remembered
 
 LATE = 0.01
 """Samples of delay past which it matters."""
+GROSS = 0.1
+"""Share by which sensors of one motion may differ in gain: more than any calibration leaves."""
 GAIN = 0.01
 """Share by which a gain must be off; more than a calibration leaves is 2 %."""
 OFFSET = 0.002
 """Share of the derivative's rms past which its offset, or its drift over the record, matters."""
 LIKELIER = 12.0
 """Gain in log-likelihood past which a delay is a filter's lag."""
+ROUGH = 0.5
+"""Mean square of a signal's steps, over its variance, past which none is looked at in a sum: of
+white noise it is 2, of noise up to an eighth of the sampling rate 0.2."""
+UNLIKE = 4.0
+"""Times the expected noise past which what is left is looked at part by part."""
 FEWEST_CYCLES, CYCLES_OF_WINDOW = 1.0, 1.5
 """Of the motion, in a record and in a part of it: on less, offset, drift and delay are alike."""
 WINDOWS, SHORTEST_WINDOW = 12, 250
@@ -42,21 +53,61 @@ MOST_SPIKES = 0.05
 
 
 class Pair(NamedTuple):
-    """How a recorded derivative follows its signal.
+    """How a signal follows what it should be by a relation, the derivative of another at its
+    simplest.
 
-    **Fields:** `signal`, `derivative`; `fit`, in samples and units of the signal's `scale`;
-    `lagged` where a low-pass describes it better than a delay; `course` of the delay; `rms` of the
-    derivative, in the fit's unit; `step` of time in seconds.
+    **Fields:** `relation`; `suspect`, the one of its signals that alone explains best what is
+    amiss; `fit` of it, or of the sum if it is the signal that is differentiated, in samples and
+    units of the signal's `scale`; `lagged` where a low-pass describes it better than a delay;
+    `course` of the delay; `rms` of the derivative, in the fit's unit; `step` of time in seconds;
+    `alike`, signals that explain it hardly worse.
     """
 
-    signal: str
-    derivative: str
+    relation: Relation
+    suspect: str
     fit: PairFit
     lagged: bool
     course: Course
     scale: float
     rms: float
     step: float
+    alike: tuple[str, ...] = ()
+
+    @property
+    def signal(self) -> str:
+        """What the derivative is of."""
+        return self.relation.signal
+
+    @property
+    def derivative(self) -> str:
+        """The suspect, or the sum, in words."""
+        return self.relation.words(self.suspect)[0]
+
+    @property
+    def is_gross(self) -> bool:
+        """Whether the gain is no calibration's."""
+        return abs(self.fit.gain - 1) > GROSS
+
+    @property
+    def scaling(self) -> float:
+        """What the suspect has to be multiplied by."""
+        return self.fit.gain ** (1 if self.suspect == self.signal else -1)
+
+    @property
+    def zeroed(self) -> tuple[str, float]:
+        """A signal whose offset would explain the fit's, and how many of it that is.
+
+        The suspect if it is a term, else the last one.
+        """
+        factors = dict(self.relation.of)
+        name = self.suspect if self.suspect in factors else self.relation.terms[-1]
+        return name, factors.get(self.suspect, 1.0) / factors[name]
+
+    @property
+    def late(self) -> dict[str, float]:
+        """Seconds by which each signal is later than the others, 0 unless surely and steadily."""
+        mine, others = self.relation.side(self.suspect)
+        return dict.fromkeys(others, 0.0) | dict.fromkeys(mine, self.delay)
 
     @property
     def delay(self) -> float:
@@ -64,73 +115,200 @@ class Pair(NamedTuple):
         return self.fit.delay * self.step if self.is_late and not self.lagged else 0.0
 
     @property
+    def _sure(self) -> float:
+        """Standard errors that count: more where several may be wrong and none stands out."""
+        several = len(self.alike) + 1 == len(self.relation.names) > 2
+        return 2 * SURE if several else SURE
+
+    @property
     def is_late(self) -> bool:
         """Whether the derivative is surely late, or early, or lags, throughout the record."""
         by, error = self.fit.delay + self.fit.lag, self.fit.errors[0]
-        return self.course.kind == "steady" and abs(by) > max(LATE, SURE * error)
+        return self.course.kind == "steady" and abs(by) > max(LATE, self._sure * error)
 
     @property
     def gain_is_off(self) -> bool:
         """Whether the derivative's size is surely wrong."""
         return self.course.kind == "steady" and abs(self.fit.gain - 1) > max(
-            GAIN, SURE * self.fit.errors[1]
+            GAIN, self._sure * self.fit.errors[1]
         )
 
     @property
     def offset(self) -> float:
         """Of the derivative, in its unit, 0 unless it surely matters."""
-        sure = abs(self.fit.offset) > max(OFFSET * self.rms, SURE * self.fit.errors[2])
+        sure = abs(self.fit.offset) > max(OFFSET * self.rms, self._sure * self.fit.errors[2])
         return self.fit.offset * self.scale / self.step if sure else 0.0
 
     @property
     def drift(self) -> float:
         """Of the derivative over the record, in its unit, 0 unless it surely matters."""
-        sure = abs(self.fit.drift) > max(2 * OFFSET * self.rms, SURE * self.fit.errors[3])
+        sure = abs(self.fit.drift) > max(2 * OFFSET * self.rms, self._sure * self.fit.errors[3])
         return self.fit.drift * self.scale / self.step if sure else 0.0
 
 
-def _compared(record: Record, signal: str, derivative: str) -> tuple[Any, ...]:
-    signals = (samples_with_nan(record, name) for name in (signal, derivative))
-    return signal, derivative, *signals, np.asarray(record.elapsed), float(record.time_step)
-
-
-@remembered(32, _compared)
-@np.errstate(all="ignore")
 def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
     """Fit a recorded derivative to its signal; `None` if the record does not tell. Not under jit.
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    x, v = samples_with_nan(record, signal), samples_with_nan(record, derivative)
+    return compare(record, Relation(signal, ((derivative, 1.0),)))
+
+
+def _compared(record: Record, relation: Relation) -> tuple[Any, ...]:
+    signals = (samples_with_nan(record, name) for name in relation.names)
+    return relation, *signals, np.asarray(record.elapsed), float(record.time_step)
+
+
+@remembered(32, _compared)
+@np.errstate(all="ignore")
+def compare(record: Record, relation: Relation) -> Pair | None:
+    """The same of any relation: each of its signals is fitted to what the others say it should be.
+
+    What is left tells which of them is wrong: with that one put right, nothing but noise.
+    """
+    x = samples_with_nan(record, relation.signal)
+    terms = {name: samples_with_nan(record, name) for name in relation.terms}
     step, count = float(record.time_step), x.size
+    if len(terms) > 1 and any(_is_rough(v) for v in terms.values()):
+        return None
     centre = np.nanmedian(x) if not np.isnan(x).all() else 0.0
     scale = float(np.nanquantile(np.abs(x - centre), 0.9)) if np.isfinite(centre) else 0.0
     if not (np.isfinite(scale) and scale > 0):
         return None
-    x, v = (x - centre) / scale, v / scale * step
+    x, terms = (x - centre) / scale, {n: v / scale * step for n, v in terms.items()}
     breaks = _pauses(record)
-    pieces = list(_pieces(x, v, 0, count, breaks, MOST_SAMPLES))
-    rms = float(np.sqrt(np.mean(np.concatenate([p.v for p in pieces]) ** 2))) if pieces else 0.0
-    cycles = rms * count / (2 * np.pi)
-    if not (np.isfinite(cycles) and cycles > FEWEST_CYCLES):
+    every = (_held(relation, name, x, terms, breaks) for name in relation.suspects)
+    held = {one.suspect: one for one in every if one is not None}
+    if not held:
+        return None
+    excess, alone = _excess(held, {name: one.fit for name, one in held.items()}), None
+    suspect = min(excess, key=lambda name: excess[name])
+    windows = min(WINDOWS, count // SHORTEST_WINDOW, int(held[suspect].cycles / CYCLES_OF_WINDOW))
+    edges = np.linspace(0, count, windows + 1).astype(int).tolist() if windows > 1 else []
+    if len(held) > 1:
+        suspect, excess, alone = _suspected(held, edges, excess, breaks)
+    one = held[suspect]
+    course, spread = Course(), 1.0
+    if edges:
+        parts = one.parts(edges, breaks)
+        course, spread = delay_course(parts, edges, count, one.fit, alone)
+    fit, rms = one.fit._replace(errors=one.fit.errors * spread), one.rms * abs(one.size)
+    alike = tuple(n for n, more in excess.items() if n != suspect and more < LIKELIER)
+    pair = Pair(relation, suspect, one.sized(fit), False, course, scale, rms, step, alike)
+    if pair.is_late and (lag := _low_pass(one.pieces, count, fit)) is not None:
+        pair = pair._replace(fit=one.sized(lag), lagged=True)
+    return pair
+
+
+class _Held(NamedTuple):
+    """A suspect against what the others say it should be.
+
+    **Fields:** `columns`, x, v and u of the fit, v divided by the `size` it seems to have; `unit`
+    of the fit in units of the sum; `rms` of the derivative of x and its `cycles`.
+    """
+
+    suspect: str
+    columns: tuple[np.ndarray, np.ndarray, np.ndarray | None]
+    size: float
+    unit: float
+    pieces: list[Piece]
+    rms: float
+    fit: PairFit
+
+    @property
+    def cycles(self) -> float:
+        return self.rms * self.columns[0].size / (2 * np.pi)
+
+    def parts(self, edges: Sequence[int], breaks: np.ndarray) -> list[list[Piece]]:
+        """Pieces between the edges."""
+        most = MOST_SAMPLES // (len(edges) - 1)
+        ends = itertools.pairwise(edges)
+        return [list(_pieces(*self.columns, a, b, breaks, most)) for a, b in ends]
+
+    def sized(self, fit: PairFit) -> PairFit:
+        """A fit of v as it is."""
+        size, errors = self.size, fit.errors * [1, *np.full(3, abs(self.size))]
+        gain, offset, drift = size * fit.gain, size * fit.offset, size * fit.drift
+        return fit._replace(gain=gain, offset=offset, drift=drift, errors=errors)
+
+
+def _held(
+    relation: Relation,
+    suspect: str,
+    x: np.ndarray,
+    terms: dict[str, np.ndarray],
+    breaks: np.ndarray,
+) -> _Held | None:
+    factors, count, u, size = dict(relation.of), x.size, None, 1.0
+    if suspect in terms:
+        rest = [-c / factors[suspect] * terms[n] for n, c in relation.of if n != suspect]
+        x, v, u = x / factors[suspect], terms[suspect], sum(rest[1:], rest[0]) if rest else None
+    else:
+        v = sum((c * terms[n] for n, c in relation.of), np.zeros(count))
+    several = len(relation.suspects) > 1
+    pieces = list(_pieces(x, v, u, 0, count, breaks, MOST_SAMPLES // (1 + several)))
+    if several and pieces:
+        size = apparent_gain(pieces)
+        v, pieces = v / size, [p._replace(v=p.v / size) for p in pieces]
+    every = [p.v if p.u is None else p.v - p.u for p in pieces]
+    rms = float(np.sqrt(np.mean(np.concatenate(every) ** 2))) if every else 0.0
+    if not FEWEST_CYCLES < rms * count / (2 * np.pi) < np.inf:
         return None
     fit = fit_pair(pieces, count)
     if fit is None or not np.isfinite(fit.errors).all():
         return None
-    windows = min(WINDOWS, count // SHORTEST_WINDOW, int(cycles / CYCLES_OF_WINDOW))
-    course, spread = Course(), 1.0
-    if windows > 1:
-        edges = np.linspace(0, count, windows + 1).astype(int)
-        parts = [
-            list(_pieces(x, v, a, b, breaks, MOST_SAMPLES // windows))
-            for a, b in itertools.pairwise(edges)
+    return _Held(suspect, (x, v, u), size, factors.get(suspect, size), pieces, rms, fit)
+
+
+def _suspected(
+    held: dict[str, _Held],
+    edges: list[int],
+    excess: dict[str, float],
+    breaks: np.ndarray,
+) -> tuple[str, dict[str, float], list[PairFit | None] | None]:
+    """Which signal alone is wrong, by how much less likely others are, and fits of its parts.
+
+    Where it matters, low-passes are looked at as well; and part by part, where a delay that does
+    not change leaves more than noise.
+    """
+    count = next(iter(held.values())).columns[0].size
+    best, alone = min(excess, key=lambda name: excess[name]), None
+    if max(excess.values()) > LIKELIER:
+        fits = {n: _low_pass(one.pieces, count, one.fit) or one.fit for n, one in held.items()}
+        excess = _excess(held, fits)
+        best = min(excess, key=lambda name: excess[name])
+    if edges and np.mean(held[best].fit.left.smoothed) > UNLIKE:
+        parts = {name: one.parts(edges, breaks) for name, one in held.items()}
+        fits = {name: [fit_pair(part, count) for part in some] for name, some in parts.items()}
+        told = [
+            _excess(held, {n: f for n, f in zip(fits, each) if f is not None})
+            for each in zip(*fits.values())
+            if None not in each
         ]
-        course, spread = delay_course(parts, edges.tolist(), count, fit)
-    fit = fit._replace(errors=fit.errors * spread)
-    pair = Pair(signal, derivative, fit, False, course, scale, rms, step)
-    if pair.is_late and (lag := _low_pass(pieces, count, fit)) is not None:
-        pair = pair._replace(fit=lag, lagged=True)
-    return pair
+        if told:
+            sums = {name: sum(one[name] for one in told) for name in held}
+            excess = {name: more - min(sums.values()) for name, more in sums.items()}
+            best = min(excess, key=lambda name: excess[name])
+            alone = fits[best]
+    return best, excess, alone
+
+
+def _excess(held: dict[str, _Held], fits: dict[str, PairFit]) -> dict[str, float]:
+    """By how much less likely it is that each signal alone is wrong, in log-likelihood."""
+    if len(fits) == 1:
+        return dict.fromkeys(fits, 0.0)
+    omega = next(iter(fits.values())).left.omega
+    powers, counted = [], np.zeros(omega.size, bool)
+    for name, fit in fits.items():
+        powers.append(held[name].unit ** 2 * np.interp(omega, fit.left.omega, fit.left.unlike))
+        counted |= np.interp(omega, fit.left.omega, fit.counted) > 0.5
+    logs = np.sum(np.log(powers), axis=1, where=counted)
+    return dict(zip(fits, (logs - logs.min()).tolist()))
+
+
+def _is_rough(values: np.ndarray) -> bool:
+    """Whether a signal is so fast that its integral depends on what it does between samples."""
+    return bool(np.nanmean(np.diff(values) ** 2) > ROUGH * np.nanvar(values))
 
 
 def _pauses(record: Record) -> Float[np.ndarray, " pauses"]:
@@ -140,21 +318,28 @@ def _pauses(record: Record) -> Float[np.ndarray, " pauses"]:
 
 
 def _pieces(
-    x: np.ndarray, v: np.ndarray, start: int, stop: int, breaks: np.ndarray, most: int
+    x: np.ndarray,
+    v: np.ndarray,
+    u: np.ndarray | None,
+    start: int,
+    stop: int,
+    breaks: np.ndarray,
+    most: int,
 ) -> Iterator[Piece]:
-    """Unbroken stretches of both, short gaps and spikes filled in; of many samples some."""
+    """Unbroken stretches of all, short gaps and spikes filled in; of many samples some."""
     ranges = [(start, stop)]
     if stop - start > most:
-        starts = np.linspace(start, stop - LONGEST_PIECE, most // LONGEST_PIECE).astype(int)
-        ranges = [(first, first + LONGEST_PIECE) for first in starts]
+        size = min(LONGEST_PIECE, most)
+        starts = np.linspace(start, stop - size, most // size).astype(int)
+        ranges = [(first, first + size) for first in starts]
     for first, last in ranges:
-        both = [_filled(column[first:last]) for column in (x, v)]
-        known = ~np.isnan(both[0]) & ~np.isnan(both[1])
+        every = [_filled(column[first:last]) for column in (x, v, u) if column is not None]
+        known = ~np.isnan(np.sum(every, axis=0))
         cuts = np.flatnonzero(np.diff(known)) + 1
         within = breaks[(breaks > first) & (breaks < last)] - first
         for piece in np.split(np.arange(last - first), np.union1d(cuts, within)):
             if piece.size >= SHORTEST_PIECE and known[piece[0]]:
-                yield Piece(first + piece[0], *(column[piece] for column in both))
+                yield Piece(first + piece[0], *(column[piece] for column in every))
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
@@ -185,151 +370,12 @@ def _low_pass(pieces: Sequence[Piece], count: int, delayed: PairFit) -> PairFit 
     lag = fit_pair(pieces, count, lagged=True)
     if lag is None or not np.isfinite(lag.errors).all() or abs(lag.lag) < SURE * lag.errors[0]:
         return None
-    # The likelihood of noise whose power is what is left.
+    # The likelihood of noise whose power is what is left. A filter makes less of that of terms.
+    known = any(piece.u is not None for piece in pieces)
     power, counted = (
         np.interp(delayed.left.omega, lag.left.omega, column)
-        for column in (lag.left.smoothed, lag.counted)
+        for column in (lag.left.unlike if known else lag.left.smoothed, lag.counted)
     )
     both = delayed.counted & (counted > 0.5)
-    return lag if np.sum(np.log(delayed.left.smoothed / power)[both]) > LIKELIER else None
-
-
-def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
-    """What is amiss with a pair; codes as in the docs of [`check_derivatives`][].
-
-    The doubt is the share of the derivative that is wrong: of a delay, the turn of its phase.
-    """
-    if pair.course.kind != "rows" and (cut := cut_rows(record, pair.signal, pair.derivative)):
-        yield cut
-        return
-    # The usual frequency, from how much better a gain is known than a delay.
-    turn = pair.fit.errors[1] / max(pair.fit.errors[0], 1e-300)
-    if pair.course.kind != "steady":
-        yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0))
-    if pair.is_late:
-        yield _late(pair, turn)
-    if pair.gain_is_off:
-        yield _gain(pair)
-    if pair.drift or pair.offset:
-        yield _zero(record, pair)
-
-
-def _late(pair: Pair, turn: float) -> Finding:
-    """Of the one of the two that comes later."""
-    by, error = pair.fit.delay + pair.fit.lag, pair.fit.errors[0]
-    late, other = (pair.derivative, pair.signal) if by > 0 else (pair.signal, pair.derivative)
-    samples, seconds = abs(by), abs(by) * pair.step
-    size = f"{samples:.3g} \u00b1 {error:.1g} samples ({1e3 * seconds:.3g} ms)"
-    advance, doubt = ("--shift", f"{late}={seconds:.4g}"), min(turn * samples, 1.0)
-    if pair.lagged:
-        return Finding(
-            "low_passed",
-            f"{late} went through a first-order low-pass that {other} did not, with a time "
-            f"constant of {size}, a cut-off at {1 / (2 * np.pi * seconds):.3g} Hz: it lags, and "
-            f"loses what is fast. Record both alike; {' '.join(advance)} takes off the lag alone.",
-            (late,),
-            doubt=doubt,
-            remedy=advance,
-            step=f"Take the lag of {late} off",
-        )
-    return Finding(
-        "late_signal",
-        f"{late} is {size} late against {other}. {' '.join(advance)} brings it forward, as "
-        f"--align auto does when the file is read. Whether both are late against other signals "
-        f"the two cannot tell.",
-        (late,),
-        doubt=doubt,
-        remedy=advance,
-        step=f"Bring {late} forward by {seconds:.3g} s",
-    )
-
-
-def _gain(pair: Pair) -> Finding:
-    gain, signal, derivative = pair.fit.gain, pair.signal, pair.derivative
-    remedy = ("--scale", f"{derivative}={1 / gain:.5g}")
-    return Finding(
-        "wrong_gain",
-        f"{derivative} is {gain:.4g} \u00b1 {pair.fit.errors[1]:.1g} times the derivative of "
-        f"{signal}. Which of the two is calibrated wrongly they cannot tell: scale that one "
-        f"({' '.join(remedy)}, or --scale {signal}={gain:.5g}).",
-        (derivative, signal),
-        # A term may hold the signal squared, as drag does.
-        doubt=min(max(gain**2, gain**-2) - 1, 1.0),
-        remedy=remedy,
-        step=f"Scale {derivative} or {signal}, whichever sensor is off",
-    )
-
-
-def _zero(record: Record, pair: Pair) -> Finding:
-    """Of a drift, or else of an offset."""
-    signal, derivative = pair.signal, pair.derivative
-    value, unit = pair.drift or pair.offset, dict(record.units).get(derivative, "")
-    share = abs(value) * pair.step / pair.scale / pair.rms
-    size = f"{value:.3g} {unit}".rstrip()
-    both, doubt = (derivative, signal), min(share, 1.0)
-    formula = _without_zero(record, pair)
-    remedy = ("--derive", f"{derivative}={formula}") if derivative.isidentifier() else ()
-    rest = (
-        f"{100 * share:.2g} % of its rms. Take it off (on the command line: {shlex.join(remedy)})."
-    )
-    if pair.drift:
-        return Finding(
-            "drifting_signal",
-            f"{derivative} drifts by {size} over {float(record.elapsed[-1]):.4g} s against "
-            f"{signal}, {rest}",
-            both,
-            doubt=doubt,
-            remedy=remedy,
-            step=f"Take the straight line off {derivative}",
-        )
-    return Finding(
-        "velocity_offset",
-        f"{derivative} has an offset of {size} against {signal}, {rest} Or {signal} drifts by "
-        f"that per second.",
-        both,
-        doubt=doubt,
-        remedy=remedy,
-        step=f"Take the offset off {derivative}",
-    )
-
-
-def _without_zero(record: Record, pair: Pair) -> str:
-    """A formula of the derivative less its offset and drift, which is not less its mean or line.
-
-    Those of a record are also the machine's, as far as it does not come back to where it began.
-    """
-    time, unit = np.asarray(record.time), pair.scale / pair.step
-    rate = pair.fit.drift * unit / float(record.elapsed[-1])
-    line = f"-({rate:.6g})*(t-{0.5 * (time[0] + time[-1]):.15g})" if pair.drift else ""
-    return f"{pair.derivative}-({pair.fit.offset * unit:.6g}){line}"
-
-
-def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
-    """Of a delay that changes along the record."""
-    course, step, time = pair.course, pair.step, np.asarray(record.elapsed)
-    lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
-    both = (pair.derivative, pair.signal)
-    if course.kind == "clocks":
-        rate = 1e6 * course.change / max(time.size - 1, 1)
-        return Finding(
-            "two_clocks",
-            f"{pair.derivative} falls behind {pair.signal} evenly, {lasts} over the record: their "
-            f"clocks differ by {rate:.3g} \u00b1 {1e6 * course.error / time.size:.1g} ppm. Give "
-            f"each its own time and --resample both, or record both by one logger.",
-            both,
-            doubt=doubt,
-            step=f"Record {pair.derivative} and {pair.signal} by one clock",
-        )
-    first, last = (time[min(place, time.size - 1)] for place in course.place)
-    jumping = pair.signal if course.change > 0 else pair.derivative
-    return Finding(
-        "lost_rows",
-        f"The delay of {pair.derivative} against {pair.signal} jumps {lasts} between {first:.4g} "
-        f"and {last:.4g} s: {jumping} has lost {abs(course.change):.3g} \u00b1 {course.error:.1g} "
-        f"samples ({1e3 * abs(course.change) * step:.3g} ms) there. Use the record up to there "
-        f"(--to {first:.4g}) or from there on (--from {last:.4g}), where both agree in time.",
-        both,
-        doubt=doubt,
-        remedy=course.in_time(first, last),
-        step="Use the part of the record in which both agree in time",
-    )
+    left = delayed.left.unlike if known else delayed.left.smoothed
+    return lag if np.sum(np.log(left / power)[both]) > LIKELIER else None

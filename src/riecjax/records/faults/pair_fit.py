@@ -16,7 +16,10 @@ A first-order low-pass of v is D / (1 + i omega T) in place of a delayed D: the 
 frequencies, and a loss at high ones, by which the two are told apart. A low-pass of x shows as its
 inverse, here a negative T.
 
-Time is in samples and v in units of x per sample.
+Of a derivative that is a sum of signals, x' = v - u with known u, D has int w(t + tau) u exp(-i
+omega t) dt besides: what v is held against is x' + u, none of which is differentiated either.
+
+Time is in samples; v and u are in units of x per sample.
 """
 
 from collections.abc import Sequence
@@ -51,24 +54,27 @@ EVEN = (np.array([0.0, np.pi]), np.ones(2))
 
 
 class Piece(NamedTuple):
-    """An unbroken stretch of both signals, and the place of its first sample in the record."""
+    """An unbroken stretch of the signals, and the place of its first sample in the record."""
 
     start: int
     x: Float[np.ndarray, " n"]
     v: Float[np.ndarray, " n"]
+    u: Float[np.ndarray, " n"] | None = None
 
 
 class Left(NamedTuple):
     """What a fit leaves.
 
-    **Fields:** `levels` of noise of x and v; `omega`, frequencies, and there the power of what is
-    left over that of this noise, `smoothed` and as it is.
+    **Fields:** `levels` of noise of x, v and u; `omega`, frequencies, and there the power of what
+    is left over that of this noise, `smoothed` and as it is; `unlike`, the former's power for
+    a taper of energy 1, less what a gain or filter does to the noise.
     """
 
-    levels: Float[np.ndarray, "2"]
+    levels: Float[np.ndarray, "3"]
     omega: Float[np.ndarray, " bins"]
     smoothed: Float[np.ndarray, " bins"]
     power: Float[np.ndarray, " bins"] = np.zeros(0)
+    unlike: Float[np.ndarray, " bins"] = np.zeros(0)
 
 
 class PairFit(NamedTuple):
@@ -102,8 +108,10 @@ class _Bins(NamedTuple):
     zero: Complex[np.ndarray, "bins 2"]
     noise: Float[np.ndarray, " bins"]
     noise_of_motion: Float[np.ndarray, " bins"]
+    energy: Float[np.ndarray, " bins"]
+    """Of the taper."""
     lowest: Bool[np.ndarray, " bins"]
-    levels: Float[np.ndarray, "2"]
+    levels: Float[np.ndarray, "3"]
     shared: float
     """Times by which variances grow as tapers tie neighbouring bins together."""
 
@@ -157,9 +165,10 @@ def fit_pair(
 
 
 def _levels(pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray]:
-    """Noise of x and v, and what to begin with: of none at all, whatever is left is trusted."""
-    levels = np.array([np.median([noise_level(getattr(p, a)) for p in pieces]) for a in "xv"])
-    sizes = [max(np.std(getattr(p, a)) for p in pieces) for a in "xv"]
+    """Noise of x, v and u, and what to begin with: of none, whatever is left is trusted."""
+    every = [[one for p in pieces if (one := getattr(p, a)) is not None] for a in "xvu"]
+    levels = np.array([np.median([noise_level(one) for one in some] or [0.0]) for some in every])
+    sizes = [max((np.std(one) for one in some), default=0.0) for some in every]
     return levels, np.maximum(levels, ROUGHLY * np.array(sizes))
 
 
@@ -202,14 +211,21 @@ def _step(
     # Phases are straight over an eighth of a turn of the usual frequency.
     usual = np.sqrt(normal[1, 1] / max(normal[0, 0], 1e-300)) * abs(theta[1])
     step[0] = np.clip(step[0], -0.8 * usual, 0.8 * usual)
-    return step, covariance, Left(bins.levels, bins.omega, smoothed, left), counted
+    # The noise of the motion goes with the gain, and through the filter.
+    size = (1 + (bins.omega * theta[0]) ** 2) ** -np.sign(theta[0]) if lagged else 1.0
+    more = (size * theta[1] ** 2 - 1) * bins.noise_of_motion
+    unlike = smoothed * bins.noise / bins.energy / (1 + more / bins.noise)
+    found = Left(bins.levels, bins.omega, smoothed, left, unlike)
+    return step, covariance, found, counted
 
 
 def _shifted(piece: Piece, whole: int) -> Piece:
     """The same with v so many samples earlier."""
-    start, x, v = piece
+    start, x, v, u = piece
     size = max(x.size - abs(whole), 0)
-    return Piece(start + max(whole, 0), x[max(-whole, 0) :][:size], v[max(whole, 0) :][:size])
+    x, u = (None if one is None else one[max(-whole, 0) :][:size] for one in (x, u))
+    assert x is not None
+    return Piece(start + max(whole, 0), x, v[max(whole, 0) :][:size], u)
 
 
 def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
@@ -231,39 +247,40 @@ def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray)
     from scipy.fft import next_fast_len, rfft  # of records alone
 
     parts, total, squares, fourth = [], 0, 0.0, 0.0
-    for start, x, v in pieces:
+    for start, x, v, u in pieces:
         size = int(next_fast_len(x.size, real=True) or x.size)
         omega = 2 * np.pi * np.arange(size // 2) / size
         (w, slope, _), course = _taper(x.size, 0.0), (start + np.arange(x.size)) / count - 0.5
-        columns = np.array([*_taper(x.size, delay) * x, w * v, slope * v, w, w * course])
+        moved = _taper(x.size, delay)
+        known = [] if u is None else list(moved[:2] * u)
+        columns = np.array([*moved * x, w * v, slope * v, w, w * course, *known])
         transforms = np.asarray(rfft(columns, size))[:, : size // 2]
-        whole, sloping, curved, rate, falling, *zero = transforms
+        whole, sloping, curved, rate, falling, zero, first, *known = transforms
         turned, i_omega = np.exp(-1j * omega * delay), 1j * omega
+        motion, turning = i_omega * whole - sloping, i_omega * (i_omega * whole - 2 * sloping)
+        if known:
+            motion, turning = motion + known[0], turning + i_omega * known[0] - known[1]
         energy = np.sum(w**2)
-        noise = levels[0] ** 2 * (omega**2 * energy + np.sum(slope**2))
+        noise = levels[0] ** 2 * (omega**2 * energy + np.sum(slope**2)) + levels[2] ** 2 * energy
         parts.append(
             (
                 omega,
-                turned * (i_omega * whole - sloping),
-                -turned * (i_omega**2 * whole - 2 * i_omega * sloping + curved),
+                turned * motion,
+                -turned * (turning + curved),
                 rate,
                 i_omega * rate - falling,
-                np.transpose(zero),
+                np.transpose([zero, first]),
                 noise + (levels[1] ** 2 + 1e-30) * energy,
                 noise,
+                np.full(omega.size, energy),
                 np.arange(omega.size) < LOWEST_BINS,
             )
         )
         total, squares, fourth = total + size, squares + energy, fourth + np.sum(w**4)
     joined = [np.concatenate(columns) for columns in zip(*parts)]
     order = np.argsort(joined[0], kind="stable")
-    omega, motion, turning, rate, second, zero, noise, of_motion, lowest = (
-        column[order] for column in joined
-    )
     shared = float(total * fourth / squares**2)
-    return _Bins(
-        omega, motion, turning, rate, second, zero, noise, of_motion, lowest, levels, shared
-    )
+    return _Bins._make([*(column[order] for column in joined), levels, shared])
 
 
 def _whole_delay(pieces: Sequence[Piece], levels: np.ndarray) -> int:
@@ -279,6 +296,18 @@ def _whole_delay(pieces: Sequence[Piece], levels: np.ndarray) -> int:
     penalised = correlation[lags] * (1 - np.abs(lags) / longest.x.size)
     best = int(lags[np.argmax(penalised)])
     return 0 if penalised[reach] > NEAR * np.max(penalised) else best
+
+
+def apparent_gain(pieces: Sequence[Piece]) -> float:
+    """Size of v over that of what it should be, with its sign, to begin with; 1 unless far off."""
+    _, rough = _levels(pieces)
+    bins = _bins(pieces, 0.0, pieces[0].x.size, rough)
+    weight = np.where(bins.lowest, 0.0, 1 / bins.noise_of_motion)
+    both = float(np.real(weight @ (bins.rate * bins.motion.conj())))
+    motion, rate = (float(weight @ np.abs(one) ** 2) for one in (bins.motion, bins.rate))
+    gain = both / motion
+    far = both**2 > NEAR**2 * motion * rate and not 0.5 < gain < 2
+    return gain if far else 1.0
 
 
 def _smoothed(omega: np.ndarray, power: np.ndarray) -> np.ndarray:

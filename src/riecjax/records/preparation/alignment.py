@@ -1,6 +1,6 @@
 """Signals brought forward in time, by what is asked or by what recorded derivatives tell."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.consistency import disagreement
-from riecjax.records.faults.derivative_pairs import LATE, Pair, compare_pair
+from riecjax.records.consistency import compared
+from riecjax.records.faults.derivative_pairs import LATE, Pair
+from riecjax.records.faults.relations import Pairs, Relation, relations
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation.band_limited import reach_beyond, response
 from riecjax.records.preparation.filtering import longest_stretch, on_stretches, with_gaps
@@ -92,9 +93,7 @@ def _through(samples: np.ndarray, taps: np.ndarray, first: int) -> np.ndarray:
     return found
 
 
-def align(
-    record: Record, pairs: Iterable[tuple[str, str]], how: str | Sequence[str] = "auto"
-) -> Aligned:
+def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Aligned:
     """Bring the later one of each signal and its recorded derivative forward.
 
     Of two signals one sees which is later, not which is wrong; but sensors, filters and loggers
@@ -102,24 +101,24 @@ def align(
     each other is taken to be in time, and the others are advanced to it. Only a delay whose
     interval of 4 standard errors excludes zero counts, and of at least 0.01 samples.
 
-    **Arguments:** `pairs` of a signal and its derivative; `how`: `"auto"`; `"none"`; or the signals
-    to shift, by whatever delay is found.
+    **Arguments:** `pairs` of a signal and its derivative, or relations; `how`: `"auto"`;
+    `"none"`; or the signals to shift, by whatever delay is found.
 
     **Raises:** `DataError` for a signal that belongs to no pair in the record.
     """
     names = () if isinstance(how, str) else tuple(how)
     if isinstance(how, str) and how not in ("auto", "none"):
         raise DataError(f"align is 'auto', 'none' or a tuple of signals; got '{how}'.")
-    pairs = [pair for pair in dict.fromkeys(pairs) if set(pair) <= set(record.arrays)]
+    every = [one for one in relations(pairs) if set(one.names) <= set(record.arrays)]
     for name in names:
-        if not any(name in pair for pair in pairs):
+        if not any(name in one.names for one in every):
             raise DataError(
                 f"'{name}' cannot be aligned: the model knows no recorded derivative of it, nor "
                 f"what it is the derivative of. Shift it by a known time (--shift {name}=SECONDS)."
             )
     if how == "none":
         return Aligned(record)
-    found = [one for pair in pairs if (one := _comparable(record, *pair)) is not None]
+    found = [pair for one in every if (pair := _comparable(record, one)) is not None]
     late = _named(found, names) if names else _later(found)
     if not late:
         return Aligned(record)
@@ -128,11 +127,10 @@ def align(
     return Aligned(shift(record, late), words, tuple(told))
 
 
-def _comparable(record: Record, signal: str, derivative: str) -> Pair | None:
+def _comparable(record: Record, relation: Relation) -> Pair | None:
     """The pair, if its signals belong to each other."""
-    if disagreement(record, signal, derivative) is not None:
-        return None
-    return compare_pair(record, signal, derivative)
+    _, pair = compared(record, relation)
+    return None if pair is None or pair.is_gross else pair
 
 
 def _named(pairs: Sequence[Pair], names: Sequence[str]) -> dict[str, float]:
@@ -141,8 +139,9 @@ def _named(pairs: Sequence[Pair], names: Sequence[str]) -> dict[str, float]:
     for name in names:
         for pair in pairs:
             seconds = (pair.fit.delay + pair.fit.lag) * pair.step
-            if name in (pair.signal, pair.derivative):
-                found.setdefault(name, seconds if name == pair.derivative else -seconds)
+            mine, _ = pair.relation.side(pair.suspect)
+            if name in pair.relation.names:
+                found.setdefault(name, seconds if name in mine else -seconds)
     return found
 
 
@@ -150,13 +149,14 @@ def _later(pairs: Sequence[Pair]) -> dict[str, float]:
     """Seconds by which signals are later than the earliest of those that they belong to."""
     groups: list[dict[str, float]] = []
     for pair in pairs:
-        group = next((g for g in groups if {pair.signal, pair.derivative} & {*g}), None)
+        late = pair.late
+        group = next((g for g in groups if {*late} & {*g}), None)
         if group is None:
-            groups.append(group := {pair.signal: 0.0})
-        if pair.signal in group:
-            group.setdefault(pair.derivative, group[pair.signal] + pair.delay)
-        else:
-            group[pair.signal] = group[pair.derivative] - pair.delay
+            groups.append(group := {})
+        known = next((name for name in late if name in group), None)
+        ahead = 0.0 if known is None else group[known] - late[known]
+        for name, seconds in late.items():
+            group.setdefault(name, ahead + seconds)
     step = pairs[0].step if pairs else 0.0
     return {
         name: seconds - min(group.values())
@@ -167,8 +167,10 @@ def _later(pairs: Sequence[Pair]) -> dict[str, float]:
 
 
 def _finding(name: str, seconds: float, pairs: Sequence[Pair]) -> Finding:
-    pair = next(pair for pair in pairs if name in (pair.signal, pair.derivative))
-    other = pair.signal if name == pair.derivative else pair.derivative
+    holding = [pair for pair in pairs if name in pair.relation.names]
+    pair = next((pair for pair in holding if pair.delay), holding[0])
+    mine, others = pair.relation.side(pair.suspect)
+    other = " and ".join(others if name in mine else mine)
     return Finding(
         "late_signal",
         f"{name} came {seconds / pair.step:.3g} \u00b1 {pair.fit.errors[0]:.1g} samples "
@@ -178,10 +180,9 @@ def _finding(name: str, seconds: float, pairs: Sequence[Pair]) -> Finding:
     )
 
 
-def declared_pairs(model: Any) -> list[tuple[str, str]]:
+def declared_pairs(model: Any) -> list[tuple[str, str] | Relation]:
     """Signals and their derivatives, as a `Model` or its equations call them."""
-    pairs = [(of, name) for name, of in getattr(model, "derived", {}).items()]
+    pairs: list[Any] = [(of, name) for name, of in getattr(model, "derived", {}).items()]
     if getattr(model, "procedure", None) is not None:
-        stages = model.build_procedure().stages
-        pairs += [pair for stage in stages for one in stage for pair in one.derivatives]
+        pairs += model.build_procedure().derivatives
     return list(dict.fromkeys(pairs))
