@@ -131,7 +131,7 @@ def _ends_there(values: np.ndarray, visits: np.ndarray, most: int, distance: flo
         return False
     # What jumps to a level does not run into it.
     edges, short = np.array(near), float(np.mean(missed))
-    return short < JUMP * np.mean(edges[:, 0]) + BAND and _is_abrupt(edges, distance)
+    return bool(short < JUMP * np.mean(edges[:, 0]) + BAND) and _is_abrupt(edges, distance)
 
 
 def _is_abrupt(edges: np.ndarray, distance: float) -> bool:
