@@ -35,9 +35,11 @@ LOOKED_AT = 5000
 STEEP = 10.0
 """Quanta by which a steep approach lies off the extreme two samples before, so that rounding does
 not hide it. A crest that stays within its last quantum for 3 samples comes from less than 9."""
+AWAY = 4
+"""Samples in which noise, and no motion, leaves an extreme and returns to it."""
 
 
-class _Visits(NamedTuple):
+class Visits(NamedTuple):
     """Times that a signal sits at an extreme where it does not just turn round."""
 
     which: str
@@ -46,6 +48,8 @@ class _Visits(NamedTuple):
     samples: int
     steep: int
     """Visits that came from far off, and left for far off."""
+    within: float
+    """Distance from the extreme of what sits there."""
 
 
 def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iterator[Finding]:
@@ -61,7 +65,7 @@ def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iter
     unique = not signal.resolution and np.mean(signal.counts == 1) > 0.999
     if sum(side.steep for side in sides) < (1 if unique else FEWEST_VISITS):
         return
-    for side in (one for one in sides if not _is_real(signal, one, others)):
+    for side in (one for one in sides if not is_real(signal, one, others)):
         yield signal.finding(
             "clipped",
             f"sits at its {side.which} of {signal.with_unit(side.extreme)} in {side.starts.size} "
@@ -73,7 +77,7 @@ def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iter
         )
 
 
-def _visits(signal: SampledSignal, which: str, sign: float) -> _Visits | None:
+def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:
     """Visits to one extreme; `None` where it is a crest, or where the signal rests."""
     order = np.argsort(-sign * signal.levels)[:5]
     extreme, samples = signal.levels[order[0]], int(signal.counts[order[0]])
@@ -89,7 +93,13 @@ def _visits(signal: SampledSignal, which: str, sign: float) -> _Visits | None:
     for edges, outward in ((starts, -1), (starts + lengths - 1, 1)):
         near, far = (inside[4 + edges + k * outward] for k in (2, 4))
         steep &= (near > STEEP * quantum) & ~_comes_to_rest(near, far, quantum)
-    return _Visits(which, float(extreme), starts, samples, int(steep.sum()))
+    # Noise takes it far off and back at once, which no motion does.
+    gaps = np.stack([starts[:-1] + lengths[:-1], starts[1:]], axis=1)
+    if len(gaps):
+        depth = np.fmax.reduceat(inside[4:-4], gaps.ravel())[::2]
+        away = (np.diff(gaps)[:, 0] <= AWAY) & (depth > STEEP * quantum)
+        steep |= np.pad(away, (0, 1)) | np.pad(away, (1, 0))
+    return Visits(which, float(extreme), starts, samples, int(steep.sum()), signal.rounding)
 
 
 def _comes_to_rest(near: np.ndarray, far: np.ndarray, quantum: float) -> np.ndarray:
@@ -104,7 +114,7 @@ def _comes_to_rest(near: np.ndarray, far: np.ndarray, quantum: float) -> np.ndar
     return near * (2 - hidden) ** 2 <= far
 
 
-def _is_real(signal: SampledSignal, side: _Visits, others: Sequence[SampledSignal]) -> bool:
+def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]) -> bool:
     """Whether other signals, at lags of two samples, stay at the limit with the signal.
 
     Of a sensor at the end of its range all that follows the signal goes on beyond. Of a real limit
@@ -117,7 +127,7 @@ def _is_real(signal: SampledSignal, side: _Visits, others: Sequence[SampledSigna
     target, inside = signal.values, np.zeros(signal.values.size, bool)
     inside[2:-2] = True
     known = inside & ~np.isnan(np.concatenate([target[None], *rows])).any(axis=0)
-    held = known & (np.abs(target - side.extreme) <= signal.rounding)
+    held = known & (np.abs(target - side.extreme) <= side.within)
     free = np.flatnonzero(known & ~held)
     free = free[:: max(free.size // LOOKED_AT, 1)]
     if not held.any() or free.size < 100:

@@ -16,6 +16,7 @@ from riecjax.records.faults.missing import missing_samples
 from riecjax.records.faults.outliers import outliers
 from riecjax.records.faults.quantisation import quantised
 from riecjax.records.faults.sampled_signal import sampled_signal
+from riecjax.records.faults.saturation import saturated
 from riecjax.records.faults.stuck_sensor import stuck
 from riecjax.records.record import Record
 
@@ -59,7 +60,7 @@ def check_signals(
         elif signal.sample_count >= FEWEST_SAMPLES:
             rest = [s for key, s in {**signals, **others}.items() if key != name]
             if name not in computed:
-                findings += clipped(signal, rest)
+                findings += [*clipped(signal, rest)] or [*saturated(signal, rest)]
                 findings += stuck(signal, rest)
             findings += outliers(signal.name, signal.values, signal.time, signal.unit)
             findings += quantised(signal)

@@ -22,6 +22,8 @@ ABRUPT = 0.1
 deceleration takes a last step far below."""
 ABRUPT_QUANTA = 3.0
 """The same in quanta of the signal."""
+STEADY, JUMP = 0.99, 2.0
+"""Share of a signal's steps that are usual; times such a step past which it jumps."""
 MOVES = 0.3
 """Share of its usual sample-to-sample change past which another signal moves meanwhile."""
 
@@ -44,6 +46,10 @@ def stuck(signal: SampledSignal, others: list[SampledSignal]) -> Iterator[Findin
     # The larger one of the steps into and out of each run.
     padded = np.pad(steps, 1, constant_values=np.nan)
     edges = np.fmax(padded[starts], padded[starts + lengths])
+    # What is held at an extreme and entered and left by no more than usual steps is clipped.
+    usual = float(np.quantile(moving, STEADY))
+    ends = np.abs(values[:, None] - signal.levels[[0, -1]]).min(axis=1) <= signal.rounding
+    edges = np.where(ends & (edges <= JUMP * usual), 0.0, edges)
     # A machine comes to rest and leaves it gently, and rests in the same place more than once.
     stuck = [
         run

@@ -1,0 +1,156 @@
+"""An amplifier at the end of its range, with the noise of a converter on top."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from riecjax.findings import Finding
+from riecjax.records.faults.clipping import Visits, is_real
+from riecjax.records.faults.sampled_signal import (
+    FEW_LEVELS,
+    SampledSignal,
+    is_piecewise_linear,
+    percent,
+)
+from riecjax.records.noise import noise_level
+
+QUIETEST, LOUDEST = 1e-5, 0.2
+"""Noise over a signal's deviation between which a limit under noise is looked for."""
+AVERAGED = 5
+"""Samples to an average in which a limit stands out of the noise."""
+BAND = 3.0
+"""Standard errors of such an average to either side of a limit."""
+FEWEST, MOST, CORNER = 6, 100, 2
+"""Samples to a visit at least; visits that are looked at; samples of a corner that are left out."""
+SIDES = (80, 20, 8, 5)
+"""Samples to each side of a visit in which slopes are looked at, at most: tried in turn."""
+TOLD = 60.0
+"""Times the noise's variance, of squares, by which slopes that end at a limit fit all visits better
+than polynomials with as many coefficients."""
+FITS = 1.5
+"""Mean square over the noise's variance that they leave at most."""
+ABRUPT = 4.0
+"""Times the deceleration of a signal by which it stops at a limit. What comes to rest there keeps
+it: s^2 = 2 a d with a slope s at the distance d."""
+JUMP = 2 * CORNER
+"""Samples within which slopes that go on reach a limit."""
+ALIKE = 0.1
+"""Scatter of slopes, over their mean, up to which they may be a command's."""
+SURE = 3.0
+"""Standard errors."""
+
+
+def saturated(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iterator[Finding]:
+    """Where a signal's slope ends at a level, about which it then only scatters by its noise.
+
+    A crest of the motion is smooth, and what comes to rest decelerates on its way. What runs up to
+    its limit and away from it evenly, each time alike, is a command that is followed.
+    """
+    missing = np.isnan(signal.values)
+    rms = float(np.nanstd(signal.values))
+    if signal.levels.size <= FEW_LEVELS or missing.all() or is_piecewise_linear(signal):
+        return
+    noise = float(noise_level(signal.values, ~missing))
+    if not QUIETEST * rms < noise < LOUDEST * rms:
+        return
+    for which, sign in (("maximum", 1.0), ("minimum", -1.0)):
+        values = sign * signal.values / noise
+        found = _limit(values)
+        if found is not None:
+            limit, visits = found
+            samples, extreme = int(np.sum(visits[:, 1] - visits[:, 0])), sign * limit * noise
+            side = Visits(which, extreme, visits[:, 0], samples, len(visits), BAND * noise)
+            if is_real(signal, side, others):
+                continue
+            yield signal.finding(
+                "clipped",
+                f"stays within its noise at its {which} of {signal.with_unit(extreme)} in "
+                f"{len(visits)} place(s), {percent(samples, signal.sample_count)} of the samples, "
+                f"first at {signal.time[visits[0, 0]]:.4g} s, where its slope ends abruptly, as an "
+                f"amplifier at the end of its range does. Record with a larger range or leave "
+                f"those stretches out, unless the limit is real.",
+                doubt=samples / signal.sample_count,
+            )
+
+
+def _limit(values: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """The upper limit of values in units of their noise, if there is one, and visits to it."""
+    error = AVERAGED**-0.5
+    averages = uniform_filter1d(values, AVERAGED)
+    known = np.sort(averages[~np.isnan(averages)])
+    if known.size < 10 * FEWEST:
+        return None
+    # Most averages to one level, of those near the highest but a few.
+    top = known[known > known[-FEWEST] - 2 * BAND]
+    ends = np.searchsorted(top, top + 2 * error)
+    first = int(np.argmax(ends - np.arange(top.size)))
+    limit = float(np.mean(top[first : ends[first]]))
+    inside = np.concatenate([[False], averages > limit - BAND * error, [False]])
+    edges = np.flatnonzero(np.diff(inside.astype(np.int8))).reshape(-1, 2)
+    visits = edges[np.diff(edges)[:, 0] >= FEWEST - AVERAGED + 1]
+    visits = np.array([_widened(values > limit - BAND, *visit) for visit in visits]).reshape(-1, 2)
+    visits = visits[np.diff(visits)[:, 0] >= FEWEST]
+    some = visits[:: max(len(visits) // MOST, 1)]
+    told = any(_ends_there(values, some, side, BAND * error) for side in SIDES)
+    return (limit, visits) if told else None
+
+
+def _widened(near: np.ndarray, start: int, stop: int) -> tuple[int, int]:
+    """A visit with the samples beside it that are near the limit, which averages hide."""
+    for _ in range(AVERAGED // 2):
+        start -= bool(start > 0 and near[start - 1])
+        stop += bool(stop < near.size and near[stop])
+    return start, stop
+
+
+def _ends_there(values: np.ndarray, visits: np.ndarray, most: int, distance: float) -> bool:
+    """Whether slopes to both sides of visits end where these begin, rather than pass over."""
+    told, left, count, near, missed = 0.0, 0.0, 0, [], []
+    for start, stop in visits:
+        side = int(min(stop - start, most))
+        some = values[max(start - side - CORNER, 0) : stop + side + CORNER]
+        if some.size < stop - start + 2 * (side + CORNER) or np.isnan(some).any():
+            continue
+        powers = np.vander(np.arange(-side, 0) - CORNER + 0.5, 3, increasing=True)
+        inverse = np.linalg.pinv(powers)
+        parts = np.stack([some[:side], some[-side:][::-1]], axis=1)
+        ramps = inverse @ parts
+        flat = some[side + CORNER : -side - CORNER]
+        squares = np.sum((parts - powers @ ramps) ** 2) + flat.size * np.var(flat)
+        time = np.linspace(-1, 1, some.size)
+        kept = np.ones(some.size, bool)
+        kept[side : side + CORNER] = kept[-side - CORNER : -side] = False
+        smooth = np.polynomial.Legendre.fit(time[kept], some[kept], 6)
+        told += float(np.sum((some - smooth(time))[kept] ** 2) - squares)
+        left, count = left + float(squares), count + int(kept.sum()) - 7
+        errors = np.linalg.norm(inverse[1]), 2 * np.linalg.norm(inverse[2])
+        near += [(slope, -2 * bend, *errors) for _, slope, bend in ramps.T]
+        missed += [float(np.mean(flat)) - ramps[0]]
+    if not near or told < TOLD or left > FITS * count:
+        return False
+    # What jumps to a level does not run into it.
+    edges, short = np.array(near), float(np.mean(missed))
+    return bool(short < JUMP * np.mean(edges[:, 0]) + BAND) and _is_abrupt(edges, distance)
+
+
+def _is_abrupt(edges: np.ndarray, distance: float) -> bool:
+    """Whether slopes end faster than they decelerate before, and are not those of a command.
+
+    **Arguments:** `edges`: of each its slope and deceleration by samples, and errors of both.
+    """
+    slope, deceleration, *errors = np.median(edges, axis=0)
+    error, bend = (1.25 * each / len(edges) ** 0.5 for each in errors)
+    surely = ABRUPT * (max(deceleration, 0.0) + SURE * bend)
+
+    def stops(speed: float, slows: float) -> bool:
+        """Whether this slope at the distance of a visit's edge ends faster."""
+        return bool(speed**2 > 2 * min(distance + AVERAGED // 2 * speed, BAND) * slows)
+
+    # What arrives by and by may yet leave by a jump.
+    sides = (np.median(edges[which::2], axis=0) for which in (0, 1))
+    steep = stops(slope, surely) and all(stops(*side[:2]) and side[0] > 0 for side in sides)
+    if not slope > SURE * error or not steep:
+        return False
+    scatter = 1.48 * np.median(np.abs(edges[:, 0] - slope))
+    return bool(scatter > max(ALIKE * slope, 2 * errors[0]) or abs(deceleration) > SURE * bend)
