@@ -24,6 +24,7 @@ from riecjax.simulation.instability import growth
 from riecjax.simulation.system import AbstractSystem
 from riecjax.studies.choice import WindowChoice, window_choice
 from riecjax.studies.monte_carlo import SeedScatter, seed_scatter
+from riecjax.validation.drifting_inputs import drifting_inputs
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.held_out import validate_held_out
 from riecjax.validation.late_signals import late_signals
@@ -43,18 +44,22 @@ def seeds(asked: Asked) -> SeedScatter | None:
 def what_is_left(
     procedure: Procedure, records: list[Record], estimate: Estimate
 ) -> tuple[ResidualTests | None, WindowChoice | None, list[Finding]]:
-    """Tests of the residual and the choice of windows it suggests, or why there are none."""
+    """Tests of the residual and the choice of windows it suggests, and what else is found.
+
+    Where nothing can be tested, why.
+    """
     windowed = estimate.criterion.windows is not None
     # A fit is not lost because what it leaves cannot be tested.
     try:
         errors = errors_over_records(procedure, records, estimate.values)
         silent = silent_inputs(procedure.equations, records, errors, estimate.criterion.windows)
         faults = tuple(silent) or tuple(late_signals(procedure, records, estimate))
+        drifting = [] if faults else [*drifting_inputs(procedure.equations, records, errors)]
         residuals = residual_tests(procedure, records, estimate, errors=errors, faults=faults)
         choice = window_choice(procedure, records, estimate, errors=errors) if windowed else None
     except RiecjaxError as error:
         return None, None, [Finding("residuals_not_tested", str(error))]
-    return residuals, choice, []
+    return residuals, choice, drifting
 
 
 Numbered = Sequence[tuple[int | None, Recording]]
