@@ -38,7 +38,7 @@ def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
     every = [Record.from_samples(one, time_step=STEP) for one in (signals, *others)]
     records = [one.record for one in ready(AXIS, every)]
     estimate = identify(AXIS, records, intervals=Sandwich())
-    residuals, _, _ = what_is_left(AXIS, records, estimate)
+    residuals, _, _ = what_is_left(AXIS, records, estimate, lambda some: identify(AXIS, some))
     assert residuals is not None
     return [(f.code, f.signals) for f in residuals.faults]
 

@@ -7,10 +7,12 @@ from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.procedure import Procedure
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.identify import identify
 from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.uncertainty.intervals import AbstractIntervals
+from riecjax.uncertainty.intervals import AbstractIntervals, Naive
 from riecjax.work import REMEDY, Work, expect
 
 SECONDS_PER_SAMPLE = 4e-6
@@ -48,6 +50,20 @@ class Asked(NamedTuple):
     def records(self) -> list[Record]:
         """The records to estimate from."""
         return [recording.record for recording in self.fitted]
+
+    def again(self, records: list[Record]) -> Estimate:
+        """What is estimated from other records in the same way, without intervals.
+
+        **Raises:** as [`identify`][riecjax.identify].
+        """
+        return identify(
+            self.procedure,
+            records,
+            self.criterion,
+            key=self.key,
+            **self.settings,
+            intervals=Naive(),
+        )
 
 
 def expect_assessing(

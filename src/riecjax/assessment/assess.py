@@ -206,7 +206,7 @@ def _with_answer(
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
         failed = [*failed, *outside_bounds(estimate, refining_by[1][0] or {})]
-    residuals, choice, untested = trust.what_is_left(procedure, records, estimate)
+    residuals, choice, untested = trust.what_is_left(procedure, records, estimate, asked.again)
     return Assessment(
         model=asked.model,
         procedure=procedure,

@@ -8,14 +8,12 @@ from riecjax.assessment.asked import Asked
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.identify import identify
 from riecjax.findings import Finding
 from riecjax.records import shift
 from riecjax.records.faults.derivative_pairs import Pair, compare
 from riecjax.records.faults.relations import Relation, relations
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.record import Record, samples_with_nan
-from riecjax.uncertainty.intervals import Naive
 
 IN_TIME = ("late_signal", "low_passed")
 IN_SIZE = ("wrong_gain", "not_its_derivative")
@@ -47,14 +45,7 @@ def _moved(asked: Asked, estimate: Estimate, code: str) -> dict[str, float]:
     pairs = list(relations(asked.procedure.derivatives))
     try:
         records = [_without(record, pairs, code) for record in asked.records]
-        again = identify(
-            asked.procedure,
-            records,
-            asked.criterion,
-            key=asked.key,
-            **asked.settings,
-            intervals=Naive(),
-        )
+        again = asked.again(records)
     except (DataError, IdentifiabilityError):
         return {}
     return {

@@ -5,7 +5,7 @@ takes seconds, and a reader at a terminal should not wait for it.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from jaxtyping import Array
 
@@ -42,11 +42,14 @@ def seeds(asked: Asked) -> SeedScatter | None:
 
 
 def what_is_left(
-    procedure: Procedure, records: list[Record], estimate: Estimate
+    procedure: Procedure,
+    records: list[Record],
+    estimate: Estimate,
+    again: Callable[[list[Record]], Estimate],
 ) -> tuple[ResidualTests | None, WindowChoice | None, list[Finding]]:
     """Tests of the residual and the choice of windows it suggests, and what else is found.
 
-    Where nothing can be tested, why.
+    Where nothing can be tested, why. `again` estimates from other records.
     """
     windowed = estimate.criterion.windows is not None
     # A fit is not lost because what it leaves cannot be tested.
@@ -54,7 +57,7 @@ def what_is_left(
         errors = errors_over_records(procedure, records, estimate.values)
         silent = silent_inputs(procedure.equations, records, errors, estimate.criterion.windows)
         faults = tuple(silent) or tuple(late_signals(procedure, records, estimate))
-        drifting = [] if faults else [*drifting_inputs(procedure.equations, records, errors)]
+        drifting = [] if faults else [*drifting_inputs(procedure, records, errors, estimate, again)]
         residuals = residual_tests(procedure, records, estimate, errors=errors, faults=faults)
         choice = window_choice(procedure, records, estimate, errors=errors) if windowed else None
     except RiecjaxError as error:
