@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
@@ -22,8 +23,8 @@ EVEN = 0.7
 chance once in 250,000 records."""
 NOTABLE = 0.02
 """Change along the record, over the target's rms, from which it matters."""
-MOST_TAKEN = 0.8
-"""Part of a drift that regressors take up at most."""
+MOST_TAKEN = 0.05
+"""Part of a drift that regressors leave at the least, for it to be known."""
 FOLLOWS = 0.999
 """Correlation of an equation's target with its input past which it is that input."""
 
@@ -40,7 +41,8 @@ def drifting_inputs(
     """`drifting_signal` of an equation's only input, where a line in time is left.
 
     Regressors take up a part of a drift, so that less of it is left than there is. Estimates are
-    linear in the input: what is left once a first line is taken off tells which part.
+    linear in the input: what is left once a known line, or a constant, is taken off tells which.
+    A constant term takes up a constant wholly, which is then none of the drift's.
 
     What else changes evenly with time, such as friction of a machine that warms up, looks the same.
 
@@ -57,28 +59,34 @@ def drifting_inputs(
         if len(inputs) != 1 or not isinstance(inputs[0], str):
             continue
         name = inputs[0]
-        left = _line(error, np.asarray(error.centred(record[name])))
+        left = _left(error, np.asarray(error.centred(record[name])))
         if left is None or not left.stands_out:
             continue
-        less = record.with_signals({name: record[name] - jnp.asarray(left.change * line)})
-        other = again([less])
-        (still,) = errors_over_records(procedure, [less], other.values)[index]
-        rest = _line(still, np.asarray(still.centred(less[name])))
-        part = 0.0 if rest is None else float(np.clip(rest.change / left.change, 0.0, MOST_TAKEN))
+        # How much less is left of a line and of a constant, for each that is taken off.
+        unit, response, others = abs(left.line[0]), [], []
+        for shape in (line, np.ones_like(line)):
+            less = record.with_signals({name: record[name] - jnp.asarray(unit * shape)})
+            others.append(again([less]))
+            (still,) = errors_over_records(procedure, [less], others[-1].values)[index]
+            rest = _left(still, np.asarray(still.centred(less[name])))
+            response.append(np.zeros(2) if rest is None else (left.line - rest.line) / unit)
+        drift = np.linalg.lstsq(np.transpose(response), left.line, MOST_TAKEN)[0]
         moved = {
-            n: abs(float(other[n]) / float(estimate[n]) - 1) / (1 - part)
+            n: abs(float(drift @ [float(o[n]) / float(estimate[n]) - 1 for o in others])) / unit
             for n in equation.parameters
             if n in estimate.parameters and float(estimate[n])
         }
-        yield _finding(equation, record, name, left.change / (1 - part), moved)
+        yield _finding(equation, record, name, drift, moved)
 
 
 def _finding(
-    equation: Equation, record: Record, name: str, change: float, moved: dict[str, float]
+    equation: Equation, record: Record, name: str, drift: np.ndarray, moved: dict[str, float]
 ) -> Finding:
+    change, offset = drift.tolist()
     time, unit = np.asarray(record.time), dict(record.units).get(name, "")
     rate, middle = change / float(time[-1] - time[0]), 0.5 * (time[0] + time[-1])
-    formula = f"{name}-({rate:.6g})*(t-{middle:.15g})"
+    constant = f"-({offset:.6g})" if abs(offset) > 1e-3 * abs(change) else ""
+    formula = f"{name}-({rate:.6g})*(t-{middle:.15g}){constant}"
     remedy = ("--derive", f"{name}={formula}") if name.isidentifier() else ()
     most = max(moved, key=lambda n: moved[n], default="")
     without = f"; without it {most} changes by {100 * moved[most]:.2g} %" if moved else ""
@@ -96,14 +104,14 @@ def _finding(
     )
 
 
-class _Line(NamedTuple):
-    """A line in time that is left, as `change` of the input along the record."""
+class _Left(NamedTuple):
+    """What is left of a line along the record and of a constant, as changes of the input."""
 
-    change: float
+    line: Float[np.ndarray, "2"]
     stands_out: bool
 
 
-def _line(error: EquationError, signal: np.ndarray) -> _Line | None:
+def _left(error: EquationError, signal: np.ndarray) -> _Left | None:
     """The line in what is left; `None` of an equation whose target is more than the input."""
     present, values, target = (np.asarray(v) for v in (error.present, error.error, error.target))
     parts = np.array_split(np.flatnonzero(present), PARTS)
@@ -113,9 +121,10 @@ def _line(error: EquationError, signal: np.ndarray) -> _Line | None:
     if not scale[0, 1] ** 2 > FOLLOWS**2 * scale[0, 0] * scale[1, 1]:
         return None
     time = [float(np.mean(part)) / values.size - 0.5 for part in parts]
-    scatter = np.cov(time, [float(np.mean(values[part])) for part in parts])
+    means = [float(np.mean(values[part])) for part in parts]
+    scatter = np.cov(time, means)
     slope = scatter[0, 1] / scatter[0, 0]
     even = slope * scatter[0, 1] > EVEN * scatter[1, 1]
     size = np.sqrt(np.mean(target[present] ** 2))
-    change = float(slope * scale[1, 1] / scale[0, 1])
-    return _Line(change, bool(even and abs(slope) > NOTABLE * size))
+    line = np.array([slope, np.mean(means) - slope * np.mean(time)]) * scale[1, 1] / scale[0, 1]
+    return _Left(line, bool(even and abs(slope) > NOTABLE * size))
