@@ -102,7 +102,7 @@ def test_one_command_sums_a_recording_once(capsys):
         ("one", FILLED): 2,
         # Two steps of noise to either side, for curvature; and the rows with noise. Then seven
         # delays at which the force might fit better, each a pass over what is shifted by it.
-        ("with noise", FILLED): 5 + 7 * 6,
+        ("with noise", FILLED): 5 + 7 * 5,
         # What is left sample by sample, which residual tests and the choice of windows share.
         ("one", SAMPLES): 1,
     }

@@ -16,7 +16,7 @@ from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.record import Record, samples_with_nan
 
 IN_TIME = ("late_signal", "low_passed")
-IN_SIZE = ("wrong_gain", "not_its_derivative")
+IN_SIZE = ("wrong_gain",)
 IN_ZERO = ("velocity_offset", "drifting_signal")
 
 

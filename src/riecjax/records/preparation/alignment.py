@@ -99,7 +99,7 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     Of two signals one sees which is later, not which is wrong; but sensors, filters and loggers
     delay, and nothing comes before its time. So the earliest of signals that are derivatives of
     each other is taken to be in time, and the others are advanced to it. Only a delay whose
-    interval of 4 standard errors excludes zero counts, and of at least 0.01 samples.
+    interval of 4 standard errors excludes zero counts, and of at least 0.02 samples.
 
     **Arguments:** `pairs` of a signal and its derivative, or relations; `how`: `"auto"`;
     `"none"`; or the signals to shift, by whatever delay is found.
