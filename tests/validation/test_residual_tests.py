@@ -23,7 +23,6 @@ from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
 from riecjax.uncertainty.intervals import Naive
-from riecjax.validation import time_series
 from riecjax.validation.equation_errors import EquationError
 from riecjax.validation.residuals import residual_tests
 from riecjax.validation.time_series import (
@@ -415,15 +414,3 @@ def test_a_force_that_was_recorded_and_not_used_is_named():
     named = [f for f in tests.findings() if f.code == "residual_follows_signal"]
     assert [finding.signals for finding in named] == [("gust",)]
     assert "does not use it" in named[0].message
-
-
-def test_peaks_of_a_line_and_their_width_are_scipys():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        line = np.exp(np.convolve(rng.normal(size=rng.integers(20, 300)), np.hanning(7), "same"))
-        tops = time_series._tops(np.log(line), 1.0)
-        assert tops == scipy.signal.find_peaks(np.log(line), prominence=1.0)[0].tolist()
-        whole = line[tops], np.zeros(len(tops), int), np.full(len(tops), line.size - 1)
-        *_, low, high = scipy.signal.peak_widths(line, tops, prominence_data=whole)
-        np.testing.assert_allclose(low, [i - time_series._half_width(line[i::-1]) for i in tops])
-        np.testing.assert_allclose(high, [i + time_series._half_width(line[i:]) for i in tops])

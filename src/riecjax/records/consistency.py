@@ -57,7 +57,7 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    if len(relation.of) == 1 and relation.of[0][1] == 1:
+    if relation.is_plain:
         wrong = disagreement(record, relation.signal, relation.terms[0])
         return wrong, compare(record, relation) if wrong is None else None
     pair = compare(record, relation)

@@ -10,7 +10,6 @@ significant as well. They are no delay: with one, what was left beyond noise har
 Only a delay that explains nearly all of it is told.
 """
 
-import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -24,6 +23,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.faults.delay_course import Course
 from riecjax.records.record import Record
+from riecjax.summaries.task import signals_read
 from riecjax.validation.delay_courses import course_of
 from riecjax.validation.least_left import Search, Solved
 
@@ -133,8 +133,7 @@ def signal_delays(
         return []
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
     reach = min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
-    each = itertools.product(records, procedure.equations)
-    read = set().union(*(e.signals_read(r, criterion.smoothness) & {*r.arrays} for r, e in each))
+    read = {n for each in records for n in signals_read(procedure, each, criterion, summed=True)}
     groups = _clocks(procedure, read)
     if reach < 3 or int(estimate.block_count) < FEWEST_GROUPS or not groups:
         return []

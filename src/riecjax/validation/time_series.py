@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy.fft
 from jaxtyping import Bool, Float, Int
-from numpy.lib.stride_tricks import sliding_window_view
 
 from riecjax import tails
 from riecjax.validation.equation_errors import EquationError
@@ -260,11 +259,14 @@ class ErrorSpectrum(NamedTuple):
         holds 30 % of the error's power there. A rise towards half the sampling rate, as of
         differentiated noise, is no peak, nor one that only ends where the excitation does.
         """
+        from scipy.signal import find_peaks  # half a second, which the first answer need not wait
+
         if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
             return None
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
         level = np.log(np.maximum(smooth, np.finfo(float).tiny))
-        peaks = (self._peak_at(top, smooth) for top in _tops(level, np.log(PROMINENCE)))
+        tops, _ = find_peaks(level, prominence=np.log(PROMINENCE))
+        peaks = (self._peak_at(int(top), smooth) for top in tops)
         genuine = [
             p
             for p in peaks
@@ -275,8 +277,12 @@ class ErrorSpectrum(NamedTuple):
         return max(genuine, key=lambda p: p.share, default=None)
 
     def _peak_at(self, top: int, smooth: Float[np.ndarray, " frequencies"]) -> Peak:
-        low = (top - _half_width(smooth[top::-1])) * self.resolution
-        high = (top + _half_width(smooth[top:])) * self.resolution
+        from scipy.signal import peak_widths
+
+        # As prominence the whole height, so that half the prominence is half the power.
+        height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
+        edges = peak_widths(smooth, [top], prominence_data=height)
+        low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
         inside = (self.frequency >= low) & (self.frequency <= high)
         # The mean is no oscillation, so it does not count.
         total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
@@ -301,52 +307,35 @@ def error_spectrum(
     **Arguments:** `parts`: a segment is this part of the record, 64 samples at least; shorter
     where unbroken stretches are. `detrend`: take each segment's mean off.
     """
+    from scipy.signal import csd
+
     runs = unbroken(np.asarray(error.present))
     length = segment_length([run.stop - run.start for run in runs], parts)
     left, explained, target = map(np.asarray, (error.error, error.explained, error.target))
-    sums, count = np.zeros((4, length // 2 + 1)), 0
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    pairs = {
+        "error": (left, left),
+        "explained": (explained, explained),
+        "target": (target, target),
+        "common": (target, explained),
+    }
+    sums = {name: np.zeros(length // 2 + 1) for name in pairs}
+    count = 0
     for run in runs:
-        if run.stop - run.start < length:
-            continue
-        transforms = []
-        for signal in (left, explained, target):
-            segments = sliding_window_view(signal[run], length)[:: length - length // 2]
-            means = np.mean(segments, axis=1, keepdims=True) if detrend else 0.0
-            transforms.append(scipy.fft.rfft((segments - means) * window))
-        both = zip((*transforms, transforms[2]), (*transforms, transforms[1]))
-        sums += [np.real(np.sum(one.conj() * other, axis=0)) for one, other in both]
-        count += len(transforms[0])
-    # The power of what oscillates is half at the negative frequency.
-    twice = np.where(np.isin(np.arange(length // 2 + 1), (0, length / 2)), 1, 2)
-    means = sums * twice * float(error.time_step) / np.sum(window**2) / max(count, 1)
-    return ErrorSpectrum(np.fft.rfftfreq(length, float(error.time_step)), *means, segments=count)
-
-
-def _tops(level: Float[np.ndarray, " n"], least: float) -> list[int]:
-    """Maxima from which a line falls so far on both sides before it rises above them.
-
-    Written out, as is `_half_width`, since to import `scipy.signal` takes half a second.
-    """
-    tops = np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:])) + 1
-    found = []
-    for top in tops.tolist():
-        higher = np.flatnonzero(level > level[top])
-        before, after = np.split(higher, [np.searchsorted(higher, top)])
-        first, last = np.max(before, initial=-1), np.min(after, initial=level.size)
-        base = max(np.min(level[first + 1 : top + 1]), np.min(level[top:last]))
-        found += [top] if level[top] - base >= least else []
-    return found
-
-
-def _half_width(falling: Float[np.ndarray, " n"]) -> float:
-    """How far from its first value a line is at half of it; its end if it never is."""
-    half = falling[0] / 2
-    below = np.flatnonzero(falling <= half)
-    if not below.size:
-        return float(falling.size - 1)
-    i = int(below[0])
-    return i - float((half - falling[i]) / (falling[i - 1] - falling[i]))
+        # A longer run of segments counts for more, as in one mean over all of them.
+        segments = max((run.stop - run.start - length) // (length - length // 2) + 1, 0)
+        count += segments
+        for name, (one, other) in pairs.items() if segments else ():
+            _, density = csd(
+                one[run],
+                other[run],
+                fs=1 / float(error.time_step),
+                nperseg=length,
+                detrend="constant" if detrend else False,  # pyright: ignore[reportArgumentType]
+            )
+            sums[name] += segments * np.real(density)
+    frequency = np.fft.rfftfreq(length, float(error.time_step))
+    means = {name: total / max(count, 1) for name, total in sums.items()}
+    return ErrorSpectrum(frequency, **means, segments=count)
 
 
 def unbroken(present: Bool[np.ndarray, " n"]) -> list[slice]:

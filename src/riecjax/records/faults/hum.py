@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.special import fdtrc, gammaincinv
 
 from riecjax.findings import Finding
@@ -136,8 +137,7 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
     transform = np.fft.rfft(rows * window, axis=1)
     power = np.mean(np.abs(transform) ** 2, axis=0) * (4 / length) ** 2
-    padded = np.pad(power, AROUND, mode="edge")
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1), axis=1)
+    usual = median_filter(power, 2 * AROUND + 1, mode="nearest")
     ratio = power / np.maximum(usual * stretches / gammaincinv(stretches, 0.5), 1e-300)
     # Of so many bins through Hann's window, the median tells as much as the mean of a quarter.
     chance = fdtrc(2 * stretches, 2 * stretches * (2 * AROUND + 1) / 4, ratio)

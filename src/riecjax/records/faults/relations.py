@@ -26,6 +26,11 @@ class Relation(NamedTuple):
         return (self.signal, *self.terms)
 
     @property
+    def is_plain(self) -> bool:
+        """Whether the derivative is one signal as it is."""
+        return len(self.of) == 1 and self.of[0][1] == 1
+
+    @property
     def suspects(self) -> tuple[str, ...]:
         """Signals each of which may alone be wrong: of a signal and its derivative it is moot
         which."""
@@ -63,7 +68,7 @@ def with_sum(record: Record, relation: Relation) -> tuple[Record, str, str]:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    if relation.of[0][1] == 1 and len(relation.of) == 1:
+    if relation.is_plain:
         return record, relation.signal, relation.terms[0]
     label = summed(relation.of)
     columns = [c * samples_with_nan(record, name) for name, c in relation.of]
