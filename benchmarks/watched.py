@@ -4,6 +4,8 @@ What hangs in code that no signal interrupts, ends the process, prints past Pyth
 memory is found this way, and costs one case.
 """
 
+import contextlib
+import ctypes
 import faulthandler
 import multiprocessing
 import os
@@ -18,6 +20,9 @@ import jax
 
 from riecjax.records.reading import child_process
 
+AT_REST = 1.3e9
+"""Bytes that a process may hold between two cases, compiled programs mostly, before a new one
+takes its place: a command has a process of its own."""
 WAITING = 20
 """Times its patience that a process may wait, on a machine that is busy."""
 
@@ -54,7 +59,10 @@ class Watched:
                 and time.monotonic() - began < WAITING * self._patience
             ):
                 if self._pipe.poll(0.2):
-                    return Ran(*self._pipe.recv())
+                    *ran, at_rest = self._pipe.recv()
+                    if at_rest > AT_REST:
+                        self.end()
+                    return Ran(*ran)
         except (EOFError, ConnectionResetError):
             process.join()
             self._process = None
@@ -108,7 +116,14 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
             printed.seek(0)
             said = printed.read().decode(errors="replace")
             printed.truncate(0)
-            pipe.send((result, "", said, seconds, memory))
+            pipe.send((result, "", said, seconds, memory, _at_rest()))
+
+
+def _at_rest() -> float:
+    """Bytes that this process holds once what it has freed is given back."""
+    with contextlib.suppress(AttributeError):  # another C library than GNU's
+        ctypes.CDLL(None).malloc_trim(0)
+    return _held("self", "VmRSS")
 
 
 def _seconds(pid: int) -> float:
@@ -127,9 +142,15 @@ def peaks() -> float:
 
 
 def _peak(pid: object) -> float:
+    found = _held(pid, "VmHWM")
+    with contextlib.suppress(OSError):
+        Path(f"/proc/{pid}/clear_refs").write_text("5")
+    return found
+
+
+def _held(pid: object, of: str) -> float:
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-        Path(f"/proc/{pid}/clear_refs").write_text("5")
-        return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+        return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith(of))
     except (OSError, StopIteration):
         return 0.0
