@@ -179,6 +179,9 @@ def test_a_clock_that_runs_slow_is_told_by_its_rate():
     assert one.course.change / SAMPLES == pytest.approx(200e-6, rel=0.05)
     assert finding.signals == ("F",)
     assert f"{1e6 * one.course.change / one.course.place[1]:.3g} ppm" in finding.message
+    option, clock = finding.remedy
+    assert option == "--clock"
+    assert float(clock.removeprefix("F=")) == pytest.approx(200, rel=0.05)
 
 
 ROWS = [(1, 2500), *nightly([(5, 2500)]), (5, 5000), (20, 2500)]

@@ -142,8 +142,23 @@ RECORD_OPTIONS = (
         metavar="S",
         help="Use the record up to this time, in seconds from its first sample.",
     ),
+    click.option(
+        "--leave-out",
+        "left_out",
+        multiple=True,
+        metavar="SIGNAL",
+        help="Take as missing what this signal shows while it is stuck or at the end of its range. "
+        "Repeatable.",
+    ),
     assignments(
         "--shift", float, "SIGNAL=SECONDS", "Advance a signal that is late by so much.", "shifts"
+    ),
+    assignments(
+        "--clock",
+        float,
+        "SIGNAL=PPM",
+        "Set the clock of a signal that falls behind by so many millionths of the time.",
+        "clocks",
     ),
     click.option(
         "--align",
@@ -231,7 +246,9 @@ class RecordingOptions:
     outliers: str
     start: float | None
     stop: float | None
+    left_out: tuple[str, ...]
     shifts: Mapping[str, float]
+    clocks: Mapping[str, float]
     align: str | tuple[str, ...]
     offsets: tuple[str, ...]
     drifts: tuple[str, ...]

@@ -2,8 +2,10 @@ from .faults.signals import check_signals as check_signals
 from .noise_judgement import GivenNoise as GivenNoise
 from .noise_judgement import judged as judged
 from .preparation import align as align
+from .preparation import leave_out as leave_out
 from .preparation import notch as notch
 from .preparation import repair_outliers as repair_outliers
+from .preparation import set_clocks as set_clocks
 from .preparation import shift as shift
 from .preparation import split_at as split_at
 from .preparation import upsample as upsample

@@ -40,7 +40,11 @@ class ReadingSettings(TypedDict, total=False):
     What is done to the record then, in this order:
 
     - `start`, `stop`: cut it at these seconds from its first sample.
+    - `left_out`: signals of which what is stuck or at the end of its range becomes missing. See
+      [`leave_out`][riecjax.records.leave_out].
     - `shifts`: signal to the seconds by which it is advanced, since it is late by as much.
+    - `clocks`: signal to the millionths of the time by which it falls behind. See
+      [`set_clocks`][riecjax.records.set_clocks].
     - `align`: `"auto"` advances what is late against its recorded derivative or integral, as the
       `model` names them; `"none"`; or the signals to shift. See [`align`][riecjax.records.align].
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
@@ -66,7 +70,9 @@ class ReadingSettings(TypedDict, total=False):
     outliers: Treatment
     start: float | None
     stop: float | None
+    left_out: Sequence[str]
     shifts: Mapping[str, float] | None
+    clocks: Mapping[str, float] | None
     align: str | Sequence[str]
     offsets: Sequence[str]
     drifts: Sequence[str]
@@ -77,8 +83,8 @@ class ReadingSettings(TypedDict, total=False):
     every: int
 
 
-MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives", "shifts")
-NAMES = ("offsets", "drifts", "columns", "notches")
+MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives", "shifts", "clocks")
+NAMES = ("offsets", "drifts", "columns", "notches", "left_out")
 
 
 def sorted_settings(

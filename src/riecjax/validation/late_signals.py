@@ -232,9 +232,9 @@ def _uneven(one: SignalDelay, record: Record) -> Finding:
     lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
     if course.kind == "clocks":
         rate = 1e6 * course.change / (course.place[1] - course.place[0])
-        code, remedy = "two_clocks", ()
+        code, remedy = "two_clocks", course.by_one_clock(one.signals, rate, one.time_step)
         what = f"{names} falls behind evenly, {lasts}: its clock differs by {rate:.3g} ppm"
-        step = f"Record {names} by the clock of the others, or resample it by its own time"
+        step = f"Set the clock of {names}, or record it by that of the others"
     else:
         first, last = (time[min(place + LONGEST, time.size - 1)] for place in course.place)
         remedy = course.in_time(first, last)

@@ -14,6 +14,7 @@ from riecjax.records.consistency import check_derivatives
 from riecjax.records.derived import derived
 from riecjax.records.faults.derivative_pairs import Pair, compare_pair
 from riecjax.records.noise import Noise
+from riecjax.records.preparation.alignment import set_clocks, shift
 from riecjax.records.record import Record
 
 STEP, COUNT = 0.005, 6000
@@ -192,6 +193,22 @@ def test_clocks_that_differ():
     found = only(record)
     assert found.code == "two_clocks"
     assert compared(record).course.change == pytest.approx(0.6, abs=0.15)
+    option, clock = found.remedy[-2:]
+    assert option == "--clock"
+    name, ppm = clock.split("=")
+    assert (name, float(ppm)) == ("v", pytest.approx(100, rel=0.25))
+
+
+@pytest.mark.raises_finding("two_clocks")
+def test_what_parted_early_is_advanced_as_well():
+    slow = STEP * (np.arange(COUNT) * (1 - 200e-6) - 2.0)
+    record = recorded(Motion(8), v_at=slow)
+    shift_, seconds, clock, ppm = only(record).remedy
+    assert (shift_, clock) == ("--shift", "--clock")
+    late = {name: float(value) for name, value in (seconds.split("="),)}
+    mended = set_clocks(shift(record, late), {"v": float(ppm.removeprefix("v="))})
+    assert compared(mended).course.kind == "steady"
+    assert abs(compared(mended).fit.delay) < 0.1
 
 
 def test_gaps_and_spikes_hide_no_delay():

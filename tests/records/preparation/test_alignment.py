@@ -6,7 +6,7 @@ import pytest
 from riecjax.errors import DataError
 from riecjax.models.catalogue import find_model
 from riecjax.records.noise import Noise
-from riecjax.records.preparation.alignment import align, declared_pairs, shift
+from riecjax.records.preparation.alignment import align, declared_pairs, set_clocks, shift
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import read_recording
 
@@ -66,6 +66,39 @@ def test_noise_goes_on_with_its_size():
 def test_impossible_shifts(seconds):
     with pytest.raises(DataError, match="half the record"):
         shift(recorded(), {"q": seconds})
+
+
+@pytest.mark.parametrize("ppm", [500.0, -2000.0])
+def test_a_signal_of_another_clock_is_brought_to_the_records(ppm):
+    slow = motion(TIME * (1 - 1e-6 * ppm))
+    slow[1500:1510] = np.nan
+    record = Record.from_samples({"q": slow, "dq": motion(TIME, 1)}, time_step=STEP)
+    # What was cut off before counts: clocks part from the recording's first sample on.
+    for start in (0, 700):
+        set_ = set_clocks(record.part(start, TIME.size), {"q": ppm})
+        values, time = samples_with_nan(set_, "q"), np.asarray(set_.elapsed)
+        there = ~np.isnan(values)
+        # Of the advance itself, by millionths of the time, 1e-3 of a per mille is left.
+        exact = motion(time[there] * (1 - (1e-6 * ppm) ** 2))
+        np.testing.assert_allclose(values[there], exact, atol=1e-5)
+        np.testing.assert_allclose(set_["dq"], motion(time, 1), atol=1e-9)
+        assert 50 < np.sum(~there) < 110
+        assert record.sample_count - start - set_.sample_count < 110
+
+
+def test_noise_of_another_clock_goes_on_with_its_size():
+    noise = np.random.default_rng(0).normal(size=4000)
+    record = Record.from_samples({"q": noise}, time_step=STEP)
+    found = set_clocks(record.with_noise(Noise.given({"q": 1.0})), {"q": 3000.0})
+    assert float(found.noise.std("q")) == pytest.approx(np.std(np.asarray(found["q"])), rel=0.04)
+
+
+@pytest.mark.parametrize(
+    ("ppm", "count", "said"), [(np.nan, 4000, "no clock"), (1e5, 4000, "10"), (50.0, 80, "long")]
+)
+def test_impossible_clocks(ppm, count, said):
+    with pytest.raises(DataError, match=said):
+        set_clocks(recorded(count=count), {"q": ppm})
 
 
 @pytest.mark.no_finding("late_signal")

@@ -58,23 +58,30 @@ def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iter
     Unless other signals say that the limit is real, as the motion of a wheel that lifts does of the
     force on its tyre.
     """
-    if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
-        return
-    sides = [_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0)]
-    sides = [side for side in sides if side is not None and side.steep]
-    unique = not signal.resolution and np.mean(signal.counts == 1) > 0.999
-    if sum(side.steep for side in sides) < (1 if unique else FEWEST_VISITS):
-        return
-    for side in (one for one in sides if not is_real(signal, one, others)):
+    for side in (one for one in limits(signal) if not is_real(signal, one, others)):
+        remedy = ("--leave-out", signal.name)
         yield signal.finding(
             "clipped",
             f"sits at its {side.which} of {signal.with_unit(side.extreme)} in {side.starts.size} "
             f"place(s), {percent(side.samples, signal.sample_count)} of the samples, first at "
             f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does. "
-            f"Record with a larger range or leave those stretches out, unless the limit is real, "
-            f"as of a command or of a wheel that lifts.",
+            f"Record with a larger range, or leave them out (on the command line: "
+            f"{' '.join(remedy)}), unless the limit is real, as of a command or of a wheel that "
+            f"lifts.",
             doubt=side.samples / signal.sample_count,
+            remedy=remedy,
         )
+
+
+def limits(signal: SampledSignal) -> list[Visits]:
+    """Extremes into which a signal ran, real ones too."""
+    if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
+        return []
+    sides = [_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0)]
+    found = [side for side in sides if side is not None and side.steep]
+    unique = not signal.resolution and np.mean(signal.counts == 1) > 0.999
+    enough = sum(side.steep for side in found) >= (1 if unique else FEWEST_VISITS)
+    return found if enough else []
 
 
 def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:

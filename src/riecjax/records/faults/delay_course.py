@@ -45,6 +45,12 @@ class Course(NamedTuple):
         before = abs(self.first) <= abs(self.first + self.change)
         return ("--to", f"{start:.4g}") if before else ("--from", f"{stop:.4g}")
 
+    def by_one_clock(self, late: Sequence[str], ppm: float, step: float) -> tuple[str, ...]:
+        """Options that bring what falls behind by so many millionths to the time of the others."""
+        first = 0.0 if abs(self.first) < CHANGE else self.first * step
+        shifts = [word for name in late if first for word in ("--shift", f"{name}={first:.4g}")]
+        return (*shifts, *(word for name in late for word in ("--clock", f"{name}={ppm:.5g}")))
+
 
 def delay_course(
     parts: Sequence[Sequence[Piece]],

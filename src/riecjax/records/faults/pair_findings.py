@@ -171,14 +171,16 @@ def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
     both = (*names, *(name for name in pair.relation.names if name not in names))
     if course.kind == "clocks":
         rate = 1e6 * course.change / max(time.size - 1, 1)
+        remedy = course.by_one_clock(names, rate, step)
         return Finding(
             "two_clocks",
             f"{mine} falls behind {others} evenly, {lasts} over the record: their "
-            f"clocks differ by {rate:.3g} \u00b1 {1e6 * course.error / time.size:.1g} ppm. Give "
-            f"each its own time and --resample both, or record both by one logger.{_else(pair)}",
+            f"clocks differ by {rate:.3g} \u00b1 {1e6 * course.error / time.size:.1g} ppm. Record "
+            f"both by one logger, or set the clock ({' '.join(remedy)}).{_else(pair)}",
             both,
             doubt=doubt,
-            step=f"Record {mine} and {others} by one clock",
+            remedy=remedy,
+            step=f"Set the clock of {mine}",
         )
     first, last = (time[min(place, time.size - 1)] for place in course.place)
     jumping = others if course.change > 0 else mine

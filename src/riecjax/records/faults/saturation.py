@@ -47,31 +47,37 @@ def saturated(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> It
     A crest of the motion is smooth, and what comes to rest decelerates on its way. What runs up to
     its limit and away from it evenly, each time alike, is a command that is followed.
     """
+    for side in (one for one in limits_under_noise(signal) if not is_real(signal, one, others)):
+        share, remedy = side.samples / signal.sample_count, ("--leave-out", signal.name)
+        yield signal.finding(
+            "clipped",
+            f"stays within its noise at its {side.which} of {signal.with_unit(side.extreme)} in "
+            f"{side.starts.size} place(s), {percent(share, 1)} of the samples, first at "
+            f"{signal.time[side.starts[0]]:.4g} s, where its slope ends abruptly, as an amplifier "
+            f"at the end of its range does. Record with a larger range, or leave them out (on the "
+            f"command line: {' '.join(remedy)}), unless the limit is real.",
+            doubt=share,
+            remedy=remedy,
+        )
+
+
+def limits_under_noise(signal: SampledSignal) -> list[Visits]:
+    """Levels at which a signal's slope ends, real limits too."""
     missing = np.isnan(signal.values)
-    rms = float(np.nanstd(signal.values))
     if signal.levels.size <= FEW_LEVELS or missing.all() or is_piecewise_linear(signal):
-        return
-    noise = float(noise_level(signal.values, ~missing))
+        return []
+    rms, noise = float(np.nanstd(signal.values)), float(noise_level(signal.values, ~missing))
     if not QUIETEST * rms < noise < LOUDEST * rms:
-        return
+        return []
+    found = []
     for which, sign in (("maximum", 1.0), ("minimum", -1.0)):
-        values = sign * signal.values / noise
-        found = _limit(values)
-        if found is not None:
-            limit, visits = found
-            samples, extreme = int(np.sum(visits[:, 1] - visits[:, 0])), sign * limit * noise
-            side = Visits(which, extreme, visits[:, 0], samples, len(visits), BAND * noise)
-            if is_real(signal, side, others):
-                continue
-            yield signal.finding(
-                "clipped",
-                f"stays within its noise at its {which} of {signal.with_unit(extreme)} in "
-                f"{len(visits)} place(s), {percent(samples, signal.sample_count)} of the samples, "
-                f"first at {signal.time[visits[0, 0]]:.4g} s, where its slope ends abruptly, as an "
-                f"amplifier at the end of its range does. Record with a larger range or leave "
-                f"those stretches out, unless the limit is real.",
-                doubt=samples / signal.sample_count,
-            )
+        limit = _limit(sign * signal.values / noise)
+        if limit is not None:
+            level, visits = limit
+            samples, starts = int(np.sum(visits[:, 1] - visits[:, 0])), visits[:, 0]
+            extreme = sign * level * noise
+            found.append(Visits(which, extreme, starts, samples, len(visits), BAND * noise))
+    return found
 
 
 def _limit(values: np.ndarray) -> tuple[float, np.ndarray] | None:

@@ -1,6 +1,6 @@
 """A signal that does not change while the rest of the record moves."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -28,20 +28,38 @@ MOVES = 0.3
 """Share of its usual sample-to-sample change past which another signal moves meanwhile."""
 
 
-def stuck(signal: SampledSignal, others: list[SampledSignal]) -> Iterator[Finding]:
+def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Finding]:
     """A long run of one value, begun or left by a jump, while another signal moves on."""
+    runs = stuck_runs(signal, others)
+    if not runs.size:
+        return
+    starts, lengths, first = signal.run_starts, signal.run_lengths, runs[0]
+    samples, remedy = int(lengths[runs].sum()), ("--leave-out", signal.name)
+    yield signal.finding(
+        "stuck_sensor",
+        f"stays at exactly {signal.with_unit(signal.run_values[first])} for {lengths[first]} "
+        f"samples from {signal.time[starts[first]]:.4g} s on while the rest of the record "
+        f"{_rest_of_record(others, starts[first], lengths[first])} ({samples} samples in "
+        f"{runs.size} place(s), {percent(samples, signal.sample_count)}). Leave them out (on the "
+        f"command line: {' '.join(remedy)}), and check the sensor, its cable and the logger.",
+        remedy=remedy,
+    )
+
+
+def stuck_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndarray:
+    """Which of the signal's runs a stuck sensor showed."""
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
-    usual = float(np.quantile(lengths, 0.95))
+    usual, none = float(np.quantile(lengths, 0.95)), np.zeros(0, int)
     long = np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
     if not long.size or signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
-        return
+        return none
     steps = np.abs(np.diff(signal.values))
     elsewhere = np.ones(steps.size, bool)
     for run in long:
         elsewhere[starts[run] : starts[run] + lengths[run] - 1] = False
     moving = steps[elsewhere & ~np.isnan(steps)]
     if not moving.size or np.mean(moving == 0) > LONGEST_REST:
-        return
+        return none
     least = max(ABRUPT * float(np.median(moving[moving > 0])), ABRUPT_QUANTA * signal.resolution)
     # The larger one of the steps into and out of each run.
     padded = np.pad(steps, 1, constant_values=np.nan)
@@ -51,27 +69,17 @@ def stuck(signal: SampledSignal, others: list[SampledSignal]) -> Iterator[Findin
     ends = np.abs(values[:, None] - signal.levels[[0, -1]]).min(axis=1) <= signal.rounding
     edges = np.where(ends & (edges <= JUMP * usual), 0.0, edges)
     # A machine comes to rest and leaves it gently, and rests in the same place more than once.
-    stuck = [
+    found = [
         run
         for run in long
         if np.sum(values[long] == values[run]) == 1
         and edges[run] > least
         and _rest_of_record(others, starts[run], lengths[run])
     ]
-    if not stuck:
-        return
-    samples, first = int(lengths[stuck].sum()), stuck[0]
-    yield signal.finding(
-        "stuck_sensor",
-        f"stays at exactly {signal.with_unit(values[first])} for {lengths[first]} samples from "
-        f"{signal.time[starts[first]]:.4g} s on while the rest of the record "
-        f"{_rest_of_record(others, starts[first], lengths[first])} ({samples} samples in "
-        f"{len(stuck)} place(s), {percent(samples, signal.sample_count)}). Leave that stretch out "
-        f"and check the sensor, its cable and the logger.",
-    )
+    return np.array(found, int)
 
 
-def _rest_of_record(others: list[SampledSignal], start: int, length: int) -> str:
+def _rest_of_record(others: Sequence[SampledSignal], start: int, length: int) -> str:
     """What the other sensors do during a run, if it suggests a fault; else empty.
 
     Either one of them changes from sample to sample, or every one shows one value to the last

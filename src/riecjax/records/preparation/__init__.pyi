@@ -1,4 +1,5 @@
 from .alignment import align as align
+from .alignment import set_clocks as set_clocks
 from .alignment import shift as shift
 from .filtering import central_difference as central_difference
 from .filtering import differentiate as differentiate
@@ -7,6 +8,7 @@ from .filtering import remove_drift as remove_drift
 from .filtering import remove_offset as remove_offset
 from .local_polynomial import with_local_derivative as with_local_derivative
 from .notch import notch as notch
+from .repair import leave_out as leave_out
 from .repair import repair_outliers as repair_outliers
 from .resampling import decimate as decimate
 from .resampling import on_grid as on_grid

@@ -12,7 +12,7 @@ from riecjax.records.consistency import compared
 from riecjax.records.faults.derivative_pairs import LATE, Pair
 from riecjax.records.faults.relations import Pairs, Relation, relations
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation.band_limited import reach_beyond, response
+from riecjax.records.preparation.band_limited import band_limited, reach_beyond, response
 from riecjax.records.preparation.filtering import longest_stretch, on_stretches, with_gaps
 from riecjax.records.record import Record
 
@@ -20,6 +20,9 @@ POINTS = np.arange(-3, 5)
 """Samples around a place that a polynomial of degree 7 goes through."""
 MOST_LOST = 20
 """Times the samples lost at both ends that a stretch must hold to be interpolated band-limited."""
+
+MOST_PPM = 1e5
+"""Millionths past which it is no clock that is off."""
 
 
 class Aligned(NamedTuple):
@@ -66,6 +69,43 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
             raise DataError(f"no stretch of '{name}' is long enough to be shifted.")
     result = with_gaps(record, columns, noise=record.noise)
     return result.part(max(before, 0), record.sample_count - max(after, 0))
+
+
+def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
+    """Bring signals to the record's time of which a clock runs slow or fast.
+
+    What falls behind evenly, by so many millionths of the time since the recording's first sample,
+    is in time then. Band-limited, which loses 44 samples at both ends; what is lost beside gaps
+    becomes missing.
+
+    **Arguments:** `ppm` by signal; negative ones of a signal that gets ahead.
+
+    **Raises:** `DataError` for a signal that the record lacks, a clock that is off by more than
+    10 %, or stretches too short for it.
+    """
+    reach, columns, lost = reach_beyond(1.0), {}, 0
+    elapsed = np.asarray(record.elapsed) / float(record.time_step)
+    phases = (response(np.arange(1 - reach, reach + 1) - p, 1.0) for p in np.linspace(0, 1, 21))
+    # The interpolator's gain of white noise, over all places between two samples.
+    white = np.sqrt(np.mean([taps @ taps for taps in phases]))
+    for name, rate in ppm.items():
+        samples = np.asarray(record.signals[name])
+        if not abs(rate) < MOST_PPM:
+            raise DataError(
+                f"the clock of '{name}' is off by {rate:g} ppm, which is no clock. Give millionths "
+                f"of the time, less than {MOST_PPM:g}."
+            )
+        late, columns[name] = 1e-6 * rate * elapsed, np.full(samples.size, np.nan)
+        for part in record.segments([name]):
+            own = np.arange(part.stop - part.start)
+            columns[name][part] = band_limited(samples[part], own + late[part], 1.0)
+        if np.isnan(columns[name]).all():
+            raise DataError(f"no stretch of '{name}' is long enough for another clock.")
+        record = judged(record, "auto", name)
+        record = record.with_noise(record.noise.filtered(name, np.array([white])))
+        lost = max(lost, reach + int(np.ceil(np.max(np.abs(late[[0, -1]])))))
+    result = with_gaps(record, columns, noise=record.noise)
+    return result.part(lost, record.sample_count - lost)
 
 
 def _taps(by: float, reach: int) -> tuple[Float[np.ndarray, " taps"], int]:

@@ -1,4 +1,4 @@
-"""Spikes replaced by what the samples around them say, before anything else is made of a signal."""
+"""Spikes replaced by what the samples around them say; what a sensor could not show left out."""
 
 import re
 from collections.abc import Mapping
@@ -9,7 +9,9 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
+from riecjax.records.faults.held import held
 from riecjax.records.faults.outliers import DONE, Treatment, finding_of, too_many
+from riecjax.records.faults.sampled_signal import sampled_signal
 from riecjax.records.faults.spikes import find_spikes
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.reading.selected import Selection
@@ -45,6 +47,33 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     }
     changed = {name: each.values for name, each in treated.items() if each.words}
     return with_gaps(record, changed, noise=record.noise.of(*changed)) if changed else record
+
+
+def leave_out(record: Record, *signals: str) -> Record:
+    """Mark as missing what a stuck sensor showed, or one at the end of its range.
+
+    These are the samples of which `stuck_sensor` and `clipped` speak: a long run of one value, and
+    a limit into which the signal ran. Windows that touch one count no more.
+
+    **Raises:** `DataError` for no signal, one that the record lacks, or one of which nothing would
+    be left.
+    """
+    if not signals:
+        raise DataError(f"name the signals to leave out of; there are: {', '.join(record.arrays)}.")
+    every = {
+        name: sampled_signal(record, name) for name in {**dict.fromkeys(signals), **record.arrays}
+    }
+    columns = {}
+    for name in signals:
+        others = [signal for other, signal in every.items() if other != name]
+        places = held(every[name], others)
+        if places.any():
+            columns[name] = np.where(places, np.nan, every[name].values)
+            if np.isnan(columns[name]).all():
+                raise DataError(
+                    f"nothing would be left of '{name}': it is at its limit throughout."
+                )
+    return with_gaps(record, columns, noise=record.noise)
 
 
 def treat_all(

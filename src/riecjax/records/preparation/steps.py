@@ -11,10 +11,12 @@ from riecjax.errors import DataError
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation import (
     differentiate,
+    leave_out,
     low_pass,
     notch,
     remove_drift,
     remove_offset,
+    set_clocks,
     shift,
     upsample,
     with_local_derivative,
@@ -37,7 +39,9 @@ class Preparation:
     **Fields:**
 
     - `start`, `stop`: times to cut at in seconds from the recording's first sample, or `None`.
+    - `left_out`: signals of which what is stuck or at its limit becomes missing.
     - `shifts`: signal to the seconds that it is advanced by.
+    - `clocks`: signal to the millionths of the time by which it falls behind.
     - `align`: whether signals that are late against their derivatives are advanced, see
       [`align`][riecjax.records.align]; not one of the `steps`, since it depends on what is found.
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
@@ -50,7 +54,9 @@ class Preparation:
 
     start: float | None = None
     stop: float | None = None
+    left_out: tuple[str, ...] = ()
     shifts: Mapping[str, float] = field(default_factory=dict)
+    clocks: Mapping[str, float] = field(default_factory=dict)
     align: str | tuple[str, ...] = "auto"
     offsets: tuple[str, ...] = ()
     drifts: tuple[str, ...] = ()
@@ -62,8 +68,8 @@ class Preparation:
 
     def halves(self) -> tuple["Preparation", "Preparation"]:
         """What comes before signals are aligned, and what comes after."""
-        first = Preparation(self.start, self.stop, self.shifts)
-        return first, replace(self, start=None, stop=None, shifts={})
+        first = Preparation(self.start, self.stop, self.left_out, self.shifts, self.clocks)
+        return first, replace(self, start=None, stop=None, left_out=(), shifts={}, clocks={})
 
     def idle_cuts(self, record: Record) -> dict[str, str]:
         """Of `start` and `stop`, those that cut nothing off a record, and that in words."""
@@ -82,9 +88,16 @@ class Preparation:
             low = "the start" if self.start is None else f"{self.start:g} s"
             high = "the end" if self.stop is None else f"{self.stop:g} s"
             steps.append(Step(f"cut from {low} to {high}", partial(cut, self.start, self.stop)))
+        steps += [
+            Step(f"{name}: left out where it is stuck or at its limit", partial(_left_out, name))
+            for name in self.left_out
+        ]
         if self.shifts:
             listed = ", ".join(f"{name} by {seconds:g} s" for name, seconds in self.shifts.items())
             steps.append(Step(f"advanced: {listed}", lambda record: shift(record, self.shifts)))
+        if self.clocks:
+            listed = ", ".join(f"{name} by {rate:g} ppm" for name, rate in self.clocks.items())
+            steps.append(Step(f"clocks: {listed}", lambda r: set_clocks(r, self.clocks)))
         steps += [
             Step(f"{name}: mean removed", partial(_of_signal, remove_offset, name))
             for name in self.offsets
@@ -179,6 +192,10 @@ def _lasts(record: Record) -> str:
 
 def _of_signal(step: Callable[..., Record], name: str, record: Record) -> Record:
     return step(record, name)
+
+
+def _left_out(name: str, record: Record) -> Record:
+    return leave_out(record, name)
 
 
 def _at_frequency(hertz: float | Literal["auto"], record: Record) -> Record:
