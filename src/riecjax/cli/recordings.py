@@ -160,6 +160,13 @@ RECORD_OPTIONS = (
         "Set the clock of a signal that falls behind by so many millionths of the time.",
         "clocks",
     ),
+    assignments(
+        "--unfilter",
+        float,
+        "SIGNAL=SECONDS",
+        "Undo a first-order low-pass with this time constant in front of a signal.",
+        "lags",
+    ),
     click.option(
         "--align",
         metavar="auto|none|SIGNAL",
@@ -249,6 +256,7 @@ class RecordingOptions:
     left_out: tuple[str, ...]
     shifts: Mapping[str, float]
     clocks: Mapping[str, float]
+    lags: Mapping[str, float]
     align: str | tuple[str, ...]
     offsets: tuple[str, ...]
     drifts: tuple[str, ...]

@@ -45,6 +45,8 @@ class ReadingSettings(TypedDict, total=False):
     - `shifts`: signal to the seconds by which it is advanced, since it is late by as much.
     - `clocks`: signal to the millionths of the time by which it falls behind. See
       [`set_clocks`][riecjax.records.set_clocks].
+    - `lags`: signal to the time constant in seconds of a first-order low-pass in front of it, which
+      is undone. See [`unfilter`][riecjax.records.unfilter].
     - `align`: `"auto"` advances what is late against its recorded derivative or integral, as the
       `model` names them; `"none"`; or the signals to shift. See [`align`][riecjax.records.align].
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
@@ -73,6 +75,7 @@ class ReadingSettings(TypedDict, total=False):
     left_out: Sequence[str]
     shifts: Mapping[str, float] | None
     clocks: Mapping[str, float] | None
+    lags: Mapping[str, float] | None
     align: str | Sequence[str]
     offsets: Sequence[str]
     drifts: Sequence[str]
@@ -83,7 +86,17 @@ class ReadingSettings(TypedDict, total=False):
     every: int
 
 
-MAPPINGS = ("rename", "scale", "units", "derive", "cutoffs", "derivatives", "shifts", "clocks")
+MAPPINGS = (
+    "rename",
+    "scale",
+    "units",
+    "derive",
+    "cutoffs",
+    "derivatives",
+    "shifts",
+    "clocks",
+    "lags",
+)
 NAMES = ("offsets", "drifts", "columns", "notches", "left_out")
 
 

@@ -13,7 +13,6 @@ Only a delay that explains nearly all of it is told.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from riecjax import tails
@@ -22,6 +21,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.faults.delay_course import Course
+from riecjax.records.preparation.filtering import SLOPE, lead
 from riecjax.records.record import Record
 from riecjax.summaries.task import signals_read
 from riecjax.validation.delay_courses import course_of
@@ -49,8 +49,6 @@ VISIBLE = 0.003
 """Rms left beyond noise, over the target, from which a delay that changes is looked for."""
 CLEARER = 4.0
 """Times as much energy that the other of delay and low-pass leaves where one of them is named."""
-SLOPE = np.array([1, -9, 45, 0, -45, 9, -1]) / 60
-"""Taps of a derivative of sixth order over a sample, the middle one for the same sample."""
 MOST_LAGS = 4
 """Multiples of the delay up to which a low-pass is looked for."""
 
@@ -195,25 +193,29 @@ def late_signals(
 def _finding(one: SignalDelay) -> Finding:
     names, late = " and ".join(one.signals), one.seconds > 0
     most = max(one.moved, key=lambda name: abs(one.moved[name]))
-    shift = tuple(w for n in one.signals for w in ("--shift", f"{n}={one.seconds:.4g}"))
     size = (
         f"{1e3 * abs(one.seconds):.3g} ms ({abs(one.samples):.3g} samples, "
         f"+-{1e3 * one.reach:.2g} ms)"
     )
-    what = f"{names} {'come' if len(one.signals) > 1 else 'comes'} {size} "
     named = one.low_passed and one.certain
+    option = "--unfilter" if named else "--shift"
+    remedy = tuple(w for n in one.signals for w in (option, f"{n}={one.seconds:.4g}"))
     if named:
         what = (
             f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
             f"{1 / (2 * np.pi * one.seconds):.3g} Hz"
         )
-    elif late:
-        what += f"later than the equation says{'' if one.certain else ', or low-passed'}"
+        mend = f"Record it without that filter, or undo it ({' '.join(remedy)})."
+        step = f"Undo the low-pass of {names}"
     else:
-        what += "earlier than the equation says: all others are late, or low-passed"
-    mend = f"Shift it (on the command line: {' '.join(shift)}), or record all by one clock."
-    if named:
-        mend = f"Record it without that filter; {' '.join(shift)} takes off the lag alone."
+        comes = "come" if len(one.signals) > 1 else "comes"
+        doubtful = "" if one.certain else ", or low-passed"
+        others = "earlier than the equation says: all others are late, or low-passed"
+        what = f"{names} {comes} {size} " + (
+            f"later than the equation says{doubtful}" if late else others
+        )
+        mend = f"Shift it (on the command line: {' '.join(remedy)}), or record all by one clock."
+        step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
     return Finding(
         "low_passed" if named else "late_signal",
         f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
@@ -222,8 +224,8 @@ def _finding(one: SignalDelay) -> Finding:
         one.signals,
         tuple(one.moved),
         doubts={name: abs(share) for name, share in one.moved.items()},
-        remedy=shift,
-        step=f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms",
+        remedy=remedy,
+        step=step,
     )
 
 
@@ -293,18 +295,8 @@ def advanced(record: Record, signals: Sequence[str], shift: float, reach: int) -
 
 def unfiltered(record: Record, signals: Sequence[str], lag: float, reach: int) -> Record:
     """The same with a first-order low-pass of a time constant in samples taken off them."""
-    n, taps = record.sample_count, lag * SLOPE
-    taps[3] += 1.0
-    inner, noise = record.part(reach, n - reach), record.noise.of(*signals)
-    near = slice(reach - 3, n - reach + 3)
-    moved, missing = {}, {}
-    for name in signals:
-        moved[name] = jnp.asarray(np.convolve(np.asarray(record.arrays[name])[near], taps, "valid"))
-        noise = noise.filtered(name, taps)
-        if name in record.missing:
-            gone = np.convolve(np.asarray(record.missing[name])[near], np.ones(7), "valid")
-            missing[name] = jnp.asarray(gone > 0.5)
-    return inner.with_signals(moved, missing=missing, noise=noise)
+    near = record.part(reach - SLOPE.size // 2, record.sample_count - reach + SLOPE.size // 2)
+    return lead(near, dict.fromkeys(signals, lag * float(record.time_step)))
 
 
 Undo = Callable[[Record, Sequence[str], float, int], Record]

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from riecjax.records.consistency import check_derivatives
+from riecjax.records.consistency import check_derivatives, compared
 from riecjax.records.faults.cut_rows import cut_rows
+from riecjax.records.faults.relations import relations
+from riecjax.records.preparation.alignment import align
 from riecjax.records.record import Record
 
 RATE, COUNT, AT = 200, 6000, 2400
@@ -41,6 +43,29 @@ def test_a_jump_is_found_at_its_time(lost, noise):
     assert finding.doubt == pytest.approx(min(abs(jump) / np.std(columns["x"]), 1.0), rel=0.2)
     (said,) = check_derivatives(record(columns, lost), [("x", "v")])
     assert said.code == "lost_rows"
+
+
+@pytest.mark.raises_finding("lost_rows")
+@pytest.mark.parametrize("earlier", [0.0, 3600.0])
+def test_times_count_from_the_recordings_first_sample(earlier):
+    part = record(rows(1), 40).part(500, COUNT)
+    moved = Record(part.arrays, part.time_step, skipped=part.skipped + earlier)
+    finding = cut_rows(moved, "x", "v")
+    assert finding is not None
+    after = float(finding.remedy[1]) - earlier
+    assert AT / RATE <= after <= (AT + 5) / RATE
+    assert f"at {AT / RATE + earlier:.7g} s" in finding.message
+
+
+@pytest.mark.raises_finding("lost_rows")
+@pytest.mark.parametrize("seed", [9, 14])
+def test_lost_rows_are_not_taken_for_a_delay(seed):
+    gone = record(rows(seed, 0.0), 100)
+    (relation,) = relations([("x", "v")])
+    _, pair = compared(gone, relation)
+    assert pair is not None
+    assert pair.is_late
+    assert align(gone, [relation]).record is gone
 
 
 @pytest.mark.no_finding("lost_rows")

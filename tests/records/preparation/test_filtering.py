@@ -5,7 +5,8 @@ import pytest
 import scipy.signal
 
 from riecjax.errors import DataError
-from riecjax.records.preparation.filtering import low_pass, remove_drift, remove_offset
+from riecjax.records.noise import Noise
+from riecjax.records.preparation.filtering import low_pass, remove_drift, remove_offset, unfilter
 from riecjax.records.record import Record
 
 RATE = 1000.0
@@ -49,6 +50,45 @@ def test_low_pass_cuts_five_periods_of_the_lowest_cut_off_and_keeps_time():
     assert filtered.sample_count == 4000 - 2 * 250
     np.testing.assert_allclose(filtered.start_time, 0.25)
     np.testing.assert_allclose(filtered.time, TIME[250:-250])
+
+
+TAU = 0.004
+
+
+def behind_a_low_pass(frequency: float) -> np.ndarray:
+    """The settled answer of tau z' + z = s to a wave of this frequency."""
+    lag = 2 * np.pi * frequency * TAU
+    wave = np.sin(2 * np.pi * frequency * TIME + 0.3 - np.arctan(lag))
+    return wave / np.hypot(1, lag)
+
+
+@pytest.mark.parametrize("frequency", [5.0, 40.0, 80.0])
+def test_a_low_pass_of_first_order_is_undone(frequency):
+    z = behind_a_low_pass(frequency)
+    z[2000:2005] = np.nan
+    found = unfilter(Record.from_samples({"q": z, "p": TIME}, time_step=1 / RATE), {"q": TAU})
+    values, time = np.asarray(found["q"]), np.asarray(found.elapsed)
+    gone = np.asarray(found.missing["q"])
+    # What differences of sixth order miss of a slope, (w h)^6 / 140.
+    off = 2 * np.pi * frequency * TAU * (2 * np.pi * frequency / RATE) ** 6 / 140
+    wave = np.sin(2 * np.pi * frequency * time + 0.3)
+    np.testing.assert_allclose(values[~gone], wave[~gone], rtol=0, atol=1.1 * off + 1e-9)
+    assert gone.sum() == 5 + 2 * 3
+    np.testing.assert_array_equal(found["p"], TIME[3:-3])
+
+
+def test_noise_grows_as_a_low_pass_is_undone():
+    white = np.random.default_rng(0).normal(size=40_000)
+    noisy = record(q=white).with_noise(Noise.given({"q": 1.0}))
+    found = unfilter(noisy, {"q": TAU})
+    assert float(found.noise.std("q")) == pytest.approx(np.std(np.asarray(found["q"])), rel=0.02)
+    assert float(found.noise.std("q")) > 3
+
+
+@pytest.mark.parametrize("seconds", [0.0, -TAU, np.nan, np.inf])
+def test_no_low_pass_has_such_a_time_constant(seconds):
+    with pytest.raises(DataError, match="must be positive"):
+        unfilter(record(q=TIME), {"q": seconds})
 
 
 @pytest.mark.parametrize("cutoff", [0.0, -5.0, 500.0, 1e9])

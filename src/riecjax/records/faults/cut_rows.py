@@ -49,20 +49,22 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
     if not sure.any():
         return None
     place = int(np.argmax(np.where(sure, np.abs(short), 0.0)))
-    jump, time, side = float(short[place]), place * step, SIDES[0]
+    jump, side, time = float(short[place]), SIDES[0], np.asarray(record.elapsed)
     middles = np.median(left[place : place + side]) - np.median(left[place - side : place])
     if abs(middles - jump) > AGREE * abs(jump):
         return None
     lasts = place < x.size / 2
     return Finding(
         "lost_rows",
-        f"{signal} jumps by {jump * size:.3g} at {time:.4g} s, which the integral of {derivative} "
-        f"does not follow, and goes on as before: rows of all signals are gone there, and time was "
-        f"numbered anew. Use the record {'from there on' if lasts else 'up to there'}, or mark the "
-        f"gap in its time.",
+        f"{signal} jumps by {jump * size:.3g} at {time[place]:.7g} s, which the integral of "
+        f"{derivative} does not follow, and goes on as before: rows of all signals are gone there, "
+        f"and time was numbered anew. Use the record {'from there on' if lasts else 'up to there'}, "
+        f"or mark the gap in its time.",
         (signal, derivative),
         doubt=min(abs(jump), 1.0),
-        remedy=("--from" if lasts else "--to", f"{(place + (2 if lasts else -2)) * step:.4g}"),
+        remedy=("--from", f"{time[place + 2]:.7g}")
+        if lasts
+        else ("--to", f"{time[place - 2]:.7g}"),
         step=f"Leave out what is {'before' if lasts else 'behind'} the jump",
     )
 

@@ -43,7 +43,7 @@ class Course(NamedTuple):
         What lost rows is early from there on; what agrees with it there is no better for it.
         """
         before = abs(self.first) <= abs(self.first + self.change)
-        return ("--to", f"{start:.4g}") if before else ("--from", f"{stop:.4g}")
+        return ("--to", f"{start:.7g}") if before else ("--from", f"{stop:.7g}")
 
     def by_one_clock(self, late: Sequence[str], ppm: float, step: float) -> tuple[str, ...]:
         """Options that bring what falls behind by so many millionths to the time of the others."""

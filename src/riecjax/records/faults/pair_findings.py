@@ -61,16 +61,16 @@ def _late(pair: Pair, turn: float) -> Finding:
     advance = tuple(word for name in names for word in ("--shift", f"{name}={seconds:.4g}"))
     doubt = min(turn * samples, 1.0)
     if pair.lagged:
+        undo = tuple(word for name in names for word in ("--unfilter", f"{name}={seconds:.4g}"))
         return Finding(
             "low_passed",
             f"{late} went through a first-order low-pass that {other} did not, with a time "
             f"constant of {size}, a cut-off at {1 / (2 * np.pi * seconds):.3g} Hz: it lags, and "
-            f"loses what is fast. Record both alike; {' '.join(advance)} takes off the lag alone."
-            f"{_else(pair)}",
+            f"loses what is fast. Record both alike, or undo it ({' '.join(undo)}).{_else(pair)}",
             names,
             doubt=doubt,
-            remedy=advance,
-            step=f"Take the lag of {late} off",
+            remedy=undo,
+            step=f"Undo the low-pass of {late}",
         )
     return Finding(
         "late_signal",

@@ -9,8 +9,9 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.consistency import compared
+from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.derivative_pairs import LATE, Pair
-from riecjax.records.faults.relations import Pairs, Relation, relations
+from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation.band_limited import band_limited, reach_beyond, response
 from riecjax.records.preparation.filtering import longest_stretch, on_stretches, with_gaps
@@ -168,9 +169,11 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
 
 
 def _comparable(record: Record, relation: Relation) -> Pair | None:
-    """The pair, if its signals belong to each other."""
+    """The pair, if its signals belong to each other and no lost rows look like a delay."""
     _, pair = compared(record, relation)
-    return None if pair is None or pair.is_gross else pair
+    if pair is None or pair.is_gross:
+        return None
+    return None if pair.is_late and cut_rows(*with_sum(record, relation)) else pair
 
 
 def _named(pairs: Sequence[Pair], names: Sequence[str]) -> dict[str, float]:

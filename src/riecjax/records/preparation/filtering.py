@@ -18,6 +18,8 @@ FILTER_PADDING = 16
 """Samples by which SciPy extends each end of a stretch for a filter of this order."""
 SETTLING_PERIODS = 5
 """Periods of the cut-off frequency after which a zero-phase filter has forgotten the ends."""
+SLOPE = np.array([1, -9, 45, 0, -45, 9, -1]) / 60
+"""Taps of a derivative of sixth order over a sample, the middle one for the same sample."""
 
 
 def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
@@ -81,6 +83,48 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
                 f"gaps."
             )
     return result
+
+
+def unfilter(record: Record, lags: Mapping[str, float]) -> Record:
+    """Undo a first-order low-pass in front of a signal: s = z + tau z' of what it left, z.
+
+    It raises noise above its cut-off, 1 / (2 pi tau), as the record's noise then says. Three
+    samples are lost at both ends, and become missing beside gaps.
+
+    **Arguments:** `lags`: signal name to the filter's time constant tau in seconds.
+
+    **Raises:** `DataError` for a time constant that is not positive, a signal that the record
+    lacks, or stretches of fewer than seven samples.
+    """
+    for name, seconds in lags.items():
+        if not 0 < seconds < np.inf:
+            raise DataError(
+                f"the time constant of the low-pass before '{name}' must be positive; got "
+                f"{seconds:g} s."
+            )
+    return lead(record, lags)
+
+
+def lead(record: Record, seconds: Mapping[str, float]) -> Record:
+    """As [`unfilter`][], of any time constant, one that is not positive too."""
+    columns, half = {}, SLOPE.size // 2
+    for name, tau in seconds.items():
+        taps = tau / float(record.time_step) * SLOPE
+        taps[half] += 1.0
+
+        def step(samples: np.ndarray, taps: np.ndarray = taps) -> np.ndarray:
+            found = np.full(samples.size, np.nan)
+            if samples.size >= taps.size:
+                found[half:-half] = np.convolve(samples, taps, "valid")
+            return found
+
+        columns[name] = on_stretches(record, name, step)
+        if np.isnan(columns[name]).all():
+            raise DataError(f"no stretch of '{name}' is long enough for its low-pass to be undone.")
+        record = judged(record, "auto", name)
+        record = record.with_noise(record.noise.filtered(name, taps))
+    result = with_gaps(record, columns, noise=record.noise)
+    return result.part(half, record.sample_count - half)
 
 
 def remove_offset(record: Record, *signals: str) -> Record:

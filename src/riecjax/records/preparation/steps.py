@@ -18,6 +18,7 @@ from riecjax.records.preparation import (
     remove_offset,
     set_clocks,
     shift,
+    unfilter,
     upsample,
     with_local_derivative,
 )
@@ -42,6 +43,7 @@ class Preparation:
     - `left_out`: signals of which what is stuck or at its limit becomes missing.
     - `shifts`: signal to the seconds that it is advanced by.
     - `clocks`: signal to the millionths of the time by which it falls behind.
+    - `lags`: signal to the time constant in seconds of a first-order low-pass that is undone.
     - `align`: whether signals that are late against their derivatives are advanced, see
       [`align`][riecjax.records.align]; not one of the `steps`, since it depends on what is found.
     - `offsets`, `drifts`: signals to remove the mean or a straight line from.
@@ -57,6 +59,7 @@ class Preparation:
     left_out: tuple[str, ...] = ()
     shifts: Mapping[str, float] = field(default_factory=dict)
     clocks: Mapping[str, float] = field(default_factory=dict)
+    lags: Mapping[str, float] = field(default_factory=dict)
     align: str | tuple[str, ...] = "auto"
     offsets: tuple[str, ...] = ()
     drifts: tuple[str, ...] = ()
@@ -68,8 +71,10 @@ class Preparation:
 
     def halves(self) -> tuple["Preparation", "Preparation"]:
         """What comes before signals are aligned, and what comes after."""
-        first = Preparation(self.start, self.stop, self.left_out, self.shifts, self.clocks)
-        return first, replace(self, start=None, stop=None, left_out=(), shifts={}, clocks={})
+        names = ("start", "stop", "left_out", "shifts", "clocks", "lags")
+        first = Preparation(**{name: getattr(self, name) for name in names})
+        none = Preparation()
+        return first, replace(self, **{name: getattr(none, name) for name in names})
 
     def idle_cuts(self, record: Record) -> dict[str, str]:
         """Of `start` and `stop`, those that cut nothing off a record, and that in words."""
@@ -98,6 +103,9 @@ class Preparation:
         if self.clocks:
             listed = ", ".join(f"{name} by {rate:g} ppm" for name, rate in self.clocks.items())
             steps.append(Step(f"clocks: {listed}", lambda r: set_clocks(r, self.clocks)))
+        if self.lags:
+            listed = ", ".join(f"{name} of {seconds:g} s" for name, seconds in self.lags.items())
+            steps.append(Step(f"low-pass undone: {listed}", lambda r: unfilter(r, self.lags)))
         steps += [
             Step(f"{name}: mean removed", partial(_of_signal, remove_offset, name))
             for name in self.offsets
