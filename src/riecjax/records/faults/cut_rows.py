@@ -58,8 +58,8 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
         "lost_rows",
         f"{signal} jumps by {jump * size:.3g} at {time[place]:.7g} s, which the integral of "
         f"{derivative} does not follow, and goes on as before: rows of all signals are gone there, "
-        f"and time was numbered anew. Use the record {'from there on' if lasts else 'up to there'}, "
-        f"or mark the gap in its time.",
+        f"and time was numbered anew. Use the record {'from there on' if lasts else 'up to there'},"
+        f" or mark the gap in its time.",
         (signal, derivative),
         doubt=min(abs(jump), 1.0),
         remedy=("--from", f"{time[place + 2]:.7g}")
