@@ -6,7 +6,7 @@ import pytest
 
 from nightly import nightly
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import as_procedure
+from riecjax.equations.procedure import as_procedure, staged
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
@@ -234,6 +234,23 @@ def test_of_several_inputs_the_late_one_is_named():
     assert found["y",].samples == pytest.approx(4, abs=0.1)
     (finding,) = late_signals(model, records, estimate)
     assert finding.signals == ("y",)
+
+
+@pytest.mark.raises_finding("late_signal")
+@pytest.mark.parametrize("late", ["F", "y"])
+def test_the_late_one_is_that_which_explains_what_all_equations_leave(late):
+    spring = Equation(Term("K", "y", unit="N/m"), -Term(1.0, "F"), name="spring", unit="N")
+    model = staged(spring, AXIS.equations[0])
+    # A little friction that the model lacks stays, whatever is shifted.
+    sound, delayed = (recorded(0, delay=d, noise=0.0, friction=0.01) for d in (0.0, 1.0))
+    rng, signals = np.random.default_rng(1), {"x": sound["x"], "v": sound["v"]}
+    signals["F"] = (delayed if late == "F" else sound)["F"]
+    signals["y"] = (delayed if late == "y" else sound)["F"] / 5e4
+    noisy = {n: np.asarray(s) for n, s in signals.items()}
+    noisy = {n: s + 0.01 * np.std(s) * rng.normal(size=s.size) for n, s in noisy.items()}
+    records, estimate = fitted(Record.from_samples(noisy, time_step=STEP), model)
+    (finding,) = late_signals(model, records, estimate)
+    assert finding.signals == (late,)
 
 
 def test_a_record_too_short_is_passed_over():

@@ -186,7 +186,8 @@ def late_signals(
     delays = signal_delays(procedure, records, estimate)
     causes = [one for one in delays if one.significant and one.explains and _matters(one, estimate)]
     if causes:
-        one = min(causes, key=lambda each: each.left)
+        # One equation blames either of its signals; all together, the one that they read.
+        one = max(causes, key=lambda each: each.left_as_recorded**2 - each.left**2)
         yield _finding(one) if one.course.kind == "steady" else _uneven(one, records[0])
 
 
