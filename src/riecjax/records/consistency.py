@@ -10,6 +10,7 @@ from riecjax.records.faults.derivative_pairs import Pair, compare
 from riecjax.records.faults.pair_findings import pair_findings
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.noise import noise_level
+from riecjax.records.reading.unit_expressions import readings
 from riecjax.records.record import Record, samples_with_nan
 
 SHORTEST, LONGEST_SHARE = 4, 8
@@ -26,6 +27,13 @@ TOLD = 10.0
 """Standard errors that a gain has to be for one signal to explain what is amiss with several."""
 GAIN = 0.1
 """Share by which sensors of one motion may differ in gain: more than any calibration leaves."""
+LOGGED = (
+    *("mm", "cm", "um", "in", "ft", "deg", "mrad", "mm/s", "cm/s", "in/s", "ft/s", "km/h", "mph"),
+    *("deg/s", "rpm", "mm/s2", "g", "deg/s2"),
+)
+"""Units of motion that loggers write beside those of SI."""
+CALIBRATED = 0.03
+"""Share by which a gain may be off that of a unit."""
 
 
 def check_derivatives(record: Record, pairs: Pairs) -> list[Finding]:
@@ -90,14 +98,40 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
         doubt = min(max(best.gain**2, best.gain**-2) - 1, 1.0)
     else:
         return None
+    units = _units_that_fit(record, signal, derivative, best.gain)
+    remedy = tuple(word for one in units for word in ("--unit", one)) if len(units) == 1 else ()
+    likely = f" It fits where {' or '.join(map(_in_unit, units))}." if units else ""
+    if best.is_off and abs(best.gain + 1) < CALIBRATED:
+        likely = f" One of them points the other way: scale {derivative} or {signal} by -1."
     return Finding(
         "not_its_derivative",
-        f"{derivative}, which is read as the derivative of {signal}, {what}. Check which columns "
-        f"they are, their units and signs, and that time is in seconds (on the command line: --map "
-        f"and --scale).",
+        f"{derivative}, which is read as the derivative of {signal}, {what}.{likely} Check which "
+        f"columns they are, their units and signs, and that time is in seconds (on the command "
+        f"line: --map, --unit and --scale).",
         (signal, derivative),
         doubt=doubt,
+        remedy=remedy,
+        step="Convert " + " from ".join(units[0].split("=")) if remedy else "",
     )
+
+
+def _units_that_fit(record: Record, signal: str, derivative: str, gain: float) -> list[str]:
+    """`NAME=UNIT` of a column that a logger may have written in this unit, and no one converted."""
+    found = []
+    for name, factor in ((derivative, gain), (signal, 1 / gain if gain else 0.0)):
+        own = {u.powers: u.factor for u in readings(dict(record.units).get(name, "")).values()}
+        found += [
+            f"{name}={unit}"
+            for unit in LOGGED
+            for one in readings(unit).values()
+            if one.powers in own and abs(factor * own[one.powers] / one.factor - 1) < CALIBRATED
+        ]
+    return found
+
+
+def _in_unit(assignment: str) -> str:
+    name, unit = assignment.split("=")
+    return f"{name} is in {unit}"
 
 
 def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
