@@ -10,6 +10,7 @@ significant as well. They are no delay: with one, what was left beyond noise har
 Only a delay that explains nearly all of it is told.
 """
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -206,7 +207,7 @@ def _finding(one: SignalDelay) -> Finding:
             f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
             f"{1 / (2 * np.pi * one.seconds):.3g} Hz"
         )
-        mend = f"Record it without that filter, or undo it ({' '.join(remedy)})."
+        mend = f"Record it without that filter, or undo it ({shlex.join(remedy)})."
         step = f"Undo the low-pass of {names}"
     else:
         comes = "come" if len(one.signals) > 1 else "comes"
@@ -215,7 +216,7 @@ def _finding(one: SignalDelay) -> Finding:
         what = f"{names} {comes} {size} " + (
             f"later than the equation says{doubtful}" if late else others
         )
-        mend = f"Shift it (on the command line: {' '.join(remedy)}), or record all by one clock."
+        mend = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
         step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
     return Finding(
         "low_passed" if named else "late_signal",

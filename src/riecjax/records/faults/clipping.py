@@ -1,5 +1,6 @@
 """A signal that sits at the end of its range, as of a converter."""
 
+import shlex
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
@@ -66,7 +67,7 @@ def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iter
             f"place(s), {percent(side.samples, signal.sample_count)} of the samples, first at "
             f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does. "
             f"Record with a larger range, or leave them out (on the command line: "
-            f"{' '.join(remedy)}), unless the limit is real, as of a command or of a wheel that "
+            f"{shlex.join(remedy)}), unless the limit is real, as of a command or of a wheel that "
             f"lifts.",
             doubt=side.samples / signal.sample_count,
             remedy=remedy,

@@ -66,7 +66,7 @@ def _late(pair: Pair, turn: float) -> Finding:
             "low_passed",
             f"{late} went through a first-order low-pass that {other} did not, with a time "
             f"constant of {size}, a cut-off at {1 / (2 * np.pi * seconds):.3g} Hz: it lags, and "
-            f"loses what is fast. Record both alike, or undo it ({' '.join(undo)}).{_else(pair)}",
+            f"loses what is fast. Record both alike, or undo it ({shlex.join(undo)}).{_else(pair)}",
             names,
             doubt=doubt,
             remedy=undo,
@@ -74,7 +74,7 @@ def _late(pair: Pair, turn: float) -> Finding:
         )
     return Finding(
         "late_signal",
-        f"{late} {are} {size} late against {other}.{_else(pair)} {' '.join(advance)} brings it "
+        f"{late} {are} {size} late against {other}.{_else(pair)} {shlex.join(advance)} brings it "
         f"forward, as --align auto does when the file is read. Whether both are late against "
         f"other signals the two cannot tell.",
         names,
@@ -95,7 +95,7 @@ def _gain(pair: Pair) -> Finding:
         return Finding(
             "wrong_gain",
             f"{size} Which of the two is calibrated wrongly they cannot tell: scale that one "
-            f"({' '.join(remedy)}, or --scale {pair.signal}={gain:.5g}).",
+            f"({shlex.join(remedy)}, or --scale {pair.signal}={gain:.5g}).",
             (derivative, pair.signal),
             doubt=doubt,
             remedy=remedy,
@@ -106,7 +106,7 @@ def _gain(pair: Pair) -> Finding:
     return Finding(
         "not_its_derivative" if gross else "wrong_gain",
         f"{size} {pair.suspect} is calibrated wrongly, or has another "
-        f"{'sign or unit' if gross else 'unit'}: scale it ({' '.join(remedy)}).{_else(pair)}",
+        f"{'sign or unit' if gross else 'unit'}: scale it ({shlex.join(remedy)}).{_else(pair)}",
         (pair.suspect,),
         doubt=doubt,
         remedy=remedy,
@@ -176,7 +176,7 @@ def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
             "two_clocks",
             f"{mine} falls behind {others} evenly, {lasts} over the record: their "
             f"clocks differ by {rate:.3g} \u00b1 {1e6 * course.error / time.size:.1g} ppm. Record "
-            f"both by one logger, or set the clock ({' '.join(remedy)}).{_else(pair)}",
+            f"both by one logger, or set the clock ({shlex.join(remedy)}).{_else(pair)}",
             both,
             doubt=doubt,
             remedy=remedy,

@@ -1,5 +1,6 @@
 """An amplifier at the end of its range, with the noise of a converter on top."""
 
+import shlex
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -55,7 +56,7 @@ def saturated(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> It
             f"{side.starts.size} place(s), {percent(share, 1)} of the samples, first at "
             f"{signal.time[side.starts[0]]:.4g} s, where its slope ends abruptly, as an amplifier "
             f"at the end of its range does. Record with a larger range, or leave them out (on the "
-            f"command line: {' '.join(remedy)}), unless the limit is real.",
+            f"command line: {shlex.join(remedy)}), unless the limit is real.",
             doubt=share,
             remedy=remedy,
         )

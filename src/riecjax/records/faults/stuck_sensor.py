@@ -1,5 +1,6 @@
 """A signal that does not change while the rest of the record moves."""
 
+import shlex
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -33,7 +34,7 @@ def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Fi
     runs = stuck_runs(signal, others)
     if not runs.size:
         return
-    starts, lengths, first = signal.run_starts, signal.run_lengths, runs[0]
+    starts, lengths, first = signal.run_starts, signal.run_lengths, int(runs[0])
     samples, remedy = int(lengths[runs].sum()), ("--leave-out", signal.name)
     yield signal.finding(
         "stuck_sensor",
@@ -41,7 +42,7 @@ def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Fi
         f"samples from {signal.time[starts[first]]:.4g} s on while the rest of the record "
         f"{_rest_of_record(others, starts[first], lengths[first])} ({samples} samples in "
         f"{runs.size} place(s), {percent(samples, signal.sample_count)}). Leave them out (on the "
-        f"command line: {' '.join(remedy)}), and check the sensor, its cable and the logger.",
+        f"command line: {shlex.join(remedy)}), and check the sensor, its cable and the logger.",
         remedy=remedy,
     )
 
