@@ -40,6 +40,12 @@ class DataError(RiecjaxError):
     code = "data"
 
 
+class DuplicateRecordingError(DataError):
+    """A recording was given twice, as a whole or in part."""
+
+    code = "duplicate_recording"
+
+
 class MissingSignalError(DataError):
     """A record lacks a signal; `signal` is its name, `available` what the record has.
 

@@ -48,8 +48,9 @@ def test_a_recording_given_twice(kind, swapped):
     assert "b.csv" in found.message
     assert "a.csv" in found.message
     assert "c.csv" not in found.message
-    with pytest.raises(rx.DataError, match="--allow-duplicates"):
+    with pytest.raises(rx.DataError, match="--allow-duplicates") as refused:
         refuse_duplicates(both)
+    assert refused.value.code == "duplicate_recording"
 
 
 def test_recordings_that_overlap_say_where():

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.errors import DataError
+from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.records.recording import Recording
 
@@ -48,10 +48,11 @@ def duplicates(recordings: Sequence[Recording]) -> list[Finding]:
 def refuse_duplicates(recordings: Sequence[Recording]) -> None:
     """Refuse recordings that were given twice.
 
-    **Raises:** `DataError` that names them.
+    **Raises:** `DuplicateRecordingError` that names them.
     """
     for found in duplicates(recordings):
-        raise DataError(f"{found.message} Leave it out, or allow it: --allow-duplicates.")
+        said = f"{found.message} Leave it out, or allow it: --allow-duplicates."
+        raise DuplicateRecordingError(said)
 
 
 def _finding(recordings: Sequence[Recording], found: Duplicate) -> Finding:
