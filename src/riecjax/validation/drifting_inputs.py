@@ -13,6 +13,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
+from riecjax.records.derived import line_taken_off
 from riecjax.records.record import Record
 from riecjax.validation.equation_errors import EquationError, errors_over_records
 
@@ -84,10 +85,8 @@ def _finding(
 ) -> Finding:
     change, offset = drift.tolist()
     time, unit = np.asarray(record.time), dict(record.units).get(name, "")
-    rate, middle = change / float(time[-1] - time[0]), 0.5 * (time[0] + time[-1])
-    constant = f"-({offset:.6g})" if abs(offset) > 1e-3 * abs(change) else ""
-    formula = f"{name}-({rate:.6g})*(t-{middle:.15g}){constant}"
-    remedy = ("--derive", f"{name}={formula}") if name.isidentifier() else ()
+    offset = offset if abs(offset) > 1e-3 * abs(change) else 0.0
+    remedy = line_taken_off(name, time, offset, change)
     most = max(moved, key=lambda n: moved[n], default="")
     without = f"; without it {most} changes by {100 * moved[most]:.2g} %" if moved else ""
     return Finding(

@@ -168,6 +168,21 @@ def test_offsets_and_drifts(noise):
         assert np.abs(off).max() < 0.004 * rms
 
 
+@pytest.mark.raises_finding("drifting_signal")
+def test_the_drift_of_a_later_part_is_taken_off_at_its_rate():
+    whole = recorded(Motion(6), 0.01, drift=-0.2)
+    part = whole.part(COUNT // 2, COUNT)
+    option, formula = only(part).remedy
+    assert option == "--derive"
+    columns = {"v": np.asarray(part["v"]), "t": np.asarray(part.time)}
+    off = derived(formula.removeprefix("v="), columns) - np.asarray(
+        recorded(Motion(6), 0.01).part(COUNT // 2, COUNT)["v"]
+    )
+    rms = Motion(6).at(STEP * np.arange(COUNT), 1).std()
+    assert np.abs(off).max() < 0.02 * rms
+    assert f"over {float(part.elapsed[-1] - part.elapsed[0]):.4g} s" in only(part).message
+
+
 @pytest.mark.raises_finding("lost_rows")
 @pytest.mark.no_finding("late_signal", "two_clocks", "wrong_gain")
 @pytest.mark.parametrize(("lost", "whose"), [(1, "v"), (5, "v"), (3, "x")])

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from riecjax.findings import Finding
+from riecjax.records.derived import line_taken_off
 from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.derivative_pairs import Pair
 from riecjax.records.faults.relations import with_sum
@@ -126,15 +127,16 @@ def _zero(record: Record, pair: Pair) -> Finding:
     others = " or ".join(n for n in names if n not in (derivative, pair.signal))
     whose = f" Or {others} has it, or {pair.signal} drifts." if others else ""
     both, doubt = (derivative, *(n for n in names if n != derivative)), min(share, 1.0)
-    formula = _without_zero(record, pair, derivative, factor)
-    remedy = ("--derive", f"{derivative}={formula}") if derivative.isidentifier() else ()
+    time, per = np.asarray(record.time), factor * pair.scale / pair.step
+    change = pair.fit.drift * per if pair.drift else 0.0
+    remedy = line_taken_off(derivative, time, pair.fit.offset * per, change)
     rest = (
         f"{100 * share:.2g} % of its rms. Take it off (on the command line: {shlex.join(remedy)})."
     )
     if pair.drift:
         return Finding(
             "drifting_signal",
-            f"{derivative} drifts by {size} over {float(record.elapsed[-1]):.4g} s against "
+            f"{derivative} drifts by {size} over {float(time[-1] - time[0]):.4g} s against "
             f"{signal}, {rest}{whose}",
             both,
             doubt=doubt,
@@ -150,17 +152,6 @@ def _zero(record: Record, pair: Pair) -> Finding:
         remedy=remedy,
         step=f"Take the offset off {derivative}",
     )
-
-
-def _without_zero(record: Record, pair: Pair, name: str, factor: float) -> str:
-    """A formula of the derivative less its offset and drift, which is not less its mean or line.
-
-    Those of a record are also the machine's, as far as it does not come back to where it began.
-    """
-    time, unit = np.asarray(record.time), factor * pair.scale / pair.step
-    rate = pair.fit.drift * unit / float(record.elapsed[-1])
-    line = f"-({rate:.6g})*(t-{0.5 * (time[0] + time[-1]):.15g})" if pair.drift else ""
-    return f"{name}-({pair.fit.offset * unit:.6g}){line}"
 
 
 def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
