@@ -1,5 +1,6 @@
 """How far a fault of a pair moves each parameter, against how far the answer is off."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -42,3 +43,24 @@ def test_a_late_velocity_says_by_how_much_it_moves_each_parameter():
     for name in truth:
         assert late.doubts[name] == pytest.approx(off[name], abs=0.02)
     assert "Without it" in late.message
+
+
+@pytest.mark.parametrize(
+    "code",
+    [pytest.param(c, marks=pytest.mark.raises_finding(c)) for c in ("stuck_sensor", "clipped")],
+)
+def test_what_a_sensor_could_not_show_says_how_far_it_moves_each_parameter(code):
+    record = recorded()
+    v = np.array(record["v"])
+    if code == "clipped":
+        v = np.clip(v, -0.5 * v.max(), 0.5 * v.max())
+    else:
+        v[1500:2000] = v[1500]
+    found = rx.assess(MODEL, record.with_signals({"v": jnp.asarray(v)}), refine=None, sweep=False)
+    said = next(f for f in found.findings() if f.code == code)
+    for name, truth in {"m": M, "r": R, "k": K}.items():
+        off = abs(truth / float(found.answer[name]) - 1)
+        assert said.doubts[name] == pytest.approx(off, abs=0.02 + 0.1 * off)
+    assert said.doubts["m"] > 0.1
+    steps = [cause.step for cause in found.verdict.causes if cause.step is not None]
+    assert ("--leave-out", "v") in [step.options for step in steps]

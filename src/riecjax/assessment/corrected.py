@@ -1,4 +1,4 @@
-"""What a fault between a signal and its derivative does to the answer: estimated again without."""
+"""What a fault of sensors does to the answer: estimated again without."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
-from riecjax.records import shift
+from riecjax.records import leave_out, shift
 from riecjax.records.faults.derivative_pairs import Pair, compare
 from riecjax.records.faults.relations import Relation, relations
 from riecjax.records.preparation.filtering import with_gaps
@@ -18,14 +18,15 @@ from riecjax.records.record import Record, samples_with_nan
 IN_TIME = ("late_signal", "low_passed")
 IN_SIZE = ("wrong_gain",)
 IN_ZERO = ("velocity_offset", "drifting_signal")
+IN_REACH = ("stuck_sensor", "clipped")
 
 
 def with_doubts(asked: Asked, estimate: Estimate, checked: Check) -> Check:
-    """What was checked, with how far each fault of a pair moves each parameter as its `doubts`."""
+    """What was checked, with how far each fault moves each parameter as its `doubts`."""
     doubts = {
-        code: _moved(asked, estimate, code)
+        code: _moved(asked, estimate, code, checked.findings)
         for code in {finding.code for finding in checked.findings}
-        if code in (*IN_TIME, *IN_SIZE, *IN_ZERO)
+        if code in (*IN_TIME, *IN_SIZE, *IN_ZERO, *IN_REACH)
     }
 
     def doubted(finding: Finding) -> Finding:
@@ -40,11 +41,17 @@ def with_doubts(asked: Asked, estimate: Estimate, checked: Check) -> Check:
     return Check(findings, checked.excitations, checked.signals) if doubts else checked
 
 
-def _moved(asked: Asked, estimate: Estimate, code: str) -> dict[str, float]:
-    """Share by which each parameter moves once the pairs of all records have no such fault."""
+def _moved(
+    asked: Asked, estimate: Estimate, code: str, findings: Sequence[Finding]
+) -> dict[str, float]:
+    """Share by which each parameter moves once all records have no such fault."""
     pairs = list(relations(asked.procedure.derivatives))
+    signals = list(dict.fromkeys(n for f in findings if f.code == code for n in f.signals))
     try:
-        records = [_without(record, pairs, code) for record in asked.records]
+        records = [
+            leave_out(record, *signals) if code in IN_REACH else _without(record, pairs, code)
+            for record in asked.records
+        ]
         again = asked.again(records)
     except (DataError, IdentifiabilityError):
         return {}

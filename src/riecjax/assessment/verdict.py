@@ -99,8 +99,11 @@ def _judged(
     for cause in grouped:
         own = [f.code for f in cause.findings if name in (f.parameters or (name,))]
         if ruling := [code for code in own if code in RULED_OUT]:
-            wide = set(ruling) == {"interval_wider_than_estimate"}
-            return "do not use", (widened if wide else "") or cause.phrase
+            if set(ruling) != {"interval_wider_than_estimate"}:
+                return "do not use", cause.phrase
+            faulty = doubt.sensors > TRUSTED * size
+            known = widened or (_reason("sensors", name, grouped) if faulty else "")
+            return "do not use", known or cause.phrase
     if doubt.sensors >= size:
         return "do not use", _reason("sensors", name, grouped)
     if math.isnan(doubt.size):

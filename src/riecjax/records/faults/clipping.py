@@ -71,6 +71,7 @@ def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iter
             f"lifts.",
             doubt=side.samples / signal.sample_count,
             remedy=remedy,
+            step=f"Leave out what {signal.name} shows at the end of its range",
         )
 
 

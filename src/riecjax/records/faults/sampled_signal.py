@@ -53,11 +53,16 @@ class SampledSignal(NamedTuple):
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
     def finding(
-        self, code: str, message: str, doubt: float = 0.0, remedy: tuple[str, ...] = ()
+        self,
+        code: str,
+        message: str,
+        doubt: float = 0.0,
+        remedy: tuple[str, ...] = (),
+        step: str = "",
     ) -> Finding:
         """A finding about this signal."""
         said = f"{self.name}: {message}"
-        return Finding(code, said, (self.name,), doubt=doubt, remedy=remedy)
+        return Finding(code, said, (self.name,), doubt=doubt, remedy=remedy, step=step)
 
 
 def sampled_signal(record: Record, name: str) -> SampledSignal:

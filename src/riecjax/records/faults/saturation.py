@@ -59,6 +59,7 @@ def saturated(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> It
             f"command line: {shlex.join(remedy)}), unless the limit is real.",
             doubt=share,
             remedy=remedy,
+            step=f"Leave out what {signal.name} shows at the end of its range",
         )
 
 

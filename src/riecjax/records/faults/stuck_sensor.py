@@ -43,7 +43,9 @@ def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Fi
         f"{_rest_of_record(others, starts[first], lengths[first])} ({samples} samples in "
         f"{runs.size} place(s), {percent(samples, signal.sample_count)}). Leave them out (on the "
         f"command line: {shlex.join(remedy)}), and check the sensor, its cable and the logger.",
+        doubt=samples / signal.sample_count,
         remedy=remedy,
+        step=f"Leave out what {signal.name} showed while it was stuck",
     )
 
 
