@@ -239,3 +239,24 @@ def test_a_velocity_that_is_held_is_not_said_to_have_a_wrong_gain(held):
     codes = {finding.code for finding in check(law, record, RIEC(AllWindows(0.05, 0.5))).findings}
     assert held in codes
     assert "wrong_gain" not in codes
+
+
+@pytest.mark.raises_finding("two_clocks")
+def test_what_one_of_several_recordings_needs_is_proposed_for_none_of_the_others():
+    time, omega = 0.005 * np.arange(6000), np.linspace(2, 15, 25)
+    phase = np.random.default_rng(3).uniform(0, 6.3, 25)
+
+    def motion(at, order):
+        return np.cos(np.outer(at, omega) + phase + 0.5 * np.pi * order) @ omega**order
+
+    def recorded(ppm):
+        late = time * (1 - 1e-6 * ppm)
+        signals = {"x": motion(time, 0), "v": motion(late, 1), "F": motion(time, 2)}
+        return Record.from_samples(signals, time_step=0.005)
+
+    mass = Equation(Term("m", "x", derivative=2, measured=("v",)), -Term(1.0, "F"))
+    for others, proposed in ((0.0, ()), (300.0, ("--clock",))):
+        found = check(mass, [recorded(300.0), recorded(others)]).findings
+        first = next(f for f in found if f.code == "two_clocks")
+        assert first.remedy[:1] == proposed
+        assert first.step.endswith("in record 1 alone") == (not proposed)

@@ -181,7 +181,7 @@ def read_of(
 def _sensors(
     procedure: Procedure, recordings: list[Recording], read: list[tuple[str, ...]]
 ) -> list[Finding]:
-    findings = []
+    every: list[list[Finding]] = []
     for i, (recording, names) in enumerate(zip(recordings, read)):
         prefix = f"record {i + 1}: " if len(recordings) > 1 else ""
         record, computed = recording.record, recording.computed
@@ -196,11 +196,23 @@ def _sensors(
             for finding in check_derivatives(record, [*pairs, *known])
             if finding.code != "wrong_gain" or not held & {*finding.signals}
         ]
-        findings += [
-            finding._replace(message=prefix + finding.message)
-            for finding in (*of_signals, *of_pairs)
-        ]
-    return findings
+        every.append([f._replace(message=prefix + f.message) for f in (*of_signals, *of_pairs)])
+    return [
+        f if _is_for_all(f, every) else _alone(f, i) for i, own in enumerate(every) for f in own
+    ]
+
+
+def _is_for_all(finding: Finding, every: Sequence[Sequence[Finding]]) -> bool:
+    """Whether what is proposed does no harm to recordings without the fault."""
+    return "--leave-out" in finding.remedy or all(
+        any((f.code, f.signals) == (finding.code, finding.signals) for f in own) for own in every
+    )
+
+
+def _alone(finding: Finding, number: int) -> Finding:
+    """Without options, which are for all recordings."""
+    step = f"{finding.step}, in record {number + 1} alone" if finding.step else ""
+    return finding._replace(remedy=(), step=step)
 
 
 def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:

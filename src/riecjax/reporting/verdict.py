@@ -3,7 +3,7 @@
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from rich.console import Console
 from rich.table import Table
@@ -76,6 +76,18 @@ def as_typed(arguments: Sequence[str]) -> str:
     return join(["riecjax", *arguments])
 
 
+def _sum(old: str, new: str) -> str:
+    return f"{float(old) + float(new):.6g}"
+
+
+UPDATED: dict[str, Callable[[str, str], str]] = {
+    **dict.fromkeys(("--shift", "--clock", "--unfilter"), _sum),
+    "--scale": lambda old, new: f"{float(old) * float(new):.6g}",
+    "--unit": lambda old, new: new,
+}
+"""Options of a signal that may be given once, and what a further one makes of that."""
+
+
 def _with(command: Sequence[str], options: Sequence[str]) -> list[str]:
     """A command with further options, and without those that they replace."""
     kept, given = [], list(command)
@@ -87,7 +99,28 @@ def _with(command: Sequence[str], options: Sequence[str]) -> list[str]:
             kept.append(word)
         elif not value:
             del given[: VALUES[option]]
-    return [*kept, *options]
+    return _merged(kept, options)
+
+
+def _merged(command: Sequence[str], options: Sequence[str]) -> list[str]:
+    """A command with further options; one that it gives a signal already is brought up to date.
+
+    What is found amiss is that of the record as prepared: what is left of a delay adds to what was
+    taken off.
+    """
+    if len(options) % 2:
+        return [*command, *options]
+    kept, more = list(command), []
+    for option, value in zip(options[::2], options[1::2]):
+        name, _, new = value.partition("=")
+        given = (i for i in range(1, len(kept)) if kept[i - 1] == option in UPDATED)
+        old = next((i for i in given if kept[i].partition("=")[0] == name), None)
+        if old is None:
+            more += [option, value]
+        else:
+            before = kept[old].partition("=")[2]
+            kept[old] = f"{name}={UPDATED[option](before, new)}"
+    return [*kept, *more]
 
 
 def print_verdict(document: Document, console: Console) -> None:

@@ -235,9 +235,14 @@ def _uneven(one: SignalDelay, record: Record) -> Finding:
     names, course, time = " and ".join(one.signals), one.course, np.asarray(record.elapsed)
     lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
     if course.kind == "clocks":
-        rate = 1e6 * course.change / (course.place[1] - course.place[0])
-        code, remedy = "two_clocks", course.by_one_clock(one.signals, rate, one.time_step)
-        what = f"{names} falls behind evenly, {lasts}: its clock differs by {rate:.3g} ppm"
+        # Clocks go on through pauses.
+        samples = float(time[-1] - time[0]) / one.time_step / (time.size - 1)
+        rate = 1e6 * course.change / (course.place[1] - course.place[0]) / samples
+        code, start = "two_clocks", float(time[0])
+        remedy = course.by_one_clock(one.signals, rate, one.time_step, start)
+        what = (
+            f"{names} {course.way} the others evenly, {lasts}: its clock differs by {rate:.3g} ppm"
+        )
         step = f"Set the clock of {names}, or record it by that of the others"
     else:
         first, last = (time[min(place + LONGEST, time.size - 1)] for place in course.place)
@@ -251,7 +256,7 @@ def _uneven(one: SignalDelay, record: Record) -> Finding:
         code,
         f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
         f"beyond noise instead of {100 * one.left_as_recorded:.2g} %. {step}"
-        f"{f' ({chr(32).join(remedy)})' if remedy else ''}.",
+        f"{f' ({shlex.join(remedy)})' if remedy else ''}.",
         one.signals,
         tuple(one.moved),
         doubts={name: abs(share) for name, share in one.moved.items()},

@@ -5,6 +5,7 @@ makes of it, are exact.
 """
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.derived import derived
+from riecjax.records.faults.delay_course import Course
 from riecjax.records.faults.derivative_pairs import Pair, compare_pair
 from riecjax.records.noise import Noise
 from riecjax.records.preparation.alignment import set_clocks, shift
@@ -224,6 +226,22 @@ def test_what_parted_early_is_advanced_as_well():
     mended = set_clocks(shift(record, late), {"v": float(ppm.removeprefix("v="))})
     assert compared(mended).course.kind == "steady"
     assert abs(compared(mended).fit.delay) < 0.1
+
+
+def test_clocks_count_from_the_recordings_first_sample():
+    course = Course("clocks", 4.0, 0.01, (0, 4000), 2.02)
+    # Of 1000 ppm, 10 s after the recording began: all of the delay there is the clock's.
+    assert course.by_one_clock(["v"], 1000.0, 0.005, 10.0) == ("--clock", "v=1000")
+    assert course.by_one_clock(["v"], 1000.0, 0.005, 0.0)[:2] == ("--shift", "v=0.0101")
+
+
+@pytest.mark.raises_finding("two_clocks")
+def test_a_clock_that_runs_fast_gets_ahead_and_either_may_be_off():
+    fast = STEP * np.arange(COUNT) * (1 + 200e-6)
+    found = only(recorded(Motion(8), v_at=fast))
+    assert "v gets ahead of x evenly" in found.message
+    other = float(re.findall(r"--clock x=([\d.]+)", found.message)[0])
+    assert other == pytest.approx(200, rel=0.15)
 
 
 def test_gaps_and_spikes_hide_no_delay():

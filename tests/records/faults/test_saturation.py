@@ -54,3 +54,15 @@ def test_a_mass_that_lifts_off_under_noise_is_a_real_limit():
     signals = bouncing(0.001)
     signals["force"] = noisy(signals["force"], 0.01)
     assert clips(signals) == []
+
+
+@pytest.mark.no_finding("clipped")
+def test_a_single_crest_is_no_limit():
+    # A crest that is flat for a while, as one of many is by chance.
+    for seed in range(12):
+        values, top = motion(seed), np.sort(motion(seed))[-25]
+        crest = np.where(np.arange(COUNT) == np.argmax(values), 1.0, 0.0)
+        near = np.convolve(crest, np.ones(60), "same") > 0
+        values[near] = np.minimum(values[near], top)
+        alone = np.where(near, values, np.minimum(values, 0.9 * top))
+        assert not clips({"u": noisy(alone + 1e-3 * motion(seed + 50), 0.005, seed)})

@@ -45,11 +45,23 @@ class Course(NamedTuple):
         before = abs(self.first) <= abs(self.first + self.change)
         return ("--to", f"{start:.7g}") if before else ("--from", f"{stop:.7g}")
 
-    def by_one_clock(self, late: Sequence[str], ppm: float, step: float) -> tuple[str, ...]:
-        """Options that bring what falls behind by so many millionths to the time of the others."""
-        first = 0.0 if abs(self.first) < CHANGE else self.first * step
-        shifts = [word for name in late if first for word in ("--shift", f"{name}={first:.4g}")]
+    def by_one_clock(
+        self, late: Sequence[str], ppm: float, step: float, start: float
+    ) -> tuple[str, ...]:
+        """Options that bring what falls behind by so many millionths to the time of the others.
+
+        Clocks are set from the recording's first sample on, `start` seconds before what was
+        looked at.
+        """
+        first = self.first * step - 1e-6 * ppm * start
+        sure = abs(first) > CHANGE * step
+        shifts = [word for name in late if sure for word in ("--shift", f"{name}={first:.4g}")]
         return (*shifts, *(word for name in late for word in ("--clock", f"{name}={ppm:.5g}")))
+
+    @property
+    def way(self) -> str:
+        """What the signal does whose delay changes evenly."""
+        return "falls behind" if self.change > 0 else "gets ahead of"
 
 
 def delay_course(

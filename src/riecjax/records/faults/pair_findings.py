@@ -161,17 +161,20 @@ def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
     names, mine, others = _sides(pair, True)
     both = (*names, *(name for name in pair.relation.names if name not in names))
     if course.kind == "clocks":
-        rate = 1e6 * course.change / max(time.size - 1, 1)
-        remedy = course.by_one_clock(names, rate, step)
+        per = 1e6 * step / float(time[-1] - time[0])
+        rate, start = per * course.change, float(time[0])
+        remedy = course.by_one_clock(names, rate, step, start)
+        reverse = course._replace(first=-course.first)
+        other = reverse.by_one_clock(_sides(pair, False)[0], -rate, step, start)
         return Finding(
             "two_clocks",
-            f"{mine} falls behind {others} evenly, {lasts} over the record: their "
-            f"clocks differ by {rate:.3g} \u00b1 {1e6 * course.error / time.size:.1g} ppm. Record "
-            f"both by one logger, or set the clock ({shlex.join(remedy)}).{_else(pair)}",
+            f"{mine} {course.way} {others} evenly, {lasts} over the record: their clocks differ by "
+            f"{rate:.3g} \u00b1 {per * course.error:.1g} ppm. Record both by one logger, or set "
+            f"the clock that is off ({shlex.join(remedy)}, or {shlex.join(other)}).{_else(pair)}",
             both,
             doubt=doubt,
             remedy=remedy,
-            step=f"Set the clock of {mine}",
+            step=f"Set the clock of {mine}, if it is the one that is off",
         )
     first, last = (time[min(place, time.size - 1)] for place in course.place)
     jumping = others if course.change > 0 else mine

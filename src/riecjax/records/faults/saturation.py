@@ -79,7 +79,8 @@ def limits_under_noise(signal: SampledSignal) -> list[Visits]:
             samples, starts = int(np.sum(visits[:, 1] - visits[:, 0])), visits[:, 0]
             extreme = sign * level * noise
             found.append(Visits(which, extreme, starts, samples, len(visits), BAND * noise))
-    return found
+    # Of some fifteen crests one may look like it.
+    return found if sum(side.starts.size for side in found) > 1 else []
 
 
 def _limit(values: np.ndarray) -> tuple[float, np.ndarray] | None:

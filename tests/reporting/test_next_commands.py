@@ -1,0 +1,24 @@
+"""The command that a verdict proposes, as its reader pastes it."""
+
+import pytest
+
+from riecjax.reporting.verdict import _with
+
+COMMAND = ("identify", "a.csv", "--model", "axis")
+
+
+@pytest.mark.parametrize(
+    ("given", "proposed", "run"),
+    [
+        (("--clock", "v=100"), ("--clock", "v=4.5"), ("--clock", "v=104.5")),
+        (("--shift", "v=0.01"), ("--shift", "v=-0.002"), ("--shift", "v=0.008")),
+        (("--unit", "v=m/s"), ("--unit", "v=km/h"), ("--unit", "v=km/h")),
+        (("--scale", "v=2"), ("--scale", "v=0.25"), ("--scale", "v=0.5")),
+        (("--clock", "x=9"), ("--clock", "v=4.5"), ("--clock", "x=9", "--clock", "v=4.5")),
+        (("--from", "2"), ("--leave-out", "v"), ("--from", "2", "--leave-out", "v")),
+        (("--band", "1", "9"), ("--alpha", "1", "--beta", "2"), ("--alpha", "1", "--beta", "2")),
+        ((), ("--band", "1", "10"), ("--band", "1", "10")),
+    ],
+)
+def test_an_option_that_a_signal_has_once_is_brought_up_to_date(given, proposed, run):
+    assert _with((*COMMAND, *given), proposed) == [*COMMAND, *run]
