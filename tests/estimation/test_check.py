@@ -254,7 +254,8 @@ def test_what_one_of_several_recordings_needs_is_proposed_for_none_of_the_others
         signals = {"x": motion(time, 0), "v": motion(late, 1), "F": motion(time, 2)}
         return Record.from_samples(signals, time_step=0.005)
 
-    mass = Equation(Term("m", "x", derivative=2, measured=("v",)), -Term(1.0, "F"))
+    own = Term("m", "x", derivative=2, measured=("v",)), Term("k", "x")
+    mass = Equation(*own, -Term(1.0, "F"))
     for others, proposed in ((0.0, ()), (300.0, ("--clock",))):
         found = check(mass, [recorded(300.0), recorded(others)]).findings
         first = next(f for f in found if f.code == "two_clocks")
