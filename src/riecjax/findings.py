@@ -1,6 +1,6 @@
 """What a user should know of data or of a result, with a code for scripts."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 
@@ -22,3 +22,8 @@ class Finding(NamedTuple):
     doubts: Mapping[str, float] = {}
     remedy: tuple[str, ...] = ()
     step: str = ""
+
+
+def option_for(option: str, signals: Iterable[str], value: str) -> tuple[str, ...]:
+    """An option of the command line for each of these signals, `--shift v=0.005`."""
+    return tuple(word for name in signals for word in (option, f"{name}={value}"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from riecjax.errors import MissingSignalError
-from riecjax.records.consistency import check_derivatives
+from riecjax.records.consistency import _best_lag, check_derivatives
 from riecjax.records.record import Record
 
 STEP = 0.005
@@ -101,6 +101,20 @@ def test_what_no_unit_explains_has_no_remedy(name, factor):
     (finding,) = check_derivatives(record, [("x", "v")])
     assert finding.remedy == ()
     assert ("points the other way" in finding.message) == (factor == -1)
+
+
+@pytest.mark.raises_finding("not_its_derivative")
+def test_no_unit_is_named_of_signals_that_do_not_belong_together():
+    strangers = {"x": motion(0)["x"], "v": motion(100)["v"]}
+    lag = _best_lag(strangers["x"], strangers["v"], STEP)
+    assert lag is not None
+    for unit in (1e3, 100.0):  # as of mm, of cm
+        signals = {"x": strangers["x"] * unit / lag.gain, "v": strangers["v"]}
+        record = Record.from_samples(signals, time_step=STEP)
+        record = record.with_signals({}, {"x": "m", "v": "m/s"})
+        (finding,) = check_derivatives(record, [("x", "v")])
+        assert "does not move with x" in finding.message
+        assert finding.remedy == ()
 
 
 def test_time_in_another_unit():

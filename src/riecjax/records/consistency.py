@@ -83,6 +83,7 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
     best = _best_lag(values, rates, float(record.time_step))
     if best is None:
         return None
+    units, likely = [], ""
     if abs(best.correlation) < ALIKE and best.correlation < UNRELATED:
         what = (
             f"does not move with {signal} (the increments of {signal} and the integral of "
@@ -94,15 +95,16 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
             f"does not fit the size, sign or time of {signal}: {signal} changes by "
             f"{best.gain:.4g} times the integral of {derivative}"
         )
+        units = _units_that_fit(record, signal, derivative, best.gain)
+        if units:
+            likely = f" It fits where {' or '.join(map(_in_unit, units))}."
+        elif abs(best.gain + 1) < CALIBRATED:
+            likely = f" One of them points the other way: scale {derivative} or {signal} by -1."
         # A term may hold the signal squared, as drag does.
         doubt = min(max(best.gain**2, best.gain**-2) - 1, 1.0)
     else:
         return None
-    units = _units_that_fit(record, signal, derivative, best.gain)
-    remedy = tuple(word for one in units for word in ("--unit", one)) if len(units) == 1 else ()
-    likely = f" It fits where {' or '.join(map(_in_unit, units))}." if units else ""
-    if best.is_off and abs(best.gain + 1) < CALIBRATED:
-        likely = f" One of them points the other way: scale {derivative} or {signal} by -1."
+    remedy = ("--unit", *units) if len(units) == 1 else ()
     return Finding(
         "not_its_derivative",
         f"{derivative}, which is read as the derivative of {signal}, {what}.{likely} Check which "

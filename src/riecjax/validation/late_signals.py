@@ -20,7 +20,7 @@ from riecjax import tails
 from riecjax.equations.hidden_modes import accelerated
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding
+from riecjax.findings import Finding, option_for
 from riecjax.records.faults.delay_course import Course
 from riecjax.records.preparation.filtering import SLOPE, lead
 from riecjax.records.record import Record
@@ -201,7 +201,7 @@ def _finding(one: SignalDelay) -> Finding:
     )
     named = one.low_passed and one.certain
     option = "--unfilter" if named else "--shift"
-    remedy = tuple(w for n in one.signals for w in (option, f"{n}={one.seconds:.4g}"))
+    remedy = option_for(option, one.signals, f"{one.seconds:.4g}")
     if named:
         what = (
             f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "

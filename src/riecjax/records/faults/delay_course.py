@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from riecjax.findings import option_for
 from riecjax.records.faults.pair_fit import Left, PairFit, Piece, fit_pair
 
 FEWEST_PARTS = 5
@@ -54,9 +55,11 @@ class Course(NamedTuple):
         looked at.
         """
         first = self.first * step - 1e-6 * ppm * start
-        sure = abs(first) > CHANGE * step
-        shifts = [word for name in late if sure for word in ("--shift", f"{name}={first:.4g}")]
-        return (*shifts, *(word for name in late for word in ("--clock", f"{name}={ppm:.5g}")))
+        shifted = late if abs(first) > CHANGE * step else ()
+        return (
+            *option_for("--shift", shifted, f"{first:.4g}"),
+            *option_for("--clock", late, f"{ppm:.5g}"),
+        )
 
     @property
     def way(self) -> str:

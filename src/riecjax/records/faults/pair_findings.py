@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from riecjax.findings import Finding
+from riecjax.findings import Finding, option_for
 from riecjax.records.derived import line_taken_off
 from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.derivative_pairs import Pair
@@ -59,10 +59,10 @@ def _late(pair: Pair, turn: float) -> Finding:
     are = "are" if len(names) > 1 else "is"
     samples, seconds = abs(by), abs(by) * pair.step
     size = f"{samples:.3g} \u00b1 {error:.1g} samples ({1e3 * seconds:.3g} ms)"
-    advance = tuple(word for name in names for word in ("--shift", f"{name}={seconds:.4g}"))
+    advance = option_for("--shift", names, f"{seconds:.4g}")
     doubt = min(turn * samples, 1.0)
     if pair.lagged:
-        undo = tuple(word for name in names for word in ("--unfilter", f"{name}={seconds:.4g}"))
+        undo = option_for("--unfilter", names, f"{seconds:.4g}")
         return Finding(
             "low_passed",
             f"{late} went through a first-order low-pass that {other} did not, with a time "

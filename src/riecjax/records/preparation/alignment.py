@@ -14,7 +14,7 @@ from riecjax.records.faults.derivative_pairs import LATE, Pair
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation.band_limited import band_limited, reach_beyond, response
-from riecjax.records.preparation.filtering import longest_stretch, on_stretches, with_gaps
+from riecjax.records.preparation.filtering import longest_stretch, through, with_gaps
 from riecjax.records.record import Record
 
 POINTS = np.arange(-3, 5)
@@ -58,9 +58,7 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
         reach = reach_beyond(1.0)
         wide = longest_stretch(record, name) >= 2 * MOST_LOST * reach
         taps, first = _taps(by, reach if wide else 0)
-        columns[name] = on_stretches(
-            record, name, lambda samples, taps=taps, first=first: _through(samples, taps, first)
-        )
+        columns[name] = through(record, name, taps, first)
         before, after = max(before, -first), max(after, first + taps.size - 1)
         record = judged(record, "auto", name)
         # A shift between samples leaves white noise nearly white, but a little less of it.
@@ -122,16 +120,6 @@ def _taps(by: float, reach: int) -> tuple[Float[np.ndarray, " taps"], int]:
         at = POINTS
         taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
     return taps / taps.sum(), whole + int(at[0])
-
-
-def _through(samples: np.ndarray, taps: np.ndarray, first: int) -> np.ndarray:
-    """Weighted sums of samples from `first` samples on; NaN where they reach beyond."""
-    found = np.full(samples.size, np.nan)
-    sums = np.convolve(samples, taps[::-1], "valid") if samples.size >= taps.size else np.zeros(0)
-    places = np.arange(sums.size) - first
-    there = (places >= 0) & (places < samples.size)
-    found[places[there]] = sums[there]
-    return found
 
 
 def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Aligned:

@@ -112,13 +112,7 @@ def lead(record: Record, seconds: Mapping[str, float]) -> Record:
         taps = tau / float(record.time_step) * SLOPE
         taps[half] += 1.0
 
-        def step(samples: np.ndarray, taps: np.ndarray = taps) -> np.ndarray:
-            found = np.full(samples.size, np.nan)
-            if samples.size >= taps.size:
-                found[half:-half] = np.convolve(samples, taps, "valid")
-            return found
-
-        columns[name] = on_stretches(record, name, step)
+        columns[name] = through(record, name, taps[::-1], -half)
         if np.isnan(columns[name]).all():
             raise DataError(f"no stretch of '{name}' is long enough for its low-pass to be undone.")
         record = judged(record, "auto", name)
@@ -217,6 +211,24 @@ def on_stretches(
     for stretch in record.segments([signal]):
         found[stretch] = step(samples[stretch])
     return found
+
+
+def through(
+    record: Record, signal: str, taps: Float[np.ndarray, " taps"], first: int
+) -> Float[np.ndarray, " n"]:
+    """Weighted sums of a signal's samples, from `first` samples on; NaN where they reach beyond."""
+
+    def sums(samples: np.ndarray) -> np.ndarray:
+        found = np.full(samples.size, np.nan)
+        if samples.size < taps.size:
+            return found
+        every = np.convolve(samples, taps[::-1], "valid")
+        places = np.arange(every.size) - first
+        there = (places >= 0) & (places < samples.size)
+        found[places[there]] = every[there]
+        return found
+
+    return on_stretches(record, signal, sums)
 
 
 def with_gaps(

@@ -8,7 +8,7 @@ from riecjax.errors import DataError
 from riecjax.leaves import Leaf
 from riecjax.records.noise_judgement import judged
 from riecjax.records.noise_spectrum import blackman_harris
-from riecjax.records.preparation.filtering import longest_stretch, on_stretches, with_gaps
+from riecjax.records.preparation.filtering import longest_stretch, through, with_gaps
 from riecjax.records.record import Record
 
 ORDER = 4
@@ -66,17 +66,10 @@ def with_local_derivative(
             f"repair the gaps."
         )
     taps = derivative_taps(count, step)
-
-    def slopes(samples: np.ndarray) -> np.ndarray:
-        found = np.full(samples.size, np.nan)
-        if samples.size >= taps.size:
-            found[count : samples.size - count] = np.convolve(samples, taps, "valid")
-        return found
-
     unit = dict(record.units).get(signal)
     units = {} if unit is None else {name: f"{unit}/s"}
     noise = record.noise.filtered(signal, taps, name)
-    added = with_gaps(record, {name: on_stretches(record, signal, slopes)}, units, noise)
+    added = with_gaps(record, {name: through(record, signal, taps[::-1], -count)}, units, noise)
     return added.part(count, record.sample_count - count), count * step
 
 

@@ -94,7 +94,10 @@ class Preparation:
             high = "the end" if self.stop is None else f"{self.stop:g} s"
             steps.append(Step(f"cut from {low} to {high}", partial(cut, self.start, self.stop)))
         steps += [
-            Step(f"{name}: left out where it is stuck or at its limit", partial(_left_out, name))
+            Step(
+                f"{name}: left out where it is stuck or at its limit",
+                partial(_of_signal, leave_out, name),
+            )
             for name in self.left_out
         ]
         if self.shifts:
@@ -200,10 +203,6 @@ def _lasts(record: Record) -> str:
 
 def _of_signal(step: Callable[..., Record], name: str, record: Record) -> Record:
     return step(record, name)
-
-
-def _left_out(name: str, record: Record) -> Record:
-    return leave_out(record, name)
 
 
 def _at_frequency(hertz: float | Literal["auto"], record: Record) -> Record:
