@@ -93,6 +93,25 @@ def test_next_to_gaps_at_the_ends_and_in_a_short_record():
     assert {40, 81, 100} <= {*find_spikes(values).places} <= {*where}
 
 
+def test_two_of_twenty_noises_beside_each_other_are_found():
+    for seed in range(200):
+        values = noisy(seed, 0.05)["x"]
+        values[700:702] += (-1) ** seed * 20 * size_of(0.05, "x")
+        np.testing.assert_array_equal(find_spikes(values).places, [700, 701])
+
+
+@pytest.mark.parametrize("at", [0, 989, 1010, 2000])
+def test_the_last_sample_before_an_end_or_a_gap_is_held_against_those_on_its_one_side(at):
+    found = []
+    for seed in range(20):
+        values = noisy(seed, 0.05)["x"]
+        values[990:1010] = np.nan
+        values[at] += (-1) ** seed * 30 * size_of(0.05, "x")
+        found.extend(find_spikes(values).places)
+    assert set(found) == {at}
+    assert len(found) >= 16
+
+
 def test_where_the_noise_changes_each_spike_is_held_against_its_own():
     rng = np.random.default_rng(0)
     noise = np.where(np.arange(4000) < 2000, 0.001, 0.02)

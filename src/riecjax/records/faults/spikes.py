@@ -29,6 +29,9 @@ from riecjax.records.resolution import (
     resolution_of,
 )
 
+LARGE = 3.5
+"""Standard deviations of a difference beside which a sample is a suspect: of two neighbouring
+spikes a difference shows 0.3 times the height."""
 SPIKE = 6.0
 """Standard deviations that a spike is off the polynomial at the least."""
 MOST_SUSPECTS = 0.8
@@ -136,16 +139,17 @@ def _judged(
     """Which samples are spikes, and the noise around each."""
     cleaned, sizes = scaled.copy(), np.zeros(scaled.size)
     noise, stretch = sizes, np.cumsum(np.isnan(scaled))
-    around = Around(stretch, local)
+    around, half = Around(stretch, local), DIFFERENCE_ORDER // 2
+    # Up to two samples from an end or a gap the differences hold a fifth of a spike at the most.
+    ends = np.convolve(~np.isnan(scaled), np.ones(5), "same") < 5
     for _ in range(PASSES):
         sixth = np.abs(np.diff(cleaned, DIFFERENCE_ORDER)) / GAIN
         noise = _local_noise(sixth, scaled.size, quantum)
-        half = DIFFERENCE_ORDER // 2
         large = np.zeros(scaled.size, bool)
-        large[half:-half] = sixth > SUSPECT * noise[half:-half]
+        large[half:-half] = sixth > LARGE * noise[half:-half]
         # The first and last three samples stand in the middle of no difference.
         near = np.convolve(large, np.ones(DIFFERENCE_ORDER + 1), "same") > 0
-        suspects = np.flatnonzero(near & ~np.isnan(cleaned) & (sizes == 0))
+        suspects = np.flatnonzero((near | ends) & ~np.isnan(cleaned) & (sizes == 0))
         if not 0 < suspects.size <= MOST_SUSPECTS * scaled.size:
             break
         held = np.where(sizes > 0, np.nan, scaled)
