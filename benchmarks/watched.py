@@ -16,9 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-
 from riecjax.records.reading import child_process
+from riecjax.runtime import start_jax
 
 AT_REST = 1.3e9
 """Bytes that a process may hold between two cases, compiled programs mostly, before a new one
@@ -101,8 +100,10 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
     with open(f"{folder}/trace", "w") as trace, open(f"{folder}/printed", "w+b") as printed:
         faulthandler.register(signal.SIGUSR1, file=trace)
         os.dup2(printed.fileno(), 2)
-        # As the command line has it.
-        jax.config.update("jax_enable_x64", True)
+        # As the command line has it, but for how fast what it compiles is: thousands of cases
+        # compile, and few run it twice. The next process finds what this one has compiled.
+        os.environ["XDG_CACHE_HOME"] = folder
+        start_jax(once=True, keep_compiled=True)
         peaks()
         pipe.send("ready")
         while True:
