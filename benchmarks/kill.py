@@ -120,13 +120,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     draw = random.Random(given.seed)
-    study = ("reproduce", "--quick", "--out", "out")
+    study = ("reproduce", "--full", "--quick", "--out", "out")
     return bool(
         sum(
             compare(name, command, count, draw)
             for name, command, count in (
                 ("identify --out", IDENTIFY, given.identify),
-                ("reproduce --quick --out", study, given.reproduce),
+                ("reproduce --full --quick --out", study, given.reproduce),
             )
             if count
         )
