@@ -59,7 +59,9 @@ class MissingSignalError(DataError):
         self.available = available
         listed = ", ".join(available) or "none"
         rename = f"Rename a column to it (on the command line: --map {signal}=COLUMN)"
-        if derivative_of:
+        if not signal.strip():
+            message = f"a signal's name is empty; the record has: {listed}."
+        elif derivative_of:
             message = (
                 f"the record has no signal '{signal}', the derivative of {derivative_of}; it has: "
                 f"{listed}. {rename}, form it (--differentiate {signal}={derivative_of}), or write "

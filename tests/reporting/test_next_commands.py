@@ -11,6 +11,7 @@ COMMAND = ("identify", "a.csv", "--model", "axis")
     ("given", "proposed", "run"),
     [
         (("--clock", "v=100"), ("--clock", "v=4.5"), ("--clock", "v=104.5")),
+        (("--clock=v=100",), ("--clock", "v=4.5"), ("--clock", "v=104.5")),
         (("--shift", "v=0.01"), ("--shift", "v=-0.002"), ("--shift", "v=0.008")),
         (("--unit", "v=m/s"), ("--unit", "v=km/h"), ("--unit", "v=km/h")),
         (("--scale", "v=2"), ("--scale", "v=0.25"), ("--scale", "v=0.5")),

@@ -96,7 +96,7 @@ def _with(command: Sequence[str], options: Sequence[str]) -> list[str]:
         word = given.pop(0)
         option, _, value = word.partition("=")
         if option not in left_out:
-            kept.append(word)
+            kept += [option, value] if option in UPDATED and value else [word]
         elif not value:
             del given[: VALUES[option]]
     return _merged(kept, options)
