@@ -36,6 +36,7 @@ SHARED = (
     "linear_algebra",
     "runtime",
     "shows",
+    "standard_output",
     "tails",
     "whole_files",
     "work",

@@ -121,6 +121,7 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
         ("band = 3", ("'band'", "list of 2")),
         ("sweep = 'no'", ("'sweep'", "true or false")),
         ("records = 3", ("'records'", "names")),
+        ('records = ["a\\u0000.csv"]', ("'records'", "as can be typed")),
         ("map = {q = [1]}", ("'map.q'", "quotes")),
         ("remove-offset = {x = 1}", ("'remove-offset'", "list of names")),
         ("quite_else = 1", ("'quite_else'", "riecjax init")),
@@ -161,6 +162,11 @@ def test_a_job_as_windows_writes_it(tmp_path, monkeypatch, encoding):
         (b'# Pr\xfcfstand\nmodel = "emps"', ("byte 4", "save the file as UTF-8")),
         (b'{"job": {}, "provenance": {"files": [{"x": 1}]}}', ("no results.json",)),
         (b'{"job": {}, "provenance": {"files": "abc"}}', ("no results.json",)),
+        (b'{"job": {}, "provenance": "x"}', ("no results.json",)),
+        (b'{"job": [], "provenance": {}}', ("no results.json",)),
+        pytest.param(b'{"job":' + 100_000 * b"[", ("no results.json",), id="deep"),
+        (b'{"job": {"records": ["\\ud800.csv"]}, "provenance": {}}', ("as can be typed",)),
+        (b'{"schema": 99, "job": {}, "provenance": {}}', ("schema 99",)),
     ],
 )
 def test_a_damaged_job(capsys, tmp_path, monkeypatch, content, words):

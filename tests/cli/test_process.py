@@ -1,6 +1,7 @@
 """The command line as a process: signals, streams that take nothing, and what is left behind."""
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from riecjax.whole_files import LEFT_BEHIND
@@ -168,3 +170,17 @@ def test_a_killed_process_leaves_what_the_next_one_sweeps(tmp_path):
         other.terminate()
         other.communicate()
     assert [path.name for path in tmp_path.iterdir()] == ["drive.csv"]
+
+
+def test_names_that_are_text_in_no_encoding(tmp_path):
+    model = "import riecjax as rx\nm = rx.Equation(rx.Term('k', 'x'), -rx.Term(1.0, 'u'))"
+    rows = [f"{i / 100},{np.sin(i / 9)},{2 * np.sin(i / 9) + 0.1 * np.cos(i)}" for i in range(500)]
+    for name, lines in ((b"caf\xe9.py", [model]), (b"dr\xefve\x1b[31m.csv", ["t,x,u", *rows])):
+        (tmp_path / os.fsdecode(name)).write_text("\n".join(lines))
+    fit = "--criterion dols --no-sweep --refine none"
+    done = shell(f"riecjax identify dr*.csv --model caf*.py {fit} --out $'r\\xe9s'", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "\x1b" not in done.stdout
+    report = (tmp_path / os.fsdecode(b"r\xe9s") / "report.html").read_text()
+    assert r"dr\udcefve" in report
+    assert "\x1b" not in report

@@ -293,3 +293,14 @@ def test_an_equation_cannot_be_simulated(capsys):
     model(IMPORTS + f"thing = {EQUATION}\n")
     arguments = ("simulate", "mine.py:thing", "--input", "white-noise", "--out", "s.csv")
     assert "identified but not simulated" in rejected(capsys, 1, *arguments)
+
+
+def test_what_a_model_prints_is_no_part_of_the_answer(capsys):
+    spoken = "lambda s: (print('in a term'), s['p'] ** 3)[1]"
+    model("print('as it is read')\n" + TEN_LINES.replace('lambda s: s["p"] ** 3', spoken))
+    result = call(
+        capsys, "identify", "cart.csv", "--model", "mine.py:cart", "--json", "--refine", "none"
+    )
+    assert result.document["parameters"]["m"]["value"] == pytest.approx(TRUTH["m"], rel=0.01)
+    assert "as it is read" in result.err
+    assert "in a term" in result.err

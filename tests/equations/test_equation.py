@@ -63,6 +63,12 @@ def test_twice_negated_is_the_same_term():
         )
 
 
+@pytest.mark.parametrize("name", ["k\x1b[31m", "k\n"])
+def test_names_that_steer_a_terminal_are_refused(name):
+    with pytest.raises(ModelError, match="must be printable"):
+        Equation(Term(name, "x"), -Term(1.0, "u"))
+
+
 @pytest.mark.parametrize(("derivative", "signal"), [(0, "x"), (1, "dx"), (2, "ddx")])
 def test_a_derivative_is_read_from_the_signal_that_measures_it(derivative, signal):
     term = Term("m", "x", derivative=derivative, measured=("dx", "ddx"))

@@ -102,8 +102,10 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")
         if file.suffix.lower() == ".json":
             document = json.loads(text)
-            recorded = document["provenance"].get("files", [])
+            if not all(isinstance(document[key], dict) for key in ("job", "provenance")):
+                raise KeyError("job")
             _require_intact(document, file)
+            recorded = document["provenance"].get("files", [])
             return dict(document["job"]), [
                 {"file": str(one["file"]), "sha256": str(one["sha256"])} for one in recorded
             ]
@@ -112,7 +114,7 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         return tomllib.loads(text), []
     except OSError as error:
         raise click.UsageError(f"--job {file}: cannot be read: {error.strerror}.") from None
-    except (KeyError, TypeError):
+    except (KeyError, TypeError, RecursionError):
         raise click.UsageError(f"--job {file}: it is no results.json with a job.") from None
     except UnicodeDecodeError as error:
         raise click.UsageError(
@@ -124,8 +126,12 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def _require_intact(document: Any, file: Path) -> None:
-    from riecjax.reporting.document import is_intact
+    from riecjax.reporting.document import SCHEMA, is_intact
 
+    if (schema := document.get("schema", SCHEMA)) != SCHEMA:
+        raise click.UsageError(
+            f"--job {file}: it was written with schema {schema!r}, and this version reads {SCHEMA}."
+        )
     if not is_intact(document):
         raise click.UsageError(
             f"--job {file}: it is damaged or was changed: its checksum differs. Other options "
@@ -157,7 +163,7 @@ def _entries(param: click.Parameter, key: str, value: Any) -> list[list[str]]:
         listed = [value] if isinstance(value, str) else value
         if not (isinstance(listed, list) and all(isinstance(one, str) for one in listed)):
             raise _wrong(key, "a list of names in quotes", value)
-        return [[one] for one in listed]
+        return [[_text(key, one)] for one in listed]
     if not param.multiple:  # type: ignore[attr-defined]
         # Names between commas may as well be a list.
         listed = (
@@ -183,7 +189,13 @@ def _texts(param: click.Parameter, key: str, value: Any) -> list[str]:
 def _text(key: str, value: Any) -> str:
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise _wrong(key, "a number, or a name in quotes", value)
-    return str(value)
+    text = str(value)
+    try:
+        if b"\0" not in os.fsencode(text):
+            return text
+    except UnicodeEncodeError:
+        pass
+    raise _wrong(key, "text as can be typed", value)
 
 
 def _wrong(key: str, wanted: str, value: Any) -> click.UsageError:

@@ -12,6 +12,7 @@ import sys
 import click
 
 from riecjax.errors import RiecjaxError, printable
+from riecjax.standard_output import answer, for_answers_alone
 from riecjax.work import REMEDY
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
@@ -64,7 +65,8 @@ def run(arguments: list[str] | None = None) -> int:
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:
-        status = _status(given)
+        with for_answers_alone() if "--json" in given else contextlib.nullcontext():
+            status = _status(given)
         for stream in filter(None, (sys.stdout, sys.stderr)):
             stream.flush()
         return status
@@ -121,7 +123,7 @@ def _no_answer(message: str, code: str, arguments: list[str]) -> int:
         from riecjax.reporting.document import SCHEMA
 
         error = {"code": code, "message": message}
-        click.echo(json.dumps({"schema": SCHEMA, "error": error}, indent=2))
+        answer(json.dumps({"schema": SCHEMA, "error": error}, indent=2))
     return _fail(message, 1)
 
 

@@ -10,6 +10,7 @@ from rich.table import Table
 from riecjax.cli.options import json_option
 from riecjax.models.catalogue import MODELS, find_model
 from riecjax.models.model import Model, Quantity
+from riecjax.standard_output import answer
 
 
 @click.command("models", short_help="List the built-in models, or show one.")
@@ -24,7 +25,7 @@ def command(name: str | None, as_json: bool) -> None:
         from riecjax.reporting.document import SCHEMA
 
         shown = MODELS if name is None else {name: find_model(name)}
-        click.echo(json.dumps({"schema": SCHEMA, "models": models_document(shown)}, indent=2))
+        answer(json.dumps({"schema": SCHEMA, "models": models_document(shown)}, indent=2))
         return
     console = Console()
     for i, model in enumerate(MODELS.values() if name is None else (find_model(name),)):

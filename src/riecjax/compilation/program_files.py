@@ -45,7 +45,9 @@ def load_ahead(*kind: str) -> None:
     folder = programs_folder()
     if folder is None:
         return
-    calls = folder / (hashlib.sha256("\0".join(kind).encode()).hexdigest() + ".calls")
+    calls = folder / (
+        hashlib.sha256("\0".join(kind).encode(errors="surrogatepass")).hexdigest() + ".calls"
+    )
     atexit.register(_note, calls)
     with contextlib.suppress(OSError, ValueError):
         keys = [key for key in json.loads(read_sealed(calls) or b"[]") if _KEY.fullmatch(key)]

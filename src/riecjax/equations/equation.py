@@ -77,6 +77,9 @@ class Equation(Shown, eqx.Module):
         self.unit = unit
         if not self.parameters:
             raise ModelError(f"{name}: an equation needs at least one named coefficient.")
+        for word in (name, unit, *self.parameters, *self.units.values()):
+            if not word.isprintable():
+                raise ModelError(f"names and units are shown, and must be printable; got {word!r}.")
 
     @property
     def parameters(self) -> tuple[str, ...]:

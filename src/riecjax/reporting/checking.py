@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.errors import printable
 from riecjax.estimation.check import Check
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
@@ -34,7 +35,7 @@ def check_document(
         "by_refinement": by_refinement,
         "records": [
             {
-                "file": recording.source,
+                "file": printable(recording.source),
                 "part": recording.part or None,
                 "samples": recording.record.sample_count,
                 "time_step": float(recording.record.time_step),

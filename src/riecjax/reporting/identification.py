@@ -10,6 +10,7 @@ from jaxtyping import Array, Key
 from rich.console import Console
 
 from riecjax.assessment.assessment import Assessment
+from riecjax.errors import printable
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.recording import common_steps
 from riecjax.reporting.checking import excitation_entries, start_times
@@ -64,7 +65,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
             "seed": _seed(result.key),
             "records": [
                 {
-                    "file": recording.source,
+                    "file": printable(recording.source),
                     "part": recording.part or None,
                     "samples": recording.record.sample_count,
                     "time_step": float(recording.record.time_step),

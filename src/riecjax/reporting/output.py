@@ -13,6 +13,7 @@ from riecjax.errors import DataError
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
+from riecjax.standard_output import answer
 from riecjax.whole_files import committing, is_stamped, temporary
 
 RESULTS, REPORT = "results.json", "report.html"
@@ -43,7 +44,7 @@ def emit(
     if out is not None:
         write_folder(out, document, charts(), page(document), others)
     if as_json:
-        click.echo(json.dumps(document, indent=2, allow_nan=False))
+        answer(json.dumps(document, indent=2, allow_nan=False))
     else:
         show(document, Console())
     told = Console(stderr=True)
@@ -79,7 +80,8 @@ def write_folder(
         for name, chart in charts.items():
             print_chart(chart, pictures[name])
         report = render(page, document, charts, pictures)
-        (made / REPORT).write_text(report, encoding="utf-8")
+        # Names of files need not be text in any encoding.
+        (made / REPORT).write_text(report, encoding="utf-8", errors="backslashreplace")
         for name, write in (others or {}).items():
             write(made / name)
         text = json.dumps(sealed(document), indent=2, allow_nan=False) + "\n"

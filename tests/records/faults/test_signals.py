@@ -171,7 +171,8 @@ def test_a_signal_of_which_nothing_is_left():
 def test_a_pause_is_a_gap():
     time = np.concatenate([TIME, 60 + TIME])
     paused = Record.from_samples({"x": np.tile(white(0), 2)}, time=time)
-    assert "(1 of 10001) are missing in 1 gap" in message(paused, "missing_samples")
+    said = message(paused, "missing_samples")
+    assert "(55000 of 65000) are missing in 1 gap, first at 5 s" in said
 
 
 @pytest.mark.raises_finding("quantised")
