@@ -1,11 +1,14 @@
 """Samples that are spikes: what is said of them."""
 
+from collections.abc import Iterable
 from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from riecjax.findings import Finding
+from riecjax.records.faults.answered import are_answered
+from riecjax.records.faults.sampled_signal import SampledSignal
 from riecjax.records.faults.spikes import Spikes, find_spikes
 
 MOST = 0.05
@@ -30,12 +33,13 @@ def too_many(spikes: Spikes, values: Float[np.ndarray, " n"]) -> bool:
     return spikes.places.size > MOST * np.sum(~np.isnan(values))
 
 
-def outliers(
-    name: str, values: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], unit: str = ""
-) -> list[Finding]:
-    """The finding of a signal whose spikes were kept, NaN where samples are missing."""
+def outliers(signal: SampledSignal, others: Iterable[SampledSignal] = ()) -> list[Finding]:
+    """The finding of a signal whose spikes were kept, unless others show that they acted."""
+    name, values, time, unit = signal.name, signal.values, signal.time, signal.unit
     spikes = find_spikes(values)
-    return [finding_of(name, spikes, values, time, unit)] if spikes.places.size else []
+    if not spikes.places.size or are_answered(spikes.places, (one.values for one in others)):
+        return []
+    return [finding_of(name, spikes, values, time, unit)]
 
 
 def finding_of(

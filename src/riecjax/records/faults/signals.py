@@ -62,7 +62,7 @@ def check_signals(
             if name not in computed:
                 findings += [*clipped(signal, rest)] or [*saturated(signal, rest)]
                 findings += stuck(signal, rest)
-            findings += outliers(signal.name, signal.values, signal.time, signal.unit)
+            findings += outliers(signal, rest)
             findings += quantised(signal)
     recorded = {n: s for n, s in {**signals, **others}.items() if n not in computed}
     recorded = {n: s for n, s in recorded.items() if s.sample_count >= FEWEST_SAMPLES}

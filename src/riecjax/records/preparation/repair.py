@@ -1,18 +1,19 @@
 """Spikes replaced by what the samples around them say; what a sensor could not show left out."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.errors import DataError
+from riecjax.errors import DataError, MissingSignalError
 from riecjax.findings import Finding
+from riecjax.records.faults.answered import are_answered
 from riecjax.records.faults.held import held
 from riecjax.records.faults.outliers import DONE, Treatment, finding_of, too_many
 from riecjax.records.faults.sampled_signal import sampled_signal
-from riecjax.records.faults.spikes import find_spikes
+from riecjax.records.faults.spikes import Spikes, find_spikes
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.reading.selected import Selection
 from riecjax.records.record import Record, samples_with_nan
@@ -20,11 +21,12 @@ from riecjax.records.time_base import SHORTEST_PAUSE
 
 
 class Treated(NamedTuple):
-    """Samples without their spikes, what was done in words, and what is amiss with them."""
+    """Samples as they are after treatment; spikes among them as they were recorded, if there were
+    some, and whether they acted: then they are still there."""
 
     values: Float[np.ndarray, " n"]
-    words: str = ""
-    finding: Finding | None = None
+    spikes: Spikes | None = None
+    acted: bool = False
 
 
 def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") -> Record:
@@ -32,20 +34,21 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
 
     A spike is found against the noise around it: its sixth differences stand out by 4.5 standard
     deviations, and it lies 6 off a polynomial of degree 3, 5 or 7 through the 8 samples to each
-    side, weighed by Tukey's biweight. Steps, corners and pulses of commands stay. Of a signal of
-    which more than 5 % are spikes nothing is changed: that is a fault of its channel.
+    side, weighed by Tukey's biweight. Steps, corners and pulses of commands stay, and blows to
+    which another signal answers. Of a signal of which more than 5 % are spikes nothing is changed:
+    that is a fault of its channel.
 
     **Arguments:** the signals to repair, all if none is named; `how`: `"repair"`, `"missing"` to
     mark spikes as missing, or `"keep"`.
 
     **Raises:** `DataError` for a signal that the record lacks, or another treatment.
     """
-    time, units = np.asarray(record.elapsed), dict(record.units)
-    treated = {
-        name: treat(name, samples_with_nan(record, name), time, how, units.get(name, ""))
-        for name in signals or record.arrays
-    }
-    changed = {name: each.values for name, each in treated.items() if each.words}
+    columns = {name: samples_with_nan(record, name) for name in record.arrays}
+    times = dict.fromkeys(columns, np.asarray(record.elapsed))
+    if unknown := [name for name in signals if name not in columns]:
+        raise MissingSignalError(unknown[0], tuple(columns))
+    treated = _treated(signals or tuple(columns), columns, times, how)
+    changed = {n: one.values for n, one in treated.items() if one.spikes and not one.acted}
     return with_gaps(record, changed, noise=record.noise.of(*changed)) if changed else record
 
 
@@ -90,46 +93,65 @@ def treat_all(
 
     **Raises:** `DataError` for another treatment.
     """
-    values, words, findings = {}, [], []
-    for name, column in columns.items():
-        even = (selection.time_step or 1.0) * np.arange(column.size)
-        stamps = times.get(name, even)
-        found = treat(name, column, stamps, selection.outliers, units.get(name, ""))
-        values[name] = found.values
-        if found.finding is not None:
-            used = [k for k, f in selection.derive.items() if name in re.findall(r"\w+", f)]
-            words.append(found.words)
-            findings.append(found.finding._replace(signals=(name, *used)))
-    return values, words, findings
+    step = selection.time_step or 1.0
+    even = {name: step * np.arange(column.size) for name, column in columns.items()}
+    every, how, findings, words = {**even, **times}, selection.outliers, [], []
+    treated = _treated(tuple(columns), columns, every, how)
+    for name, one in treated.items():
+        if one.spikes is None:
+            continue
+        count, time = one.spikes.places.size, every[name]
+        if one.acted:
+            words.append(f"{name}: {count} samples of short pulses kept, which other signals show")
+            continue
+        done = "repaired" if how == "repair" else "marked as missing"
+        words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
+        used = [k for k, f in selection.derive.items() if name in re.findall(r"\w+", f)]
+        unit = units.get(name, "")
+        found = finding_of(name, one.spikes, columns[name], time - time[0], unit, how)
+        findings.append(found._replace(signals=(name, *used)))
+    return {name: one.values for name, one in treated.items()}, words, findings
 
 
-def treat(
-    name: str,
-    values: Float[np.ndarray, " n"],
-    time: Float[np.ndarray, " n"],
-    how: Treatment = "repair",
-    unit: str = "",
-) -> Treated:
-    """A signal without its spikes; as it is where there are none or too many.
+def _treated(
+    names: Sequence[str],
+    columns: Mapping[str, Float[np.ndarray, " n"]],
+    times: Mapping[str, Float[np.ndarray, " n"]],
+    how: Treatment,
+) -> dict[str, Treated]:
+    """These signals without spikes; as they are where there are none, too many, or they acted.
 
     **Raises:** `DataError` for another treatment.
     """
     if how not in DONE:
         raise DataError(f"outliers are for {', '.join(DONE)}; got '{how}'.")
+    treated = {name: Treated(columns[name]) for name in names}
     if how == "keep":
-        return Treated(values)
+        return treated
+    for name in names:
+        treated[name] = _of_signal(columns[name], times[name], how)
+    without = {**columns, **{name: one.values for name, one in treated.items()}}
+    for name, one in treated.items():
+        others = [
+            values
+            for other, values in without.items()
+            if other != name and np.array_equal(times[other], times[name])
+        ]
+        if one.spikes is not None and are_answered(one.spikes.places, others):
+            treated[name] = Treated(columns[name], one.spikes, acted=True)
+    return treated
+
+
+def _of_signal(
+    values: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], how: Treatment
+) -> Treated:
     steps = np.diff(time) if time.size > 1 else np.ones(1)
     pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
     # No polynomial reaches across a pause.
     spikes = find_spikes(np.insert(values, pauses, np.nan))
-    if not spikes.places.size:
+    if not spikes.places.size or too_many(spikes, values):
         return Treated(values)
     places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
-    spikes = spikes._replace(places=places)
-    if too_many(spikes, values):
-        return Treated(values)
     changed = values.copy()
     changed[places] = spikes.repaired if how == "repair" else np.nan
-    done = "repaired" if how == "repair" else "marked as missing"
-    words = f"{name}: {places.size} outlier{'s' * (places.size > 1)} {done}"
-    return Treated(changed, words, finding_of(name, spikes, values, time - time[0], unit, how))
+    return Treated(changed, spikes._replace(places=places))
