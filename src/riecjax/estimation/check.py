@@ -39,6 +39,8 @@ KNOWN_TERMS = "the known terms"
 """What stands for them beside the names of parameters."""
 COPIED = "copied_signal"
 """Why nothing tells regressors apart, where one signal is another."""
+OF_HELD = ("wrong_gain", "lost_rows")
+"""What a signal seems to have that is held or cut off."""
 FATAL = ("constant_target", "not_excited", "unidentifiable")
 """Codes of findings that leave no answer, rather than a doubtful one."""
 
@@ -190,11 +192,12 @@ def _sensors(
         known = [one for one in procedure.kinematics if {*one.names} <= {*record.arrays}]
         of_signals = check_signals(record, names, computed=computed, pairs=pairs)
         # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
+        # Nor are rows lost where one signal alone jumps.
         held = {n for f in of_signals if f.code in ("stuck_sensor", "clipped") for n in f.signals}
         of_pairs = [
             finding
             for finding in check_derivatives(record, [*pairs, *known])
-            if finding.code != "wrong_gain" or not held & {*finding.signals}
+            if finding.code not in OF_HELD or not held & {*finding.signals}
         ]
         every.append([f._replace(message=prefix + f.message) for f in (*of_signals, *of_pairs)])
     return [

@@ -25,13 +25,23 @@ ABRUPT_QUANTA = 3.0
 """The same in quanta of the signal."""
 STEADY, JUMP = 0.99, 2.0
 """Share of a signal's steps that are usual; times such a step past which it jumps."""
+SHORT, PLACES = 3, 3
+"""Samples of one value, and places with it, that may be where a signal drops out: at 0, or at a
+number that its logger writes for none."""
+TURNING = 0.5
+"""Usual steps below which motion goes on so slowly that it turns there, and an encoder shows no
+change."""
+UNIQUE = 0.95
+"""Share of values that come once in a signal that is not quantised."""
 MOVES = 0.3
 """Share of its usual sample-to-sample change past which another signal moves meanwhile."""
 
 
 def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Finding]:
-    """A long run of one value, begun or left by a jump, while another signal moves on."""
-    runs = stuck_runs(signal, others)
+    """A long run of one value, begun or left by a jump, while another signal moves on; or short
+    ones of the same value, all begun and left by jumps."""
+    yield from _dropping_out(signal)
+    runs = long_runs(signal, others)
     if not runs.size:
         return
     starts, lengths, first = signal.run_starts, signal.run_lengths, int(runs[0])
@@ -49,7 +59,74 @@ def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Fi
     )
 
 
+def _dropping_out(signal: SampledSignal) -> Iterator[Finding]:
+    runs = dropouts(signal)
+    if not runs.size:
+        return
+    starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
+    shown = np.unique(signal.run_values[runs])
+    value = signal.with_unit(shown[0]) if shown.size == 1 else "one value"
+    samples, remedy = int(lengths.sum()), ("--leave-out", signal.name)
+    yield signal.finding(
+        "stuck_sensor",
+        f"drops out: it shows exactly {value} for {int(np.median(lengths))} samples (median) in "
+        f"{runs.size} places, and goes on elsewhere, first at {signal.time[starts[0]]:.4g} s "
+        f"({percent(samples, signal.sample_count)} of the samples). "
+        f"Leave them out (on the command line: {shlex.join(remedy)}), and check the sensor, its "
+        f"cable and the logger.",
+        # They are far off: each counts for several.
+        doubt=1.0,
+        remedy=remedy,
+        step=f"Leave out what {signal.name} showed while it dropped out",
+    )
+
+
 def stuck_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndarray:
+    """Which of the signal's runs no sensor measured."""
+    return np.union1d(long_runs(signal, others), dropouts(signal))
+
+
+def dropouts(signal: SampledSignal) -> np.ndarray:
+    """Runs of a value that is entered and left by jumps, several times, and shown in no other way.
+
+    A motion that comes to rest, or runs into a limit, gets there by steps as small as any other.
+    """
+    starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
+    several, none = np.flatnonzero(lengths >= SHORT), np.zeros(0, int)
+    if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
+        return none
+    steps = np.abs(np.diff(signal.values))
+    elsewhere = np.ones(steps.size + 2, bool)
+    for run in several:
+        elsewhere[starts[run] : starts[run] + lengths[run] + 1] = False
+    moving = steps[elsewhere[1:-1] & ~np.isnan(steps)]
+    if not moving.size or np.mean(moving == 0) > LONGEST_REST:
+        return none
+    usual = float(np.quantile(moving, STEADY))
+    padded = np.pad(steps, 1, constant_values=np.inf)
+    least = np.fmin(padded[starts], padded[starts + lengths])
+    found = []
+    for value in np.unique(values[several]):
+        own = np.flatnonzero(values == value)
+        long = own[lengths[own] >= SHORT]
+        jumps = np.median(least[long]) > JUMP * usual
+        if long.size >= PLACES and jumps and 2 * long.size > own.size:
+            found.append(long)
+    # Of a signal whose values come once, another one each time: the last is written again.
+    if np.mean(signal.counts == 1) > UNIQUE:
+        again = np.flatnonzero(lengths > SHORT)
+        own = np.isin(values[again], values[np.setdiff1d(np.arange(lengths.size), again)])
+        ends = padded[starts + lengths][again]
+        if (
+            np.unique(values[again]).size >= PLACES
+            and not own.any()
+            and np.median(ends) > TURNING * np.median(moving)
+        ):
+            found.append(again)
+    return np.unique(np.concatenate(found)) if found else none
+
+
+def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndarray:
     """Which of the signal's runs a stuck sensor showed."""
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
     usual, none = float(np.quantile(lengths, 0.95)), np.zeros(0, int)
