@@ -11,6 +11,9 @@ import numpy as np
 
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
+from riecjax.records.computed import without_computed
+from riecjax.records.faults.relations import Relation
+from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs
 from riecjax.records.preparation.steps import Preparation, prepare
@@ -208,10 +211,11 @@ def _recording(
         record, mismatches = _in_model_units(record, model, selection)
         idle = preparation.idle_cuts(record)
         before, after = preparation.halves()
+        record, found = without_computed(record, _unsaid(model, record, selection))
         record, first_steps = prepare(record, {}, before)
         aligned = align(record, declared_pairs(model), preparation.align)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
-        steps = (*first_steps, *aligned.words, *last_steps)
+        steps = (*found, *first_steps, *aligned.words, *last_steps)
     computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
@@ -244,6 +248,13 @@ def _recording(
         selected.converted,
         tuple(n for n in record.arrays if n not in read or n in selection.derive),
     )
+
+
+def _unsaid(model: Any, record: Record, selection: Selection) -> list[tuple[str, str]]:
+    """Signals and their derivatives of whose noise nothing was said."""
+    said = given_noise(selection.noise, record.arrays).kernels
+    pairs = (pair for pair in declared_pairs(model) if not isinstance(pair, Relation))
+    return [pair for pair in pairs if pair[1] not in said]
 
 
 def _read_by(model: Any, preparation: Preparation) -> dict[str, str]:

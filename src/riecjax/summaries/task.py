@@ -24,7 +24,8 @@ from riecjax.equations.procedure import (
 from riecjax.equations.term import Terms
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
-from riecjax.records.noise_judgement import GivenNoise, judged
+from riecjax.records.computed import without_computed
+from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
 
@@ -132,8 +133,12 @@ def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") ->
     def of(recording: Recording) -> Recording:
         with recording.explaining_errors():
             record, steps = with_velocities(procedure, recording.record)
+            known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
-        return replace(recording, record=record, steps=(*recording.steps, *steps))
+            pairs = (pair for equation in procedure.equations for pair in equation.derivatives)
+            unsaid = [pair for pair in dict.fromkeys(pairs) if pair[1] not in known]
+            record, found = without_computed(record, unsaid)
+        return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
 

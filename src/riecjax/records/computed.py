@@ -1,0 +1,118 @@
+"""Whether a recorded derivative is no sensor's, but computed from the position: differences, slopes
+of polynomials, or any other filter of some dozens of samples.
+
+Such a signal has the position's noise, many times as large and of one source with it. Taken for a
+sensor's own, white and independent, it biases every estimate.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Float
+
+from riecjax.errors import DataError
+from riecjax.leaves import is_concrete
+from riecjax.records.preparation import with_local_derivative
+from riecjax.records.record import Record, samples_with_nan
+
+HALVES = (1, 2, 5, 10, 30)
+"""Samples to each side of filters that are tried, the longest first as the test of all."""
+LOOKED_AT = 4096
+"""Samples that are enough."""
+LEFT = 0.1
+"""What such a filter leaves at most, in terms of the position's noise through it. A sensor's own
+noise is left whole: a filter of the position cannot tell it."""
+LEAST = 1e-5
+"""Noise of differences, as a share of these, below which it matters to nothing: what looks like it
+may be motion that no difference is of the order to take off."""
+ROUNDS, FAR = 3, 10.0
+"""Fits, each without rows that the one before left so many times its median."""
+SHARPENED = 2
+"""Order of the differences that are looked at, in which motion hides noise less."""
+
+
+def without_computed(record: Record, pairs: Iterable[tuple[str, str]]) -> tuple[Record, list[str]]:
+    """Slopes of local polynomials in place of derivatives that are filters of their signals.
+
+    A signal's own sensor is all that such a derivative knows of; the polynomials are as wide as its
+    motion allows. Not under jit, where the record stays as it is.
+
+    **Arguments:** `pairs` of a signal and its derivative, of whose noise nothing was given.
+
+    **Returns:** the record, and what was done, in words.
+    """
+    if not is_concrete(record):
+        return record, []
+    words = []
+    for signal, derivative, taps in _computed(record, pairs):
+        said = f"{derivative}: computed from {signal}, by a filter of {taps.size} samples"
+        try:
+            record, width = with_local_derivative(record, signal, derivative)
+            said = f"{said}; in its place slopes of local polynomials, {width:.3g} s to each side"
+        except DataError:  # too short for them
+            record = record.with_noise(record.noise.filtered(signal, taps, derivative))
+        words.append(said)
+    return record, words
+
+
+def _computed(
+    record: Record, pairs: Iterable[tuple[str, str]]
+) -> list[tuple[str, str, Float[np.ndarray, " taps"]]]:
+    """Pairs of which the second signal is computed from the first, and by which taps."""
+    found, noise = [], record.noise
+    for signal, derivative in pairs:
+        if not noise.kernels.get(signal) or {signal, derivative} - {*record.arrays}:
+            continue
+        if noise.is_made_of(derivative, signal):  # by a step of preparation
+            continue
+        both = (samples_with_nan(record, name) for name in (signal, derivative))
+        taps = filter_between(*both, float(noise.std(signal)))
+        if taps is not None:
+            noise = noise.filtered(signal, taps, derivative)
+            found.append((signal, derivative, taps))
+    return found
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def filter_between(
+    signal: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"], noise: float
+) -> Float[np.ndarray, " taps"] | None:
+    """Taps of the shortest filter that makes one signal of another, whose noise has this standard
+    deviation; `None` if none does."""
+    known = np.flatnonzero(~(np.isnan(signal) | np.isnan(other)))
+    stretches = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+    # Differences are one-sided at the ends.
+    longest = max(stretches, key=len)[1:-1][:LOOKED_AT]
+    if longest.size < 8 * HALVES[-1] or not noise > 0:
+        return None
+    x, y = (np.diff(each[longest], SHARPENED) for each in (signal, other))
+    if not np.isfinite([*x, *y]).all():
+        return None
+    if not noise / np.sqrt(2) > LEAST * np.std(np.diff(signal[longest])):
+        return None
+    scale = np.std(x)
+    columns = np.lib.stride_tricks.sliding_window_view(x / scale, 2 * HALVES[-1] + 1)
+    target = y[HALVES[-1] : y.size - HALVES[-1]]
+    found = None
+    for half in reversed(HALVES):
+        inner = slice(HALVES[-1] - half, HALVES[-1] + half + 1)
+        taps, left = _fitted(columns[:, inner], target)
+        through = noise / scale * np.linalg.norm(np.convolve(taps, [1, -2, 1]))
+        if not np.sqrt(np.mean(left**2)) < LEFT * through:
+            break
+        found = taps[::-1] / scale
+    return found
+
+
+def _fitted(
+    columns: Float[np.ndarray, "rows taps"], target: Float[np.ndarray, " rows"]
+) -> tuple[Float[np.ndarray, " taps"], Float[np.ndarray, " kept"]]:
+    """Least squares, and what is left where no spike was repaired in one of the two."""
+    kept, left = np.ones(target.size, bool), target
+    taps = np.zeros(columns.shape[1])
+    for _ in range(ROUNDS):
+        some = columns[kept]
+        taps = np.linalg.lstsq(some.T @ some, some.T @ target[kept], rcond=1e-14)[0]
+        left = target - columns @ taps
+        kept = np.abs(left) <= FAR * np.median(np.abs(left[kept]))
+    return taps, left[kept]
