@@ -65,8 +65,8 @@ def _computed(
             continue
         if noise.is_made_of(derivative, signal):  # by a step of preparation
             continue
-        both = (samples_with_nan(record, name) for name in (signal, derivative))
-        taps = filter_between(*both, float(noise.std(signal)))
+        one, other = (samples_with_nan(record, name) for name in (signal, derivative))
+        taps = filter_between(one, other, float(noise.std(signal)))
         if taps is not None:
             noise = noise.filtered(signal, taps, derivative)
             found.append((signal, derivative, taps))
