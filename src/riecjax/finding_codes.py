@@ -184,6 +184,12 @@ CODES: dict[str, FindingCode] = {
         "a derivative's mean against the change of its signal",
         "records.faults.derivative_pairs:OFFSET",
     ),
+    "wrong_zero": FindingCode(
+        "sensors",
+        "some sensor's zero is off",
+        "a fit of means and motion against one of motion alone",
+        "estimation.constant_target:LEAST",
+    ),
     "constant_signal": FindingCode("sensors", "{signals} never varies", "distinct values"),
     "stuck_sensor": FindingCode(
         "sensors",

@@ -13,7 +13,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import Terms
 from riecjax.errors import IdentifiabilityError, renamed
-from riecjax.estimation.constant_target import constant_targets
+from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.linearised import linearised
 from riecjax.estimation.mode_evidence import ModeEvidence
@@ -169,7 +169,9 @@ def check(
 
 
 def _constant(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
-    yield from constant_targets(procedure, plan.sharing, summary.recordings, plan.given)
+    asked = (procedure, plan.sharing, summary.recordings, plan.given)
+    yield from constant_targets(*asked)
+    yield from wrong_zeros(*asked)
 
 
 def read_of(

@@ -29,12 +29,13 @@
 # are what is left when columns are projected off it, or off each record's part of it where means
 # are its own.
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.parameters import Sharing
 from riecjax.findings import Finding
@@ -50,6 +51,10 @@ DISAGREEING = 2.0
 """Times what motion alone leaves of b', or noise, rms, past which the means disagree with it."""
 SLIGHT = 0.01
 """Share of b', rms, that the means may cost in any case: they move k by about as much."""
+LEAST = 0.1
+"""The same from which a wrong zero is told where the target varies."""
+MOST_MOVED = 1e3
+"""Share by which a value may be said to move at most."""
 ROUNDING = 1e-7
 """Share of a column that double sums over a long record may leave as rounding."""
 Rows = Float[np.ndarray, " rows"]
@@ -81,6 +86,55 @@ def constant_targets(
                 findings.append(Finding("constant_target", message, parameters=tuple(one.columns)))
         settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
     return findings
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def wrong_zeros(
+    procedure: Procedure,
+    sharing: Sharing,
+    recordings: Sequence[RecordingSums],
+    given: Mapping[str, Array],
+) -> Iterator[Finding]:
+    """`wrong_zero` of equations that motion explains, and a fit with the means does not.
+
+    Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
+    are left out that read what an earlier stage finds.
+    """
+    settled: set[str] = set(given)
+    for number, stage in enumerate(procedure.stages):
+        for place, equation in enumerate(stage):
+            read = {*sharing.everywhere(equation.parameters)}
+            sums = [one.stages[number][place] for one in recordings]
+            if any(one.averages is None for one in sums) or read & settled - set(given):
+                continue
+            yield from _wrong_zero(_Averaged(equation, sharing, sums, given, settled))
+        settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
+
+
+def _wrong_zero(seen: "_Averaged") -> Iterator[Finding]:
+    if any(term.of is constant for term in seen.equation.terms) or not seen.columns:
+        return
+    left, (fitted, noise) = seen.left_by_motion(), seen.left_by_all()
+    if not fitted > max(DISAGREEING * np.hypot(left, noise) + SLIGHT, LEAST):
+        return
+    inputs = [t.of for t in seen.equation.terms if not t.parameters and isinstance(t.of, str)]
+    remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
+    moved = seen.moved_by_means()
+    most = max(moved, key=lambda name: moved[name])
+    yield Finding(
+        "wrong_zero",
+        f"{seen.equation.name}: the constant parts of the signals disagree with their motion, as "
+        f"with a wrong zero of a sensor: together they leave {100 * fitted:.2g} % of how the "
+        f"target varies, motion alone {100 * left:.2g} %. It moves {most} by "
+        f"{100 * moved[most]:.2g} % of its value. Estimate the zero as a constant"
+        + (f" (on the command line: {' '.join(remedy)})" if remedy else "")
+        + ": rx.Term('offset', rx.constant); or remove the signals' offsets.",
+        tuple(inputs),
+        tuple(seen.columns),
+        doubts=moved,
+        remedy=remedy,
+        step="Estimate the zero of a sensor, as a constant force",
+    )
 
 
 def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
@@ -218,6 +272,14 @@ class _Averaged:
 
         size = _norm(self.moving(self.target))
         return left(self.target, self.columns) / size, left(*self.noise) / size
+
+    def moved_by_means(self) -> dict[str, float]:
+        """How far each coefficient is from that of motion alone, as a share of it in the fit."""
+        columns = [*self.columns.values()]
+        whole = _fit(self.target, columns)
+        alone = _fit(self.moving(self.target), [self.moving(column) for column in columns])
+        moved = np.abs(alone - whole) / np.maximum(np.abs(whole), 1e-300)
+        return dict(zip(self.columns, np.minimum(moved, MOST_MOVED).tolist()))
 
     def candidates(self) -> list[list[str]]:
         """Columns that may stand for all: of each term, still ones first, and of all that are."""

@@ -93,13 +93,6 @@ def test_next_to_gaps_at_the_ends_and_in_a_short_record():
     assert {40, 81, 100} <= {*find_spikes(values).places} <= {*where}
 
 
-def test_two_of_twenty_noises_beside_each_other_are_found():
-    for seed in range(200):
-        values = noisy(seed, 0.05)["x"]
-        values[700:702] += (-1) ** seed * 20 * size_of(0.05, "x")
-        np.testing.assert_array_equal(find_spikes(values).places, [700, 701])
-
-
 @pytest.mark.parametrize("at", [0, 989, 1010, 2000])
 def test_the_last_sample_before_an_end_or_a_gap_is_held_against_those_on_its_one_side(at):
     found = []

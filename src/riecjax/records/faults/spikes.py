@@ -29,9 +29,6 @@ from riecjax.records.resolution import (
     resolution_of,
 )
 
-LARGE = 3.5
-"""Standard deviations of a difference beside which a sample is a suspect: of two neighbouring
-spikes a difference shows 0.3 times the height."""
 SPIKE = 6.0
 """Standard deviations that a spike is off the polynomial at the least."""
 MOST_SUSPECTS = 0.8
@@ -64,6 +61,13 @@ PASSES = 12
 LARGEST = 1e60
 """Robust scales at which values are cut off, so that their squares are numbers."""
 GAIN = float(np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2)))
+GAIN_OF_TWO = float(np.linalg.norm(np.convolve(np.poly([1.0] * DIFFERENCE_ORDER), [1, 1])))
+LARGE = 6.5
+"""Standard deviations of the sum of two neighbouring differences that make suspects, too: two equal
+spikes side by side add 10 times their height to it, in which noise has 16 of its own, and 9 to each
+difference, in which it has 30. They are looked at where polynomials mostly miss samples by no more
+than `FOLLOWED` times the noise: beside motion that none follows, its corners would count."""
+FOLLOWED = 2.0
 _LOCAL = [Local.of(degree, beside) for degree, beside in SHAPES]
 
 
@@ -143,10 +147,14 @@ def _judged(
     # Up to two samples from an end or a gap the differences hold a fifth of a spike at the most.
     ends = np.convolve(~np.isnan(scaled), np.ones(5), "same") < 5
     for _ in range(PASSES):
-        sixth = np.abs(np.diff(cleaned, DIFFERENCE_ORDER)) / GAIN
+        differences = np.diff(cleaned, DIFFERENCE_ORDER)
+        sixth = np.abs(differences) / GAIN
+        of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
         noise = _local_noise(sixth, scaled.size, quantum)
         large = np.zeros(scaled.size, bool)
-        large[half:-half] = sixth > LARGE * noise[half:-half]
+        large[half:-half] = sixth > SUSPECT * noise[half:-half]
+        if np.median(noise) > local.error(cleaned) / FOLLOWED:
+            large[half : -half - 1] |= of_two > LARGE * noise[half : -half - 1]
         # The first and last three samples stand in the middle of no difference.
         near = np.convolve(large, np.ones(DIFFERENCE_ORDER + 1), "same") > 0
         suspects = np.flatnonzero((near | ends) & ~np.isnan(cleaned) & (sizes == 0))

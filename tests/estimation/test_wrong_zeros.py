@@ -1,0 +1,55 @@
+"""A sensor's wrong zero, told by means that disagree with the motion."""
+
+import pytest
+from benchmarks.drag_problem import TRUTH, signals
+
+from riecjax.assessment.assess import assess
+from riecjax.estimation.check import check
+from riecjax.models.catalogue import find_model
+from riecjax.models.model import Model
+from riecjax.records.record import Record
+
+STEP = 0.01
+DRAG = find_model("drag-oscillator")
+
+
+def recording(seed: int, noise: float = 0.01, **offsets: float) -> Record:
+    """Offsets in standard deviations of the signals."""
+    values = {n: v.copy() for n, v in signals(seed, noise).items()}
+    for name, size in offsets.items():
+        values[name] += size * values[name].std()
+    return Record.from_samples(values, time_step=STEP)
+
+
+def told(record: Record, model: Model = DRAG):
+    return [f for f in check(model, record).findings if f.code == "wrong_zero"]
+
+
+@pytest.mark.raises_finding("wrong_zero")
+@pytest.mark.parametrize("size", [1.0, -5.0, 30.0])
+@pytest.mark.parametrize("name", ["x", "u"])
+def test_an_offset_is_named_with_what_it_moves_and_estimated(name, size):
+    record = recording(0, **{name: size})
+    (found,) = told(record)
+    assert found.remedy == ("--unknown-offset", "u")
+    assert found.doubts["k"] > 0.1
+    answer = assess(DRAG.with_sensor_errors(("u",), ()), record, refine=None, sweep=False).estimate
+    for parameter, value in TRUTH.items():
+        error = float(dict(zip(answer.parameters, answer.standard_errors))[parameter])
+        assert float(answer[parameter]) == pytest.approx(value, abs=5 * error + 0.01 * value)
+
+
+@pytest.mark.no_finding("wrong_zero")
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+def test_no_alarm_of_right_models(noise):
+    for seed in range(20):
+        assert told(recording(seed, noise)) == []
+        assert told(recording(seed, noise, x=3.0), DRAG.with_sensor_errors(("u",), ())) == []
+
+
+@pytest.mark.no_finding("wrong_zero")
+def test_a_term_that_a_model_lacks_is_no_zero():
+    # Half as much stiffness at one end of the stroke as at the other end of it, and in the middle.
+    values = {n: v.copy() for n, v in signals(0, 0.01).items()}
+    values["u"] += 300 * values["x"] ** 3
+    assert told(Record.from_samples(values, time_step=STEP)) == []
