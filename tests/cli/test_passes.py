@@ -112,10 +112,10 @@ def test_one_command_sums_a_recording_once(capsys):
 def test_each_of_two_recordings_is_summed_once(capsys):
     first, second = recording("one.csv", SAMPLES, 0), recording("two.csv", OTHER_SAMPLES, 1)
     assert executions(capsys, "cart", one=first, two=second) == {
-        # As for one recording.
+        # As for one recording; each delay is that of both.
         ("one", FILLED): 2,
         ("two", FILLED): 2,
-        ("with noise", FILLED): 10,
+        ("with noise", FILLED): 2 * (5 + 7 * 5),
         ("one", SAMPLES): 1,
         ("two", OTHER_SAMPLES): 1,
     }
@@ -127,7 +127,8 @@ def test_a_curve_is_drawn_over_samples_that_are_computed_for_it(capsys):
         # The one pass, and in it the reach of the curve's variable, which the survey keeps. Noise
         # moves the variable along its slope, and steps to either side are taken in the roofs alone.
         ("one", FILLED): 5,
-        ("with noise", FILLED): 1,
+        # And the delays, of which some are looked at twice.
+        ("with noise", FILLED): 1 + 9 * 4,
         # What is left; for the figure, the curve's variable, and the equation at each sample.
         ("one", SAMPLES): 3,
     }

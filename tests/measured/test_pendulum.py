@@ -86,7 +86,7 @@ def test_through_files_on_the_command_line(records, tmp_path, capsys):
         write_record(path, record)
     arguments = ["identify", *map(str, paths), "--model", "pendulum", "--refine", "none", "--json"]
     arguments += ["--windows", "8000", "--test-function", "boxcar"]
-    arguments += ["--differentiate", "dtheta=theta"]
+    arguments += ["--differentiate", "dtheta=theta", "--outliers", "keep", "--align", "none"]
     assert run(arguments) == 0
     parameters = json.loads(capsys.readouterr().out)["parameters"]
     estimate = riec(records)
