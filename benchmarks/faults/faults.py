@@ -143,6 +143,13 @@ def stuck(log: Logger, name: str, seconds: float) -> None:
     log.rows[name][begin : begin + int(seconds * RATE)] = log.rows[name][begin]
 
 
+def dropouts(log: Logger, name: str, samples: int) -> None:
+    """At 20 places, to what a logger writes for none: zero of a position, else the value before."""
+    for place in (SAMPLES // 20) * np.arange(20) + log.rng.integers(0, SAMPLES // 40, 20):
+        zero = name == log.machine.position
+        log.rows[name][place : place + samples] = 0.0 if zero else log.rows[name][place]
+
+
 def copied(log: Logger, name: str, factor: float) -> None:
     """The position's column instead, or a multiple of it to seven digits."""
     values = factor * log.rows[log.machine.position]
@@ -182,6 +189,24 @@ FAULTS = {
     "unit of velocity": Fault(times, "velocity", (0.3048, 3.6, 1000), GAIN, True),
     "unit of position": Fault(times, "position", (0.3048, 57.3, 1000), GAIN, True),
     "offset of velocity": Fault(offset, "velocity", (0.05, 0.2, 1), ("velocity_offset",), True),
+    "zero of position": Fault(
+        offset,
+        "position",
+        (0.3, 3, 30),
+        ("wrong_zero", "uneven_errors", "constant_target"),
+        True,
+        # The car's damper map takes up any constant force: where its own zero is, nothing tells.
+        ("drag", "axis", "pendulum", "dry"),
+    ),
+    "zero of force": Fault(
+        offset,
+        "force",
+        (0.1, 1, 10),
+        ("wrong_zero", "uneven_errors", "constant_target"),
+        True,
+        # The axis has a constant term, which is that of its zero.
+        ("car", "drag", "pendulum", "dry"),
+    ),
     "drift of velocity": Fault(
         drift, "velocity", (0.1, 0.5, 2), ("drifting_signal", "velocity_offset"), True
     ),
@@ -205,6 +230,8 @@ FAULTS = {
     "huge spike in force": Fault(huge_spike, "force", (1e6, 1e30, 1e300), ("outliers",)),
     "stuck velocity": Fault(stuck, "velocity", (0.1, 0.5, 5.0), ("stuck_sensor",)),
     "stuck force": Fault(stuck, "force", (0.1, 0.5, 5.0), ("stuck_sensor",)),
+    "dropouts of position": Fault(dropouts, "position", (4, 8, 16), ("stuck_sensor",)),
+    "dropouts of velocity": Fault(dropouts, "velocity", (4, 8, 16), ("stuck_sensor",)),
     "copied velocity": Fault(copied, "velocity", (2.5, -1.0, 1.0), ("copied_signal",)),
     "silent force": Fault(
         silent, "force", (None, 1.0, 0.0), ("silent_input", "constant_signal", "constant_target")

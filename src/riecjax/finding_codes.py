@@ -184,6 +184,12 @@ CODES: dict[str, FindingCode] = {
         "a derivative's mean against the change of its signal",
         "records.faults.derivative_pairs:OFFSET",
     ),
+    "repeated_rows": FindingCode(
+        "sensors",
+        "rows stand in the recording twice",
+        "rows that are others to the bit",
+        "records.faults.repeated_rows:FEWEST",
+    ),
     "wrong_zero": FindingCode(
         "sensors",
         "some sensor's zero is off",
@@ -386,8 +392,7 @@ CODES: dict[str, FindingCode] = {
     ),
 }
 KINDS: tuple[Kind, ...] = ("undetermined", "sensors", "model", "noise", "data", "computation")
-"""Kinds of causes that a verdict groups findings by. What a user says of a parameter is held
-against the answer as a sensor is."""
+"""Kinds of causes in a verdict. What a user says of a parameter is held against it as a sensor."""
 
 
 def codes_of(kind: Kind) -> list[str]:

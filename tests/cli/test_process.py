@@ -34,6 +34,8 @@ with temporary(Path.cwd()) as file:
     except BaseException:
         pass
 """
+HANG_UP = getattr(signal, "SIGHUP", signal.SIGTERM)
+"""Which Windows has not."""
 DOING = {
     "waiting": "time.sleep(60)",
     "importing": "import slow",
@@ -66,7 +68,7 @@ def begun(code: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
         ("importing", signal.SIGINT, 130, "riecjax: interrupted.\n"),
         ("computing", signal.SIGINT, 130, "riecjax: interrupted.\n"),
         ("computing", signal.SIGTERM, 143, "riecjax: terminated.\n"),
-        ("waiting", signal.SIGHUP, 129, "riecjax: hung up.\n"),
+        ("waiting", HANG_UP, 129, "riecjax: hung up.\n"),
     ],
 )
 def test_a_signal_ends_it_with_one_line_and_leaves_nothing(tmp_path, doing, number, status, line):

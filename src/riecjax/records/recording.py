@@ -13,6 +13,7 @@ from riecjax.errors import DataError, MissingSignalError, ModelError, printable,
 from riecjax.findings import Finding
 from riecjax.records.computed import without_computed
 from riecjax.records.faults.relations import Relation
+from riecjax.records.faults.repeated_rows import without_repetitions
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs
@@ -211,6 +212,7 @@ def _recording(
         record, mismatches = _in_model_units(record, model, selection)
         idle = preparation.idle_cuts(record)
         before, after = preparation.halves()
+        record, repeated = without_repetitions(record)
         record, found = without_computed(record, _unsaid(model, record, selection))
         record, first_steps = prepare(record, {}, before)
         aligned = align(record, declared_pairs(model), preparation.align)
@@ -228,7 +230,7 @@ def _recording(
             for n, why in mismatches.items()
         ),
         *(f._replace(message=f"{file}: {f.message}") for f in selected.findings),
-        *(f._replace(message=f"{file}: {f.message}") for f in aligned.findings),
+        *(f._replace(message=f"{file}: {f.message}") for f in (*repeated, *aligned.findings)),
         *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
         *(
             Finding("column_left_out", f"{file}: {why}, {computed.format(n)}", (n,))

@@ -104,12 +104,14 @@ def dropouts(signal: SampledSignal) -> np.ndarray:
         return none
     usual = float(np.quantile(moving, STEADY))
     padded = np.pad(steps, 1, constant_values=np.inf)
-    least = np.fmin(padded[starts], padded[starts + lengths])
+    into, out = padded[starts], padded[starts + lengths]
+    least, most = np.fmin(into, out), np.where(np.isfinite(into + out), np.fmax(into, out), 0.0)
     found = []
     for value in np.unique(values[several]):
         own = np.flatnonzero(values == value)
         long = own[lengths[own] >= SHORT]
-        jumps = np.median(least[long]) > JUMP * usual
+        # A signal that was near the value may enter it gently at one end, and not mostly at both.
+        jumps = np.median(most[long]) > JUMP * usual and np.median(least[long]) > np.median(moving)
         if long.size >= PLACES and jumps and 2 * long.size > own.size:
             found.append(long)
     # Of a signal whose values come once, another one each time: the last is written again.

@@ -14,6 +14,7 @@ from riecjax.records.faults.held import held
 from riecjax.records.faults.outliers import DONE, Treatment, finding_of, too_many
 from riecjax.records.faults.sampled_signal import sampled_signal
 from riecjax.records.faults.spikes import Spikes, find_spikes
+from riecjax.records.faults.wrapped import unwrapped
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.reading.selected import Selection
 from riecjax.records.record import Record, samples_with_nan
@@ -87,15 +88,19 @@ def treat_all(
 ) -> tuple[dict[str, np.ndarray], list[str], list[Finding]]:
     """Columns of a file without their spikes, what was done in words, and what is amiss with them.
 
-    A finding concerns what is computed from a column too.
+    Angles that begin anew with each turn go on, or each would be a spike or a jump. A finding
+    concerns what is computed from a column too.
 
     **Arguments:** `times` of those that have stamps, the others are at the selection's time step.
 
     **Raises:** `DataError` for another treatment.
     """
+    turns = {name: unwrapped(column) for name, column in columns.items()}
+    columns = {name: column for name, (column, _) in turns.items()}
     step = selection.time_step or 1.0
     even = {name: step * np.arange(column.size) for name, column in columns.items()}
-    every, how, findings, words = {**even, **times}, selection.outliers, [], []
+    every, how, findings = {**even, **times}, selection.outliers, []
+    words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
     treated = _treated(tuple(columns), columns, every, how)
     for name, one in treated.items():
         if one.spikes is None:
