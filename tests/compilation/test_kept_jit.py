@@ -52,6 +52,10 @@ def _evaluate(curve: Curve, x: Any, power: int) -> Found:
 evaluate = kept_jit(_evaluate)
 
 
+def _doubled(x: jax.Array) -> jax.Array:
+    return 2 * x
+
+
 def _reported(x: jax.Array, report: Callable) -> jax.Array:
     TRACED.append("reported")
     jax.debug.callback(report, x[0])
@@ -95,6 +99,18 @@ def assert_right(found: Found, factor: float = 1.0, x: np.ndarray = X, power: in
     assert float(found.curve.level) == 6.0
     np.testing.assert_allclose(found.curve.shape(x), factor * np.sin(x), rtol=1e-12)
     assert found.nothing is None
+
+
+def test_a_process_holds_no_more_than_so_many(folder, monkeypatch):
+    monkeypatch.setattr(module, "MOST_HELD", 2)
+    twice = kept_jit(_doubled)
+    for size in (3, 4, 3, 5):
+        np.testing.assert_array_equal(twice(jnp.ones(size)), 2)
+    # 4 is what was not used for longest.
+    assert len(module._programs) == 2
+    before = set(module._programs)
+    twice(jnp.ones(3))
+    assert set(module._programs) == before
 
 
 def test_without_a_folder_it_is_filter_jit():

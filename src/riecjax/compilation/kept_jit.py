@@ -43,6 +43,9 @@ class _Program(NamedTuple):
     template: Any
 
 
+MOST_HELD = 500
+"""Programs that a process holds. Each takes some 15 memory maps, of which Linux allows 65530, and
+recordings of ever other lengths have ever other programs."""
 _programs: dict[str, _Program] = {}
 
 
@@ -85,9 +88,13 @@ def _program(function: Callable, arguments: Any, folder: Path) -> _Program | Non
         key = key_of(function, arguments)
     except NoKey:
         return None
-    if key.digest not in _programs:
-        _programs[key.digest] = _read(folder, key) or _made(function, arguments, folder, key)
-    return _programs[key.digest]
+    program = _programs.pop(key.digest, None)
+    program = program or _read(folder, key) or _made(function, arguments, folder, key)
+    # Those that were used last stand last.
+    _programs[key.digest] = program
+    while len(_programs) > MOST_HELD:
+        del _programs[next(iter(_programs))]
+    return program
 
 
 def _read(folder: Path, key: ProgramKey) -> _Program | None:
