@@ -44,7 +44,7 @@ def redirected(*arguments: str) -> bytes:
 
 @pytest.mark.portable
 def test_paths_with_drives_in_a_job(monkeypatch):
-    monkeypatch.setattr(job, "os", SimpleNamespace(path=ntpath, sep="\\"))
+    monkeypatch.setattr(job, "os", SimpleNamespace(path=ntpath, sep="\\", fsencode=os.fsencode))
     typed = ["D:\\data\\run 1.csv", "data\\2.csv", "--model", "C:\\rig\\own.py:axis"]
     ctx = context([*typed, "--validate", "last.csv", "--map", "q=C:\\x"])
     here = job_of(ctx)

@@ -55,6 +55,18 @@ def test_what_a_sensor_measured_is_not(noise):
             assert filter_between(both["x"], made, level) is None
 
 
+def test_motions_of_a_few_waves_are_not_made_of_each_other():
+    rng, t = np.random.default_rng(5), np.arange(400) / 200
+
+    def waves() -> np.ndarray:
+        each = [np.sin(w * t + rng.uniform(0, 6)) for w in rng.uniform(2, 60, 12)]
+        return np.sum(each, axis=0)
+
+    for _ in range(50):
+        x, dx = waves(), 30 * waves()
+        assert filter_between(x, dx, float(noise_level(x))) is None
+
+
 def test_gaps_and_repaired_spikes_do_not_hide_it():
     x = signals(0, 0.01)["x"]
     dx = np.gradient(x, STEP)

@@ -22,6 +22,9 @@ LOOKED_AT = 4096
 LEFT = 0.1
 """What such a filter leaves at most, in terms of the position's noise through it. A sensor's own
 noise is left whole: a filter of the position cannot tell it."""
+MOST_NOISE = 2.0
+"""Noise through a filter, in terms of all that there is of it and of motion, past which the filter
+is none."""
 LEAST = 1e-5
 """Noise of differences, as a share of these, below which it matters to nothing: what looks like it
 may be motion that no difference is of the order to take off."""
@@ -98,7 +101,9 @@ def filter_between(
         inner = slice(HALVES[-1] - half, HALVES[-1] + half + 1)
         taps, left = _fitted(columns[:, inner], target)
         through = noise / scale * np.linalg.norm(np.convolve(taps, [1, -2, 1]))
-        if not np.sqrt(np.mean(left**2)) < LEFT * through:
+        # Taps that make more noise than there is fit motion alone, which few waves are.
+        there = np.sqrt(np.mean(target**2))
+        if not (np.sqrt(np.mean(left**2)) < LEFT * through and through < MOST_NOISE * there):
             break
         found = taps[::-1] / scale
     return found

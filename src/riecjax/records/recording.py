@@ -213,11 +213,11 @@ def _recording(
         idle = preparation.idle_cuts(record)
         before, after = preparation.halves()
         record, repeated = without_repetitions(record)
-        record, found = without_computed(record, _unsaid(model, record, selection))
         record, first_steps = prepare(record, {}, before)
+        record, found = without_computed(record, _unsaid(model, record, selection))
         aligned = align(record, declared_pairs(model), preparation.align)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
-        steps = (*found, *first_steps, *aligned.words, *last_steps)
+        steps = (*first_steps, *found, *aligned.words, *last_steps)
     computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
