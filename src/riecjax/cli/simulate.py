@@ -8,6 +8,7 @@ import click
 from riecjax.cli.options import POSITIVE, json_option, seed_option, set_option
 from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
+from riecjax.standard_output import answer
 from riecjax.work import Work, expect
 
 WORK_PER_VALUE = Work(1e-6, 50.0)
@@ -97,7 +98,7 @@ def command(
         record = simulation.record.select(*model.written) if model.written else simulation.record
         write_record(out, record)
     if as_json:
-        click.echo(
+        answer(
             json.dumps(
                 {
                     "schema": SCHEMA,
