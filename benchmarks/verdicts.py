@@ -136,11 +136,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--systems", type=int, default=5)
     parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--only", nargs="+", choices=FAULTS, help="faults; nothing is written then")
     arguments = parser.parse_args()
     pairs = [
         (k, f, arguments.seed, arguments.systems)
         for k in range(len(KINDS))
         for f in range(len(FAULTS))
+        if arguments.only is None or FAULTS[f] in arguments.only
     ]
     spawning = multiprocessing.get_context("spawn")
     with spawning.Pool(PROCESSES, maxtasksperchild=PAIRS_IN_A_PROCESS) as pool:
@@ -175,7 +177,8 @@ def main() -> None:
         )
     for level, states in result["confusion"].items():
         print(f"{level:<12} {states}")
-    write_json(FILE, result)
+    if arguments.only is None:
+        write_json(FILE, result)
 
 
 if __name__ == "__main__":
