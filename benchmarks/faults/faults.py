@@ -173,6 +173,7 @@ def nothing(log: Logger, name: str, size: Any) -> None:
     """A fault of the motion or of what is given, see `duplicates` and `drives`."""
 
 
+ZERO = ("wrong_zero", "uneven_errors", "constant_target")
 GAIN = ("wrong_gain", "not_its_derivative", "unit_mismatch")
 FAULTS = {
     "late velocity": Fault(late, "velocity", (0.5, 1, 3), ("late_signal",), True),
@@ -193,7 +194,7 @@ FAULTS = {
         offset,
         "position",
         (0.3, 3, 30),
-        ("wrong_zero", "uneven_errors", "constant_target"),
+        ZERO,
         True,
         # The car's damper map takes up any constant force: where its own zero is, nothing tells.
         ("drag", "axis", "pendulum", "dry"),
@@ -202,7 +203,7 @@ FAULTS = {
         offset,
         "force",
         (0.1, 1, 10),
-        ("wrong_zero", "uneven_errors", "constant_target"),
+        ZERO,
         True,
         # The axis has a constant term, which is that of its zero.
         ("car", "drag", "pendulum", "dry"),

@@ -2,7 +2,8 @@
 
 import pytest
 
-from riecjax.reporting.verdict import _with
+from riecjax.assessment.causes import Cause, Step
+from riecjax.reporting.verdict import _next, _with
 
 COMMAND = ("identify", "a.csv", "--model", "axis")
 
@@ -23,3 +24,13 @@ COMMAND = ("identify", "a.csv", "--model", "axis")
 )
 def test_an_option_that_a_signal_has_once_is_brought_up_to_date(given, proposed, run):
     assert _with((*COMMAND, *given), proposed) == [*COMMAND, *run]
+
+
+def test_what_two_causes_ask_for_is_proposed_once_where_it_stands_first():
+    def cause(words: str, *options: str) -> Cause:
+        return Cause("sensors", words, (), (), 0.5, Step(words, options))
+
+    zero, late = ("--unknown-offset", "u"), ("--shift", "v=1")
+    causes = [cause("first", *zero), cause("second", *late), cause("third", *zero)]
+    found = [(step["words"], tuple(step["options"])) for step in _next(causes, COMMAND)]
+    assert found == [("first", zero), ("second", late)]

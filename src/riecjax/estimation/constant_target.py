@@ -73,10 +73,8 @@ def constant_targets(
     **Arguments:** `recordings`, with averages of all equations; `given`, known values by name over
     all records.
     """
-    settled, findings = set(given), []
-    for number, stage in enumerate(procedure.stages):
-        sums = zip(*(recording.stages[number] for recording in recordings))
-        seen = [_Averaged(e, sharing, of, given, settled) for e, of in zip(stage, sums)]
+    findings = []
+    for seen in _averaged(procedure, sharing, recordings, given):
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
@@ -84,7 +82,6 @@ def constant_targets(
             if message:
                 message = f"{one.equation.name}: {message}"
                 findings.append(Finding("constant_target", message, parameters=tuple(one.columns)))
-        settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
     return findings
 
 
@@ -100,14 +97,23 @@ def wrong_zeros(
     Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
     are left out that read what an earlier stage finds.
     """
-    settled: set[str] = set(given)
+    for seen in _averaged(procedure, sharing, recordings, given):
+        for one in seen:
+            if {*sharing.everywhere(one.equation.parameters)} <= {*one.names, *given}:
+                yield from _wrong_zero(one)
+
+
+def _averaged(
+    procedure: Procedure,
+    sharing: Sharing,
+    recordings: Sequence[RecordingSums],
+    given: Mapping[str, Array],
+) -> Iterator[list["_Averaged"]]:
+    """The equations of each stage."""
+    settled = set(given)
     for number, stage in enumerate(procedure.stages):
-        for place, equation in enumerate(stage):
-            read = {*sharing.everywhere(equation.parameters)}
-            sums = [one.stages[number][place] for one in recordings]
-            if any(one.averages is None for one in sums) or read & settled - set(given):
-                continue
-            yield from _wrong_zero(_Averaged(equation, sharing, sums, given, settled))
+        sums = zip(*(recording.stages[number] for recording in recordings))
+        yield [_Averaged(e, sharing, of, given, settled) for e, of in zip(stage, sums)]
         settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
 
 
@@ -117,7 +123,7 @@ def _wrong_zero(seen: "_Averaged") -> Iterator[Finding]:
     left, (fitted, noise) = seen.left_by_motion(), seen.left_by_all()
     if not fitted > max(DISAGREEING * np.hypot(left, noise) + SLIGHT, LEAST):
         return
-    inputs = [t.of for t in seen.equation.terms if not t.parameters and isinstance(t.of, str)]
+    inputs = seen.inputs
     remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
     moved = seen.moved_by_means()
     most = max(moved, key=lambda name: moved[name])
@@ -151,8 +157,7 @@ def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
         rest = [other for other in rest if other not in near]
     if not moving:
         return ""
-    inputs = [t.of for t in seen.equation.terms if not t.parameters and isinstance(t.of, str)]
-    named = f" ({', '.join(inputs)})" if inputs else ""
+    named = f" ({', '.join(seen.inputs)})" if seen.inputs else ""
     return (
         f"what is known of the equation is zero throughout{named}, so zero for all of "
         f"{', '.join(moving)} would fit: check the input's channel, or hold {moving[0]} at a known "
@@ -240,6 +245,11 @@ class _Averaged:
         self.target, self.columns = _columns(rows, names, self.names, given)
         self.noise = _columns(noise, names, self.names, given)
         self.constants = _constants(rows, individual)
+
+    @property
+    def inputs(self) -> list[str]:
+        """Signals of its known terms."""
+        return [t.of for t in self.equation.terms if not t.parameters and isinstance(t.of, str)]
 
     def moving(self, rows: Rows) -> Rows:
         """Rows less their mean: of each record where a parameter differs between records."""

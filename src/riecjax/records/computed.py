@@ -5,13 +5,14 @@ Such a signal has the position's noise, many times as large and of one source wi
 sensor's own, white and independent, it biases every estimate.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection
 
 import numpy as np
 from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.leaves import is_concrete
+from riecjax.records.faults.relations import Pairs, Relation
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record, samples_with_nan
 
@@ -34,20 +35,23 @@ SHARPENED = 2
 """Order of the differences that are looked at, in which motion hides noise less."""
 
 
-def without_computed(record: Record, pairs: Iterable[tuple[str, str]]) -> tuple[Record, list[str]]:
+def without_computed(
+    record: Record, pairs: Pairs, known: Collection[str] = ()
+) -> tuple[Record, list[str]]:
     """Slopes of local polynomials in place of derivatives that are filters of their signals.
 
     A signal's own sensor is all that such a derivative knows of; the polynomials are as wide as its
     motion allows. Not under jit, where the record stays as it is.
 
-    **Arguments:** `pairs` of a signal and its derivative, of whose noise nothing was given.
+    **Arguments:** `pairs` of a signal and its derivative; `known`, signals whose noise was given:
+    a sensor's, then.
 
     **Returns:** the record, and what was done, in words.
     """
     if not is_concrete(record):
         return record, []
     words = []
-    for signal, derivative, taps in _computed(record, pairs):
+    for signal, derivative, taps in _computed(record, pairs, known):
         said = f"{derivative}: computed from {signal}, by a filter of {taps.size} samples"
         try:
             record, width = with_local_derivative(record, signal, derivative)
@@ -59,11 +63,14 @@ def without_computed(record: Record, pairs: Iterable[tuple[str, str]]) -> tuple[
 
 
 def _computed(
-    record: Record, pairs: Iterable[tuple[str, str]]
+    record: Record, pairs: Pairs, known: Collection[str]
 ) -> list[tuple[str, str, Float[np.ndarray, " taps"]]]:
     """Pairs of which the second signal is computed from the first, and by which taps."""
     found, noise = [], record.noise
-    for signal, derivative in pairs:
+    for pair in pairs:
+        if isinstance(pair, Relation) or pair[1] in known:
+            continue
+        signal, derivative = pair
         if not noise.kernels.get(signal) or {signal, derivative} - {*record.arrays}:
             continue
         if noise.is_made_of(derivative, signal):  # by a step of preparation

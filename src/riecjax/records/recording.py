@@ -12,7 +12,6 @@ import numpy as np
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
 from riecjax.records.computed import without_computed
-from riecjax.records.faults.relations import Relation
 from riecjax.records.faults.repeated_rows import without_repetitions
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
@@ -214,8 +213,9 @@ def _recording(
         before, after = preparation.halves()
         record, repeated = without_repetitions(record)
         record, first_steps = prepare(record, {}, before)
-        record, found = without_computed(record, _unsaid(model, record, selection))
-        aligned = align(record, declared_pairs(model), preparation.align)
+        pairs, given = declared_pairs(model), given_noise(selection.noise, record.arrays).kernels
+        record, found = without_computed(record, pairs, given)
+        aligned = align(record, pairs, preparation.align)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
         steps = (*first_steps, *found, *aligned.words, *last_steps)
     computed = "and {} is computed from other signals instead."
@@ -250,13 +250,6 @@ def _recording(
         selected.converted,
         tuple(n for n in record.arrays if n not in read or n in selection.derive),
     )
-
-
-def _unsaid(model: Any, record: Record, selection: Selection) -> list[tuple[str, str]]:
-    """Signals and their derivatives of whose noise nothing was said."""
-    said = given_noise(selection.noise, record.arrays).kernels
-    pairs = (pair for pair in declared_pairs(model) if not isinstance(pair, Relation))
-    return [pair for pair in pairs if pair[1] not in said]
 
 
 def _read_by(model: Any, preparation: Preparation) -> dict[str, str]:

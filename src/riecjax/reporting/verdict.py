@@ -60,9 +60,10 @@ def _next(causes: Sequence[Cause], command: Sequence[str]) -> Iterator[Document]
     """What to do, with a command that does it; what has one comes first, but for what voids all."""
     urgent = {cause.step: cause.voids for cause in reversed(causes) if cause.step is not None}
     steps = sorted(reversed(urgent), key=lambda step: (not urgent[step], not step.options))
-    # Two causes may ask for the same.
-    steps = list({step.options or step.words: step for step in reversed(steps)}.values())[::-1]
-    for step in steps[:MOST_STEPS]:
+    different: dict[object, Step] = {}
+    for step in steps:  # two causes may ask for the same
+        different.setdefault(step.options or step.words, step)
+    for step in [*different.values()][:MOST_STEPS]:
         run = as_typed(_with(command, step.options))
         yield {
             "words": step.words,

@@ -135,9 +135,7 @@ def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") ->
             record, steps = with_velocities(procedure, recording.record)
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
-            pairs = (pair for equation in procedure.equations for pair in equation.derivatives)
-            unsaid = [pair for pair in dict.fromkeys(pairs) if pair[1] not in known]
-            record, found = without_computed(record, unsaid)
+            record, found = without_computed(record, procedure.derivatives, known)
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]

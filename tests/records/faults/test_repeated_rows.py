@@ -17,7 +17,7 @@ def columns(seed: int = 0, noise: float = 0.01) -> np.ndarray:
 def test_the_second_copy_counts_as_missing(lag):
     rows = columns()
     rows[800:840] = rows[800 - lag : 840 - lag]
-    assert repetitions(rows) == [Repetition(800 - lag, 800, 40)]
+    assert repetitions([*rows.T]) == [Repetition(800 - lag, 800, 40)]
     record = Record.from_samples(dict(zip("uxv", rows.T)), time_step=0.01)
     left, (found,) = without_repetitions(record)
     assert "from 8 s on, for 0.4 s" in found.message
@@ -28,13 +28,13 @@ def test_the_second_copy_counts_as_missing(lag):
 def test_missing_samples_are_rows_of_their_own():
     rows = columns()
     rows[[5, 700]], rows[701] = np.nan, 0.0
-    assert repetitions(rows) == []
+    assert repetitions([*rows.T]) == []
 
 
 def test_rows_that_were_written_in_between_move_the_others():
     rows = columns()
     rows = np.concatenate([rows[:900], rows[850:900], rows[900:]])
-    assert repetitions(rows) == [Repetition(850, 900, 50)]
+    assert repetitions([*rows.T]) == [Repetition(850, 900, 50)]
 
 
 @pytest.mark.no_finding("repeated_rows")
@@ -57,4 +57,4 @@ def test_motions_rest_and_periods_are_none(rows):
         {f"s{i}": c for i, c in enumerate(np.nan_to_num(rows).T)}, time_step=0.01
     )
     assert without_repetitions(record) == (record, [])
-    assert repetitions(rows) == []
+    assert repetitions([*rows.T]) == []

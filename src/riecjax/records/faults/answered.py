@@ -24,6 +24,10 @@ NEAR = 2 * (GAP + SIDE)
 """Samples around a spike that are not elsewhere."""
 BEYOND = 4.0
 """Times the largest parting elsewhere that is no chance."""
+COEFFICIENTS = (2, 3)
+"""Of lines and parabolas."""
+TESTS = 2 * len(COEFFICIENTS)
+"""Of each signal: the level and the slope of both."""
 MOST = 64
 """Spikes that are looked at."""
 
@@ -34,9 +38,11 @@ def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarra
     **Arguments:** `places`, ascending; `others` at the same times, without spikes of their own, NaN
     where samples are missing.
     """
-    tests = [parting for other in others for parting in _partings(other)]
-    middles = _middles(places)[:MOST]
-    return any(_by_chance(middles, places, test) < LEVEL / len(tests) for test in tests)
+    others, middles = list(others), _middles(places)[:MOST]
+    # One after the other: of long records all together would fill the memory.
+    tests = (parting for other in others for parting in _partings(other))
+    level = LEVEL / max(TESTS * len(others), 1)
+    return any(_by_chance(middles, places, test) < level for test in tests)
 
 
 def _middles(places: Int[np.ndarray, " k"]) -> Int[np.ndarray, " groups"]:
@@ -52,7 +58,7 @@ def _partings(values: Float[np.ndarray, " n"]) -> list[Float[np.ndarray, " n"]]:
         return []
     offsets = np.arange(GAP + 1, GAP + SIDE + 1)
     found = []
-    for coefficients in (2, 3):
+    for coefficients in COEFFICIENTS:
         fit = np.linalg.pinv(np.vander(offsets, coefficients, increasing=True))
         for taps, sign in zip(fit[:2], (-1, 1)):
             # Before the sample time runs the other way: there levels are alike, slopes opposite.

@@ -153,8 +153,9 @@ def _judged(
         noise = _local_noise(sixth, scaled.size, quantum)
         large = np.zeros(scaled.size, bool)
         large[half:-half] = sixth > SUSPECT * noise[half:-half]
-        if np.median(noise) > local.error(cleaned) / FOLLOWED:
-            large[half : -half - 1] |= of_two > LARGE * noise[half : -half - 1]
+        pairs = of_two > LARGE * noise[half : -half - 1]
+        if pairs.any() and np.median(noise) > local.error(cleaned) / FOLLOWED:
+            large[half : -half - 1] |= pairs
         # The first and last three samples stand in the middle of no difference.
         near = np.convolve(large, np.ones(DIFFERENCE_ORDER + 1), "same") > 0
         suspects = np.flatnonzero((near | ends) & ~np.isnan(cleaned) & (sizes == 0))

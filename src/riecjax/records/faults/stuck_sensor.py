@@ -93,21 +93,17 @@ def dropouts(signal: SampledSignal) -> np.ndarray:
     """
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
     several, none = np.flatnonzero(lengths >= SHORT), np.zeros(0, int)
-    if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
-        return none
     steps = np.abs(np.diff(signal.values))
-    elsewhere = np.ones(steps.size + 2, bool)
-    for run in several:
-        elsewhere[starts[run] : starts[run] + lengths[run] + 1] = False
-    moving = steps[elsewhere[1:-1] & ~np.isnan(steps)]
-    if not moving.size or np.mean(moving == 0) > LONGEST_REST:
+    moving = _moving(signal, steps, several, beside=1)
+    if not moving.size:
         return none
     usual = float(np.quantile(moving, STEADY))
     padded = np.pad(steps, 1, constant_values=np.inf)
     into, out = padded[starts], padded[starts + lengths]
     least, most = np.fmin(into, out), np.where(np.isfinite(into + out), np.fmax(into, out), 0.0)
     found = []
-    for value in np.unique(values[several]):
+    # An encoder has thousands of values: those are looked at that are entered or left by jumps.
+    for value in np.unique(values[several[most[several] > JUMP * usual]]):
         own = np.flatnonzero(values == value)
         long = own[lengths[own] >= SHORT]
         # A signal that was near the value may enter it gently at one end, and not mostly at both.
@@ -133,14 +129,11 @@ def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndar
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
     usual, none = float(np.quantile(lengths, 0.95)), np.zeros(0, int)
     long = np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
-    if not long.size or signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
+    if not long.size:
         return none
     steps = np.abs(np.diff(signal.values))
-    elsewhere = np.ones(steps.size, bool)
-    for run in long:
-        elsewhere[starts[run] : starts[run] + lengths[run] - 1] = False
-    moving = steps[elsewhere & ~np.isnan(steps)]
-    if not moving.size or np.mean(moving == 0) > LONGEST_REST:
+    moving = _moving(signal, steps, long)
+    if not moving.size:
         return none
     least = max(ABRUPT * float(np.median(moving[moving > 0])), ABRUPT_QUANTA * signal.resolution)
     # The larger one of the steps into and out of each run.
@@ -159,6 +152,21 @@ def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndar
         and _rest_of_record(others, starts[run], lengths[run])
     ]
     return np.array(found, int)
+
+
+def _moving(
+    signal: SampledSignal, steps: np.ndarray, runs: np.ndarray, beside: int = 0
+) -> np.ndarray:
+    """The steps outside of some runs, and not so many beside them, in a signal that moves; none of
+    a command, or of what mostly rests."""
+    if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
+        return steps[:0]
+    inside = np.zeros(steps.size + 1, int)
+    starts, stops = signal.run_starts[runs], signal.run_starts[runs] + signal.run_lengths[runs] - 1
+    np.add.at(inside, np.maximum(starts - beside, 0), 1)
+    np.add.at(inside, np.minimum(stops + beside, steps.size), -1)
+    moving = steps[(np.cumsum(inside[:-1]) == 0) & ~np.isnan(steps)]
+    return moving if moving.size and np.mean(moving == 0) <= LONGEST_REST else steps[:0]
 
 
 def _rest_of_record(others: Sequence[SampledSignal], start: int, length: int) -> str:

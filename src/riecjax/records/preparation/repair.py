@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.errors import DataError, MissingSignalError
+from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.faults.answered import are_answered
 from riecjax.records.faults.held import held
@@ -44,10 +44,9 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
 
     **Raises:** `DataError` for a signal that the record lacks, or another treatment.
     """
-    columns = {name: samples_with_nan(record, name) for name in record.arrays}
+    every = {**dict.fromkeys(signals), **record.arrays}
+    columns = {name: samples_with_nan(record, name) for name in every}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
-    if unknown := [name for name in signals if name not in columns]:
-        raise MissingSignalError(unknown[0], tuple(columns))
     treated = _treated(signals or tuple(columns), columns, times, how)
     changed = {n: one.values for n, one in treated.items() if one.spikes and not one.acted}
     return with_gaps(record, changed, noise=record.noise.of(*changed)) if changed else record
@@ -137,12 +136,14 @@ def _treated(
         treated[name] = _of_signal(columns[name], times[name], how)
     without = {**columns, **{name: one.values for name, one in treated.items()}}
     for name, one in treated.items():
+        if one.spikes is None:
+            continue
         others = [
             values
             for other, values in without.items()
             if other != name and np.array_equal(times[other], times[name])
         ]
-        if one.spikes is not None and are_answered(one.spikes.places, others):
+        if are_answered(one.spikes.places, others):
             treated[name] = Treated(columns[name], one.spikes, acted=True)
     return treated
 
