@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from riecjax.assessment.causes import Cause
+from riecjax.assessment.causes import Cause, Step
 from riecjax.assessment.verdict import Verdict, percent
 from riecjax.reporting.document import Document, ends_of, finite, number
 from riecjax.reporting.tables import print_table
