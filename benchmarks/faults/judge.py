@@ -193,9 +193,25 @@ def judged(
     return outcome, answer
 
 
+HELD, RESTING = 6, 0.005
+"""Samples for which friction holds a machine at the least, and share of all that is rest."""
+
+
 def counts(code: str) -> bool:
     """Whether a finding speaks of sensors, the model or noise, and not of amount or computing."""
     return code_of(code).kind not in ("data", "computation")
+
+
+def rests(name: str, seed: int, noise: float) -> bool:
+    """Whether a machine rests for more than `RESTING` of the time: its velocity, without noise, is
+    smaller than noise of this share, in stretches of `HELD` samples at the least."""
+    rows = recorded(MACHINES[name], None, "", seed, 0.0)[0][1]
+    velocity = rows[MACHINES[name].velocity]
+    size = noise * float(np.std(velocity))
+    still = np.concatenate([[False], np.abs(velocity) < size, [False]])
+    ends = np.flatnonzero(np.diff(still.astype(np.int8))).reshape(-1, 2)
+    held = np.diff(ends)
+    return bool(held[held >= HELD].sum() > RESTING * velocity.size)
 
 
 @functools.lru_cache(maxsize=256)

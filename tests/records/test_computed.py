@@ -67,6 +67,15 @@ def test_motions_of_a_few_waves_are_not_made_of_each_other():
         assert filter_between(x, dx, float(noise_level(x))) is None
 
 
+@pytest.mark.parametrize("noise", [0.0005, 0.01, 0.05])
+def test_a_copy_of_the_position_is_no_derivative_of_it(noise):
+    x = signals(0, noise)["x"]
+    level = float(noise_level(x))
+    smoothed = scipy.signal.savgol_filter(x, 21, 3)
+    for copy in (x, -x, np.float32(2.5 * x).astype(float), smoothed):
+        assert filter_between(x, copy, level) is None
+
+
 def test_gaps_and_repaired_spikes_do_not_hide_it():
     x = signals(0, 0.01)["x"]
     dx = np.gradient(x, STEP)

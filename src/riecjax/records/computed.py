@@ -15,6 +15,7 @@ from riecjax.leaves import is_concrete
 from riecjax.records.faults.relations import Pairs, Relation
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.remembered import remembered
 
 HALVES = (1, 2, 5, 10, 30)
 """Samples to each side of filters that are tried, the longest first as the test of all."""
@@ -29,6 +30,9 @@ is none."""
 LEAST = 1e-5
 """Noise of differences, as a share of these, below which it matters to nothing: what looks like it
 may be motion that no difference is of the order to take off."""
+CONSTANT = 0.3
+"""Share of its taps that a filter's sum may reach: a derivative of what is constant is zero. What
+copies the position, or smooths it, is no derivative, and to take it for one would hide that."""
 ROUNDS, FAR = 3, 10.0
 """Fits, each without rows that the one before left so many times its median."""
 SHARPENED = 2
@@ -83,6 +87,7 @@ def _computed(
     return found
 
 
+@remembered(16, lambda signal, other, noise: (signal, other, noise))
 @np.errstate(over="ignore", invalid="ignore")
 def filter_between(
     signal: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"], noise: float
@@ -113,6 +118,8 @@ def filter_between(
         if not (np.sqrt(np.mean(left**2)) < LEFT * through and through < MOST_NOISE * there):
             break
         found = taps[::-1] / scale
+    if found is not None and abs(found.sum()) > CONSTANT * np.abs(found).sum():
+        return None
     return found
 
 

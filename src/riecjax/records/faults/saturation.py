@@ -1,5 +1,6 @@
 """An amplifier at the end of its range, with the noise of a converter on top."""
 
+import functools
 import shlex
 from collections.abc import Iterator, Sequence
 
@@ -121,17 +122,13 @@ def _ends_there(values: np.ndarray, visits: np.ndarray, most: int, distance: flo
         some = values[max(start - side - CORNER, 0) : stop + side + CORNER]
         if some.size < stop - start + 2 * (side + CORNER) or np.isnan(some).any():
             continue
-        powers = np.vander(np.arange(-side, 0) - CORNER + 0.5, 3, increasing=True)
-        inverse = np.linalg.pinv(powers)
+        powers, inverse, kept, smooth = _designs(some.size, side)
         parts = np.stack([some[:side], some[-side:][::-1]], axis=1)
         ramps = inverse @ parts
         flat = some[side + CORNER : -side - CORNER]
         squares = np.sum((parts - powers @ ramps) ** 2) + flat.size * np.var(flat)
-        time = np.linspace(-1, 1, some.size)
-        kept = np.ones(some.size, bool)
-        kept[side : side + CORNER] = kept[-side - CORNER : -side] = False
-        smooth = np.polynomial.Legendre.fit(time[kept], some[kept], 6)
-        told += float(np.sum((some - smooth(time))[kept] ** 2) - squares)
+        beside = some[kept]
+        told += float(np.sum((beside - smooth @ (smooth.T @ beside)) ** 2) - squares)
         left, count = left + float(squares), count + int(kept.sum()) - 7
         errors = np.linalg.norm(inverse[1]), 2 * np.linalg.norm(inverse[2])
         near += [(slope, -2 * bend, *errors) for _, slope, bend in ramps.T]
@@ -141,6 +138,18 @@ def _ends_there(values: np.ndarray, visits: np.ndarray, most: int, distance: flo
     # What jumps to a level does not run into it.
     edges, short = np.array(near), float(np.mean(missed))
     return bool(short < JUMP * np.mean(edges[:, 0]) + BAND) and _is_abrupt(edges, distance)
+
+
+@functools.lru_cache(64)
+def _designs(size: int, side: int) -> tuple[np.ndarray, ...]:
+    """Of a visit of so many samples with what lies beside it, on each side `side` of them for a
+    slope: powers of their time and the inverse, the samples that are no corner, and an orthonormal
+    basis of polynomials of degree 6 over these."""
+    powers = np.vander(np.arange(-side, 0) - CORNER + 0.5, 3, increasing=True)
+    kept = np.ones(size, bool)
+    kept[side : side + CORNER] = kept[-side - CORNER : -side] = False
+    smooth = np.polynomial.legendre.legvander(np.linspace(-1, 1, size)[kept], 6)
+    return powers, np.linalg.pinv(powers), kept, np.linalg.qr(smooth)[0]
 
 
 def _is_abrupt(edges: np.ndarray, distance: float) -> bool:
