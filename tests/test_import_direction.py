@@ -22,11 +22,12 @@ STAGES = (
     "studies",
     "models",
     "assessment",
+    "fleets",
     "paper",
     "reporting",
     "cli",
 )
-OUTSIDE = ("models", "assessment", "paper", "reporting", "cli")
+OUTSIDE = ("models", "assessment", "fleets", "paper", "reporting", "cli")
 """What the engine never imports."""
 SHARED = (
     "errors",

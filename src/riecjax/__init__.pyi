@@ -1,6 +1,7 @@
 from . import criteria as criteria
 from . import equations as equations
 from . import estimation as estimation
+from . import fleets as fleets
 from . import records as records
 from . import refinement as refinement
 from . import reporting as reporting
@@ -40,6 +41,7 @@ from .estimation.estimate import Estimate as Estimate
 from .estimation.identify import estimate as estimate
 from .estimation.identify import identify as identify
 from .findings import Finding as Finding
+from .fleets.fleet import fleet as fleet
 from .models.catalogue import find_model as find_model
 from .models.model import Model as Model
 from .records.frames import from_dataframe as from_dataframe

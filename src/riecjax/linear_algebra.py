@@ -12,10 +12,14 @@ Matrices here have as many rows as a model has parameters, and there may be thou
 # blocks, records and machines; so they are used wherever that error is small, and
 # `gram_condition_limit` says where.
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+
+from riecjax.leaves import Leaf
 
 
 def unit_scale(diagonal: Float[Array, " p"]) -> Float[Array, " p"]:
@@ -148,6 +152,11 @@ def factor_of_gram(gram: Float[Array | np.ndarray, "columns columns"]) -> Factor
         return np.full(np.shape(gram), np.nan)
     squares, vectors = np.linalg.eigh(np.asarray(gram))
     return _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T)
+
+
+def joined_factor(factors: Sequence[Float[Leaf, "columns columns"]]) -> Factor:
+    """The triangular factor of all rows that these are the factors of (not under jit)."""
+    return _factor(np.concatenate([np.asarray(one) for one in factors]))
 
 
 def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:

@@ -128,7 +128,8 @@ def concerned(assessment: "Assessment", finding: Finding) -> set[str]:
 
     if finding.parameters:
         return among(finding.parameters)
-    if not finding.signals:
+    # Of sums alone it is not known which equation reads which signal.
+    if not finding.signals or not assessment.recordings:
         return set(names)
     smoothness, record = assessment.estimate.criterion.smoothness, assessment.recordings[0].record
     equations = [equation for stage in assessment.procedure.stages for equation in stage]

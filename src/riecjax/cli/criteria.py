@@ -110,13 +110,22 @@ class CriterionOptions:
     test_function: str | None
     quadrature: str | None
 
-    def require_sense(self) -> None:
-        """Raise `click.UsageError` for options that do not go together."""
+    @property
+    def is_given(self) -> bool:
+        """Whether anything was said of it, so that it is not the one that suits."""
+        return self.criterion != "riec" or self._says_of_windows
+
+    @property
+    def _says_of_windows(self) -> bool:
         own = (
             *(self.band, self.alpha, self.beta, self.count),
             *(self.test_function, self.quadrature),
         )
-        if self.criterion == "dols" and any(value is not None for value in own):
+        return any(value is not None for value in own)
+
+    def require_sense(self) -> None:
+        """Raise `click.UsageError` for options that do not go together."""
+        if self.criterion == "dols" and self._says_of_windows:
             raise click.UsageError(
                 "--band, --alpha, --beta, --windows, --test-function and --quadrature belong to "
                 "--criterion riec."

@@ -267,6 +267,15 @@ class RecordingOptions:
     every: int
     allow_duplicates: bool
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The keywords of [`read_recording`][riecjax.read_recording], but for `part`."""
+        return {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)
+            if field.name not in ("files", "parts", "allow_duplicates")
+        }
+
     def read(self, files: Sequence[Path], model: "Model") -> "list[Recording]":
         """What these files hold, read and prepared for a model.
 
@@ -275,11 +284,7 @@ class RecordingOptions:
         from riecjax.records.faults.duplicates import refuse_duplicates
         from riecjax.records.recording import read_recordings
 
-        settings = {
-            field.name: getattr(self, field.name)
-            for field in dataclasses.fields(self)
-            if field.name not in ("files", "parts", "allow_duplicates")
-        }
+        settings = self.settings
         recordings = [
             one
             for file in files

@@ -1,7 +1,7 @@
 """Before a fit: whether these records can answer the question that a model asks."""
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -182,26 +182,32 @@ def read_of(
         return signals_read(procedure, recording.record, criterion, summed)
 
 
+def of_sensors(procedure: Procedure, recording: Recording, read: Collection[str]) -> list[Finding]:
+    """What is amiss with the sensors of one recording, of which these signals are read."""
+    record, computed = recording.record, recording.computed
+    pairs = [p for e in procedure.equations for p in e.derivatives if {*p} <= {*read}]
+    # Of an input that no equation reads, as a road, a recording may tell all the same.
+    known = [one for one in procedure.kinematics if {*one.names} <= {*record.arrays}]
+    of_signals = check_signals(record, read, computed=computed, pairs=pairs)
+    # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
+    # Nor are rows lost where one signal alone jumps.
+    held = {n for f in of_signals if f.code in ("stuck_sensor", "clipped") for n in f.signals}
+    of_pairs = [
+        finding
+        for finding in check_derivatives(record, [*pairs, *known])
+        if finding.code not in OF_HELD or not held & {*finding.signals}
+    ]
+    return [*of_signals, *of_pairs]
+
+
 def _sensors(
     procedure: Procedure, recordings: list[Recording], read: list[tuple[str, ...]]
 ) -> list[Finding]:
     every: list[list[Finding]] = []
     for i, (recording, names) in enumerate(zip(recordings, read)):
         prefix = f"record {i + 1}: " if len(recordings) > 1 else ""
-        record, computed = recording.record, recording.computed
-        pairs = [p for e in procedure.equations for p in e.derivatives if {*p} <= {*names}]
-        # Of an input that no equation reads, as a road, a recording may tell all the same.
-        known = [one for one in procedure.kinematics if {*one.names} <= {*record.arrays}]
-        of_signals = check_signals(record, names, computed=computed, pairs=pairs)
-        # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
-        # Nor are rows lost where one signal alone jumps.
-        held = {n for f in of_signals if f.code in ("stuck_sensor", "clipped") for n in f.signals}
-        of_pairs = [
-            finding
-            for finding in check_derivatives(record, [*pairs, *known])
-            if finding.code not in OF_HELD or not held & {*finding.signals}
-        ]
-        every.append([f._replace(message=prefix + f.message) for f in (*of_signals, *of_pairs)])
+        found = of_sensors(procedure, recording, names)
+        every.append([f._replace(message=prefix + f.message) for f in found])
     return [
         f if _is_for_all(f, every) else _alone(f, i) for i, own in enumerate(every) for f in own
     ]

@@ -15,6 +15,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate, span
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
+from riecjax.fleets.fleet import Fleet
 from riecjax.leaves import is_concrete, on_host
 from riecjax.models.model import Model
 from riecjax.records.record import Record, samples_with_nan
@@ -30,6 +31,7 @@ from riecjax.reporting.equations import (
 )
 from riecjax.reporting.estimate import parameter_table
 from riecjax.reporting.exports import document_of
+from riecjax.reporting.fleet import differing_table, fleet_document, left_out_table, spread_table
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
@@ -127,6 +129,15 @@ def _(thing: Recording) -> View:
     steps = [f"prepared: {step}" for step in thing.steps]
     lines = [*steps, *_warnings(thing.findings)]
     return View(f"{thing.name}: {record.title}", record.tables, lines)
+
+
+@view_of.register
+def _(thing: Fleet) -> View:
+    document = fleet_document(thing)
+    tables = [spread_table(document)] if document["parameters"] else []
+    for made in (differing_table(document), left_out_table(document)):
+        tables += [] if made is None else [made]
+    return View(document["sentence"], tables)
 
 
 @view_of.register

@@ -62,6 +62,23 @@ SHOWN = 2000
 """Rows of a recording that a survey keeps at most."""
 
 
+def stretch_starts(criterion: AbstractCriterion, time_step: float, wanted: int) -> int:
+    """How many starts a stretch of a longer recording has, about as many as wanted.
+
+    Whole parts, so that no start is in two of them, and whole blocks.
+
+    **Raises:** `ModelError` for a criterion whose windows are not all windows of known lengths.
+    """
+    windows = criterion.windows
+    if windows is None or not criterion.in_closed_form:
+        raise ModelError(
+            "a recording this long is summed stretch by stretch, for which all windows are needed: "
+            "use rx.RIEC(rx.AllWindows(alpha, beta)) (on the command line: without --windows)."
+        )
+    longest = power_of_two(float(windows.beta) / time_step + 2)
+    return power_of_two(max(wanted, PART, 4 * longest))
+
+
 class _Layout(NamedTuple):
     """Blocks of a recording and how it is cut for one pass.
 
@@ -78,7 +95,9 @@ class _Layout(NamedTuple):
 class OnePass:
     """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][].
 
-    `averaged`, whether rows averaged by hats are kept, which columns of high derivatives have none.
+    `averaged`, whether rows averaged by hats are kept: columns of high derivatives have none.
+    `starts`, first of the starts that are summed and one beyond the last; all, unless others see
+    to the rest: then see [`stretch_starts`][].
     """
 
     def __init__(
@@ -90,10 +109,12 @@ class OnePass:
         bins: LengthBins | None,
         survey: bool,
         averaged: bool = True,
+        starts: tuple[int, int] | None = None,
     ):
         self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
         self.record, self.survey, self.averaged = record, survey, averaged
         self.step, self.count = float(record.time_step), record.sample_count
+        self.first, self.last = starts or (0, self.count)
         self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
         # Hats of four means to a side at the least.
         self.thin = next((by for by in (16, 4) if self.half >= 4 * by), 1)
@@ -116,13 +137,15 @@ class OnePass:
         closed = self.criterion.in_closed_form
         # What mixes samples would mix those that the record is filled up with.
         block, stages = (self._all_windows if closed else self._rows)(not mixing)
-        offered = self.criterion.row_count(self.record)
+        whole = self.last - self.first == self.count
+        # Of some starts it is not known how many windows there would be without gaps.
+        offered = self.criterion.row_count(self.record) if whole else None
         sums = RecordingSums(
             tuple(tuple(stage) for stage in stages),
             np.asarray(stages[0][0].count.shape[-1]),
             np.asarray(block * self.step),
             np.asarray(np.nan if offered is None else float(offered)),
-            np.asarray(self.count),
+            np.asarray(self.last - self.first),
             np.asarray(self.step),
             digest_of(self.procedure, self.record, self.criterion, self.key, self.bins),
             self.record.noise,
@@ -155,7 +178,7 @@ class OnePass:
         self, parts: list[list[list[PartSums]]], block: int, grouped: int
     ) -> list[list[EquationSums]]:
         """Sums of all equations from those of each part, with so many blocks to one."""
-        count = -(-self.count // block)
+        count = -(-(self.last - self.first) // block)
 
         def of_equation(i: int, j: int) -> EquationSums:
             every = [part[i][j] for part in parts]
@@ -232,7 +255,7 @@ class OnePass:
             yield Part(record, 0, None)
             return
         margin = self.criterion.test_function.margin
-        for start in range(0, self.count, layout.starts):
+        for start in range(self.first, self.last, layout.starts):
             begin = max(start - margin, 0)
             stop = min(start + layout.starts + reach + margin, self.count)
             yield Part(

@@ -57,8 +57,18 @@ def summarise(
     return summed(asked, bins=bins, survey=survey)
 
 
-def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = False) -> Summary:
-    """The Summary of a task; see [`summarise`][]."""
+def summed(
+    asked: Task,
+    *,
+    bins: int | ArrayLike | None = None,
+    survey: bool = False,
+    starts: tuple[int, int] | None = None,
+) -> Summary:
+    """The Summary of a task; see [`summarise`][].
+
+    **Arguments:** `starts`: first of the starts of windows that count and one beyond the last,
+    where a record is a stretch of a longer one with what its windows reach beyond it.
+    """
     procedure, records, criterion, keys = asked
     # With hidden elements, sums are of more columns than there are parameters.
     procedure = procedure.linear
@@ -77,7 +87,8 @@ def summed(asked: Task, *, bins: int | ArrayLike | None = None, survey: bool = F
         if traced:
             return traced_sums(read, record, criterion, key, own is not None)
         averaged = not asked.procedure.has_hidden
-        return OnePass(read, record, criterion, key, kept_apart, survey, averaged).sums()
+        one = OnePass(read, record, criterion, key, kept_apart, survey, averaged, starts)
+        return one.sums()
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)

@@ -19,7 +19,7 @@ from riecjax.shows import Shown
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
-from riecjax.summaries.summary_files import read_parts, write_parts
+from riecjax.summaries.summary_files import from_bytes, read_parts, to_bytes, write_parts
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 ROOMS = (128, 1024)
@@ -264,6 +264,21 @@ class Summary(Shown, eqx.Module):
         law that is a function, for sums that are traced or of a batch, or for more than 2 GiB.
         """
         write_parts(path, **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
+
+    def to_bytes(self) -> bytes:
+        """What [`Summary.save`][] writes, in memory: the same bytes for the same numbers.
+
+        **Raises:** `ModelError` as `save`.
+        """
+        return to_bytes({f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> "Summary":
+        """The Summary that [`Summary.to_bytes`][] made these bytes of.
+
+        **Raises:** `DataError` as [`load`][], which says what must be defined before.
+        """
+        return cls(**from_bytes(content))
 
     def require_model(self, procedure: Procedure) -> None:
         """Raise `ModelError` unless these are sums of the procedure's equations."""

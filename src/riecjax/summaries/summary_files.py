@@ -56,6 +56,63 @@ def read_parts(path: str | os.PathLike[str]) -> dict[str, Any]:
         return unpacked(document, arrays)
 
 
+def to_bytes(parts: Mapping[str, Any]) -> bytes:
+    """The fields of a Summary as bytes, the same for the same numbers, without a file's overhead.
+
+    Its length in eight bytes, the document, which lists the arrays, and their numbers; of symmetric
+    matrices those of one half.
+    """
+    document, arrays = packed(parts)
+    listed, numbers = [], []
+    for name, array in sorted(arrays.items()):
+        halved = _is_symmetric(array)
+        listed.append((name, array.dtype.str, array.shape, halved))
+        kept = array[..., *np.triu_indices(array.shape[-1])] if halved else array
+        numbers.append(np.ascontiguousarray(kept).tobytes())
+    told = {**document, "checksum": _checksum(document, arrays), "arrays": listed}
+    text = json.dumps(told).encode()
+    return b"".join([len(text).to_bytes(8, "little"), text, *numbers])
+
+
+def from_bytes(content: bytes) -> dict[str, Any]:
+    """The fields of the Summary in these bytes.
+
+    **Raises:** `DataError` where they are damaged or of another version.
+    """
+    with foreign_reader(DOCUMENT.capitalize()):
+        place = 8 + int.from_bytes(content[:8], "little")
+        document = json.loads(content[8:place])
+        _require_schema(document, DOCUMENT, FORMAT, SCHEMA)
+        arrays = {}
+        for name, kind, shape, halved in document.pop("arrays"):
+            dtype = np.dtype(kind)
+            kept = (*shape[:-2], shape[-1] * (shape[-1] + 1) // 2) if halved else tuple(shape)
+            size = int(np.prod(kept, dtype=int))
+            read = np.frombuffer(content, dtype, size, place).reshape(kept)
+            arrays[name] = _whole(read, shape[-1]) if halved else np.array(read)
+            place += size * dtype.itemsize
+        if document.pop("checksum") != _checksum(document, arrays):
+            raise DataError("it is damaged: its checksum differs. Make it anew.")
+        return unpacked(document, {name: _native(array) for name, array in arrays.items()})
+
+
+def _is_symmetric(array: np.ndarray) -> bool:
+    """Whether these are matrices that are, to the bit, their own transposes."""
+    if array.ndim < 2 or array.shape[-1] != array.shape[-2] or array.shape[-1] < 2:
+        return False
+    bits = np.ascontiguousarray(array).view(f"V{array.dtype.itemsize}")
+    return bool((bits == bits.swapaxes(-1, -2)).all())
+
+
+def _whole(half: np.ndarray, size: int) -> np.ndarray:
+    """Symmetric matrices of which these are the upper halves, row by row."""
+    rows, columns = np.triu_indices(size)
+    found = np.empty((*half.shape[:-1], size, size), half.dtype)
+    found[..., rows, columns] = half
+    found[..., columns, rows] = half
+    return found
+
+
 def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
     """The fields of a Summary as a document and arrays.
 

@@ -1,0 +1,196 @@
+"""Where the tasks of a fleet run: in this process, on all cores, or on a cluster of Dask's."""
+
+# Dask schedules, moves data, restarts workers and tries again; nothing of that is done here. Two of
+# its settings are chosen. A task that has lost three workers is given up by default, and workers
+# are lost by the dozen where machines are taken back (spot instances, preempted jobs) or memory
+# runs out under another task: it may lose ten. And only some tasks a worker are handed over at a
+# time, so that neither the scheduler's memory nor the answers that wait grow with their number.
+
+import contextlib
+import itertools
+import logging
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
+
+from riecjax.errors import DataError
+
+LOST_WORKERS = 10
+"""Workers that may end during a task before it is given up."""
+AHEAD = 4
+"""Tasks for each worker that are handed over."""
+WAITS = 30.0
+"""Seconds to wait for a scheduler that does not answer."""
+
+Task = tuple[Any, ...]
+
+
+class Lost(NamedTuple):
+    """In place of an answer, of a task that ended `LOST_WORKERS` workers: why."""
+
+    why: str
+
+
+class Here(contextlib.AbstractContextManager):
+    """This process, one task after the other."""
+
+    workers, dashboard = 1, ""
+
+    def each(
+        self, function: Callable[..., Any], tasks: Iterable[Task]
+    ) -> Iterator[tuple[Task, Any]]:
+        """Each task with its answer."""
+        for task in tasks:
+            yield task, function(*task)
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing to end."""
+
+
+class Cluster(contextlib.AbstractContextManager):
+    """Processes of this machine, one a core, or the workers of a scheduler elsewhere."""
+
+    def __init__(self, workers: int | None = None, scheduler: str | None = None):
+        """Start the processes, or connect.
+
+        **Raises:** `DataError` where the scheduler does not answer.
+        """
+        import distributed
+
+        self._open = contextlib.ExitStack()
+        self._scheduler = scheduler
+        self._open.enter_context(_settings())
+        with _closing_on_error(self._open):
+            try:
+                address = scheduler or self._started(distributed, workers or cores())
+                client = distributed.Client(
+                    address, timeout=WAITS, set_as_default=False, heartbeat_interval="2s"
+                )
+            except (OSError, ValueError, TimeoutError) as error:
+                said = " ".join(str(error).split())
+                raise DataError(f"no scheduler of Dask answers at {scheduler}: {said}") from None
+            self._client = self._open.enter_context(client)
+        self.workers = max(len(client.scheduler_info()["workers"]), 1)
+        self.dashboard = client.dashboard_link if _has_bokeh() else ""
+
+    def _started(self, distributed: Any, workers: int) -> Any:
+        folder = self._open.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
+        return self._open.enter_context(
+            distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0" if _has_bokeh() else None,
+                host="127.0.0.1",
+                local_directory=folder,
+                silence_logs=logging.CRITICAL,
+            )
+        )
+
+    def each(
+        self, function: Callable[..., Any], tasks: Iterable[Task]
+    ) -> Iterator[tuple[Task, Any]]:
+        """Each task with its answer, or with [`Lost`][], as they come.
+
+        **Raises:** `DataError` where the scheduler is gone.
+        """
+        # Of a worker that ends Dask suspects all tasks that it was to do, and may give up those
+        # beside the one that ended it: what is given up is tried again, alone.
+        given_up: list[Task] = []
+        for task, answer in self._each(function, iter(tasks), AHEAD * self.workers):
+            if isinstance(answer, Lost):
+                given_up.append(task)
+            else:
+                yield task, answer
+        yield from self._each(function, iter(given_up), 1)
+
+    def _each(
+        self, function: Callable[..., Any], tasks: Iterator[Task], ahead: int
+    ) -> Iterator[tuple[Task, Any]]:
+        """The same, of so many tasks at a time."""
+        from concurrent.futures import CancelledError
+
+        import distributed
+        from distributed.comm.core import CommClosedError
+
+        running: dict[Any, Task] = {}
+        waiting = distributed.as_completed(loop=self._client.loop)
+
+        def hand_over(count: int) -> None:
+            for task in itertools.islice(tasks, count):
+                future = self._client.submit(function, *task, pure=False)
+                running[future] = task
+                waiting.add(future)
+
+        hand_over(ahead)
+        while running:
+            future = next(waiting)
+            task = running.pop(future)
+            hand_over(1)
+            if future.status == "cancelled":  # as all are whose scheduler has ended
+                raise self._gone()
+            try:
+                # Of a worker that has ended since the answer was there, it is found once more.
+                answer = future.result()
+            except distributed.KilledWorker:
+                answer = Lost(f"{LOST_WORKERS + 1} workers ended while on it")
+            except (CancelledError, CommClosedError):
+                raise self._gone() from None
+            yield task, answer
+
+    def _gone(self) -> DataError:
+        where = f" at {self._scheduler}" if self._scheduler else ""
+        return DataError(
+            f"the scheduler{where} is gone. What was summed is kept: run the same command again, "
+            f"which goes on from there."
+        )
+
+    def __exit__(self, *given: Any) -> None:
+        """End the client, and the processes that were started."""
+        self._open.__exit__(*given)
+
+
+Engine = Here | Cluster
+
+
+def engine(workers: int | None, scheduler: str | None) -> Engine:
+    """Where tasks run: `workers` processes, none of them for this one; or a scheduler's workers."""
+    if scheduler is None and workers == 0:
+        return Here()
+    return Cluster(workers, scheduler)
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def _settings() -> Iterator[None]:
+    """Dask's for this run. What it logs of lost workers is told by the tasks that they cost."""
+    import dask.config
+
+    log = logging.getLogger("distributed")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        with dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS}):
+            yield
+    finally:
+        log.setLevel(before)
+
+
+@contextlib.contextmanager
+def _closing_on_error(stack: contextlib.ExitStack) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        stack.close()
+        raise
+
+
+def _has_bokeh() -> bool:
+    import importlib.util
+
+    return importlib.util.find_spec("bokeh") is not None

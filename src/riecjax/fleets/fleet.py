@@ -1,0 +1,255 @@
+"""The verb: sum recordings by the thousand, merge what belongs together, estimate each group."""
+
+import contextlib
+import importlib.util
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
+from riecjax.errors import DataError, ModelError, require
+from riecjax.fleets.changes import Change, changes
+from riecjax.fleets.engine import Engine, engine
+from riecjax.fleets.groups import Entry, Settings
+from riecjax.fleets.kept import Kept
+from riecjax.fleets.order import Order
+from riecjax.fleets.planning import order_for
+from riecjax.fleets.running import Progress, estimates, judged, summed
+from riecjax.fleets.sources import Source, find_sources
+from riecjax.fleets.spread import RATE, Spread, spreads
+from riecjax.fleets.sums import DONE, Row
+from riecjax.fleets.table import LIGHT, is_table, read_rows, write_entries
+from riecjax.models.model import Model, as_model
+from riecjax.shows import Shown
+from riecjax.summaries.summary import Summary
+from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
+
+ESTIMATES = "estimates.parquet"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fleet(Shown):
+    """Parameters of groups of recordings; made by [`fleet`][].
+
+    **Fields:**
+
+    - `model`; `by`, what groups are; `criterion` that made the sums.
+    - `entries`: one for each parameter of each group, and one for each recording that failed.
+    - `over_time`: the same for each span of time of each recording, if asked for.
+    - `spreads` of each parameter over groups, and `changes` over time.
+    - `recordings`: one row for each, or for each stretch of a long one, without its sums.
+    - `rate` of false discoveries among groups that are called different.
+    """
+
+    model: Model
+    by: tuple[str, ...]
+    criterion: AbstractCriterion
+    entries: Sequence[Entry]
+    over_time: Sequence[Entry]
+    spreads: Sequence[Spread]
+    changes: Sequence[Change]
+    recordings: Sequence[Row]
+    rate: float = RATE
+
+    @property
+    def failures(self) -> list[Row]:
+        """Recordings that are in no group, whose `status` says why."""
+        return [row for row in self.recordings if row.status != DONE]
+
+    @property
+    def samples(self) -> int:
+        """Of all recordings that were summed."""
+        return sum(row.samples for row in self.recordings)
+
+    def to_frame(self) -> Any:
+        """All entries, those over time last, as a frame of pandas.
+
+        **Raises:** `DataError` without pandas.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise DataError(
+                'frames need pandas; install it by pip install "riecjax[frames]".'
+            ) from None
+        return pd.DataFrame([*self.entries, *self.over_time], columns=list(Entry._fields))
+
+
+def fleet(
+    model: Equation | Procedure | HasProcedure,
+    patterns: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    criterion: AbstractCriterion | None = None,
+    *,
+    by: str | Sequence[str] = "file",
+    span: float | None = None,
+    known: Mapping[str, float] | None = None,
+    intervals: AbstractIntervals | None = None,
+    at_rest: AtRest | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    out: str | os.PathLike[str] | None = None,
+    strict: bool = False,
+    allow_duplicates: bool = False,
+    storage: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+    on_start: Callable[[str], None] | None = None,
+    **reading: Any,
+) -> Fleet:
+    """Identify a model's parameters from each group of recordings, of which there may be many.
+
+    Each is read once and summed; a group is estimated from the sums of its recordings as by
+    [`identify`][]. What was summed is kept in `out`: an interrupted run goes on from there, and
+    groups are estimated anew without a sample. Results are the same to the bit for any number of
+    workers, in any order, after any interruption. A script calls it below `if __name__ ==
+    "__main__":`, since processes import it.
+
+    **Arguments:** `model`, `criterion`, `known`, `intervals`, `at_rest` as for [`identify`][];
+
+    - `patterns`: paths, folders, `drives/**/*.csv`, `s3://bucket/drives/*.parquet` of stores that
+      fsspec knows; or a `summaries.parquet` of an earlier run, to estimate anew. A folder called
+      `*.parquet` is a data set, whose files are one recording.
+    - `by`: what a group is: each `"file"`, each `"folder"`, or recordings that agree in these keys
+      of their paths (`vehicle=3/`) or columns of their Parquet files, `"vehicle,load"`.
+    - `span`: estimate each recording over time as well, in spans of about so many seconds.
+    - `workers`: processes of this machine, one a core by default; 0 for none but this one.
+      `scheduler`: address of one of Dask's, whose workers are used instead.
+    - `out`: folder for `summaries.parquet` and `estimates.parquet`; `None` keeps nothing.
+    - `strict`: raise what the first recording fails by, instead of going on without it.
+    - `allow_duplicates`: count recordings of a group that hold the same samples each.
+    - `storage`: what fsspec is to know of the store.
+    - `progress`: called with what is being done, how much of it is, of how much, and samples.
+    - `on_start`: called with the address of Dask's dashboard, if it has one.
+    - `reading`: keywords of [`ReadingSettings`][riecjax.records.ReadingSettings].
+
+    **Returns:** a [`Fleet`][riecjax.fleets.Fleet].
+
+    **Raises:** `DataError` where nothing matches, none can be read, `out` cannot be written, the
+    scheduler is gone, or with `strict` for the first recording that fails; `ModelError` for a
+    criterion that draws windows, and for sums of another model.
+    """
+    _require_packages()
+    keys = tuple(part.strip() for part in by.split(",")) if isinstance(by, str) else tuple(by)
+    _require_sense(keys, span, workers, known)
+    settings = Settings(known or {}, intervals or BlockBootstrap(), span)
+    listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
+    given = (criterion, keys, storage or {}, at_rest, reading)
+    asked = _Asked(as_model(model), listed, given, settings, strict, allow_duplicates)
+    tell: Progress = progress or (lambda *_: None)
+    return _answered(asked, lambda: engine(workers, scheduler), out, tell, on_start)
+
+
+class _Asked(NamedTuple):
+    """What a fleet is asked: `given` is what [`order_for`][] takes beside model and sources."""
+
+    model: Model
+    patterns: list[str | os.PathLike[str]]
+    given: tuple[Any, ...]
+    settings: Settings
+    strict: bool
+    allow_duplicates: bool
+
+
+def _answered(
+    asked: _Asked,
+    start: Callable[[], Engine],
+    out: str | os.PathLike[str] | None,
+    tell: Progress,
+    on_start: Callable[[str], None] | None,
+) -> Fleet:
+    criterion, by, storage, at_rest, _ = asked.given
+    with contextlib.ExitStack() as stack:
+        folder = _made(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
+
+        def look() -> list[Source]:
+            return find_sources(asked.patterns, storage)
+
+        def started() -> Engine:
+            runs = stack.enter_context(start())
+            if on_start is not None and runs.dashboard:
+                on_start(runs.dashboard)
+            return runs
+
+        if len(asked.patterns) == 1 and is_table(asked.patterns[0]):
+            table = Path(asked.patterns[0])
+            order = _order_of(asked.model, table, criterion, by, at_rest)
+            rows = judged([*read_rows(table, LIGHT)], by, asked.allow_duplicates)
+            _require_some(rows)
+            found = estimates(order, asked.settings, rows, read_rows(table), started(), tell)
+        else:
+            order = order_for(asked.model, look(), *asked.given)
+            kept = Kept(folder, order.digest, {b"riecjax.model": asked.model.name.encode()})
+            runs = started()
+            pieces = summed(order, look, kept, runs, asked.strict, tell)
+            rows = judged([*kept.light(pieces)], by, asked.allow_duplicates)
+            _require_some(rows)
+            found = estimates(order, asked.settings, rows, kept.whole(pieces), runs, tell)
+            kept.finish(pieces)
+        if out is not None:
+            write_entries(folder / ESTIMATES, [*found[0], *found[1]])
+    entries, over_time = found
+    shown = spreads(entries), changes(over_time)
+    return Fleet(asked.model, by, order.criterion, entries, over_time, *shown, rows)
+
+
+def _made(folder: str | os.PathLike[str]) -> Path:
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot write to '{os.fspath(folder)}': {error.strerror}.") from None
+    return Path(folder)
+
+
+def _order_of(
+    model: Model,
+    table: Path,
+    criterion: AbstractCriterion | None,
+    by: tuple[str, ...],
+    at_rest: AtRest | None,
+) -> Order:
+    """How the recordings of an earlier run were summed.
+
+    **Raises:** `ModelError` for sums of another model, or by another criterion than is asked for.
+    """
+    summed = next((row for row in read_rows(table) if row.status == DONE), None)
+    if summed is None:
+        raise DataError(f"{table.name}: no recording of it could be summed.")
+    summary = Summary.from_bytes(summed.sums)
+    order = Order(model, summary.criterion, None, by=by, at_rest=at_rest)
+    summary.require_model(order.procedure)
+    if criterion is not None and criterion.describe() != summary.criterion.describe():
+        raise ModelError(
+            f"{table.name} holds sums by {summary.criterion.describe()}; for another criterion sum "
+            f"the recordings anew."
+        )
+    return order
+
+
+def _require_packages() -> None:
+    names = ("cloudpickle", "distributed", "fsspec", "ruptures", "statsmodels")
+    if missing := [name for name in names if importlib.util.find_spec(name) is None]:
+        raise DataError(
+            f'fleets need {", ".join(missing)}; install them by pip install "riecjax[fleet]".'
+        )
+
+
+def _require_sense(
+    by: Sequence[str], span: float | None, workers: int | None, known: Mapping[str, float] | None
+) -> None:
+    if not by or not all(by):
+        raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
+    require("known", known or {}, Mapping, "known={'M_s': 302.7}")
+    if span is not None and not span > 0:
+        raise ModelError(f"span is a positive number of seconds; got {span}.")
+    if workers is not None and workers < 0:
+        raise ModelError(f"workers is a number of processes, 0 for none; got {workers}.")
+
+
+def _require_some(rows: Sequence[Row]) -> None:
+    """Raise where no recording at all could be summed."""
+    if all(row.status != DONE for row in rows):
+        raise DataError(f"none of {len(rows)} recordings can be used; the first: {rows[0].status}")

@@ -1,0 +1,117 @@
+"""Rows that a run has made so far, on disk, so that the next one goes on where it ended."""
+
+import contextlib
+import shutil
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from riecjax.errors import RiecjaxError
+from riecjax.fleets.sums import DONE, Row
+from riecjax.fleets.table import ORDER, metadata_of, read_rows, write_rows
+from riecjax.whole_files import sweep
+
+PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
+MOST_WAITING, LONGEST_WAIT = 256, 5.0
+"""Rows, and seconds, that are lost at most when a run is killed."""
+
+
+class Kept:
+    """Rows of one order, by the piece that they are of, in files of a folder.
+
+    What another order made, what is damaged and recordings that failed are made anew.
+    """
+
+    def __init__(self, folder: Path, order: str, metadata: dict[bytes, bytes]):
+        self._folder, self._parts = folder, folder / PARTS
+        self._metadata = {ORDER: order.encode(), **metadata}
+        self._file: dict[str, Path] = {}
+        self._rows: dict[str, list[Row]] = {}
+        self._waiting: dict[str, list[Row]] = {}
+        self._written = time.monotonic()
+        self._parts.mkdir(parents=True, exist_ok=True)
+        sweep(self._parts)
+        self._number = 0
+        for file in [folder / SUMMARIES, *sorted(self._parts.glob("*.parquet"))]:
+            with contextlib.suppress(RiecjaxError):
+                self._take_up(file, order)
+            if file.stem.isdigit():
+                self._number = max(self._number, int(file.stem) + 1)
+
+    def _take_up(self, file: Path, order: str) -> None:
+        if metadata_of(file).get(ORDER) != order.encode():
+            return
+        found: dict[str, list[Row]] = {}
+        # All of it is read, and so seen to be sound.
+        for row in read_rows(file):
+            found.setdefault(row.piece, []).append(row._replace(sums=b"", lengths=b""))
+        for piece, rows in found.items():
+            if all(row.status == DONE for row in rows):
+                self._rows[piece], self._file[piece] = rows, file
+
+    def __contains__(self, piece: str) -> bool:
+        return piece in self._rows
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Keep all rows of some pieces.
+
+        **Raises:** `DataError` where they cannot be written.
+        """
+        for row in rows:
+            self._waiting.setdefault(row.piece, []).append(row)
+        waited = time.monotonic() - self._written
+        if len(self._waiting) >= MOST_WAITING or waited > LONGEST_WAIT:
+            self.write()
+
+    def write(self) -> None:
+        """Write what is not written yet.
+
+        **Raises:** `DataError` where it cannot be.
+        """
+        if not self._waiting:
+            return
+        file = self._parts / f"{self._number:08}.parquet"
+        write_rows(file, [row for rows in self._waiting.values() for row in rows], self._metadata)
+        self._number += 1
+        for piece, rows in self._waiting.items():
+            self._rows[piece] = [row._replace(sums=b"", lengths=b"") for row in rows]
+            self._file[piece] = file
+        self._waiting, self._written = {}, time.monotonic()
+
+    def light(self, pieces: Iterable[str]) -> Iterator[Row]:
+        """Rows of these pieces, in this order, without their sums."""
+        for piece in pieces:
+            yield from self._rows[piece]
+
+    def whole(self, pieces: Sequence[str]) -> Iterator[Row]:
+        """Rows of these pieces, in this order, of which those of a few files are held at a time.
+
+        **Raises:** `DataError` where a file was damaged meanwhile.
+        """
+        # Pieces that were summed at about the same time lie in the same files. A file is forgotten
+        # once the pieces that it holds have gone by.
+        left: dict[Path, int] = {}
+        for piece in pieces:
+            left[self._file[piece]] = left.get(self._file[piece], 0) + 1
+        held: dict[Path, dict[str, list[Row]]] = {}
+        for piece in pieces:
+            file = self._file[piece]
+            if file not in held:
+                held[file] = {}
+                for row in read_rows(file):
+                    held[file].setdefault(row.piece, []).append(row)
+            yield from held[file][piece]
+            left[file] -= 1
+            if not left[file]:
+                del held[file]
+
+    def finish(self, pieces: Sequence[str]) -> Path:
+        """Write the rows of these pieces, in this order, to one file in place of all parts.
+
+        **Raises:** `DataError` where it cannot be written.
+        """
+        file = self._folder / SUMMARIES
+        write_rows(file, self.whole(pieces), self._metadata)
+        shutil.rmtree(self._parts, ignore_errors=True)
+        self._file = dict.fromkeys(pieces, file)
+        return file

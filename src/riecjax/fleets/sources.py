@@ -1,0 +1,163 @@
+"""What a fleet's recordings lie in: files found by patterns, here or in a store.
+
+A folder called `*.parquet` is a data set, as Spark, Dask and pandas write them: its files, in the
+order of their names, are one recording. Folders called `key=value`, as Hive partitions data, are
+keys of all that lies beneath.
+"""
+
+import contextlib
+import hashlib
+import os
+import posixpath
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote
+
+from riecjax.errors import DataError, require
+from riecjax.records.reading.read import READERS
+
+DATA_SET = ".parquet"
+"""Ending of a folder whose files are one recording."""
+STATES = ("ETag", "etag", "mtime", "LastModified", "last_modified", "updated", "created", "md5Hash")
+"""What stores call what changes with a file."""
+OTHERS = ("_", ".")
+"""Beginnings of names of files beside the data, as `_SUCCESS` and `.crc`."""
+
+
+class Source(NamedTuple):
+    """What one recording, or several, are read from.
+
+    **Fields:** `name`, its path below the folder that all have in common; `urls` of its files, one
+    after the other in time; `keys` of its path, as Hive has them; `state`, another one once a file
+    has changed; `size` in bytes.
+    """
+
+    name: str
+    urls: tuple[str, ...]
+    keys: tuple[tuple[str, str], ...]
+    state: str
+    size: int
+
+    @property
+    def is_parquet(self) -> bool:
+        """Whether its rows can be read in parts."""
+        return all(url.lower().endswith(DATA_SET) for url in self.urls)
+
+
+def find_sources(
+    patterns: Sequence[str | os.PathLike[str]], storage: Mapping[str, Any] | None = None
+) -> list[Source]:
+    """All that match a path, a folder (with all that it holds) or a pattern, sorted by name.
+
+    **Arguments:** `patterns`: also URLs of a file system that fsspec knows, `s3://bucket/drives/*`;
+    `storage`: what fsspec needs to know of it.
+
+    **Raises:** `DataError` for a pattern that nothing matches, and a store that does not answer.
+    """
+    require("the patterns", patterns, (list, tuple), "['drives/*.csv']")
+    files: dict[str, Mapping[str, Any]] = {}
+    for pattern in patterns:
+        found = _files(os.fspath(pattern), storage or {})
+        if not found:
+            raise DataError(f"nothing that can be read matches '{os.fspath(pattern)}'.")
+        files |= found
+    sets: dict[str, list[str]] = {}
+    for url in sorted(files):
+        sets.setdefault(_recording_of(url), []).append(url)
+    root = _common_folder(list(sets))
+    return sorted(
+        Source(
+            url.removeprefix(root) or posixpath.basename(url),
+            tuple(urls),
+            tuple(_keys(url)),
+            _state([files[one] for one in urls]),
+            sum(int(files[one].get("size") or 0) for one in urls),
+        )
+        for url, urls in sets.items()
+    )
+
+
+def _files(pattern: str, storage: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """URL to what the store says of a file, of all that match."""
+    import fsspec
+
+    try:
+        fs, path = fsspec.core.url_to_fs(pattern, **storage)
+        matched = fs.glob(path, detail=True) if fsspec.core.has_magic(path) else {}
+        if not matched and fs.exists(path):  # also where a name holds such a sign
+            matched = {path: fs.info(path)}
+        found: dict[str, Mapping[str, Any]] = {}
+        for each, info in matched.items():
+            inner = fs.find(each, detail=True) if info["type"] == "directory" else {}
+            found |= {k: v for k, v in inner.items() if _is_data(k[len(each) :])}
+            found |= {each: info} if info["type"] == "file" else {}
+    except (OSError, ValueError, ImportError) as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise DataError(f"'{pattern}' cannot be looked at: {said[:300]}.") from None
+    local = "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,))
+    return {each if local else fs.unstrip_protocol(each): info for each, info in found.items()}
+
+
+def _is_data(below: str) -> bool:
+    """Whether a file below a folder is one of data, by its path from there."""
+    parts = below.strip("/").split("/")
+    known = posixpath.splitext(parts[-1])[1].lower() in READERS
+    return known and not any(part.startswith(OTHERS) for part in parts)
+
+
+def _recording_of(url: str) -> str:
+    """The data set's folder that a file is part of, or the file itself."""
+    folder = posixpath.dirname(url)
+    inside = any(part.lower().endswith(DATA_SET) for part in folder.split("/"))
+    return folder if inside else url
+
+
+def _common_folder(urls: Sequence[str]) -> str:
+    common = posixpath.commonprefix([posixpath.dirname(url) + "/" for url in urls])
+    return common[: common.rfind("/") + 1]
+
+
+def _keys(url: str) -> Iterator[tuple[str, str]]:
+    folders = (url if url.lower().endswith(DATA_SET) else posixpath.dirname(url)).split("/")
+    for part in folders:
+        key, equals, value = part.partition("=")
+        if key and equals and value:
+            yield unquote(key), unquote(value)
+
+
+def _state(infos: Iterable[Mapping[str, Any]]) -> str:
+    said = [[str(info.get(key)) for key in ("size", *STATES)] for info in infos]
+    return hashlib.sha256(repr(said).encode()).hexdigest()[:32]
+
+
+@contextlib.contextmanager
+def opened(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
+    """A file of a source, to be read in pieces.
+
+    **Raises:** `OSError` where it cannot be.
+    """
+    import fsspec
+
+    with fsspec.open(url, "rb", **storage) as stream:
+        yield stream
+
+
+@contextlib.contextmanager
+def at_hand(source: Source, storage: Mapping[str, Any]) -> Iterator[Path]:
+    """A source's one file as a file of this machine, brought here if it lies in a store.
+
+    **Raises:** `OSError` where it cannot be.
+    """
+    import fsspec
+
+    (url,) = source.urls
+    if "://" not in url:
+        yield Path(url)
+        return
+    with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
+        fs, path = fsspec.core.url_to_fs(url, **storage)
+        here = Path(folder) / posixpath.basename(url)
+        fs.get_file(path, str(here))
+        yield here

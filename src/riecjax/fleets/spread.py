@@ -1,0 +1,151 @@
+"""How a parameter is spread over groups: how much is chance, and who differs from the rest."""
+
+# Two questions, and two answers. How far do groups differ at all: an estimate is the groups' mean,
+# plus a deviation of the group with variance tau^2, plus the error of its own; tau^2 by Paule and
+# Mandel's moments, as random-effects models of meta-analysis have it. And which groups stand out
+# of the others: for that the centre and the spread must not be made by those who do. So the centre
+# is a weighted median, and tau the one with which half of all groups lie within the quartiles of
+# a normal law. One p-value for each group and parameter; of those that are called different so
+# many are wrong, on average, as the rate says (Benjamini and Hochberg 1995).
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.optimize
+import scipy.stats
+from jaxtyping import Float
+
+from riecjax.fleets.groups import Entry, errors_of
+from riecjax.fleets.sums import DONE
+
+FEWEST = 4
+"""Groups below which there is no rest to differ from."""
+RATE = 0.05
+"""False discoveries, as a share of all groups that are called different."""
+
+
+class Differing(NamedTuple):
+    """A group that differs from the rest: its value, by what share of the centre it is away, and
+    the probability of so much by chance, which is to be held against the rate by `adjusted`."""
+
+    group: str
+    value: float
+    away: float
+    p_value: float
+    adjusted: float
+
+
+class Spread(NamedTuple):
+    """One parameter over groups.
+
+    **Fields:** `mean` over groups and its `std_error`, of a random-effects model; `between`,
+    standard deviation of groups beyond chance; `within`, the median of their standard errors;
+    `share` of the variance that is between groups (I^2); `p_value` of so much spread by chance;
+    `centre` of most groups, which `differing` ones are away from.
+    """
+
+    parameter: str
+    unit: str
+    groups: int
+    mean: float
+    std_error: float
+    between: float
+    within: float
+    share: float
+    p_value: float
+    centre: float
+    differing: tuple[Differing, ...]
+
+
+def spreads(entries: Iterable[Entry], rate: float = RATE) -> list[Spread]:
+    """Of each parameter that enough groups have a value of that is not ruled out.
+
+    **Arguments:** `rate` of false discoveries among groups that are called different, over all
+    parameters together.
+    """
+    by_name: dict[str, list[Entry]] = {}
+    for entry in entries:
+        usable = entry.status == DONE and entry.verdict != "do not use"
+        if usable and entry.parameter is not None and (entry.std_error or 0.0) > 0:
+            by_name.setdefault(entry.parameter, []).append(entry)
+    some = {name: every for name, every in by_name.items() if len(every) >= FEWEST}
+    judged = {name: _judged(every) for name, every in some.items()}
+    if not judged:
+        return []
+    adjusted = iter(
+        scipy.stats.false_discovery_control(np.concatenate([p for _, p in judged.values()]))
+    )
+    return [
+        _spread(every, judged[name], [next(adjusted) for _ in every], rate)
+        for name, every in some.items()
+    ]
+
+
+def _values(every: Sequence[Entry]) -> Float[np.ndarray, " n"]:
+    return np.array([entry.value for entry in every], float)
+
+
+def _judged(every: Sequence[Entry]) -> tuple[float, Float[np.ndarray, " n"]]:
+    """Centre of most groups, and the probability of each group's distance by chance."""
+    values, errors = _values(every), errors_of(every)
+    half = scipy.stats.chi2.median(1)
+
+    def centre(between: float) -> float:
+        return _median(values, 1 / (errors**2 + between))
+
+    def excess(between: float) -> float:
+        squares = (values - centre(between)) ** 2 / (errors**2 + between)
+        return float(np.median(squares)) - half
+
+    most = float(np.ptp(values)) ** 2 / half
+    between = 0.0
+    if excess(0.0) > 0 and most > 0:
+        root = scipy.optimize.root_scalar(excess, bracket=(0.0, 4 * most), xtol=1e-12 * most)
+        between = float(root.root)
+    total = errors**2 + between
+    # A median is pi / 2 times as uncertain as a mean.
+    of_centre = 0.5 * np.pi / np.sum(1 / total)
+    away = np.abs(values - centre(between)) / np.sqrt(total + of_centre)
+    return centre(between), 2 * scipy.stats.norm.sf(away)
+
+
+def _median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+    """The weighted median, between two values where half of the weight lies on either side."""
+    order = np.argsort(values)
+    sums = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return float(np.interp(0.5 * np.sum(weights), sums, values[order]))
+
+
+def _spread(
+    every: Sequence[Entry],
+    judged: tuple[float, Float[np.ndarray, " n"]],
+    adjusted: Sequence[float],
+    rate: float,
+) -> Spread:
+    from statsmodels.stats.meta_analysis import combine_effects
+
+    values, errors = _values(every), errors_of(every)
+    # Where all are equal, shares of no variance are asked for.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found: Any = combine_effects(values, errors**2, method_re="iterated")
+    centre, p_values = judged
+    differing = [
+        Differing(entry.group, value, value / centre - 1, p, q)
+        for entry, value, p, q in zip(every, values, p_values, adjusted)
+        if q <= rate
+    ]
+    first = every[0]
+    return Spread(
+        first.parameter or "",
+        first.unit or "",
+        len(every),
+        float(found.mean_effect_re),
+        float(found.sd_eff_w_re),
+        float(np.sqrt(max(found.tau2, 0.0))),
+        float(np.median(errors)),
+        float(max(found.i2, 0.0)),
+        float(found.test_homogeneity().pvalue),
+        centre,
+        tuple(sorted(differing, key=lambda one: one.p_value)),
+    )

@@ -1,0 +1,246 @@
+"""Results of a fleet: the document, what is said in a sentence, and tables on a terminal."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+
+from riecjax.fleets.fleet import Fleet
+from riecjax.fleets.spread import Spread
+from riecjax.fleets.sums import DONE, Row
+from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
+from riecjax.reporting.page import Table
+from riecjax.reporting.tables import in_rich, print_table
+
+LISTED = 50
+"""Groups, changes and recordings of each kind that a document lists; the tables hold all."""
+SHOWN = 10
+"""The same that a terminal shows."""
+NAMED = 3
+"""Groups that a sentence names."""
+
+
+def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0.0) -> Document:
+    """The document that `--json` prints and results.json holds, whatever the fleet's size.
+
+    **Arguments:** `command`: the arguments of `riecjax` that made it; `seconds` that it took.
+    """
+    groups = {entry.group for entry in found.entries if entry.status == DONE}
+    summed = [row for row in found.recordings if row.status == DONE]
+    codes = Counter(code for row in summed for code in {f["code"] for f in _findings(row)})
+    return {
+        "schema": SCHEMA,
+        "model": found.model.name,
+        "by": list(found.by),
+        "criterion": found.criterion.describe(),
+        "sentence": sentence(found),
+        "groups": len(groups),
+        "recordings": {
+            "summed": len(summed),
+            "left_out": len(found.failures),
+            "samples": found.samples,
+            "seconds": sum(row.seconds for row in summed),
+        },
+        "parameters": {one.parameter: _spread_entries(one, found) for one in found.spreads},
+        "changes": [change._asdict() for change in found.changes[:LISTED]],
+        "findings": dict(codes.most_common()),
+        "left_out": [{"recording": r.name, "why": r.status} for r in found.failures[:LISTED]],
+        "worst": [_worst_entries(row) for row in _worst(summed)[:LISTED]],
+        "rate": found.rate,
+        "warnings": [],
+        "provenance": {
+            "versions": versions(),
+            "command": list(command),
+            "seconds": round(seconds, 3),
+        },
+    }
+
+
+def _spread_entries(one: Spread, found: Fleet) -> Document:
+    levels = Counter(
+        e.verdict for e in found.entries if e.parameter == one.parameter and e.status == DONE
+    )
+    return {
+        "unit": one.unit,
+        **{name: finite(getattr(one, name)) for name in NUMBERS},
+        "groups": one.groups,
+        "verdicts": {str(level): count for level, count in levels.most_common()},
+        "differing": [group._asdict() for group in one.differing[:LISTED]],
+        "differing_count": len(one.differing),
+    }
+
+
+NUMBERS = ("mean", "std_error", "between", "within", "share", "p_value", "centre")
+
+
+def _findings(row: Row) -> list[dict[str, Any]]:
+    return json.loads(row.findings)
+
+
+def _worst(rows: Sequence[Row]) -> list[Row]:
+    """Recordings with something amiss, first what puts most in doubt."""
+    amiss = [row for row in rows if row.findings != "[]"]
+    return sorted(
+        amiss,
+        key=lambda row: (-max(f["doubt"] for f in _findings(row)), -len(_findings(row)), row.name),
+    )
+
+
+def _worst_entries(row: Row) -> Document:
+    found = _findings(row)
+    worst = max(found, key=lambda f: f["doubt"])
+    return {
+        "recording": ", ".join(filter(None, (row.name, row.part))),
+        "codes": list(dict.fromkeys(f["code"] for f in found)),
+        "doubt": worst["doubt"],
+        "message": worst["message"],
+    }
+
+
+def sentence(found: Fleet) -> str:
+    """What was found, in a sentence or two of plain English."""
+    groups = len({entry.group for entry in found.entries if entry.status == DONE})
+    summed = sum(row.status == DONE for row in found.recordings)
+    several = f"{groups} group{'s' if groups != 1 else ''}"
+    head = several if groups == summed else f"{several} of {summed} recordings"
+    standing = [one for one in found.spreads if one.differing]
+    standing.sort(key=lambda one: -max(abs(group.away) for group in one.differing))
+    if not found.spreads:
+        said = f"{head}: too few to compare."
+    elif not standing:
+        said = f"{head}: none differs from the rest by more than chance."
+    else:
+        said = f"{head}: {'; '.join(map(_standing_out, standing[:NAMED]))}."
+    if found.changes:
+        count = len({change.group for change in found.changes})
+        names = sorted({change.parameter for change in found.changes})
+        said += f" Over time {', '.join(names)} changed in {count} recording{'s' * (count > 1)}."
+    if lost := len(found.failures):
+        said += f" {lost} recording{'s were' if lost > 1 else ' was'} left out."
+    return said
+
+
+def _standing_out(one: Spread) -> str:
+    first = one.differing[:NAMED]
+    listed = ", ".join(f"{group.group} ({100 * group.away:+.2g} %)" for group in first)
+    more = len(one.differing) - len(first)
+    return f"{one.parameter} differs in {listed}{f' and {more} more' if more else ''}"
+
+
+def spread_table(document: Document) -> Table:
+    """Each parameter over the groups."""
+    rows = [
+        [
+            name,
+            one["unit"],
+            str(one["groups"]),
+            number(one["mean"]),
+            number(one["std_error"], 2),
+            number(one["between"], 2),
+            number(one["within"], 2),
+            f"{100 * one['share']:.0f} %",
+            _probability(one["p_value"]),
+            str(one["differing_count"]),
+        ]
+        for name, one in document["parameters"].items()
+    ]
+    header = (
+        *("parameter", "unit", "groups", "mean", "std error", "between", "within"),
+        *("share between", "p", "differ"),
+    )
+    note = (
+        "Between: standard deviation of groups beyond chance; within: the typical standard error "
+        "of a group; share between: of all variance; p: of so much spread by chance."
+    )
+    return Table(header, rows, "Parameters over groups", note)
+
+
+def differing_table(document: Document, most: int = LISTED) -> Table | None:
+    """Groups that differ from the rest."""
+    rows = [
+        [
+            group["group"],
+            name,
+            number(group["value"]),
+            number(one["centre"]),
+            f"{100 * group['away']:+.2g} %",
+            _probability(group["adjusted"]),
+        ]
+        for name, one in document["parameters"].items()
+        for group in one["differing"][:most]
+    ]
+    if not rows:
+        return None
+    header = ("group", "parameter", "value", "most have", "away", "adjusted p")
+    note = (
+        f"Of groups that are called different, {100 * document['rate']:.0f} % are not, on average."
+    )
+    return Table(header, rows, "Groups that differ from the rest", note)
+
+
+def changes_table(document: Document, most: int = LISTED) -> Table | None:
+    """Steps of parameters over time."""
+    rows = [
+        [
+            change["group"],
+            change["parameter"],
+            number(change["time"], 4),
+            number(change["before"]),
+            number(change["after"]),
+        ]
+        for change in document["changes"][:most]
+    ]
+    header = ("recording", "parameter", "at / s", "before", "after")
+    return Table(header, rows, "Changes over time") if rows else None
+
+
+def left_out_table(document: Document, most: int = LISTED) -> Table | None:
+    """Recordings that are in no group, and why."""
+    rows = [[one["recording"], one["why"]] for one in document["left_out"][:most]]
+    if not rows:
+        return None
+    return Table(("recording", "why"), rows, "Recordings left out", numeric=False)
+
+
+def worst_table(document: Document, most: int = LISTED) -> Table | None:
+    """Recordings with something amiss, the worst first."""
+    rows = [
+        [
+            one["recording"],
+            ", ".join(one["codes"]),
+            f"{100 * one['doubt']:.2g} %" if one["doubt"] else "",
+            one["message"],
+        ]
+        for one in document["worst"][:most]
+    ]
+    header = ("recording", "findings", "doubt", "the worst of them")
+    return Table(header, rows, "Recordings with something amiss", numeric=False) if rows else None
+
+
+def _probability(p: float | None) -> str:
+    return "none" if p is None else "< 1e-6" if p < 1e-6 else f"{p:.2g}"
+
+
+def print_fleet(document: Document, console: Console) -> None:
+    """The sentence and the tables, the longest cut short."""
+    console.print(document["sentence"], markup=False, highlight=False, soft_wrap=True)
+    tables = (
+        spread_table(document) if document["parameters"] else None,
+        differing_table(document, SHOWN),
+        changes_table(document, SHOWN),
+        left_out_table(document, SHOWN),
+    )
+    for table in filter(None, tables):
+        console.print()
+        console.print(table.caption, style="bold", markup=False, highlight=False)
+        print_table(in_rich(table), console)
+    counts, seconds = document["recordings"], document["provenance"]["seconds"]
+    rate = counts["samples"] / max(seconds, 1e-3)
+    console.print(
+        f"\n{counts['samples']} samples of {counts['summed']} recordings in {seconds:.3g} s, "
+        f"{number(rate, 2)} a second.",
+        markup=False,
+        highlight=False,
+    )

@@ -1,0 +1,92 @@
+"""Tasks on processes that end, and schedulers that are gone."""
+
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+from benchmarks.fleet.drives import drives
+from fleet_tasks import dies, dies_at_first, square
+
+from riecjax.errors import DataError
+from riecjax.fleets import engine as module
+from riecjax.fleets.engine import Cluster, Here, Lost, engine
+from riecjax.fleets.fleet import fleet
+from riecjax.models.catalogue import find_model
+from riecjax.records.writing import write_record
+
+USERS = """
+import riecjax as rx
+
+def drag(signals):
+    return signals["dx"] * abs(signals["dx"])
+
+MODEL = rx.Equation(
+    rx.Term("m", "x", derivative=2, measured=("dx",)),
+    rx.Term("r", "x", derivative=1, measured=("dx",)),
+    rx.Term("r2", drag),
+    rx.Term("k", "x"),
+    -rx.Term("one", "u", known=1.0),
+)
+"""
+
+
+def test_without_processes_tasks_are_done_here():
+    runs = engine(0, None)
+    assert isinstance(runs, Here)
+    assert list(runs.each(square, [(2,), (3,)])) == [((2,), 4), ((3,), 9)]
+
+
+def test_processes_that_end_cost_no_task_and_one_that_ends_all_is_given_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "LOST_WORKERS", 2)
+    with Cluster(2) as runs:
+        assert runs.workers == 2
+        found = dict(runs.each(dies_at_first, ((str(tmp_path), n) for n in range(3))))
+        assert {task[1]: answer for task, answer in found.items()} == {0: 0, 1: 1, 2: 2}
+        answers = {task[0]: answer for task, answer in runs.each(dies, [(0,), (1,), (2,)])}
+    assert isinstance(answers.pop(1), Lost)
+    assert answers == {0: 0, 2: 2}
+
+
+def test_a_fleet_is_the_same_to_the_bit_on_processes_as_without(tmp_path):
+    """With a model of the user's own file, which only this process has loaded."""
+    (tmp_path / "drives").mkdir()
+    for i, record in enumerate(drives(4, 1500, 3)):
+        write_record(tmp_path / f"drives/{i}.parquet", record)
+    (tmp_path / "own.py").write_text(USERS)
+    model = find_model(f"{tmp_path}/own.py:MODEL")
+    for workers in (0, 2):
+        fleet(model, tmp_path / "drives", workers=workers, out=tmp_path / f"out{workers}")
+    for name in ("summaries.parquet", "estimates.parquet"):
+        assert (tmp_path / "out0" / name).read_bytes() == (tmp_path / "out2" / name).read_bytes()
+
+
+def started() -> tuple[subprocess.Popen[str], str]:
+    """A scheduler of its own process, and its address."""
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    for line in process.stderr:
+        if found := re.search(r"tcp://127\.0\.0\.1:\d+", line):
+            return process, found[0]
+    raise AssertionError("it printed no address")
+
+
+def test_a_scheduler_that_is_killed_ends_the_run_in_words():
+    process, address = started()
+    try:
+        with Cluster(scheduler=address) as runs:
+            process.send_signal(signal.SIGKILL)
+            with pytest.raises(DataError, match=r"is gone\. What was summed is kept"):
+                list(runs.each(square, [(2,)]))
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_scheduler_that_does_not_answer_is_said(monkeypatch):
+    monkeypatch.setattr(module, "WAITS", 1.0)
+    with pytest.raises(DataError, match=r"no scheduler of Dask answers at tcp://127\.0\.0\.1:9"):
+        Cluster(scheduler="tcp://127.0.0.1:9")

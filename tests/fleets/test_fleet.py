@@ -1,0 +1,261 @@
+"""A fleet's groups are estimated as their recordings would be, whoever sums these, and whenever."""
+
+import itertools
+import shutil
+from pathlib import Path
+
+import fsspec
+import numpy as np
+import pyarrow as pa
+import pytest
+from benchmarks.fleet.drives import STEP, TRUTH, drives
+from pyarrow import parquet
+
+from riecjax.errors import DataError, ModelError
+from riecjax.estimation.identify import identify
+from riecjax.fleets import fleet as module
+from riecjax.fleets import kept, pieces, planning
+from riecjax.fleets.fleet import Fleet, fleet
+from riecjax.models.catalogue import find_model
+from riecjax.records.recording import read_recording
+from riecjax.records.writing import write_record
+
+MODEL = find_model("drag-oscillator")
+SAMPLES = 1500
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Three vehicles of three drives each; a file of the last is none, and one a copy."""
+    place = tmp_path_factory.mktemp("fleet")
+    for vehicle in range(3):
+        own = place / f"vehicle={vehicle}"
+        own.mkdir()
+        for i, record in enumerate(drives(3, SAMPLES, 10 + vehicle)):
+            write_record(own / f"{i}.parquet", record)
+    (place / "vehicle=2/broken.parquet").write_bytes(b"PAR1, but no more")
+    shutil.copy(place / "vehicle=1/0.parquet", place / "vehicle=1/copy.parquet")
+    return place
+
+
+@pytest.fixture(scope="module")
+def by_vehicle(folder, tmp_path_factory) -> tuple[Fleet, Path]:
+    out = tmp_path_factory.mktemp("out")
+    return fleet(MODEL, folder, by="vehicle", workers=0, out=out), out
+
+
+def values(found: Fleet, group: str) -> dict[str, tuple[float, float]]:
+    return {
+        e.parameter: (e.value, e.std_error)  # pyright: ignore[reportReturnType]
+        for e in found.entries
+        if e.group == group and e.status == "ok"
+    }
+
+
+def test_a_group_of_one_file_is_estimated_as_identify_does(folder):
+    found = fleet(MODEL, folder / "vehicle=0", workers=0)
+    assert found.by == ("file",)
+    for name in ("0.parquet", "2.parquet"):
+        recording = read_recording(folder / "vehicle=0" / name, model=MODEL)
+        alone = identify(MODEL, recording, found.criterion)
+        for n, (value, error) in values(found, name).items():
+            assert value == pytest.approx(float(alone[n]), rel=1e-9)
+            errors = dict(zip(alone.parameters, np.asarray(alone.standard_errors)))
+            assert error == pytest.approx(float(errors[n]), rel=1e-6)
+
+
+def test_a_group_of_some_is_estimated_as_identify_of_all(folder, by_vehicle):
+    found, _ = by_vehicle
+    every = [read_recording(f, model=MODEL) for f in sorted((folder / "vehicle=0").glob("*"))]
+    # Recordings draw their blocks in the order of their digests.
+    together = identify(MODEL, every, found.criterion)
+    for name, (value, error) in values(found, "vehicle=0").items():
+        assert value == pytest.approx(float(together[name]), rel=1e-9)
+        assert error > 0
+        assert abs(value - TRUTH[name]) < 0.05 * TRUTH[name]
+
+
+def test_what_fails_is_a_row_with_its_reason(by_vehicle):
+    found, out = by_vehicle
+    lost = {e.group: e.status for e in found.entries if e.status != "ok"}
+    assert set(lost) == {"vehicle=1", "vehicle=2"}
+    assert "the same samples as vehicle=1/0.parquet" in lost["vehicle=1"]
+    assert lost["vehicle=2"].startswith("broken.parquet: not a readable Parquet file")
+    assert len(found.failures) == 2
+    assert len(values(found, "vehicle=2")) == 4
+    table = parquet.read_table(out / "estimates.parquet").to_pylist()
+    assert [tuple(row.values()) for row in table] == [tuple(e) for e in found.entries]
+    names = "group start end parameter value unit std_error low95 high95 verdict findings status"
+    assert " ".join(table[0]) == names
+
+
+def test_strict_ends_at_what_fails(folder):
+    with pytest.raises(DataError, match=r"broken\.parquet: not a readable"):
+        fleet(MODEL, folder, by="vehicle", workers=0, strict=True)
+
+
+def test_an_interrupted_run_goes_on_and_ends_in_the_same_bits(
+    folder, by_vehicle, tmp_path, monkeypatch
+):
+    _, out = by_vehicle
+    monkeypatch.setattr(planning, "TOGETHER", 2)
+    monkeypatch.setattr(kept, "MOST_WAITING", 1)
+    summed = []
+
+    def interrupted(what: str, done: int, total: int, samples: int) -> None:
+        if done >= 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fleet(MODEL, folder, by="vehicle", workers=0, out=tmp_path, progress=interrupted)
+    parts = sorted((tmp_path / kept.PARTS).glob("*.parquet"))
+    assert len(parts) == 2
+    # One of them is damaged meanwhile, and another is of an order that was another one.
+    content = bytearray(parts[1].read_bytes())
+    content[len(content) // 2] ^= 1
+    parts[1].write_bytes(bytes(content))
+    fleet(
+        MODEL,
+        folder,
+        by="vehicle",
+        workers=0,
+        out=tmp_path,
+        progress=lambda what, done, total, samples: summed.append((what, done)),
+    )
+    assert ("summing", 2) in summed  # and not from none
+    for name in ("summaries.parquet", "estimates.parquet"):
+        assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
+    assert not (tmp_path / kept.PARTS).exists()
+
+
+def test_a_later_run_sums_only_what_is_new_or_has_changed(folder, tmp_path):
+    drives_of = tmp_path / "drives"
+    shutil.copytree(folder / "vehicle=0", drives_of)
+    done = []
+
+    def run() -> Fleet:
+        done.clear()
+        return fleet(
+            MODEL,
+            drives_of,
+            workers=0,
+            out=tmp_path / "out",
+            progress=lambda what, n, total, _: done.append(n) if what == "summing" else None,
+        )
+
+    first = run()
+    assert done[0] == 0
+    run()
+    assert done == []
+    shutil.copy(folder / "vehicle=1/1.parquet", drives_of / "1.parquet")
+    changed = run()
+    assert done[0] == 2
+    assert values(changed, "0.parquet") == values(first, "0.parquet")
+    assert values(changed, "1.parquet") != values(first, "1.parquet")
+
+
+def test_a_file_that_changes_while_others_are_summed_is_summed_again(folder, tmp_path):
+    drives_of = tmp_path / "drives"
+    shutil.copytree(folder / "vehicle=0", drives_of)
+    later = [False]
+
+    def touched(what: str, done: int, total: int, samples: int) -> None:
+        if what == "summing" and done == total and not later[0]:
+            later[0] = True
+            shutil.copy(folder / "vehicle=1/1.parquet", drives_of / "1.parquet")
+
+    found = fleet(MODEL, drives_of, workers=0, progress=touched)
+    alone = fleet(MODEL, drives_of, workers=0)
+    assert found.entries == alone.entries
+
+
+def test_sums_of_an_earlier_run_are_estimated_anew(by_vehicle):
+    found, out = by_vehicle
+    table = out / "summaries.parquet"
+    again = fleet(MODEL, table, by="vehicle", workers=0)
+    assert again.entries == found.entries
+    held = fleet(MODEL, table, by="vehicle", known={"k": 20.0}, workers=0)
+    assert set(values(held, "vehicle=0")) == {"m", "r", "r2"}
+    assert len({e.group for e in fleet(MODEL, table, workers=0).entries}) == 11
+    with pytest.raises(ModelError, match="other equations"):
+        fleet(find_model("duffing"), table, workers=0)
+
+
+def test_recordings_of_a_store_are_brought_here_and_summed(folder, by_vehicle):
+    store = fsspec.filesystem("memory")
+    store.put(str(folder / "vehicle=0"), "/garage/vehicle=0", recursive=True)
+    try:
+        found = fleet(MODEL, "memory://garage", by="vehicle", workers=0)
+    finally:
+        store.rm("/garage", recursive=True)
+    assert values(found, "vehicle=0") == values(by_vehicle[0], "vehicle=0")
+
+
+def test_columns_of_a_file_tell_its_recordings_apart(folder, by_vehicle, tmp_path):
+    tables = [
+        parquet.read_table(folder / f"vehicle={v}/{i}.parquet").append_column(
+            "vehicle", pa.array([str(v)] * SAMPLES)
+        )
+        for v in range(2)
+        for i in range(3)
+    ]
+    # A drive follows another, of another vehicle.
+    order = [0, 3, 1, 4, 2, 5]
+    parquet.write_table(pa.concat_tables([tables[i] for i in order]), tmp_path / "all.parquet")
+    found = fleet(MODEL, tmp_path, by="vehicle", workers=0)
+    for vehicle in ("vehicle=0", "vehicle=1"):
+        for name, (value, _) in values(by_vehicle[0], vehicle).items():
+            assert values(found, vehicle)[name][0] == pytest.approx(value, rel=1e-9)
+    with pytest.raises(DataError, match="no column 'truck'"):
+        fleet(MODEL, tmp_path, by="truck", workers=0)
+
+
+def test_what_no_path_says_is_asked_for_by_name(folder):
+    found = fleet(MODEL, folder, by="vehicle", workers=0)
+    assert all("truck" not in e.status for e in found.entries)
+    with pytest.raises(DataError, match="truck"):
+        fleet(MODEL, folder, by="truck", workers=0)
+
+
+def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_path, monkeypatch):
+    (record,) = drives(1, 2**17 + 70000, 5)
+    write_record(tmp_path / "whole.parquet", record)
+    table = parquet.read_table(tmp_path / "whole.parquet")
+    monkeypatch.setattr(planning, "STRETCH", 2**17)
+    monkeypatch.setattr(pieces, "LONG", 2**40)
+    (tmp_path / "week.parquet").mkdir()
+    cuts = [0, 30011, 130000, 131100, table.num_rows]
+    for i, (a, b) in enumerate(itertools.pairwise(cuts)):
+        parquet.write_table(table.slice(a, b - a), tmp_path / f"week.parquet/{i}.parquet")
+    given = {"noise": {"u": 0.0, "x": 0.01, "dx": 0.03}, "align": "none", "outliers": "keep"}
+    parts = fleet(MODEL, tmp_path / "week.parquet", workers=0, **given)
+    whole = fleet(MODEL, tmp_path / "whole.parquet", workers=0, **given)
+    assert len(parts.recordings) == 2
+    assert parts.samples == whole.samples == record.sample_count
+    for name, (value, _) in values(whole, "whole.parquet").items():
+        assert values(parts, "week.parquet")[name][0] == pytest.approx(value, rel=1e-9)
+
+
+def test_courses_over_time_show_when_a_damper_wore(tmp_path):
+    before, after = drives(1, 6000, 1)[0], drives(1, 6000, 2, r=0.4, r2=0.25)[0]
+    for name, record in (("new.parquet", before), ("worn.parquet", after)):
+        write_record(tmp_path / name, record)
+    found = fleet(MODEL, tmp_path, workers=0, span=6.0)
+    spans = [e for e in found.over_time if e.group == "new.parquet" and e.parameter == "r"]
+    assert [round(e.start) for e in spans] == sorted(round(e.start) for e in spans)
+    assert spans[0].start == 0
+    assert spans[-1].end == pytest.approx(6000 * STEP)
+    assert 4 <= len(spans) <= 6
+    for one, following in itertools.pairwise(spans):
+        assert one.end == pytest.approx(following.start)
+    assert np.mean([e.value for e in spans if e.value]) == pytest.approx(TRUTH["r"], rel=0.1)
+
+
+def test_mistakes_are_refused_in_words(folder, tmp_path):
+    for wrong in ({"span": 0.0}, {"workers": -1}, {"by": ""}):
+        with pytest.raises(ModelError, match=r"span|workers|by names"):
+            fleet(MODEL, folder, **{"workers": 0, **wrong})  # pyright: ignore[reportArgumentType]
+    (tmp_path / "a.csv").write_text("nothing")
+    with pytest.raises(DataError, match="none of the first 1 recordings"):
+        fleet(MODEL, tmp_path, workers=0)
+    assert module.ESTIMATES == "estimates.parquet"
