@@ -51,6 +51,11 @@ class Order:
         """The model's equations, built once."""
         return with_rests(self.model.build_procedure(), self.at_rest)
 
+    @functools.cached_property
+    def reads(self) -> dict[tuple[str, ...], Any]:
+        """What was found out before of recordings with these signals."""
+        return {}
+
     @property
     def columns(self) -> tuple[str, ...]:
         """What recordings are grouped by beside their paths."""

@@ -148,17 +148,21 @@ def _row(
 def _findings(order: Order, recording: Recording) -> Iterator[Finding]:
     """What is amiss with a recording, each with the parameters that it concerns."""
     procedure = order.procedure
-    read = read_of(procedure, recording, order.criterion, summed=True)
-    found = (*recording.concerning(read).findings, *of_sensors(procedure, recording, read))
     equations = [equation for stage in procedure.stages for equation in stage]
-    reads = {
-        equation.name: equation.signals_read(recording.record, order.criterion.smoothness)
-        for equation in equations
-    }
+    # Which signals are read is a matter of which there are, the same for most of a fleet.
+    names = tuple(recording.record.arrays)
+    if names not in order.reads:
+        order.reads[names] = (
+            read_of(procedure, recording, order.criterion, summed=True),
+            [e.signals_read(recording.record, order.criterion.smoothness) for e in equations],
+        )
+    read, of_equations = order.reads[names]
+    found = (*recording.concerning(read).findings, *of_sensors(procedure, recording, read))
     for finding in found:
         if finding.parameters or not finding.signals:
             yield finding
             continue
-        concerned = [e.parameters for e in equations if {*finding.signals} & reads[e.name]]
-        names = tuple(dict.fromkeys(name for some in concerned for name in some))
-        yield finding._replace(parameters=names)
+        both = zip(equations, of_equations)
+        concerned = [e.parameters for e, signals in both if {*finding.signals} & signals]
+        parameters = tuple(dict.fromkeys(name for some in concerned for name in some))
+        yield finding._replace(parameters=parameters)

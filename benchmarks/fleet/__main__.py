@@ -1,0 +1,355 @@
+"""A fleet of recordings: speed, memory, discoveries, killed workers, tasks that do nothing.
+
+    python -m benchmarks.fleet [--recordings 10000] [--folder DIR] [--kills 50] [--samples 10000000]
+        [--only speed discoveries kills tasks long] [--json FILE]
+    python -m benchmarks.fleet --page
+
+Twenty groups, two of which have dampers that are worn by 15 %, and one file in a hundred cut off.
+Results are kept beside those of other parts that the file holds; `--page` writes docs/scale.md.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from benchmarks.fleet.drives import drives, write_fleet
+from benchmarks.table import FOLDER, filled_in
+from benchmarks.writing import write_json
+from riecjax.runtime import start_jax
+
+GROUPS, WORN = 20, (4, 11)
+MODEL = "drag-oscillator"
+COMPARED = 300
+"""Recordings that `identify` is timed on."""
+REPETITIONS = 100
+PAGE = FOLDER.parent / "docs" / "scale.md"
+BEGIN = "<!-- measured: python -m benchmarks.fleet -->"
+
+
+def command(folder: Path, out: Path, workers: int) -> list[str]:
+    options = ["--model", MODEL, "--by", "vehicle", "--workers", str(workers), "--out", str(out)]
+    return [sys.executable, "-m", "riecjax", "fleet", str(folder), *options]
+
+
+def run(folder: Path, out: Path, workers: int) -> dict[str, Any]:
+    """A whole command: seconds, and most memory of all its processes together."""
+    began, peak = time.perf_counter(), 0
+    process = psutil.Popen(command(folder, out, workers), stdout=subprocess.DEVNULL)
+    while process.poll() is None:
+        peak = max(peak, _held(process))
+        time.sleep(0.25)
+    if process.returncode:
+        raise RuntimeError(f"the fleet ended with {process.returncode}")
+    seconds = time.perf_counter() - began
+    document = json.loads((out / "results.json").read_text())
+    return {
+        "workers": workers,
+        "seconds": seconds,
+        "samples_per_second": document["recordings"]["samples"] / seconds,
+        "peak_bytes": peak,
+        "sentence": document["sentence"],
+    }
+
+
+def _held(process: psutil.Process) -> int:
+    held = 0
+    for one in (process, *process.children(recursive=True)):
+        try:
+            held += one.memory_info().rss
+        except psutil.NoSuchProcess:
+            continue
+    return held
+
+
+def identified(folder: Path) -> float:
+    """Seconds to read and identify a recording, one call after the other."""
+    import riecjax as rx
+
+    start_jax(keep_compiled=True)
+    model = rx.find_model(MODEL)
+    files = sorted(folder.rglob("*.parquet"))
+    some = files[:: max(len(files) // COMPARED, 1)]
+
+    def each() -> int:
+        done = 0
+        for file in some:
+            try:
+                rx.identify(model, rx.read_recording(file, model=model))
+                done += 1
+            except rx.DataError:
+                continue
+        return done
+
+    each()  # compiles
+    began = time.perf_counter()
+    done = each()
+    return (time.perf_counter() - began) / done
+
+
+def speed(folder: Path, work: Path) -> dict[str, Any]:
+    """One worker and two, and the same recordings by `identify`."""
+    one = identified(folder)
+    runs = [run(folder, work / f"out{workers}", workers) for workers in (1, 2)]
+    count = sum(1 for _ in folder.rglob("*.parquet"))
+    table = work / "out2" / "summaries.parquet"
+    same = table.read_bytes() == (work / "out1" / "summaries.parquet").read_bytes()
+    began = time.perf_counter()
+    subprocess.run(command(table, work / "again", 0), check=True, stdout=subprocess.DEVNULL)
+    return {
+        "recordings": count,
+        "runs": runs,
+        "speedup": runs[0]["seconds"] / runs[1]["seconds"],
+        "identify_seconds": one,
+        "overhead": runs[0]["seconds"] / (one * count) - 1,
+        "same_bits": same,
+        "summary_bytes": table.stat().st_size / count,
+        "estimated_again_seconds": time.perf_counter() - began,
+    }
+
+
+def discoveries(table: Path) -> dict[str, Any]:
+    """Groups that are called different, of recordings drawn again with replacement from each."""
+    from riecjax.fleets.groups import Settings, estimated, group, part_of
+    from riecjax.fleets.order import Order
+    from riecjax.fleets.spread import RATE, spreads
+    from riecjax.fleets.sums import DONE
+    from riecjax.fleets.table import read_rows
+    from riecjax.models.catalogue import find_model
+    from riecjax.summaries.summary import Summary
+
+    start_jax(keep_compiled=True)
+    rows = [row for row in read_rows(table) if row.status == DONE]
+    by_group: dict[str, list[Any]] = {}
+    for row in rows:
+        by_group.setdefault(json.loads(row.keys)["vehicle"], []).append(part_of(row, 10**6))
+    criterion = Summary.from_bytes(rows[0].sums).criterion
+    packed = Order(find_model(MODEL), criterion, None, by=("vehicle",)).packed()
+    rng, shares, missed = np.random.default_rng(0), [], 0
+    worn = {f"{number:02}" for number in WORN}
+    for _ in range(REPETITIONS):
+        drawn = []
+        for name, parts in by_group.items():
+            picked = rng.integers(len(parts), size=len(parts))
+            drawn.append(group(name, [parts[i]._replace(lengths=None) for i in picked]))
+        found = spreads(estimated(packed, Settings(), drawn))
+        called = [(one.group, spread.parameter) for spread in found for one in spread.differing]
+        wrong = [pair for pair in called if not (pair[0] in worn and pair[1] in ("r", "r2"))]
+        shares.append(len(wrong) / max(len(called), 1))
+        missed += len({(name, "r") for name in worn} - set(called))
+    return {
+        "repetitions": REPETITIONS,
+        "rate": RATE,
+        "false_share": float(np.mean(shares)),
+        "worn_missed": missed,
+        "worn": REPETITIONS * len(worn),
+    }
+
+
+def kills(folder: Path, work: Path, count: int) -> dict[str, Any]:
+    """Workers that are killed at random moments; then a command that is, and is run again."""
+    reference = work / "whole"
+    seconds = run(folder, reference, 2)["seconds"]
+    rng, killed = np.random.default_rng(0), 0
+    out, wrong = work / "killed", 0
+    while killed < count:
+        subprocess.run(["rm", "-rf", str(out)], check=True)
+        process = psutil.Popen(command(folder, out, 2), stdout=subprocess.DEVNULL)
+        while process.poll() is None:
+            time.sleep(rng.uniform(0.02, 0.12) * seconds)
+            if workers := _workers(process):
+                workers[rng.integers(len(workers))].send_signal(signal.SIGKILL)
+                killed += 1
+        wrong += process.returncode != 0 or not _alike(out, reference)
+    subprocess.run(["rm", "-rf", str(out)], check=True)
+    interrupted = 0
+    for _ in range(5):
+        process = psutil.Popen(command(folder, out, 2), stdout=subprocess.DEVNULL)
+        time.sleep(rng.uniform(0.2, 0.8) * seconds)
+        if process.poll() is None:
+            process.send_signal(signal.SIGKILL)
+            interrupted += 1
+        process.wait()
+    subprocess.run(command(folder, out, 2), check=True, stdout=subprocess.DEVNULL)
+    wrong += not _alike(out, reference)
+    return {"workers_killed": killed, "commands_killed": interrupted, "wrong": int(wrong)}
+
+
+def _workers(process: psutil.Popen) -> list[psutil.Process]:
+    """Processes that sum, by what started them."""
+    found = []
+    for one in process.children(recursive=True):
+        try:
+            if any("spawn_main" in word for word in one.cmdline()):
+                found.append(one)
+        except psutil.NoSuchProcess:
+            continue
+    return found
+
+
+def _alike(out: Path, reference: Path) -> bool:
+    names = ("summaries.parquet", "estimates.parquet")
+    return all(
+        (out / name).exists() and (out / name).read_bytes() == (reference / name).read_bytes()
+        for name in names
+    )
+
+
+def nothing(number: int) -> int:
+    """A task that takes no time."""
+    return number
+
+
+def tasks(count: int = 100_000) -> dict[str, Any]:
+    """Tasks that do nothing: what handing them over costs."""
+    from riecjax.fleets.engine import Cluster
+
+    with Cluster(2) as runs:
+        list(runs.each(nothing, ((n,) for n in range(100))))
+        began = time.perf_counter()
+        done = sum(1 for _ in runs.each(nothing, ((n,) for n in range(count))))
+        seconds = time.perf_counter() - began
+    return {"tasks": done, "seconds": seconds, "milliseconds_a_task": 1e3 * seconds / done}
+
+
+def long(work: Path, samples: int) -> dict[str, Any]:
+    """A data set of many files, one of real size and links to it, as one recording."""
+    from pyarrow import parquet
+
+    from riecjax.records.writing import write_record
+
+    (record,) = drives(1, 100_000, 1)
+    write_record(work / "part.parquet", record)
+    table = parquet.read_table(work / "part.parquet")
+    for name in ("spare1", "spare2", "spare3", "spare4"):
+        table = table.append_column(name, table["x"])
+    table = table.drop_columns(["t"])
+    whole = work / "part.parquet"
+    parquet.write_table(table, whole, row_group_size=2**17)
+    folder = work / "weeks.parquet"
+    folder.mkdir(exist_ok=True)
+    for number in range(samples // table.num_rows):
+        os.symlink(whole, folder / f"{number:06}.parquet")
+    began, peak = time.perf_counter(), 0
+    words = [*command(folder, work / "long", 2), "--time-step", "0.005"]
+    words[words.index("vehicle")] = "file"
+    process = psutil.Popen(words, stdout=subprocess.DEVNULL)
+    while process.poll() is None:
+        peak = max(peak, _held(process))
+        time.sleep(0.5)
+    seconds = time.perf_counter() - began
+    document = json.loads((work / "long" / "results.json").read_text())
+    return {
+        "samples": document["recordings"]["samples"],
+        "seconds": seconds,
+        "peak_bytes": peak,
+        "samples_per_second": samples / seconds,
+    }
+
+
+def page() -> str:
+    """docs/scale.md with the figures that are recorded."""
+    return filled_in(PAGE, BEGIN, words(json.loads((FOLDER / "fleet.json").read_text())))
+
+
+def words(document: dict[str, Any]) -> str:
+    """What was measured, in Markdown."""
+    said = []
+    if (found := document.get("speed")) is not None:
+        rows = [
+            f"| {one['workers']} | {one['seconds']:.0f} s | {one['samples_per_second']:,.0f} | "
+            f"{one['peak_bytes'] / 1e9:.1f} GB |"
+            for one in found["runs"]
+        ]
+        said += [
+            f"**{found['recordings']} recordings** of 4000 to 12000 samples, on two cores that "
+            f"scheduler and client share:\n",
+            "| workers | time | samples a second | memory of all processes |",
+            "|---|---|---|---|",
+            *rows,
+            "",
+            f"Two workers are {found['speedup']:.2f} times as fast as one, and end in the same "
+            f"bits. To read a recording and `identify` from it takes "
+            f"{1e3 * found['identify_seconds']:.0f} ms; the fleet with one worker, which also "
+            f"checks sensors, looks for drift, keeps all sums and reports, takes "
+            f"{100 * found['overhead']:+.0f} % beside. A summary is "
+            f"{found['summary_bytes'] / 1e3:.0f} kB on disk, and all groups are estimated again "
+            f"from them in {found['estimated_again_seconds']:.0f} s.",
+        ]
+    if (found := document.get("discoveries")) is not None:
+        said += [
+            f"\n**Worn dampers** (15 %, two of twenty groups), in {found['repetitions']} "
+            f"repetitions of recordings drawn again from the sums: "
+            f"{found['worn'] - found['worn_missed']} of {found['worn']} found; of all that was "
+            f"called different {100 * found['false_share']:.1f} % was not (stated rate "
+            f"{100 * found['rate']:.0f} %).",
+        ]
+    if (found := document.get("kills")) is not None:
+        said += [
+            f"\n**Killed**: {found['workers_killed']} workers at random moments, and the command "
+            f"itself {found['commands_killed']} times and run again: {found['wrong']} results "
+            f"that differ by a bit.",
+        ]
+    if (found := document.get("tasks")) is not None:
+        said += [
+            f"\n**Scheduler**: {found['tasks']} tasks that do nothing take {found['seconds']:.0f} "
+            f"s, {found['milliseconds_a_task']:.2f} ms each.",
+        ]
+    if (found := document.get("long")) is not None:
+        said += [
+            f"\n**Weeks in one recording**: {found['samples']:,} samples of seven columns, a data "
+            f"set of files of 100,000 rows, on two workers: {found['seconds']:.0f} s "
+            f"({found['samples_per_second']:,.0f} samples a second), "
+            f"{found['peak_bytes'] / 1e9:.1f} GB of all processes together.",
+        ]
+    return "\n".join(said)
+
+
+PARTS = ("speed", "discoveries", "kills", "tasks", "long")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--recordings", type=int, default=10_000)
+    parser.add_argument("--folder", type=Path, help="where they are, or are to be")
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--samples", type=int, default=10_000_000, help="of the long recording")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--json", type=Path, help="where results are kept")
+    parser.add_argument("--page", action="store_true", help="write the documentation's page")
+    given = parser.parse_args()
+    if given.page:
+        PAGE.write_text(page(), encoding="utf-8")
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        work = Path(temporary)
+        folder = given.folder or work / "fleet"
+        if not folder.exists():
+            write_fleet(folder, given.recordings, GROUPS, worn=WORN)
+        if "discoveries" in given.only and "speed" not in given.only:
+            run(folder, work / "out2", 2)
+        for part in given.only:
+            found = {
+                "speed": lambda: speed(folder, work),
+                "discoveries": lambda: discoveries(work / "out2" / "summaries.parquet"),
+                "kills": lambda: kills(folder, work, given.kills),
+                "tasks": tasks,
+                "long": lambda: long(work, given.samples),
+            }[part]()
+            print(part, json.dumps(found, indent=2), flush=True)
+            if given.json:
+                before = json.loads(given.json.read_text()) if given.json.exists() else {}
+                write_json(given.json, {**before, part: found})
+
+
+if __name__ == "__main__":
+    main()
