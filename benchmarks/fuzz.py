@@ -160,7 +160,8 @@ def run_case(kind: str, seed: int, number: int, names: list[str], quick: bool) -
     formats = [file for file in ALL_WRITERS if file not in SLOW or rng.random() < 0.1]
     # What making a case says, as of a text that a format refuses, is not what reading it says.
     logging.disable()
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         case = mutated(name, _rigs(), rng, formats)
     logging.disable(logging.NOTSET)
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):

@@ -120,6 +120,8 @@ def _averaged(
 def _wrong_zero(seen: "_Averaged") -> Iterator[Finding]:
     if any(term.of is constant for term in seen.equation.terms) or not seen.columns:
         return
+    if not seen.share(seen.target) > 0:  # nothing of it moves
+        return
     left, (fitted, noise) = seen.left_by_motion(), seen.left_by_all()
     if not fitted > max(DISAGREEING * np.hypot(left, noise) + SLIGHT, LEAST):
         return

@@ -267,6 +267,7 @@ def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
     some = sizes
     if (n := sizes.shape[-1]) > SORTED:
         some = sizes[..., np.random.default_rng(0).choice(n, SORTED, replace=False)]
+        some = xp.where(xp.isnan(some).all(-1, keepdims=True), 0.0, some)
     # Of a normal law, 6e-5 lie beyond four standard deviations, and 1e-3 of the squares' sum.
     kept = sizes <= 4 * xp.nanmedian(some, axis=-1, keepdims=True) / 0.6745
     share = xp.sum(xp.where(kept, sizes, 0.0) ** 2, -1) / xp.maximum(xp.sum(kept, -1), 1)

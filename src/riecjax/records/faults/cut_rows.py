@@ -38,6 +38,8 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
     left = (x - np.concatenate([[0.0], np.cumsum(moved)])) / size
     left[np.isnan(v)] = np.nan
     short, long = (_jumps(left, side) for side in SIDES)
+    if np.isnan(short).all() or np.isnan(long).all():  # nowhere so many samples without a gap
+        return None
     deviation = 1.4826 * float(np.nanmedian(np.abs(short)))
     least = max(SURE * deviation, LEAST)
     if not np.isfinite(least):

@@ -97,4 +97,6 @@ def is_piecewise_linear(signal: SampledSignal) -> bool:
 
 def percent(part: float, whole: float) -> str:
     """A share in words."""
+    if not abs(whole) > 0:
+        return "all"
     return f"{100 * part / whole:.3g} %"
