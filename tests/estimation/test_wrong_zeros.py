@@ -54,3 +54,11 @@ def test_a_term_that_a_model_lacks_is_no_zero():
     values = {n: v.copy() for n, v in signals(0, 0.01).items()}
     values["u"] += 300 * values["x"] ** 3
     assert told(Record.from_samples(values, time_step=STEP)) == []
+
+
+@pytest.mark.no_finding("wrong_zero")
+def test_a_force_that_never_acts_has_no_wrong_zero():
+    values = {n: v.copy() for n, v in signals(0, 0.01).items()}
+    values["u"] = 0.0 * values["u"]
+    found = {f.code for f in check(DRAG, Record.from_samples(values, time_step=STEP)).findings}
+    assert "constant_target" in found

@@ -228,3 +228,10 @@ def test_noise_of_a_data_frame_can_be_given():
 def test_the_window_of_spectra_is_scipys(size):
     reference = scipy.signal.get_window("blackmanharris", size, fftbins=False)
     np.testing.assert_allclose(blackman_harris(size), reference, rtol=0, atol=1e-14)
+
+
+def test_of_a_signal_that_is_hardly_there_noise_is_none_or_what_is_left():
+    values = np.full(100_000, np.nan)
+    values[:8] = np.sin(np.arange(8))
+    present = ~np.isnan(values)
+    assert float(noise_level(np.nan_to_num(values), present)) >= 0

@@ -94,3 +94,10 @@ def test_other_faults_are_no_lost_rows(fault):
     if fault == "steps":
         x = np.round(8 * x) / 8
     assert cut_rows(record({"x": x, "v": v}), "x", "v") is None
+
+
+@pytest.mark.no_finding("lost_rows")
+def test_gaps_so_near_that_no_two_sides_fit_between_them_are_no_jump():
+    columns = rows(1)
+    columns["x"][::30] = np.nan
+    assert cut_rows(record(columns), "x", "v") is None

@@ -175,6 +175,13 @@ def test_a_pause_is_a_gap():
     assert "(55000 of 65000) are missing in 1 gap, first at 5 s" in said
 
 
+@pytest.mark.no_finding("quantised")
+@pytest.mark.parametrize("scale", [1e-200, 1e-160, 1e140])
+def test_what_is_fine_is_fine_at_any_scale(scale):
+    values = np.random.default_rng(0).standard_normal(3000).round(3)
+    assert "quantised" not in codes(scale * values)
+
+
 @pytest.mark.raises_finding("quantised")
 @pytest.mark.parametrize("offset", [0.0, np.pi, -1e3])
 @pytest.mark.parametrize("quantum", [0.05, 0.1, 0.3])
