@@ -25,6 +25,7 @@ import psutil
 from benchmarks.fleet.drives import drives, write_fleet
 from benchmarks.table import FOLDER, filled_in
 from benchmarks.writing import write_json
+from riecjax.fleets.planning import TOGETHER
 from riecjax.runtime import start_jax
 
 GROUPS, WORN = 20, (4, 11)
@@ -311,7 +312,31 @@ def words(document: dict[str, Any]) -> str:
             f"({found['samples_per_second']:,.0f} samples a second), "
             f"{found['peak_bytes'] / 1e9:.1f} GB of all processes together.",
         ]
+    if {"speed", "tasks"} <= {*document}:
+        said += ["", *_further(document["speed"], document["tasks"])]
     return "\n".join(said)
+
+
+def _further(speed: dict[str, Any], tasks: dict[str, Any]) -> list[str]:
+    """What more workers and samples take, from a core's rate and the cost of a task."""
+    rate = speed["runs"][1]["samples_per_second"] / 2
+    task = TOGETHER * speed["runs"][0]["seconds"] / speed["recordings"]
+    most = 1e3 * task / tasks["milliseconds_a_task"]
+    rows = []
+    for workers in (10, 100, 1000):
+        busy = min(workers, most)
+        rows.append(
+            f"| {workers} | {busy * rate:,.0f} | {1e10 / (busy * rate) / 60:,.3g} min | "
+            f"{1e12 / (busy * rate) / 3600:,.3g} h |"
+        )
+    return [
+        f"A task sums {TOGETHER} recordings in {task:.2g} s, and costs the scheduler "
+        f"{tasks['milliseconds_a_task']:.2g} ms: it keeps up to about {most:,.0f} workers busy. "
+        f"With {rate:,.0f} samples a second and core, as here with two, that makes\n",
+        "| workers | samples a second | 1e10 samples | 1e12 samples |",
+        "|---|---|---|---|",
+        *rows,
+    ]
 
 
 PARTS = ("speed", "discoveries", "kills", "tasks", "long")
