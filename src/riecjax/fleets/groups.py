@@ -127,7 +127,7 @@ class Group(NamedTuple):
 
 def group(name: str, parts: Sequence[Part]) -> Group:
     """A group of these parts, the same whatever order they come in."""
-    ordered = sorted(parts, key=lambda part: part.row.digest)
+    ordered = sorted(parts, key=lambda part: (part.row.digest, part.row.name, part.row.start))
     sums = _joined([part.sums for part in ordered])
     lengths = [part.lengths for part in ordered if part.lengths is not None]
     return Group(

@@ -106,11 +106,12 @@ def estimates(
     for (_, _, some), answer in runs.each(estimated, tasks):
         if isinstance(answer, Lost):
             answer = [failed((one.name, 0.0, 0.0), answer.why) for one in some]
-        spans = {one.name for one in some if one.in_spans}
-        for_spans = bool(spans)
-        (over_time if for_spans else entries).extend(answer)
-        done += 0 if for_spans else len(some)
-        tell("estimating", done, count, 0)
+        if some[0].in_spans:
+            over_time += answer
+        else:
+            entries += answer
+            done += len(some)
+            tell("estimating", done, count, 0)
     entries += [
         failed((_name(row, order.by), row.start, row.start + row.seconds), row.status)
         for row in rows
