@@ -111,13 +111,25 @@ def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
+def _is_worker() -> bool:
+    import distributed
+
+    try:
+        distributed.get_worker()
+    except ValueError:
+        return False
+    return True
+
+
 @functools.lru_cache(maxsize=2)
 def unpacked(order: bytes) -> Order:
     """The order that these bytes were made of, the same object as long as it is asked for.
 
-    Starts JAX as the command line does, unless it has started.
+    A process of Dask's starts JAX as the command line does; this one's settings are its own.
     """
-    start_jax(keep_compiled=True)
     import cloudpickle
+
+    if _is_worker():
+        start_jax(keep_compiled=True)
 
     return cloudpickle.loads(order)
