@@ -210,7 +210,7 @@ def nothing(number: int) -> int:
     return number
 
 
-def tasks(count: int = 100_000) -> dict[str, Any]:
+def tasks(count: int) -> dict[str, Any]:
     """Tasks that do nothing: what handing them over costs."""
     from riecjax.fleets.engine import Cluster
 
@@ -348,6 +348,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="where they are, or are to be")
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--samples", type=int, default=10_000_000, help="of the long recording")
+    parser.add_argument("--tasks", type=int, default=100_000, help="that do nothing")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--json", type=Path, help="where results are kept")
     parser.add_argument("--page", action="store_true", help="write the documentation's page")
@@ -367,7 +368,7 @@ def main() -> None:
                 "speed": lambda: speed(folder, work),
                 "discoveries": lambda: discoveries(work / "out2" / "summaries.parquet"),
                 "kills": lambda: kills(folder, work, given.kills),
-                "tasks": tasks,
+                "tasks": lambda: tasks(given.tasks),
                 "long": lambda: long(work, given.samples),
             }[part]()
             print(part, json.dumps(found, indent=2), flush=True)
