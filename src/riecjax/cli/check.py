@@ -8,6 +8,7 @@ from riecjax.cli.options import (
     HiddenOptions,
     hidden_options,
     json_option,
+    model_option,
     per_record_option,
     seed_option,
     set_option,
@@ -20,12 +21,7 @@ from riecjax.runtime import start_jax
 @click.command(
     "check", cls=JobCommand, short_help="Say before any fit whether recordings can answer."
 )
-@click.option(
-    "--model",
-    "model_name",
-    required=True,
-    help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
-)
+@model_option
 @record_options
 @hidden_options
 @criterion_options

@@ -10,9 +10,11 @@ from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
     POSITIVE,
     HiddenOptions,
+    at_rest_option,
     collecting,
     hidden_options,
     json_option,
+    model_option,
     seed_option,
     set_option,
 )
@@ -35,12 +37,7 @@ pattern_options = collecting(
 
 
 @click.command("fleet", short_help="Identify a model's parameters from groups of recordings.")
-@click.option(
-    "--model",
-    "model_name",
-    required=True,
-    help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
-)
+@model_option
 @click.option(
     "--by",
     default="file",
@@ -67,11 +64,7 @@ pattern_options = collecting(
 @hidden_options
 @criterion_options
 @set_option
-@click.option(
-    "--at-rest",
-    type=click.Choice(["mask", "keep"]),
-    help="Leave out where a velocity with dry friction rests, or keep it.  [default: mask]",
-)
+@at_rest_option
 @seed_option
 @json_option
 @click.option(
@@ -114,7 +107,6 @@ def command(
 
     require_folder(out)
     model = hidden.added_to(model_name)
-    settings = {k: v for k, v in recordings.settings.items() if k != "allow_duplicates"}
     began = time.monotonic()
     with _Told() as told:
         found = fleet(
@@ -133,7 +125,7 @@ def command(
             allow_duplicates=recordings.allow_duplicates,
             progress=told.progress,
             on_start=told.dashboard,
-            **settings,
+            **recordings.settings,
         )
     _emit(found, as_json, out, time.monotonic() - began)
 

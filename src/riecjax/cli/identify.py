@@ -10,8 +10,10 @@ from riecjax.cli.job import JobCommand, changed_files, digests, input_files, job
 from riecjax.cli.options import (
     SHARE,
     HiddenOptions,
+    at_rest_option,
     hidden_options,
     json_option,
+    model_option,
     out_option,
     per_record_option,
     seed_option,
@@ -31,12 +33,7 @@ if TYPE_CHECKING:
 @click.command(
     "identify", cls=JobCommand, short_help="Identify a model's parameters from recordings."
 )
-@click.option(
-    "--model",
-    "model_name",
-    required=True,
-    help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
-)
+@model_option
 @record_options
 @hidden_options
 @criterion_options
@@ -70,11 +67,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Estimates against window length, which show an inexact model.",
 )
-@click.option(
-    "--at-rest",
-    type=click.Choice(["mask", "keep"]),
-    help="Leave out where a velocity with dry friction rests, or keep it.  [default: mask]",
-)
+@at_rest_option
 @click.option("--verbose", is_flag=True, help="Tell everything, not the verdict alone.")
 @seed_option
 @job_option

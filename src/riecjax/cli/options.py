@@ -97,6 +97,17 @@ class HiddenOptions:
         return model.with_series_springs(*map(SeriesSpring, self.springs))
 
 
+model_option = click.option(
+    "--model",
+    "model_name",
+    required=True,
+    help="A built-in model (see 'riecjax models') or path/to/file.py[:object].",
+)
+at_rest_option = click.option(
+    "--at-rest",
+    type=click.Choice(["mask", "keep"]),
+    help="Leave out where a velocity with dry friction rests, or keep it.  [default: mask]",
+)
 set_option = assignments(
     "--set", float, "NAME=VALUE", "Hold a parameter at a known value (SI units).", "known"
 )

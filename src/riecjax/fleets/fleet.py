@@ -181,10 +181,11 @@ def _answered(
             _require_some(rows)
             found = estimates(order, asked.settings, rows, read_rows(table), started(), tell)
         else:
-            order = order_for(asked.model, look(), *asked.given)
+            sources = look()
+            order = order_for(asked.model, sources, *asked.given)
             kept = Kept(folder, order.digest, {b"riecjax.model": asked.model.name.encode()})
             runs = started()
-            pieces = summed(order, look, kept, runs, asked.strict, tell)
+            pieces = summed(order, sources, look, kept, runs, asked.strict, tell)
             rows = judged([*kept.light(pieces)], by, asked.allow_duplicates)
             _require_some(rows)
             found = estimates(order, asked.settings, rows, kept.whole(pieces), runs, tell)

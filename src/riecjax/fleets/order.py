@@ -53,7 +53,7 @@ class Order:
 
     @functools.cached_property
     def reads(self) -> dict[tuple[str, ...], Any]:
-        """What was found out before of recordings with these signals."""
+        """Signals that are read, of recordings that hold these: kept from the first of them on."""
         return {}
 
     @property

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.criterion import DOLS, AbstractCriterion
 from riecjax.criteria.suited import suited
 from riecjax.equations.procedure import AtRest
 from riecjax.errors import DataError, ModelError, RiecjaxError
@@ -46,7 +46,7 @@ def order_for(
             "a fleet sums all windows: give rx.RIEC(rx.AllWindows(alpha, beta)) (on the command "
             "line: without --windows)."
         )
-    reads = Order(model, criterion or _any(), None, reading, by, 0, 0, storage, at_rest)
+    reads = Order(model, criterion or DOLS(), None, reading, by, 0, 0, storage, at_rest)
     found = _first(reads, sources)
     (one,) = ready(reads.procedure, found, reading.get("noise", "auto"))
     record = one.record
@@ -65,12 +65,6 @@ def order_for(
     step = float(record.time_step)
     starts, window = stretch_starts(criterion, step, STRETCH), math.ceil(order.longest / step) + 2
     return dataclasses.replace(order, starts=starts, window=window)
-
-
-def _any() -> AbstractCriterion:
-    from riecjax.criteria.criterion import DOLS
-
-    return DOLS()
 
 
 def _first(order: Order, sources: Sequence[Source]) -> Recording:

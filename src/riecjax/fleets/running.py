@@ -35,6 +35,7 @@ Progress = Callable[[str, int, int, int], None]
 
 def summed(
     order: Order,
+    sources: list[Source],
     look: Callable[[], list[Source]],
     kept: Kept,
     runs: Engine,
@@ -43,8 +44,8 @@ def summed(
 ) -> list[str]:
     """Keep the rows of all pieces, of which those that are kept already are not summed again.
 
-    **Arguments:** `look` for the sources; it is asked again afterwards, and what has changed since
-    is summed anew.
+    **Arguments:** `sources`; `look` finds them once more afterwards, and what has changed since is
+    summed anew.
 
     **Returns:** the pieces, in the order of their sources' names.
 
@@ -53,7 +54,7 @@ def summed(
     """
     packed, pieces = order.packed(), []
     for _ in range(ROUNDS):
-        pieces = list(planned(order, look()))
+        pieces = list(planned(order, sources))
         missing = [piece for piece in pieces if piece.identity not in kept]
         if not missing:
             break
@@ -67,6 +68,7 @@ def summed(
             samples += sum(row.samples for row in rows)
             tell("summing", done, len(pieces), samples)
         kept.write()
+        sources = look()
     return [piece.identity for piece in pieces]
 
 

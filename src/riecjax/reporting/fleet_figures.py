@@ -19,6 +19,7 @@ from riecjax.reporting.charts.chart import (
     Level,
     Line,
     Panel,
+    in_rows,
     labelled,
 )
 
@@ -47,9 +48,7 @@ def fleet_figures(found: Fleet) -> dict[str, Chart]:
 
 
 def _chart(panels: Sequence[Panel], caption: str) -> Chart:
-    columns = min(len(panels), COLUMNS)
-    places: list[Panel | None] = [*panels, *[None] * (-len(panels) % columns)]
-    rows = [places[i : i + columns] for i in range(0, len(places), columns)]
+    rows = in_rows(panels, COLUMNS)
     return Chart(rows, caption, size=(8.0, 1.0 + 2.4 * len(rows)), legend=True)
 
 

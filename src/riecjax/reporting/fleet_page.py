@@ -14,7 +14,7 @@ from riecjax.reporting.page import Page, Section, Table
 def fleet_page(document: Document) -> Page:
     """The page of a fleet's document."""
     counts = document["recordings"]
-    by = {"file": "file", "folder": "folder"}.get(document["by"][0], ", ".join(document["by"]))
+    by = ", ".join(document["by"])
     lead = (
         f"{document['groups']} groups by {by}; {counts['summed']} recordings of "
         f"{counts['samples']} samples, {counts['seconds'] / 3600:.3g} hours."

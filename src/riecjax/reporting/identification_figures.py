@@ -22,6 +22,7 @@ from riecjax.reporting.charts.chart import (
     Line,
     Panel,
     Span,
+    in_rows,
     labelled,
     single,
 )
@@ -63,7 +64,7 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
     length = np.sqrt(np.asarray(sweep.alpha) * np.asarray(sweep.beta))
     units, errors = dict(sweep.units), np.asarray(sweep.standard_errors)
     ends = {} if estimate is None else estimate.interval_by_name()
-    panels: list[Panel | None] = []
+    panels: list[Panel] = []
     for j, name in enumerate(sweep.parameters):
         alone = Line(
             length,
@@ -85,15 +86,13 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
                 Axis(labelled(name, units.get(name))),
             )
         )
-    columns = min(len(panels), MOST_COLUMNS)
-    panels += [None] * (-len(panels) % columns)
-    rows = [panels[i : i + columns] for i in range(0, len(panels), columns)]
+    rows = in_rows(panels, MOST_COLUMNS)
     return Chart(
         rows,
         "Estimates from windows of one length after another. An exact model finds the same at "
         "every length; a drift says that the model leaves something out, or that short windows "
         "show the sensors' noise.",
-        (3.2 * columns + 0.6, 2.5 * len(rows) + 0.6),
+        (3.2 * len(rows[0]) + 0.6, 2.5 * len(rows) + 0.6),
         legend=True,
     )
 

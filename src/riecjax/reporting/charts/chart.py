@@ -222,6 +222,13 @@ def single(marks: Sequence[Mark], x: Axis, y: Axis, caption: str = "", **setting
     return Chart(((Panel(marks, x, y),),), caption, **settings)  # pyright: ignore[reportArgumentType]
 
 
+def in_rows(panels: Sequence[Panel], most: int) -> list[list[Panel | None]]:
+    """Panels in rows of so many at most, the last filled up with empty places."""
+    columns = min(len(panels), most)
+    places: list[Panel | None] = [*panels, *[None] * (-len(panels) % columns)]
+    return [places[i : i + columns] for i in range(0, len(places), columns)]
+
+
 def labelled(what: str, unit: str | None) -> str:
     """An axis label with its unit, if there is one."""
     return f"{what} / ({unit})" if unit else what
