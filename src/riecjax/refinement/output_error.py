@@ -29,8 +29,8 @@ from riecjax.refinement.shots import (
 )
 from riecjax.simulation.intersample import Intersample, require_intersample, smooth_inputs
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
-from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
-from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
+from riecjax.simulation.method import AbstractMethod, FixedStep
+from riecjax.simulation.system import AbstractSystem, state_sources
 
 
 class OutputError(AbstractObjective):
@@ -137,8 +137,7 @@ class OutputError(AbstractObjective):
         method, simulated = _method(system, specified.records, recorded, along, self.method)
         units = dict(system.states) | dict(system.outputs)
         sigma, scale, seconds = _sizes(
-            system,
-            specified.records[0],
+            tuple(state_sources(system, specified.records[0]).values()),
             recorded,
             shots,
             dict(self.sigma or {}),
@@ -298,14 +297,12 @@ def _trajectories(
         over_windows(lambda first, own: own.trajectory(method, system, first), part.initial, part)
         for part in recorded
     ]
-    kept = [jnp.all(status == SimulationStatus.successful) for _, status, _ in runs]
-    return [states for states, _, _ in runs], kept
+    return [states for states, _ in runs], [jnp.all(kept) for _, kept in runs]
 
 
 @kept_jit
 def _sizes(
-    system: AbstractSystem,
-    record: Record,
+    sources: tuple[str, ...],
     recorded: Sequence[Recorded],
     shots: Sequence[Shots],
     sigma: dict[str, Any],
@@ -317,7 +314,7 @@ def _sizes(
     seconds = [cut.longest * part.time_step for cut, part in zip(shots, recorded)]
     return (
         _sigma(sigma, channels, recorded),
-        _scale(system, record, estimated, simulated),
+        _scale(sources, recorded[0], estimated, simulated),
         jnp.max(jnp.stack(seconds)),
     )
 
@@ -353,24 +350,19 @@ def _noise(
 
 
 def _scale(
-    system: AbstractSystem,
-    record: Record,
+    sources: tuple[str, ...],
+    recorded: Recorded,
     estimated: tuple[int, ...],
     simulated: Float[Array, "windows longest states"] | None,
 ) -> Float[Array, " s"]:
     """Root mean square of each estimated state: recorded, else simulated; 1 of one that rests."""
     if not estimated:
         return jnp.ones(0)
-    sources = list(state_sources(system, record).values())
-    states = measured_states(system, record)
+    size = recorded.square
     if simulated is not None:
-        simulated = simulated.reshape(-1, simulated.shape[-1])
-        size = jnp.where(
-            np.array([source == "zero" for source in sources]),
-            jnp.mean(simulated**2, axis=0),
-            jnp.mean(states**2, axis=0),
-        )
-    else:
-        size = jnp.mean(states**2, axis=0)
+        inside = jnp.arange(simulated.shape[1])[None, :] < recorded.length[:, None]
+        squares = jnp.where(inside[..., None], simulated, 0.0) ** 2
+        of_motion = jnp.sum(squares, axis=(0, 1)) / jnp.sum(recorded.length)
+        size = jnp.where(np.array([source == "zero" for source in sources]), of_motion, size)
     usable = jnp.isfinite(size) & (size > 0)
     return jnp.sqrt(jnp.where(usable, jnp.where(usable, size, 1.0), 1.0))[np.array(estimated)]

@@ -30,7 +30,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from riecjax.compilation.kept_jit import kept_jit
-from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled
@@ -38,7 +37,7 @@ from riecjax.refinement.huber import Columns, as_square, for_scatter, for_search
 from riecjax.refinement.objective import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
 from riecjax.refinement.shots import Recorded, over_windows
-from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
+from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.system import AbstractSystem
 from riecjax.summaries.blocks import ShortBlocks
 from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
@@ -226,21 +225,21 @@ class OutputMisfit(AbstractMisfit):
         p = len(self.names)
         parts, numbers, seconds = [], [], []
         for part, pieces in zip(self.recorded, expansion.pieces):
-            samples = max(-(-part.sample_count // SHORT_BLOCKS_OF_ROWS), 1)
-            number = max(-(-part.sample_count // samples), 2)
+            samples, most = part.short, part.short_blocks
+            number = jnp.clip(-(-part.sample_count // samples), 2, most)
             moments = jax.vmap(lambda m: _without_initial(m, p))(pieces)
             position = part.position[:, :: part.piece]
             index = jnp.minimum(position // samples, number - 1).reshape(-1)
             held = jnp.sum(_in_pieces(part.present, part.piece, axis=1), axis=(2, 3))
             flat, held = moments.reshape(-1, *moments.shape[2:]), held.reshape(-1)
             # Of one window the pieces are the blocks, and there is nothing to add up.
-            if part.windows > 1 or part.piece * part.every != samples or len(flat) != number:
-                flat = jax.ops.segment_sum(flat, index, num_segments=number)
-                held = jax.ops.segment_sum(held, index, num_segments=number)
+            if part.windows > 1 or part.piece * part.every != samples or len(flat) != most:
+                flat = jax.ops.segment_sum(flat, index, num_segments=most)
+                held = jax.ops.segment_sum(held, index, num_segments=most)
             parts.append(NormalEquations(flat, held.astype(flat.dtype), self.names))
             numbers.append(number)
             seconds.append(samples * part.time_step)
-        return stack_normal_equations(parts), ShortBlocks(np.array(numbers), jnp.stack(seconds))
+        return stack_normal_equations(parts), ShortBlocks(jnp.stack(numbers), jnp.stack(seconds))
 
     def simulated(
         self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
@@ -251,12 +250,12 @@ class OutputMisfit(AbstractMisfit):
         first = window.initial
         if self.estimated:
             first = first.at[np.array(self.estimated)].set(initial)
-        states, status, _ = window.trajectory(self.method, system, first)
+        states, kept = window.trajectory(self.method, system, first)
         found = observed(
             system, states[:: window.every], window.levels[:: window.every], self.labels
         )
         # What a lost simulation shows after its loss must not pass for an answer.
-        return jnp.where(status == SimulationStatus.successful, found, jnp.inf)
+        return jnp.where(kept, found, jnp.inf)
 
     def _error(
         self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int

@@ -9,6 +9,7 @@ Windows between the two (multiple shooting) bound that by their length, at the p
 states to estimate.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,17 +17,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, is_concrete
+from riecjax.records.filled import filled_up, shared_length
 from riecjax.records.record import Record
 from riecjax.simulation.intersample import bends_of
 from riecjax.simulation.linearisation import spread_points
-from riecjax.simulation.method import AbstractMethod, Trajectory
+from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.system import AbstractSystem, measured_states
 
 SHORTEST = 2
@@ -36,7 +38,8 @@ SHORTEST = 2
 class Shots(eqx.Module):
     """Windows of one recording.
 
-    **Fields:** `first` sample of each window; `length`, its number of samples, at most `longest`.
+    **Fields:** `first` sample of each window; `length`, its number of samples; `longest`, how many
+    are simulated, as many or more.
     """
 
     first: Int[Array, " windows"] | Int[np.ndarray, " windows"]
@@ -98,7 +101,8 @@ class WholeRecord(AbstractShooting):
         joined: bool = False,
     ) -> Shots:
         """One window for each unbroken stretch."""
-        return _tiles(record, inputs, record.sample_count, joined)
+        cut = _tiles(record, inputs, record.sample_count, joined)
+        return dataclasses.replace(cut, longest=shared_length(cut.longest))
 
     def describe(self) -> dict[str, object]:
         """Name."""
@@ -236,9 +240,12 @@ class Recorded(eqx.Module):
       by time steps, `None` where they are straight lines between samples.
     - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
     - `present`: which of these count.
-    - `initial`: initial state of each window as it was recorded, `(windows, states)`.
+    - `initial`: initial state of each window as it was recorded, `(windows, states)`; `square`,
+      mean square of each state over the record.
     - `position`: sample at which each compared one stands in the record, `(windows, compared)`.
-    - `time_step` in seconds; `sample_count` of the record; `every`, of how many samples one is
+    - `length` of each window in samples, `(windows,)`.
+    - `time_step` in seconds; `sample_count` of the record.
+    - `short_blocks` of time that hold it, of `short` samples; `every`, of how many samples one is
       compared; `piece`, how many of these make a piece of time.
     """
 
@@ -247,9 +254,13 @@ class Recorded(eqx.Module):
     measured: Float[Array, "windows compared channels"]
     present: Array
     initial: Float[Array, "windows states"]
+    square: Float[Array, " states"]
     position: Int[Array, "windows compared"]
+    length: Int[Array, " windows"]
     time_step: Float[Array, ""]
-    sample_count: int = eqx.field(static=True)
+    sample_count: Int[Array, ""]
+    short: int = eqx.field(static=True)
+    short_blocks: int = eqx.field(static=True)
     every: int = eqx.field(static=True)
     piece: int = eqx.field(static=True)
 
@@ -260,19 +271,25 @@ class Recorded(eqx.Module):
 
     def trajectory(
         self, method: AbstractMethod, system: AbstractSystem, initial: Float[Array, " states"]
-    ) -> Trajectory:
-        """Along the inputs of one window: of a recording that is mapped over its windows."""
+    ) -> tuple[Float[Array, "longest states"], Bool[Array, ""]]:
+        """Along the inputs of one window: of a recording that is mapped over its windows.
+
+        **Returns:** states, and whether the solution was kept to the window's end. What is
+        simulated behind it counts for nothing.
+        """
         # A method of one's own need not know of bends that are not asked for.
         bends = () if self.bends is None else (self.bends,)
-        return method.trajectory(system, self.levels, self.time_step, initial, *bends)
+        found = method.trajectory(system, self.levels, self.time_step, initial, *bends)
+        states, _, reached = found
+        return states, reached >= self.length
 
 
 def over_windows(function: Callable[[Any, Recorded], Any], initial: Array, part: Recorded) -> Any:
     """A function of each window's initial state and recording."""
     batched = eqx.tree_at(
-        lambda r: (r.levels, r.bends, r.measured, r.present, r.initial, r.position),
+        lambda r: (r.levels, r.bends, r.measured, r.present, r.initial, r.position, r.length),
         jax.tree.map(lambda _: None, part),
-        (0, 0, 0, 0, 0, 0),
+        (0, 0, 0, 0, 0, 0, 0),
         is_leaf=lambda leaf: leaf is None,
     )
     return jax.vmap(function, in_axes=(0, batched))(initial, part)
@@ -282,10 +299,32 @@ Along = tuple[Leaf, Leaf]
 """States and inputs at points along a recording."""
 
 
-@kept_jit
 def cut_records(
+    system: AbstractSystem, records: Sequence[Record], shots: Sequence[Shots], *settings: Any
+) -> tuple[list[Recorded], list[Along]]:
+    """What each recording holds in its windows, and states and inputs at points spread over them.
+
+    **Arguments:** as of `_cut`.
+    """
+    counts = [jnp.asarray(record.sample_count) for record in records]
+    if is_concrete(records):
+        records = [_filled(record) for record in records]
+    return _cut(system, records, counts, shots, *settings)
+
+
+def _filled(record: Record) -> Record:
+    """A record of a length that others share, with no sample behind its end."""
+    filled = filled_up(record, shared_length(record.sample_count))
+    behind = np.arange(filled.sample_count) >= record.sample_count
+    missing = {name: filled.missing.get(name, False) | behind for name in filled.arrays}
+    return Record(filled.arrays, filled.time_step, missing=missing)
+
+
+@kept_jit
+def _cut(
     system: AbstractSystem,
     records: Sequence[Record],
+    counts: Sequence[Int[Array, ""]],
     shots: Sequence[Shots],
     channels: tuple[str, ...],
     given: dict[str, Any],
@@ -296,11 +335,12 @@ def cut_records(
 ) -> tuple[list[Recorded], list[Along]]:
     """What each recording holds in its windows, and states and inputs at points spread over them.
 
-    **Arguments:** `given` values of initial states; the others as of [`OutputError`][],
-    `AbstractShooting.shots` and `AbstractShooting.overlap`; which inputs are `smooth`.
+    **Arguments:** `counts`, samples that the records hold; `given` values of initial states; the
+    others as of [`OutputError`][], `AbstractShooting.shots` and `AbstractShooting.overlap`; which
+    inputs are `smooth`.
     """
     settings = (channels, given, every, joined, overlap, smooth)
-    recorded = [_recorded(system, *cut, *settings) for cut in zip(records, shots)]
+    recorded = [_recorded(system, *cut, *settings) for cut in zip(records, counts, shots)]
     along = []
     for record, cut in zip(records, shots):
         samples = cut.samples.reshape(-1)
@@ -327,6 +367,7 @@ def _bends(
 def _recorded(
     system: AbstractSystem,
     record: Record,
+    sample_count: Int[Array, ""],
     shots: Shots,
     channels: tuple[str, ...],
     given: dict[str, Any],
@@ -336,7 +377,9 @@ def _recorded(
     smooth: tuple[bool, ...],
 ) -> Recorded:
     compared = shots.samples[:, ::every]
-    initial = measured_states(system, record)[shots.first]
+    states = measured_states(system, record)
+    held = jnp.arange(record.sample_count) < sample_count
+    initial = states[shots.first]
     for name, value in given.items():
         place = system.state_names.index(name)
         initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
@@ -348,16 +391,22 @@ def _recorded(
     present = [(everywhere if mask is None else mask)[compared] for mask in masks]
     # A window that overlaps others is one piece, by where it begins.
     count = compared.shape[1]
-    block = -(-record.sample_count // SHORT_BLOCKS_OF_ROWS)
+    # As many as where the record is filled up, which under jit it is not.
+    shared = shared_length(record.sample_count)
+    short = -(-shared // SHORT_BLOCKS_OF_ROWS)
     return Recorded(
         _levels(system, record, shots.samples),
         _bends(system, record, shots.samples, smooth) if any(smooth) else None,
         jnp.stack([record[name][compared] for name in channels], axis=-1),
         jnp.stack(present, axis=-1) & counts[:, :, None],
         initial,
+        jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count,
         compared,
+        jnp.asarray(shots.length),
         record.time_step,
-        record.sample_count,
+        sample_count,
+        short,
+        max(-(-shared // short), 2),
         every,
-        count if overlap else min(max(block // every, 1), count),
+        count if overlap else min(max(short // every, 1), count),
     )

@@ -35,6 +35,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import factor_of_gram, factor_of_rows, gram_suffices
+from riecjax.records.filled import filled_up
 from riecjax.records.record import Record
 from riecjax.summaries.averages import hat_half
 from riecjax.summaries.digest import digest_of
@@ -259,7 +260,7 @@ class OnePass:
             begin = max(start - margin, 0)
             stop = min(start + layout.starts + reach + margin, self.count)
             yield Part(
-                _filled_up(self.record, begin, stop, layout.filled),
+                filled_up(self.record, layout.filled, begin, stop),
                 jnp.asarray(start - begin),
                 jnp.asarray(stop - begin),
             )
@@ -333,30 +334,6 @@ def _each(law: LagBins, index: slice | None) -> LagBins:
 def _filled(samples: int) -> int:
     """How many samples a record is filled up to."""
     return next((length for length in FILLED if length >= samples), power_of_two(samples))
-
-
-def _filled_up(record: Record, begin: int, stop: int, length: int) -> Record:
-    """Samples from `begin` to `stop`, and the last of them again and again behind."""
-    behind = length - (stop - begin)
-
-    def filled(values: Array) -> np.ndarray:
-        part = np.asarray(values)[begin:stop]
-        return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
-
-    stamps = None if record.stamps is None else filled(record.stamps)
-    earlier = begin * float(record.time_step)
-    if record.stamps is not None:
-        earlier = float(record.stamps[begin]) - float(record.stamps[0])
-    return Record(
-        {name: filled(values) for name, values in record.arrays.items()},
-        record.time_step,
-        0.0,
-        (),
-        {name: filled(mask) for name, mask in record.missing.items()},
-        stamps,
-        earlier,
-        record.noise,
-    )
 
 
 def _sum_of_groups(values: np.ndarray, size: int) -> np.ndarray:

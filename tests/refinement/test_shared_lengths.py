@@ -1,0 +1,74 @@
+"""Recordings of near lengths are simulated by the same compiled functions, with the same answer."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from benchmarks.drag_problem import START, oscillator, record
+from jaxtyping import Array
+
+from riecjax import runtime
+from riecjax.compilation import kept_jit
+from riecjax.records.filled import shared_length
+from riecjax.records.record import Record
+from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.refine import refine
+from riecjax.refinement.shots import Tiles
+from riecjax.simulation.method import FixedStep
+from riecjax.simulation.system import AbstractSystem
+
+
+def test_a_shared_length_is_a_quarter_longer_at_most():
+    every = np.arange(2, 5000)
+    shared = np.array([shared_length(int(n)) for n in every])
+    assert np.all(shared >= every) and np.all(shared <= 1.25 * every + 1)
+    assert np.all(np.diff(shared) >= 0) and len(set(shared[every > 1024])) <= 10
+
+
+def test_another_length_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(kept_jit, "_programs", {})
+    monkeypatch.setattr(runtime, "_programs_folder", tmp_path)
+    whole = record(seed=0, count=1000)
+    refine(oscillator(), whole, START)
+    kept = sorted(path.name for path in tmp_path.iterdir())
+    assert kept
+    refine(oscillator(), whole.part(0, 930), START)
+    assert sorted(path.name for path in tmp_path.iterdir()) == kept
+
+
+@pytest.mark.parametrize("shooting", [None, Tiles(samples=150)], ids=["whole", "tiles"])
+def test_what_a_record_is_filled_up_with_tells_nothing(shooting: Tiles | None):
+    """Traced, a record is not filled up."""
+    given = record(seed=1, count=930)
+    by = OutputError(method=FixedStep(4), **({} if shooting is None else {"shooting": shooting}))
+
+    def fit(arrays: dict[str, Array]) -> tuple[Array, Array, Array]:
+        found = refine(oscillator(), Record(arrays, given.time_step), START, by)
+        return found.theta, found.standard_errors, found.rms
+
+    for one, two in zip(fit(given.arrays), jax.jit(fit)(given.arrays)):
+        np.testing.assert_allclose(one, two, rtol=1e-6)
+
+
+class Escaping(AbstractSystem):
+    """x' = c x^2 of x(0) = 1: it is infinite at t = 1 / c."""
+
+    c: Array
+    states = (("x", ""),)
+
+    def derivative(self, state: Array, inputs: Array) -> Array:
+        return self.c * state**2
+
+
+def test_a_motion_that_is_lost_behind_the_end_is_not_lost():
+    c, count = 1.0, 910
+    t = np.arange(count) / 1000
+    assert shared_length(count) > 1000
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(count)
+    seen = Record.from_samples({"x": 1 / (1 - c * t) + noise}, time_step=1e-3)
+    found = refine(Escaping(np.asarray(0.9)), seen, {"c": 0.97})
+    assert bool(found.converged)
+    error = float(found.standard_errors[0])
+    assert 0 < error < 1e-3
+    assert abs(float(found["c"]) - c) < 4 * error
