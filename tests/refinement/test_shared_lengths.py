@@ -1,8 +1,10 @@
 """Recordings of near lengths are simulated by the same compiled functions, with the same answer."""
 
 from pathlib import Path
+from typing import ClassVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from benchmarks.drag_problem import START, oscillator, record
@@ -14,7 +16,7 @@ from riecjax.records.filled import shared_length
 from riecjax.records.record import Record
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
-from riecjax.refinement.shots import Tiles
+from riecjax.refinement.shots import AbstractShooting, Tiles, WholeRecord
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem
 
@@ -22,8 +24,10 @@ from riecjax.simulation.system import AbstractSystem
 def test_a_shared_length_is_a_quarter_longer_at_most():
     every = np.arange(2, 5000)
     shared = np.array([shared_length(int(n)) for n in every])
-    assert np.all(shared >= every) and np.all(shared <= 1.25 * every + 1)
-    assert np.all(np.diff(shared) >= 0) and len(set(shared[every > 1024])) <= 10
+    assert np.all(shared >= every)
+    assert np.all(shared <= 1.25 * every + 1)
+    assert np.all(np.diff(shared) >= 0)
+    assert len(set(shared[every > 1024])) <= 10
 
 
 def test_another_length_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -37,11 +41,11 @@ def test_another_length_compiles_nothing(tmp_path: Path, monkeypatch: pytest.Mon
     assert sorted(path.name for path in tmp_path.iterdir()) == kept
 
 
-@pytest.mark.parametrize("shooting", [None, Tiles(samples=150)], ids=["whole", "tiles"])
-def test_what_a_record_is_filled_up_with_tells_nothing(shooting: Tiles | None):
+@pytest.mark.parametrize("shooting", [WholeRecord(), Tiles(samples=150)], ids=["whole", "tiles"])
+def test_what_a_record_is_filled_up_with_tells_nothing(shooting: AbstractShooting):
     """Traced, a record is not filled up."""
     given = record(seed=1, count=930)
-    by = OutputError(method=FixedStep(4), **({} if shooting is None else {"shooting": shooting}))
+    by = OutputError(shooting, method=FixedStep(4))
 
     def fit(arrays: dict[str, Array]) -> tuple[Array, Array, Array]:
         found = refine(oscillator(), Record(arrays, given.time_step), START, by)
@@ -55,7 +59,7 @@ class Escaping(AbstractSystem):
     """x' = c x^2 of x(0) = 1: it is infinite at t = 1 / c."""
 
     c: Array
-    states = (("x", ""),)
+    states: ClassVar = (("x", ""),)
 
     def derivative(self, state: Array, inputs: Array) -> Array:
         return self.c * state**2
@@ -67,7 +71,7 @@ def test_a_motion_that_is_lost_behind_the_end_is_not_lost():
     assert shared_length(count) > 1000
     noise = 1e-3 * np.random.default_rng(0).standard_normal(count)
     seen = Record.from_samples({"x": 1 / (1 - c * t) + noise}, time_step=1e-3)
-    found = refine(Escaping(np.asarray(0.9)), seen, {"c": 0.97})
+    found = refine(Escaping(jnp.asarray(0.9)), seen, {"c": 0.97})
     assert bool(found.converged)
     error = float(found.standard_errors[0])
     assert 0 < error < 1e-3

@@ -18,15 +18,8 @@ from riecjax.refinement.huber import LEAST_NOISE, THRESHOLD
 from riecjax.refinement.objective import AbstractObjective, Parameters, Specification
 from riecjax.refinement.output_misfit import OutputMisfit
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
-from riecjax.refinement.shots import (
-    AbstractShooting,
-    Along,
-    Recorded,
-    Shots,
-    WholeRecord,
-    cut_records,
-    over_windows,
-)
+from riecjax.refinement.recorded import Along, Recorded, cut_records, over_windows
+from riecjax.refinement.shots import AbstractShooting, Shots, WholeRecord
 from riecjax.simulation.intersample import Intersample, require_intersample, smooth_inputs
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep

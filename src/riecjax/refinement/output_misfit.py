@@ -36,7 +36,7 @@ from riecjax.linear_algebra import solve_scaled
 from riecjax.refinement.huber import Columns, as_square, for_scatter, for_search
 from riecjax.refinement.objective import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
-from riecjax.refinement.shots import Recorded, over_windows
+from riecjax.refinement.recorded import Recorded, over_windows
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.system import AbstractSystem
 from riecjax.summaries.blocks import ShortBlocks
