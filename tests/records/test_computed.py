@@ -91,6 +91,15 @@ def recording(seed: int, noise: float) -> Record:
     return Record.from_samples({**values, "dx": np.gradient(values["x"], STEP)}, time_step=STEP)
 
 
+@pytest.mark.parametrize("size", [1e200, 1e307])
+@pytest.mark.filterwarnings("error")
+def test_samples_that_no_square_holds_are_made_of_nothing(size):
+    x = signals(0, 0.01)["x"]
+    huge = size * np.random.default_rng(0).uniform(-1, 1, x.size)
+    assert filter_between(x, huge, float(noise_level(x))) is None
+    assert filter_between(huge, x, 1e-4 * size) is None
+
+
 def test_slopes_of_local_polynomials_take_its_place():
     procedure = find_model("drag-oscillator").build_procedure()
     (found,) = ready(procedure, recording(0, 0.01))

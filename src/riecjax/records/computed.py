@@ -106,6 +106,9 @@ def filter_between(
     if not noise / np.sqrt(2) > LEAST * np.std(np.diff(signal[longest])):
         return None
     scale = np.std(x)
+    # What is not finite squared, no sensor shows.
+    if not np.isfinite(scale + np.std(y)):
+        return None
     columns = np.lib.stride_tricks.sliding_window_view(x / scale, 2 * HALVES[-1] + 1)
     target = y[HALVES[-1] : y.size - HALVES[-1]]
     found = None
