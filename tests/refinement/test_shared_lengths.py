@@ -76,3 +76,18 @@ def test_a_motion_that_is_lost_behind_the_end_is_not_lost():
     error = float(found.standard_errors[0])
     assert 0 < error < 1e-3
     assert abs(float(found["c"]) - c) < 4 * error
+
+
+def test_straight_lines_compile_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Of the search nothing: lines are bent by zero."""
+    monkeypatch.setattr(kept_jit, "_programs", {})
+    monkeypatch.setattr(runtime, "_programs_folder", tmp_path)
+    seen = record(seed=0, count=700)
+    smooth = refine(oscillator(), seen, START)
+    kept = len(list(tmp_path.iterdir()))
+    straight = refine(oscillator(), seen, START, OutputError(intersample="lines"))
+    assert len(list(tmp_path.iterdir())) == kept + 1
+    method = FixedStep(int(smooth.steps_label.removeprefix("FixedStep(").removesuffix(")")))
+    by = OutputError(intersample="lines", method=method)
+    np.testing.assert_allclose(straight.theta, refine(oscillator(), seen, START, by).theta)
+    assert not np.allclose(straight.theta, smooth.theta, rtol=1e-9)

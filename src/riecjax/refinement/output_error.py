@@ -125,7 +125,9 @@ class OutputError(AbstractObjective):
             for record, unbroken, key in zip(specified.records, inputs, specified.keys)
         ]
         smooth = smooth_inputs(self.intersample, system.input_names)
-        cut = (channels, dict(given), self.every, joined, self.shooting.overlap, smooth)
+        # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
+        bent = smooth if any(smooth) or (smooth and self.method is None) else None
+        cut = (channels, dict(given), self.every, joined, self.shooting.overlap, bent)
         recorded, along = cut_records(system, specified.records, shots, *cut)
         method, simulated = _method(system, specified.records, recorded, along, self.method)
         units = dict(system.states) | dict(system.outputs)

@@ -32,7 +32,7 @@ class Recorded(eqx.Module):
     **Fields:**
 
     - `levels`: inputs in each window, shape `(windows, longest, inputs)`; `bends`, their curvature
-      by time steps, `None` where they are straight lines between samples.
+      by time steps, zero or `None` where they are straight lines between samples.
     - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
     - `present`: which of these count.
     - `initial`: initial state of each window as it was recorded, `(windows, states)`; `square`,
@@ -126,13 +126,13 @@ def _cut(
     every: int,
     joined: bool,
     overlap: bool,
-    smooth: tuple[bool, ...],
+    smooth: tuple[bool, ...] | None,
 ) -> tuple[list[Recorded], list[Along]]:
     """What each recording holds in its windows, and states and inputs at points spread over them.
 
     **Arguments:** `counts`, samples that the records hold; `given` values of initial states; the
     others as of [`OutputError`][], `AbstractShooting.shots` and `AbstractShooting.overlap`; which
-    inputs are `smooth`.
+    inputs are `smooth`, `None` to keep no bends.
     """
     settings = (channels, given, every, joined, overlap, smooth)
     recorded = [_recorded(system, *cut, *settings) for cut in zip(records, counts, shots)]
@@ -169,7 +169,7 @@ def _recorded(
     every: int,
     joined: bool,
     overlap: bool,
-    smooth: tuple[bool, ...],
+    smooth: tuple[bool, ...] | None,
 ) -> Recorded:
     compared = shots.samples[:, ::every]
     states = measured_states(system, record)
@@ -191,7 +191,7 @@ def _recorded(
     short = -(-shared // SHORT_BLOCKS_OF_ROWS)
     return Recorded(
         _levels(system, record, shots.samples),
-        _bends(system, record, shots.samples, smooth) if any(smooth) else None,
+        None if smooth is None else _bends(system, record, shots.samples, smooth),
         jnp.stack([record[name][compared] for name in channels], axis=-1),
         jnp.stack(present, axis=-1) & counts[:, :, None],
         initial,
