@@ -8,6 +8,7 @@ import fsspec
 import numpy as np
 import pyarrow as pa
 import pytest
+import scipy.io
 from benchmarks.fleet.drives import STEP, TRUTH, drives
 from pyarrow import parquet
 
@@ -208,6 +209,25 @@ def test_columns_of_a_file_tell_its_recordings_apart(folder, by_vehicle, tmp_pat
             assert values(found, vehicle)[name][0] == pytest.approx(value, rel=1e-9)
     with pytest.raises(DataError, match="no column 'truck'"):
         fleet(MODEL, tmp_path, by="truck", workers=0)
+
+
+def test_of_a_file_with_several_recordings_parts_are_asked_for(folder, tmp_path):
+    runs = {}
+    for name in ("0", "1"):
+        table = parquet.read_table(folder / f"vehicle=0/{name}.parquet")
+        runs[f"run{name}"] = {c: table[c].to_numpy() for c in table.column_names}
+    scipy.io.savemat(tmp_path / "runs.mat", runs)
+    found = fleet(MODEL, tmp_path, workers=0, parts=["run1"])
+    (row,) = found.recordings
+    assert row.part == "run1"
+    alone = fleet(MODEL, folder / "vehicle=0/1.parquet", workers=0)
+    for name, (value, _) in values(alone, "1.parquet").items():
+        assert values(found, "runs.mat, run1")[name][0] == pytest.approx(value, rel=1e-6)
+    assert len(fleet(MODEL, tmp_path, workers=0).recordings) == 2
+    with pytest.raises(DataError, match="run7"):
+        fleet(MODEL, tmp_path, workers=0, parts=["run7"])
+    with pytest.raises(ModelError, match="parts="):
+        fleet(MODEL, tmp_path, workers=0, parts="run1")
 
 
 def test_what_no_path_says_is_asked_for_by_name(folder):

@@ -123,6 +123,7 @@ def command(
             out=out,
             strict=strict,
             allow_duplicates=recordings.allow_duplicates,
+            parts=recordings.parts,
             progress=told.progress,
             on_start=told.dashboard,
             **recordings.settings,

@@ -96,6 +96,7 @@ def fleet(
     strict: bool = False,
     allow_duplicates: bool = False,
     storage: Mapping[str, Any] | None = None,
+    parts: Sequence[str] = (),
     progress: Progress | None = None,
     on_start: Callable[[str], None] | None = None,
     **reading: Any,
@@ -122,6 +123,8 @@ def fleet(
     - `strict`: raise what the first recording fails by, instead of going on without it.
     - `allow_duplicates`: count recordings of a group that hold the same samples each.
     - `storage`: what fsspec is to know of the store.
+    - `parts`: names of the recordings that are read of each file that holds several; all of them,
+      if none is given.
     - `progress`: called with what is being done, how much of it is, of how much, and samples.
     - `on_start`: called with the address of Dask's dashboard, if it has one.
     - `reading`: keywords of [`ReadingSettings`][riecjax.records.ReadingSettings].
@@ -137,7 +140,8 @@ def fleet(
     _require_sense(keys, span, workers, known)
     settings = Settings(known or {}, intervals or BlockBootstrap(), span)
     listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
-    given = (criterion, keys, storage or {}, at_rest, reading)
+    require("parts", parts, (tuple, list), f"parts=('{parts}',), names of recordings in a file")
+    given = (criterion, keys, storage or {}, at_rest, reading, parts)
     asked = _Asked(as_model(model), listed, given, settings, strict, allow_duplicates)
     tell: Progress = progress or (lambda *_: None)
     return _answered(asked, lambda: engine(workers, scheduler), out, tell, on_start)
@@ -161,7 +165,7 @@ def _answered(
     tell: Progress,
     on_start: Callable[[str], None] | None,
 ) -> Fleet:
-    criterion, by, storage, at_rest, _ = asked.given
+    criterion, by, storage, at_rest, *_ = asked.given
     with contextlib.ExitStack() as stack:
         folder = _made(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.procedure import AtRest, Procedure, with_rests
 from riecjax.fleets.sources import Source
 from riecjax.models.model import Model
+from riecjax.records.recording import Recording, read_recordings
 from riecjax.runtime import start_jax
 from riecjax.summaries.digest import Outline
 
@@ -33,7 +35,8 @@ class Order:
     in seconds that drift is looked for over, `None` for none; `reading`, keywords of
     [`read_recordings`][riecjax.read_recordings]; `by`, `"file"`, `"folder"`, or names of columns or
     keys; `starts` of a stretch of a long recording, whose windows have `window` samples at most;
-    `storage`, what fsspec is told; `at_rest`.
+    `storage`, what fsspec is told; `at_rest`; `parts`, names of recordings that are read of a file
+    that holds several, all if empty.
     """
 
     model: Model
@@ -45,6 +48,19 @@ class Order:
     window: int = 0
     storage: Mapping[str, Any] = field(default_factory=dict)
     at_rest: AtRest | None = None
+    parts: Sequence[str] = ()
+
+    def recordings_in(self, file: Path) -> list[Recording]:
+        """What a file holds, or those of its parts that are asked for.
+
+        **Raises:** `DataError`, also for a part that it lacks.
+        """
+        settings = {"model": self.model, **self.reading}
+        return [
+            one
+            for part in self.parts or (None,)
+            for one in read_recordings(file, part=part, **settings)
+        ]
 
     @functools.cached_property
     def procedure(self) -> Procedure:
@@ -85,6 +101,7 @@ class Order:
             "columns": self.columns,
             "starts": self.starts,
             "at_rest": self.at_rest,
+            "parts": [*self.parts],
         }
         return hashlib.sha256(json.dumps(said, sort_keys=True, default=repr).encode()).hexdigest()
 

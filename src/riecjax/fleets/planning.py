@@ -14,7 +14,7 @@ from riecjax.fleets.order import Order
 from riecjax.fleets.pieces import STRETCH, Piece, is_long, recordings_of, rows_at_hand, stretches
 from riecjax.fleets.sources import Source, at_hand
 from riecjax.models.model import Model
-from riecjax.records.recording import Recording, read_recording, read_recordings
+from riecjax.records.recording import Recording
 from riecjax.studies.sweep import LONGER, sweep_edges
 from riecjax.summaries.one_pass import stretch_starts
 from riecjax.summaries.task import ready
@@ -35,6 +35,7 @@ def order_for(
     storage: Mapping[str, Any],
     at_rest: AtRest | None,
     reading: Mapping[str, Any],
+    parts: Sequence[str],
 ) -> Order:
     """What is asked of all recordings alike, as the first that can be read says.
 
@@ -46,7 +47,7 @@ def order_for(
             "a fleet sums all windows: give rx.RIEC(rx.AllWindows(alpha, beta)) (on the command "
             "line: without --windows)."
         )
-    reads = Order(model, criterion or DOLS(), None, reading, by, 0, 0, storage, at_rest)
+    reads = Order(model, criterion or DOLS(), None, reading, by, 0, 0, storage, at_rest, parts)
     found = _first(reads, sources)
     (one,) = ready(reads.procedure, found, reading.get("noise", "auto"))
     record = one.record
@@ -81,15 +82,14 @@ def _first(order: Order, sources: Sequence[Source]) -> Recording:
 
 def _beginning(order: Order, source: Source) -> Recording:
     """A recording of a source, or as much of it as is enough."""
-    settings = {"model": order.model, **order.reading}
     columns = order.columns_in(source)
     if not (is_long(source) or (source.is_parquet and columns)):
         with at_hand(source, order.storage) as file:
-            return read_recordings(file, **settings)[0]
+            return order.recordings_in(file)[0]
     first = recordings_of(source, columns, order.storage)[0]
     high = min(first.high, first.low + LOOKED_AT)
     with rows_at_hand(source, first.low, high, order.storage) as file:
-        return read_recording(file, **settings)
+        return order.recordings_in(file)[0]
 
 
 def planned(order: Order, sources: Sequence[Source]) -> Iterator[Piece]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
 
-from riecjax.errors import DataError, require
+from riecjax.errors import DataError, RiecjaxError, require
 from riecjax.records.reading.read import READERS
 
 DATA_SET = ".parquet"
@@ -83,8 +83,9 @@ def _files(pattern: str, storage: Mapping[str, Any]) -> dict[str, Mapping[str, A
     """URL to what the store says of a file, of all that match."""
     import fsspec
 
-    try:
+    with _in_words(f"'{pattern}' cannot be looked at"):
         fs, path = fsspec.core.url_to_fs(pattern, **storage)
+        fs.invalidate_cache()  # what changes while others are summed must be seen
         matched = fs.glob(path, detail=True) if fsspec.core.has_magic(path) else {}
         if not matched and fs.exists(path):  # also where a name holds such a sign
             matched = {path: fs.info(path)}
@@ -93,11 +94,23 @@ def _files(pattern: str, storage: Mapping[str, Any]) -> dict[str, Mapping[str, A
             inner = fs.find(each, detail=True) if info["type"] == "directory" else {}
             found |= {k: v for k, v in inner.items() if _is_data(k[len(each) :])}
             found |= {each: info} if info["type"] == "file" else {}
-    except (OSError, ValueError, ImportError) as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise DataError(f"'{pattern}' cannot be looked at: {said[:300]}.") from None
     local = "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,))
     return {each if local else fs.unstrip_protocol(each): info for each, info in found.items()}
+
+
+@contextlib.contextmanager
+def _in_words(what: str) -> Iterator[None]:
+    """Make a `DataError` of what a store's client raises, which each has exceptions of its own for.
+
+    What reads the data within raises as it does.
+    """
+    try:
+        yield
+    except (RiecjaxError, MemoryError):
+        raise
+    except Exception as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise DataError(f"{what}: {said[:300].rstrip('.')}.") from None
 
 
 def _is_data(below: str) -> bool:
@@ -136,11 +149,11 @@ def _state(infos: Iterable[Mapping[str, Any]]) -> str:
 def opened(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
     """A file of a source, to be read in pieces.
 
-    **Raises:** `OSError` where it cannot be.
+    **Raises:** `DataError` where it cannot be.
     """
     import fsspec
 
-    with fsspec.open(url, "rb", **storage) as stream:
+    with _in_words(f"'{url}' cannot be read"), fsspec.open(url, "rb", **storage) as stream:
         yield stream
 
 
@@ -148,7 +161,7 @@ def opened(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
 def at_hand(source: Source, storage: Mapping[str, Any]) -> Iterator[Path]:
     """A source's one file as a file of this machine, brought here if it lies in a store.
 
-    **Raises:** `OSError` where it cannot be.
+    **Raises:** `DataError` where it cannot be.
     """
     import fsspec
 
@@ -157,7 +170,8 @@ def at_hand(source: Source, storage: Mapping[str, Any]) -> Iterator[Path]:
         yield Path(url)
         return
     with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
-        fs, path = fsspec.core.url_to_fs(url, **storage)
         here = Path(folder) / posixpath.basename(url)
-        fs.get_file(path, str(here))
+        with _in_words(f"'{url}' cannot be read"):
+            fs, path = fsspec.core.url_to_fs(url, **storage)
+            fs.get_file(path, str(here))
         yield here

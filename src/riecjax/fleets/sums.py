@@ -10,7 +10,7 @@ from riecjax.findings import Finding
 from riecjax.fleets.order import Order, unpacked
 from riecjax.fleets.pieces import Piece, recordings_of, rows_at_hand
 from riecjax.fleets.sources import at_hand
-from riecjax.records.recording import Recording, read_recording, read_recordings
+from riecjax.records.recording import Recording
 from riecjax.summaries.reduced import in_blocks, together
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.task import task
@@ -84,7 +84,7 @@ def _rows(order: Order, piece: Piece) -> Iterator[Row]:
             yield _stretch(order, part)._replace(piece=piece.identity)
     else:
         with at_hand(source, order.storage) as file:
-            for one in read_recordings(file, model=order.model, **order.reading):
+            for one in order.recordings_in(file):
                 yield _row(order, piece, one, one.part)
 
 
@@ -93,7 +93,7 @@ def _stretch(order: Order, piece: Piece) -> Row:
     part = ", ".join(f"{key}={value}" for key, value in piece.keys)
     low, high = piece.reach(order.window)
     with rows_at_hand(piece.source, low, high, order.storage) as file:
-        one = read_recording(file, model=order.model, **order.reading)
+        (one,) = order.recordings_in(file)
     if one.record.sample_count != high - low:
         raise DataError(
             f"{piece.source.name}: of {high - low} rows {one.record.sample_count} samples were "
