@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "drives"
 
 
-def values(found: Fleet) -> dict[tuple[str, str], float | None]:
+def values(found: Fleet) -> dict[tuple[str, str | None], float | None]:
     return {(e.group, e.parameter): e.value for e in found.entries if e.status == "ok"}
 
 
