@@ -1,7 +1,7 @@
-"""A fleet of recordings: speed, memory, discoveries, killed workers, tasks that do nothing.
+"""A fleet of recordings: speed, memory, discoveries, what breaks, tasks that do nothing.
 
     python -m benchmarks.fleet [--recordings 10000] [--folder DIR] [--kills 50] [--samples 10000000]
-        [--only speed discoveries kills tasks long] [--json FILE]
+        [--only speed discoveries breaks tasks one_pass long] [--json FILE]
     python -m benchmarks.fleet --page
 
 Twenty groups, two of which have dampers that are worn by 15 %, and one file in a hundred cut off.
@@ -10,66 +10,29 @@ Results are kept beside those of other parts that the file holds; `--page` write
 
 import argparse
 import json
-import os
-import signal
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 
-from benchmarks.fleet.drives import drives, write_fleet
+from benchmarks.fleet.breaks import breaks
+from benchmarks.fleet.commands import MODEL, command, run
+from benchmarks.fleet.drives import write_fleet
+from benchmarks.fleet.weeks import long, one_pass
 from benchmarks.table import FOLDER, filled_in
 from benchmarks.writing import write_json
 from riecjax.fleets.planning import TOGETHER
 from riecjax.runtime import start_jax
 
 GROUPS, WORN = 20, (4, 11)
-MODEL = "drag-oscillator"
 COMPARED = 300
 """Recordings that `identify` is timed on."""
 REPETITIONS = 100
 PAGE = FOLDER.parent / "docs" / "scale.md"
 BEGIN = "<!-- measured: python -m benchmarks.fleet -->"
-
-
-def command(folder: Path, out: Path, workers: int) -> list[str]:
-    options = ["--model", MODEL, "--by", "vehicle", "--workers", str(workers), "--out", str(out)]
-    return [sys.executable, "-m", "riecjax", "fleet", str(folder), *options]
-
-
-def run(folder: Path, out: Path, workers: int) -> dict[str, Any]:
-    """A whole command: seconds, and most memory of all its processes together."""
-    began, peak = time.perf_counter(), 0
-    process = psutil.Popen(command(folder, out, workers), stdout=subprocess.DEVNULL)
-    while process.poll() is None:
-        peak = max(peak, _held(process))
-        time.sleep(0.25)
-    if process.returncode:
-        raise RuntimeError(f"the fleet ended with {process.returncode}")
-    seconds = time.perf_counter() - began
-    document = json.loads((out / "results.json").read_text())
-    return {
-        "workers": workers,
-        "seconds": seconds,
-        "samples_per_second": document["recordings"]["samples"] / seconds,
-        "peak_bytes": peak,
-        "sentence": document["sentence"],
-    }
-
-
-def _held(process: psutil.Process) -> int:
-    held = 0
-    for one in (process, *process.children(recursive=True)):
-        try:
-            held += one.memory_info().rss
-        except psutil.NoSuchProcess:
-            continue
-    return held
 
 
 def identified(folder: Path) -> float:
@@ -156,55 +119,6 @@ def discoveries(table: Path) -> dict[str, Any]:
     }
 
 
-def kills(folder: Path, work: Path, count: int) -> dict[str, Any]:
-    """Workers that are killed at random moments; then a command that is, and is run again."""
-    reference = work / "whole"
-    seconds = run(folder, reference, 2)["seconds"]
-    rng, killed = np.random.default_rng(0), 0
-    out, wrong = work / "killed", 0
-    while killed < count:
-        subprocess.run(["rm", "-rf", str(out)], check=True)
-        process = psutil.Popen(command(folder, out, 2), stdout=subprocess.DEVNULL)
-        while process.poll() is None:
-            time.sleep(rng.uniform(0.02, 0.12) * seconds)
-            if workers := _workers(process):
-                workers[rng.integers(len(workers))].send_signal(signal.SIGKILL)
-                killed += 1
-        wrong += process.returncode != 0 or not _alike(out, reference)
-    subprocess.run(["rm", "-rf", str(out)], check=True)
-    interrupted = 0
-    for _ in range(5):
-        process = psutil.Popen(command(folder, out, 2), stdout=subprocess.DEVNULL)
-        time.sleep(rng.uniform(0.2, 0.8) * seconds)
-        if process.poll() is None:
-            process.send_signal(signal.SIGKILL)
-            interrupted += 1
-        process.wait()
-    subprocess.run(command(folder, out, 2), check=True, stdout=subprocess.DEVNULL)
-    wrong += not _alike(out, reference)
-    return {"workers_killed": killed, "commands_killed": interrupted, "wrong": int(wrong)}
-
-
-def _workers(process: psutil.Popen) -> list[psutil.Process]:
-    """Processes that sum, by what started them."""
-    found = []
-    for one in process.children(recursive=True):
-        try:
-            if any("spawn_main" in word for word in one.cmdline()):
-                found.append(one)
-        except psutil.NoSuchProcess:
-            continue
-    return found
-
-
-def _alike(out: Path, reference: Path) -> bool:
-    names = ("summaries.parquet", "estimates.parquet")
-    return all(
-        (out / name).exists() and (out / name).read_bytes() == (reference / name).read_bytes()
-        for name in names
-    )
-
-
 def nothing(number: int) -> int:
     """A task that takes no time."""
     return number
@@ -220,41 +134,6 @@ def tasks(count: int) -> dict[str, Any]:
         done = sum(1 for _ in runs.each(nothing, ((n,) for n in range(count))))
         seconds = time.perf_counter() - began
     return {"tasks": done, "seconds": seconds, "milliseconds_a_task": 1e3 * seconds / done}
-
-
-def long(work: Path, samples: int) -> dict[str, Any]:
-    """A data set of many files, one of real size and links to it, as one recording."""
-    from pyarrow import parquet
-
-    from riecjax.records.writing import write_record
-
-    (record,) = drives(1, 100_000, 1)
-    write_record(work / "part.parquet", record)
-    table = parquet.read_table(work / "part.parquet")
-    for name in ("spare1", "spare2", "spare3", "spare4"):
-        table = table.append_column(name, table["x"])
-    table = table.drop_columns(["t"])
-    whole = work / "part.parquet"
-    parquet.write_table(table, whole, row_group_size=2**17)
-    folder = work / "weeks.parquet"
-    folder.mkdir(exist_ok=True)
-    for number in range(samples // table.num_rows):
-        os.symlink(whole, folder / f"{number:06}.parquet")
-    began, peak = time.perf_counter(), 0
-    words = [*command(folder, work / "long", 2), "--time-step", "0.005"]
-    words[words.index("vehicle")] = "file"
-    process = psutil.Popen(words, stdout=subprocess.DEVNULL)
-    while process.poll() is None:
-        peak = max(peak, _held(process))
-        time.sleep(0.5)
-    seconds = time.perf_counter() - began
-    document = json.loads((work / "long" / "results.json").read_text())
-    return {
-        "samples": document["recordings"]["samples"],
-        "seconds": seconds,
-        "peak_bytes": peak,
-        "samples_per_second": samples / seconds,
-    }
 
 
 def page() -> str:
@@ -294,11 +173,13 @@ def words(document: dict[str, Any]) -> str:
             f"called different {100 * found['false_share']:.1f} % was not (stated rate "
             f"{100 * found['rate']:.0f} %).",
         ]
-    if (found := document.get("kills")) is not None:
+    if (found := document.get("breaks")) is not None:
         said += [
-            f"\n**Killed**: {found['workers_killed']} workers at random moments, and the command "
-            f"itself {found['commands_killed']} times and run again: {found['wrong']} results "
-            f"that differ by a bit.",
+            f"\n**Broken off**: {found['workers_killed']} workers killed at random moments; the "
+            f"command killed {found['commands_killed']} times, Dask's scheduler "
+            f"{found['schedulers_killed']} times, the disk full {found['disks_full']} times, each "
+            f"time run again; {found['files_changed']} files changed meanwhile: {found['wrong']} "
+            f"results that differ by a bit.",
         ]
     if (found := document.get("tasks")) is not None:
         said += [
@@ -310,7 +191,14 @@ def words(document: dict[str, Any]) -> str:
             f"\n**Weeks in one recording**: {found['samples']:,} samples of seven columns, a data "
             f"set of files of 100,000 rows, on two workers: {found['seconds']:.0f} s "
             f"({found['samples_per_second']:,.0f} samples a second), "
-            f"{found['peak_bytes'] / 1e9:.1f} GB of all processes together.",
+            f"{found['peak_bytes'] / 1e9:.1f} GB of all processes together, in the last quarter "
+            f"{100 * found['growth']:+.0f} % of what it was in the second.",
+        ]
+    if (found := document.get("one_pass")) is not None:
+        said += [
+            f"\nThe sums of {found['samples']:,} samples, read in {found['stretches']} stretches "
+            f"with what their windows reach beside, differ from those of one pass over all of them "
+            f"by {found['difference']:.1g} of their size; windows counted: {found['counted']}.",
         ]
     if {"speed", "tasks"} <= {*document}:
         said += ["", *_further(document["speed"], document["tasks"])]
@@ -339,7 +227,7 @@ def _further(speed: dict[str, Any], tasks: dict[str, Any]) -> list[str]:
     ]
 
 
-PARTS = ("speed", "discoveries", "kills", "tasks", "long")
+PARTS = ("speed", "discoveries", "breaks", "tasks", "one_pass", "long")
 
 
 def main() -> None:
@@ -367,8 +255,9 @@ def main() -> None:
             found = {
                 "speed": lambda: speed(folder, work),
                 "discoveries": lambda: discoveries(work / "out2" / "summaries.parquet"),
-                "kills": lambda: kills(folder, work, given.kills),
+                "breaks": lambda: breaks(folder, work, given.kills),
                 "tasks": lambda: tasks(given.tasks),
+                "one_pass": lambda: one_pass(work),
                 "long": lambda: long(work, given.samples),
             }[part]()
             print(part, json.dumps(found, indent=2), flush=True)

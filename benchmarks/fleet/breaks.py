@@ -1,0 +1,182 @@
+"""Runs that are broken off in every way and begun again: do they end in the same bits?"""
+
+import contextlib
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from benchmarks.fleet.commands import command, run
+
+COMMANDS, SCHEDULERS, DISKS, CHANGES = 5, 3, 5, 5
+"""Times that the command and the scheduler are killed, that the disk is full, that files change."""
+AT_ONCE = 12
+"""Workers that are killed of one run, at most: each takes its time to begin anew."""
+RESULTS = ("summaries.parquet", "estimates.parquet")
+
+
+def breaks(folder: Path, work: Path, count: int) -> dict[str, Any]:
+    """Of a fleet: so many workers killed, and the rest of what is broken off."""
+    reference = work / "whole"
+    seconds = run(folder, reference, 2)["seconds"]
+    rng = np.random.default_rng(0)
+    killed, wrong = _workers_killed(folder, work / "killed", reference, count, seconds, rng)
+    found = {"workers_killed": killed, "wrong": wrong}
+    for name, each in (
+        ("commands_killed", _command_killed),
+        ("schedulers_killed", _scheduler_killed),
+        ("disks_full", _disk_full),
+        ("files_changed", _file_changed),
+    ):
+        found[name], wrong = each(folder, work / name, reference, seconds, rng)
+        found["wrong"] += wrong
+    return found
+
+
+def _workers_killed(
+    folder: Path, out: Path, reference: Path, count: int, seconds: float, rng: np.random.Generator
+) -> tuple[int, int]:
+    killed = wrong = 0
+    while killed < count:
+        shutil.rmtree(out, ignore_errors=True)
+        process = psutil.Popen(command(folder, out, 2), stdout=subprocess.DEVNULL)
+        for _ in range(AT_ONCE):
+            time.sleep(rng.uniform(0.02, 0.12) * seconds)
+            if process.poll() is None and killed < count and (workers := _workers(process)):
+                workers[rng.integers(len(workers))].send_signal(signal.SIGKILL)
+                killed += 1
+        wrong += process.wait() != 0 or not _alike(out, reference)
+    return killed, wrong
+
+
+def _command_killed(
+    folder: Path, out: Path, reference: Path, seconds: float, rng: np.random.Generator
+) -> tuple[int, int]:
+    killed = 0
+    for _ in range(COMMANDS):
+        process = psutil.Popen(command(folder, out, 2), stdout=subprocess.DEVNULL)
+        time.sleep(rng.uniform(0.2, 0.8) * seconds)
+        if process.poll() is None:
+            process.send_signal(signal.SIGKILL)
+            killed += 1
+        process.wait()
+    return killed, _not_alike_again(folder, out, reference)
+
+
+def _scheduler_killed(
+    folder: Path, out: Path, reference: Path, seconds: float, rng: np.random.Generator
+) -> tuple[int, int]:
+    """The run must end by status 1 and one line; begun again on another, it goes on."""
+    killed = wrong = 0
+    for _ in range(SCHEDULERS):
+        with _cluster() as (scheduler, address):
+            process = psutil.Popen(
+                command(folder, out, 2, address),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            time.sleep(rng.uniform(0.3, 0.6) * seconds)
+            if process.poll() is None:
+                scheduler.send_signal(signal.SIGKILL)
+                killed += 1
+                said = process.communicate()[1]
+                wrong += process.returncode != 1 or said.count("riecjax: the scheduler") != 1
+            process.wait()
+    return killed, wrong + _not_alike_again(folder, out, reference)
+
+
+@contextlib.contextmanager
+def _cluster() -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A scheduler with two workers, processes of their own, and its address."""
+    words = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
+    scheduler = subprocess.Popen(
+        [*words, "--port", "0", "--no-dashboard"], stderr=subprocess.PIPE, text=True
+    )
+    assert scheduler.stderr is not None
+    lines = (re.search(r"tcp://127\.0\.0\.1:\d+", line) for line in scheduler.stderr)
+    address = next(found[0] for found in lines if found)
+    words = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard"]
+    workers = subprocess.Popen(
+        [*words, "--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1"],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield scheduler, address
+    finally:
+        workers.terminate()
+        scheduler.kill()
+        workers.wait()
+        scheduler.communicate()
+
+
+def _disk_full(
+    folder: Path, out: Path, reference: Path, seconds: float, rng: np.random.Generator
+) -> tuple[int, int]:
+    """No file may grow past a size that the sums need: status 1, one line, and it goes on."""
+    whole = (reference / RESULTS[0]).stat().st_size
+    wrong = 0
+    for _ in range(DISKS):
+        most = int(rng.uniform(0.001, 0.9) * whole)
+
+        def limit(most: int = most) -> None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+        done = subprocess.run(
+            command(folder, out, 2), preexec_fn=limit, capture_output=True, text=True, check=False
+        )
+        last = done.stderr.strip().splitlines()[-1:]
+        wrong += done.returncode != 1 or not last or not last[0].startswith("riecjax: ")
+    return DISKS, wrong + _not_alike_again(folder, out, reference)
+
+
+def _file_changed(
+    folder: Path, out: Path, reference: Path, seconds: float, rng: np.random.Generator
+) -> tuple[int, int]:
+    """Files that are written anew while others are summed count as they are in the end."""
+    copy = out.with_name("copy")
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(folder, copy, symlinks=False)
+    files = sorted(copy.rglob("*.parquet"))
+    process = psutil.Popen(command(copy, out, 2), stdout=subprocess.DEVNULL)
+    for _ in range(CHANGES):
+        time.sleep(rng.uniform(0.05, 0.15) * seconds)
+        one, other = rng.choice(len(files), 2, replace=False)
+        beside = files[one].with_suffix(".new")
+        shutil.copyfile(files[other], beside)
+        beside.replace(files[one])
+    process.wait()
+    fresh = out.with_name("fresh")
+    run(copy, fresh, 2)
+    return CHANGES, int(process.returncode != 0 or not _alike(out, fresh))
+
+
+def _workers(process: psutil.Popen) -> list[psutil.Process]:
+    """Processes that sum, by what started them."""
+    found = []
+    for one in process.children(recursive=True):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            if any("spawn_main" in word for word in one.cmdline()):
+                found.append(one)
+    return found
+
+
+def _not_alike_again(folder: Path, out: Path, reference: Path) -> int:
+    subprocess.run(command(folder, out, 2), check=True, stdout=subprocess.DEVNULL)
+    return int(not _alike(out, reference))
+
+
+def _alike(out: Path, reference: Path) -> bool:
+    return all(
+        (out / name).exists() and (out / name).read_bytes() == (reference / name).read_bytes()
+        for name in RESULTS
+    )
