@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 
+import distributed
 import pytest
 from benchmarks.fleet.drives import drives
 from fleet_tasks import dies, dies_at_first, square
@@ -90,3 +91,23 @@ def test_a_scheduler_that_does_not_answer_is_said(monkeypatch):
     monkeypatch.setattr(module, "WAITS", 1.0)
     with pytest.raises(DataError, match=r"no scheduler of Dask answers at tcp://127\.0\.0\.1:9"):
         Cluster(scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("failures", [1, 99])
+def test_processes_that_are_killed_while_they_start_are_started_again(failures, monkeypatch):
+    real, tried = distributed.LocalCluster, []
+
+    def failing(**settings):
+        tried.append(settings)
+        if len(tried) <= failures:
+            raise RuntimeError("Nanny failed to start.")
+        return real(**settings)
+
+    monkeypatch.setattr(distributed, "LocalCluster", failing)
+    if failures > 1:
+        with pytest.raises(DataError, match="processes do not start: Nanny failed"):
+            Cluster(1)
+        assert len(tried) == module.STARTS
+    else:
+        with Cluster(1) as runs:
+            assert list(runs.each(square, [(3,)])) == [((3,), 9)]

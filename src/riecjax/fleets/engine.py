@@ -20,6 +20,8 @@ LOST_WORKERS = 10
 """Workers that may end during a task before it is given up."""
 AHEAD = 4
 """Tasks for each worker that are handed over."""
+STARTS = 3
+"""Times that starting this machine's processes is tried."""
 WAITS = 30.0
 """Seconds to wait for a scheduler that does not answer."""
 
@@ -76,17 +78,23 @@ class Cluster(contextlib.AbstractContextManager):
 
     def _started(self, distributed: Any, workers: int) -> Any:
         folder = self._open.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
-        return self._open.enter_context(
-            distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address="127.0.0.1:0" if _has_bokeh() else None,
-                host="127.0.0.1",
-                local_directory=folder,
-                silence_logs=logging.CRITICAL,
-            )
-        )
+        settings = {
+            "n_workers": workers,
+            "threads_per_worker": 1,
+            "processes": True,
+            "dashboard_address": "127.0.0.1:0" if _has_bokeh() else None,
+            "host": "127.0.0.1",
+            "local_directory": folder,
+            "silence_logs": logging.CRITICAL,
+        }
+        # A process that is killed while it starts takes the others with it.
+        for _ in range(STARTS - 1):
+            with contextlib.suppress(RuntimeError):
+                return self._open.enter_context(distributed.LocalCluster(**settings))
+        try:
+            return self._open.enter_context(distributed.LocalCluster(**settings))
+        except RuntimeError as error:
+            raise DataError(f"Dask's processes do not start: {error}") from None
 
     def each(
         self, function: Callable[..., Any], tasks: Iterable[Task]
