@@ -12,14 +12,18 @@ import scipy.io
 from benchmarks.fleet.drives import STEP, TRUTH, drives
 from pyarrow import parquet
 
+from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.windows import AllWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.fleets import fleet as module
-from riecjax.fleets import kept, pieces, planning
+from riecjax.fleets import groups, kept, pieces, planning, table
 from riecjax.fleets.fleet import Fleet, fleet
 from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
+from riecjax.summaries.reduced import in_blocks
+from riecjax.summaries.summarise import summarise
 
 MODEL = find_model("drag-oscillator")
 SAMPLES = 1500
@@ -279,3 +283,128 @@ def test_mistakes_are_refused_in_words(folder, tmp_path):
     with pytest.raises(DataError, match="none of the first 1 recordings"):
         fleet(MODEL, tmp_path, workers=0)
     assert module.ESTIMATES == "estimates.parquet"
+
+
+@pytest.mark.parametrize("given", [{"criterion": DOLS()}, {"noise": "none"}], ids=str)
+def test_sums_that_say_nothing_of_noise_are_estimated(folder, given):
+    found = fleet(MODEL, folder / "vehicle=0/0.parquet", workers=0, **given)
+    assert values(found, "0.parquet")["k"][0] == pytest.approx(TRUTH["k"], rel=0.2)
+
+
+def test_an_unknown_parameter_is_refused_before_anything_is_summed(folder):
+    told = []
+    with pytest.raises(ModelError, match="kk"):
+        fleet(
+            MODEL, folder, workers=0, known={"kk": 20.0}, progress=lambda *said: told.append(said)
+        )
+    assert told == []
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 10, 11, 90])
+@pytest.mark.parametrize("each", [2, 3, 4, 60])
+def test_spans_cover_a_recording_once(folder, count, each):
+    given = drives(1, SAMPLES, 1)
+    (one,) = summarise(MODEL, given, RIEC(AllWindows(0.05, 0.5))).recordings
+    one = in_blocks(one, count)
+    seconds = float(one.block_seconds)
+    spans = list(groups._spans(one, each * seconds))
+    assert spans[0][0] == 0
+    assert spans[-1][1] == pytest.approx(SAMPLES * STEP)
+    assert all(a[1] == pytest.approx(b[0]) for a, b in itertools.pairwise(spans))
+    held = sum(int(some.blocks) for _, _, some in spans)
+    assert held == int(one.blocks)
+
+
+def several(folder: Path, runs: list[tuple[int, str, int]]) -> pa.Table:
+    """Drives of a vehicle after each other: number, what its column says, rows."""
+    return pa.concat_tables(
+        parquet.read_table(folder / f"vehicle=0/{i}.parquet")
+        .append_column("vehicle", pa.array([name] * SAMPLES))
+        .slice(0, rows)
+        for i, name, rows in runs
+    )
+
+
+def test_one_bad_recording_of_a_file_leaves_the_others(folder, tmp_path):
+    runs = [(0, "a", SAMPLES), (1, "b", 5), (2, "c", SAMPLES)]
+    parquet.write_table(several(folder, runs), tmp_path / "all.parquet")
+    found = fleet(MODEL, tmp_path, by="vehicle", workers=0)
+    assert values(found, "vehicle=a")
+    assert values(found, "vehicle=c")
+    (failed,) = found.failures
+    assert failed.part == f"vehicle=b, from row {SAMPLES} on"
+
+
+def test_courses_of_recordings_in_one_file_stay_apart(folder, tmp_path):
+    runs = [(0, "a", SAMPLES), (1, "b", SAMPLES), (2, "a", SAMPLES)]
+    parquet.write_table(several(folder, runs), tmp_path / "all.parquet")
+    found = fleet(MODEL, tmp_path, by="vehicle", workers=0, span=4.0)
+    courses = {e.group for e in found.over_time}
+    assert courses == {
+        "vehicle=a: all.parquet, vehicle=a",
+        f"vehicle=a: all.parquet, vehicle=a, from row {2 * SAMPLES} on",
+        "vehicle=b",
+    }
+
+
+def test_what_a_run_writes_is_no_recording_of_the_next(folder, tmp_path):
+    shutil.copytree(folder / "vehicle=0", tmp_path / "drives")
+    pattern = f"{tmp_path}/**/*.parquet"
+    first, again = (fleet(MODEL, pattern, workers=0, out=tmp_path / "out") for _ in range(2))
+    assert again.entries == first.entries
+    assert len(again.recordings) == 3
+
+
+def test_a_group_without_an_answer_is_counted_and_all_of_them_are_an_error(folder, monkeypatch):
+    real, calls = groups.assess_sums, []
+
+    def failing(*args, **kwargs):
+        calls.append(1)
+        if len(calls) > fails_from:
+            raise ZeroDivisionError("by chance")
+        return real(*args, **kwargs)
+
+    monkeypatch.setattr(groups, "assess_sums", failing)
+    fails_from = 1
+    found = fleet(MODEL, folder, by="vehicle", workers=0)
+    assert [e.status for e in found.unanswered] == ["ZeroDivisionError: by chance"] * 2
+    fails_from = 0
+    calls.clear()
+    with pytest.raises(DataError, match="no group can be estimated; the first: ZeroDivision"):
+        fleet(MODEL, folder, by="vehicle", workers=0)
+
+
+def test_kept_rows_are_streamed_and_a_damaged_end_of_a_file_is_noticed(by_vehicle, monkeypatch):
+    _, out = by_vehicle
+    file, read, real = out / "summaries.parquet", [], table.read_rows
+    rows = list(real(file))
+    again = kept.Kept(out, table.metadata_of(file)[table.ORDER].decode(), {})
+
+    def counted(*given):
+        for row in real(*given):
+            read.append(row.piece)
+            yield row
+
+    monkeypatch.setattr(kept, "read_rows", counted)
+    pieces = list(dict.fromkeys(row.piece for row in rows if row.status == "ok"))
+    stream = again.whole(pieces)
+    assert next(stream) == rows[0]
+    assert len(read) <= 2
+    assert [rows[0], *stream] == [row for row in rows if row.status == "ok"]
+
+
+def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_path):
+    _, out = by_vehicle
+    content = (out / "summaries.parquet").read_bytes()
+    rows = list(table.read_rows(out / "summaries.parquet"))
+    length = int.from_bytes(content[-8:-4], "little")
+    file = tmp_path / "damaged.parquet"
+    for place in range(len(content) - 8 - length, len(content), 5):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << place % 8
+        file.write_bytes(bytes(damaged))
+        try:
+            found = list(table.read_rows(file))
+        except (DataError, ModelError):
+            continue
+        assert [row.sums for row in found] == [row.sums for row in rows]

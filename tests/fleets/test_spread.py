@@ -118,3 +118,17 @@ def test_a_course_without_a_step_has_none_but_in_one_of_a_hundred():
         errors = rng.uniform(0.005, 0.05, 30)
         found += bool(changes(course(20000 + errors * rng.standard_normal(30), errors)))
     assert found <= 12
+
+
+def test_values_without_a_finite_interval_of_some_width_are_compared_with_none():
+    rng = np.random.default_rng(7)
+    errors = np.full(12, 0.1)
+    usual = fleet(1 + errors * rng.standard_normal(12), errors)
+    (found,) = spreads(usual)
+    nothing = entry("nan", 1.0, 0.1)._replace(low95=float("nan"))
+    exact = entry("exact", 1.0, 1e-30)
+    (again,) = spreads([*usual, nothing, exact])
+    assert again == found
+    assert spreads([exact] * 5) == []
+    spans = [entry("a", 1.0, 0.1, start=float(i)) for i in range(8)]
+    assert changes([*spans, exact._replace(group="a"), nothing._replace(group="a")]) == []

@@ -91,3 +91,29 @@ def test_straight_lines_compile_little(tmp_path: Path, monkeypatch: pytest.Monke
     by = OutputError(intersample="lines", method=method)
     np.testing.assert_allclose(straight.theta, refine(oscillator(), seen, START, by).theta)
     assert not np.allclose(straight.theta, smooth.theta, rtol=1e-9)
+
+
+class Hidden(AbstractSystem):
+    """x' = c x^2, of which only y = x + 1 is recorded."""
+
+    c: Array
+    states: ClassVar = (("x", ""),)
+    outputs: ClassVar = (("y", ""),)
+
+    def derivative(self, state: Array, inputs: Array) -> Array:
+        return self.c * state**2
+
+    def output(self, state: Array, inputs: Array) -> dict[str, Array]:
+        return {"y": state[0] + 1}
+
+
+@pytest.mark.parametrize("count", [896, 897])
+def test_steps_are_chosen_by_the_motion_within_the_record(count: int):
+    """From 897 samples on it is filled up to 1024, past where the motion escapes."""
+    t = np.arange(count) / 1000
+    seen = Record.from_samples({"y": 1 + 1 / (1 - 0.98 * t)}, time_step=1e-3)
+    found = refine(
+        Hidden(jnp.asarray(0.95)), seen, {"c": 0.95}, OutputError(initial_states={"x": 1.0})
+    )
+    assert float(found["c"]) == pytest.approx(0.98, rel=1e-4)
+    assert found.steps_label == "FixedStep(1)"

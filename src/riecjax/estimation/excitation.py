@@ -107,10 +107,10 @@ class Excitation(eqx.Module):
 
 
 def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
-    """How each stage's regressors are excited, by a Summary with a survey (not under jit).
+    """How each stage's regressors are excited (not under jit).
 
     Noise is what is taken off the sums; of a criterion that takes off none, what noise of each
-    signal's size adds to rows, sent through the equation once.
+    signal's size adds to rows, sent through the equation once, if the Summary has a survey.
 
     **Raises:** `DataError` for a stage without rows, or with terms that are not finite.
     """
@@ -127,7 +127,9 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
             return NormalEquations(e.noise.sum(1), e.count.sum(1), e.parameters)
         found = [one.stages[i][j].survey for one in summary.recordings]
         count = e.count.sum(1)
-        each: Any = np.stack([np.asarray(s.noise) for s in found if s is not None])
+        # Sums without a survey say nothing of the noise in their rows.
+        nothing = np.zeros(np.shape(e.moments)[-2:])
+        each: Any = np.stack([nothing if s is None else np.asarray(s.noise) for s in found])
         return NormalEquations(each * count[:, None, None], count, e.parameters)
 
     noises = [[noise(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]

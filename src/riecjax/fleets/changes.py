@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 
-from riecjax.fleets.groups import Entry, errors_of
-from riecjax.fleets.sums import DONE
+from riecjax.fleets.groups import Entry, errors_of, has_error
 
 ALARMS = 0.01
 """Share of courses without a step that one is found in."""
@@ -36,7 +35,7 @@ def changes(entries: Iterable[Entry]) -> list[Change]:
     """Steps of all courses, by group and parameter."""
     courses: dict[tuple[str, str], list[Entry]] = {}
     for entry in entries:
-        if entry.status == DONE and entry.parameter is not None and (entry.std_error or 0.0) > 0:
+        if entry.parameter is not None and has_error(entry):
             courses.setdefault((entry.group, entry.parameter), []).append(entry)
     return [step for course in courses.values() for step in _steps(course)]
 

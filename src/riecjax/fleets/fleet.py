@@ -13,10 +13,11 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
 from riecjax.errors import DataError, ModelError, require
+from riecjax.estimation.parameters import plan_parameters
 from riecjax.fleets.changes import Change, changes
 from riecjax.fleets.engine import Engine, engine
 from riecjax.fleets.groups import Entry, Settings
-from riecjax.fleets.kept import Kept
+from riecjax.fleets.kept import ESTIMATES, Kept, is_result
 from riecjax.fleets.order import Order
 from riecjax.fleets.planning import order_for
 from riecjax.fleets.running import Progress, estimates, judged, summed
@@ -28,8 +29,6 @@ from riecjax.models.model import Model, as_model
 from riecjax.shows import Shown
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
-
-ESTIMATES = "estimates.parquet"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,6 +59,12 @@ class Fleet(Shown):
     def failures(self) -> list[Row]:
         """Recordings that are in no group, whose `status` says why."""
         return [row for row in self.recordings if row.status != DONE]
+
+    @property
+    def unanswered(self) -> list[Entry]:
+        """Groups that could not be estimated, whose `status` says why."""
+        lost = {row.status for row in self.failures}
+        return [e for e in self.entries if e.status != DONE and e.status not in lost]
 
     @property
     def samples(self) -> int:
@@ -170,7 +175,7 @@ def _answered(
         folder = _made(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
 
         def look() -> list[Source]:
-            return find_sources(asked.patterns, storage)
+            return find_sources(asked.patterns, storage, lambda path: is_result(folder, path))
 
         def started() -> Engine:
             runs = stack.enter_context(start())
@@ -187,6 +192,7 @@ def _answered(
         else:
             sources = look()
             order = order_for(asked.model, sources, *asked.given)
+            plan_parameters(order.procedure, 1, asked.settings.known, ())
             kept = Kept(folder, order.digest, {b"riecjax.model": asked.model.name.encode()})
             runs = started()
             pieces = summed(order, sources, look, kept, runs, asked.strict, tell)
@@ -197,6 +203,8 @@ def _answered(
         if out is not None:
             write_entries(folder / ESTIMATES, [*found[0], *found[1]])
     entries, over_time = found
+    if all(entry.status != DONE for entry in entries):
+        raise DataError(f"no group can be estimated; the first: {_first_reason(entries, rows)}")
     shown = spreads(entries), changes(over_time)
     return Fleet(asked.model, by, order.criterion, entries, over_time, *shown, rows)
 
@@ -254,7 +262,14 @@ def _require_sense(
         raise ModelError(f"workers is a number of processes, 0 for none; got {workers}.")
 
 
+def _first_reason(entries: Sequence[Entry], rows: Sequence[Row]) -> str:
+    lost = {row.status for row in rows}
+    return next((e.status for e in entries if e.status not in lost), entries[0].status)
+
+
 def _require_some(rows: Sequence[Row]) -> None:
     """Raise where no recording at all could be summed."""
+    if not rows:
+        raise DataError("what was found holds no rows.")
     if all(row.status != DONE for row in rows):
         raise DataError(f"none of {len(rows)} recordings can be used; the first: {rows[0].status}")

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from riecjax.assessment.assessment import Assessment
 from riecjax.assessment.doubt import concerned
 from riecjax.assessment.summed import assess_sums
-from riecjax.errors import DataError, RiecjaxError
+from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.fleets.order import Order, unpacked
 from riecjax.fleets.sums import DONE, Row, reason_of
@@ -53,6 +53,13 @@ class Entry(NamedTuple):
     status: str
 
 
+def has_error(entry: Entry) -> bool:
+    """Whether an entry has a value with an interval of some width, to be held against others."""
+    ends = entry.low95, entry.value, entry.high95
+    known = entry.status == DONE and all(end is not None and np.isfinite(end) for end in ends)
+    return known and errors_of([entry])[0] > 0
+
+
 def errors_of(entries: Sequence[Entry]) -> Float[np.ndarray, " n"]:
     """Standard errors of normal laws whose intervals are as wide as these entries': with few blocks
     of time an interval is wider than its standard error tells."""
@@ -79,7 +86,7 @@ def group_of(row: Row, by: Sequence[str]) -> str:
     **Raises:** `DataError` where its path and columns do not say.
     """
     if by[0] == "file":
-        return ", ".join(filter(None, (row.name, row.part)))
+        return row.whole_name
     if by[0] == "folder":
         return row.name.rpartition("/")[0] or "."
     keys = json.loads(row.keys)
@@ -184,7 +191,8 @@ def _of_sums(
             intervals=settings.intervals,
         )
         yield from _told(place, found)
-    except (RiecjaxError, MemoryError, FloatingPointError) as error:
+    # Not the end of all other groups, whatever it is.
+    except (Exception, MemoryError) as error:
         yield failed(place, reason_of(error))
 
 
@@ -244,7 +252,7 @@ def _spans(recording: RecordingSums, span: float) -> Iterator[tuple[float, float
     each = max(round(span / seconds), 2)
     whole = recording.samples * recording.time_step
     for first in range(0, max(count - each // 2, 1), each):
-        last = count if count - first < 1.5 * each else first + each
+        last = count if count - first <= 1.5 * each else first + each
         some = recording.of_blocks(np.arange(first, last))
         yield first * seconds, min(last * seconds, float(whole)), some
         if last == count:

@@ -1,19 +1,29 @@
 """Rows that a run has made so far, on disk, so that the next one goes on where it ended."""
 
 import contextlib
+import itertools
+import os
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from riecjax.errors import RiecjaxError
+from riecjax.errors import DataError, RiecjaxError
 from riecjax.fleets.sums import DONE, Row
 from riecjax.fleets.table import ORDER, metadata_of, read_rows, write_rows
 from riecjax.whole_files import sweep
 
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
+ESTIMATES = "estimates.parquet"
+RESULTS = (SUMMARIES, ESTIMATES, "results.json")
 MOST_WAITING, LONGEST_WAIT = 256, 5.0
 """Rows, and seconds, that are lost at most when a run is killed."""
+
+
+def is_result(folder: Path, path: str) -> bool:
+    """Whether a path is one of those that a run writes into a folder, and no recording."""
+    below = os.path.relpath(path, folder).replace(os.sep, "/")
+    return below in RESULTS or below.startswith(f"{PARTS}/")
 
 
 class Kept:
@@ -84,26 +94,26 @@ class Kept:
             yield from self._rows[piece]
 
     def whole(self, pieces: Sequence[str]) -> Iterator[Row]:
-        """Rows of these pieces, in this order, of which those of a few files are held at a time.
+        """Rows of these pieces, in this order, of which few are held at a time.
 
         **Raises:** `DataError` where a file was damaged meanwhile.
         """
-        # Pieces that were summed at about the same time lie in the same files. A file is forgotten
-        # once the pieces that it holds have gone by.
-        left: dict[Path, int] = {}
+        # In a file pieces follow one another about as they are asked for: what comes before the one
+        # that is asked for is held until its turn, and each file is read once.
+        wanted: dict[Path, set[str]] = {}
         for piece in pieces:
-            left[self._file[piece]] = left.get(self._file[piece], 0) + 1
-        held: dict[Path, dict[str, list[Row]]] = {}
+            wanted.setdefault(self._file[piece], set()).add(piece)
+        streams = {file: _by_piece(file) for file in wanted}
+        held: dict[str, list[Row]] = {}
         for piece in pieces:
             file = self._file[piece]
-            if file not in held:
-                held[file] = {}
-                for row in read_rows(file):
-                    held[file].setdefault(row.piece, []).append(row)
-            yield from held[file][piece]
-            left[file] -= 1
-            if not left[file]:
-                del held[file]
+            while piece not in held:
+                name, rows = next(streams[file], ("", []))
+                if not rows:
+                    raise DataError(f"{file.name}: it has changed meanwhile; run it again.")
+                if name in wanted[file]:
+                    held[name] = rows
+            yield from held.pop(piece)
 
     def finish(self, pieces: Sequence[str]) -> Path:
         """Write the rows of these pieces, in this order, to one file in place of all parts.
@@ -115,3 +125,9 @@ class Kept:
         shutil.rmtree(self._parts, ignore_errors=True)
         self._file = dict.fromkeys(pieces, file)
         return file
+
+
+def _by_piece(file: Path) -> Iterator[tuple[str, list[Row]]]:
+    """The rows of each piece, which stand together in a file."""
+    for piece, rows in itertools.groupby(read_rows(file), lambda row: row.piece):
+        yield piece, list(rows)

@@ -99,7 +99,6 @@ class Order:
             "edges": None if self.edges is None else self.edges.tolist(),
             "reading": {name: _plain(value) for name, value in self.reading.items()},
             "columns": self.columns,
-            "starts": self.starts,
             "at_rest": self.at_rest,
             "parts": [*self.parts],
         }

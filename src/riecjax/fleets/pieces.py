@@ -46,6 +46,12 @@ class Piece(NamedTuple):
         """What tells it from all others, and from itself once its files have changed."""
         return f"{self.source.name}\0{self.source.state}\0{self.first}\0{self.stop}"
 
+    @property
+    def part(self) -> str:
+        """Which recording of its source it is of, by what its columns say and where it begins."""
+        said = [f"{key}={value}" for key, value in self.keys]
+        return ", ".join([*said, f"from row {self.low} on"] if self.low else said)
+
     def reach(self, window: int) -> tuple[int, int]:
         """First row to read, and one beyond the last, for windows of so many samples."""
         return max(self.first - BESIDE, self.low), min(self.stop + window + BESIDE, self.high)
@@ -87,7 +93,9 @@ def recordings_of(
                         Piece(source, before, before + count, before, before + count, keys)
                     )
                 before += count
-    return [piece for piece in found if piece.stop > piece.first]
+    if not (some := [piece for piece in found if piece.stop > piece.first]):
+        raise DataError("it holds no rows.")
+    return some
 
 
 def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:

@@ -9,10 +9,11 @@ from typing import Any
 from riecjax.criteria.criterion import DOLS, AbstractCriterion
 from riecjax.criteria.suited import suited
 from riecjax.equations.procedure import AtRest
-from riecjax.errors import DataError, ModelError, RiecjaxError
+from riecjax.errors import DataError, ModelError
 from riecjax.fleets.order import Order
 from riecjax.fleets.pieces import STRETCH, Piece, is_long, recordings_of, rows_at_hand, stretches
 from riecjax.fleets.sources import Source, at_hand
+from riecjax.fleets.sums import reason_of
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
 from riecjax.studies.sweep import LONGER, sweep_edges
@@ -69,14 +70,16 @@ def order_for(
 
 
 def _first(order: Order, sources: Sequence[Source]) -> Recording:
-    errors: list[Exception] = []
+    errors: list[BaseException] = []
     for source in sources[:TRIED]:
         try:
             return _beginning(order, source)
-        except (RiecjaxError, OSError, MemoryError) as error:
+        # What is wrong with one recording is told by its row.
+        except (Exception, MemoryError) as error:
             errors.append(error)
     raise DataError(
-        f"none of the first {len(errors)} recordings can be read; the first: {errors[0]}"
+        f"none of the first {len(errors)} recordings can be read; the first: "
+        f"{sources[0].name}: {reason_of(errors[0]).removeprefix(f'{sources[0].name}: ')}"
     )
 
 
@@ -100,7 +103,7 @@ def planned(order: Order, sources: Sequence[Source]) -> Iterator[Piece]:
             continue
         try:
             every = recordings_of(source, order.columns_in(source), order.storage)
-        except (RiecjaxError, OSError):
+        except (Exception, MemoryError):
             yield Piece(source)  # whoever sums it says why not
             continue
         for recording in every:

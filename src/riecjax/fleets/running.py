@@ -122,8 +122,8 @@ def estimates(
     return sorted(entries, key=_place), sorted(over_time, key=_place)
 
 
-def _place(entry: Entry) -> tuple[str, float, float]:
-    return entry.group, entry.start, entry.end
+def _place(entry: Entry) -> tuple[str, float, float, str]:
+    return entry.group, entry.start, entry.end, entry.status
 
 
 def _batches(groups: Iterator[Group]) -> Iterator[list[Group]]:
@@ -154,7 +154,7 @@ def _groups(
         parts = held.setdefault(name, [])
         parts.append(part_of(full, members[name]))
         if in_spans:
-            own = name if members[name] == 1 or by[0] == "file" else f"{name}: {row.name}"
+            own = name if members[name] == 1 or by[0] == "file" else f"{name}: {row.whole_name}"
             light = full._replace(sums=b"", lengths=b"")
             yield Group(own, (light,), full.sums, in_spans=True)
         if len(parts) == members[name]:

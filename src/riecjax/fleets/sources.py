@@ -9,8 +9,9 @@ import contextlib
 import hashlib
 import os
 import posixpath
+import re
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
@@ -47,26 +48,34 @@ class Source(NamedTuple):
 
 
 def find_sources(
-    patterns: Sequence[str | os.PathLike[str]], storage: Mapping[str, Any] | None = None
+    patterns: Sequence[str | os.PathLike[str]],
+    storage: Mapping[str, Any] | None = None,
+    without: Callable[[str], bool] = lambda _: False,
 ) -> list[Source]:
     """All that match a path, a folder (with all that it holds) or a pattern, sorted by name.
 
     **Arguments:** `patterns`: also URLs of a file system that fsspec knows, `s3://bucket/drives/*`;
-    `storage`: what fsspec needs to know of it.
+    `storage`: what fsspec needs to know of it; `without`, which paths are no recordings.
 
     **Raises:** `DataError` for a pattern that nothing matches, and a store that does not answer.
     """
     require("the patterns", patterns, (list, tuple), "['drives/*.csv']")
     files: dict[str, Mapping[str, Any]] = {}
+    roots = []
     for pattern in patterns:
-        found = _files(os.fspath(pattern), storage or {})
+        root, found = _files(os.fspath(pattern), storage or {})
+        found = {url: info for url, info in found.items() if not without(url)}
         if not found:
             raise DataError(f"nothing that can be read matches '{os.fspath(pattern)}'.")
         files |= found
+        roots.append(root)
     sets: dict[str, list[str]] = {}
     for url in sorted(files):
-        sets.setdefault(_recording_of(url), []).append(url)
-    root = _common_folder(list(sets))
+        whole = _recording_of(url)
+        if whole == url or url.lower().endswith(DATA_SET):
+            sets.setdefault(whole, []).append(url)
+    # Not of what is found: a name must not change with the files beside.
+    root = _common_folder(roots)
     return sorted(
         Source(
             url.removeprefix(root) or posixpath.basename(url),
@@ -79,8 +88,8 @@ def find_sources(
     )
 
 
-def _files(pattern: str, storage: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """URL to what the store says of a file, of all that match."""
+def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, dict[str, Mapping[str, Any]]]:
+    """The folder that a pattern looks into, and URL to what the store says, of all that match."""
     import fsspec
 
     with _in_words(f"'{pattern}' cannot be looked at"):
@@ -94,8 +103,17 @@ def _files(pattern: str, storage: Mapping[str, Any]) -> dict[str, Mapping[str, A
             inner = fs.find(each, detail=True) if info["type"] == "directory" else {}
             found |= {k: v for k, v in inner.items() if _is_data(k[len(each) :])}
             found |= {each: info} if info["type"] == "file" else {}
+        root = _fixed(path) if path not in matched else path
+        if matched.get(root, {}).get("type") != "directory" or _recording_of(f"{root}/") == root:
+            root = posixpath.dirname(root)
     local = "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,))
-    return {each if local else fs.unstrip_protocol(each): info for each, info in found.items()}
+    url = (lambda each: each) if local else fs.unstrip_protocol
+    return url(root) + "/", {url(each): info for each, info in found.items()}
+
+
+def _fixed(path: str) -> str:
+    """A pattern as far as it is a path."""
+    return re.split(r"[*?\[]", path, maxsplit=1)[0]
 
 
 @contextlib.contextmanager
@@ -127,8 +145,8 @@ def _recording_of(url: str) -> str:
     return folder if inside else url
 
 
-def _common_folder(urls: Sequence[str]) -> str:
-    common = posixpath.commonprefix([posixpath.dirname(url) + "/" for url in urls])
+def _common_folder(folders: Sequence[str]) -> str:
+    common = posixpath.commonprefix([*folders])
     return common[: common.rfind("/") + 1]
 
 

@@ -16,8 +16,7 @@ import scipy.optimize
 import scipy.stats
 from jaxtyping import Float
 
-from riecjax.fleets.groups import Entry, errors_of
-from riecjax.fleets.sums import DONE
+from riecjax.fleets.groups import Entry, errors_of, has_error
 
 FEWEST = 4
 """Groups below which there is no rest to differ from."""
@@ -66,8 +65,7 @@ def spreads(entries: Iterable[Entry], rate: float = RATE) -> list[Spread]:
     """
     by_name: dict[str, list[Entry]] = {}
     for entry in entries:
-        usable = entry.status == DONE and entry.verdict != "do not use"
-        if usable and entry.parameter is not None and (entry.std_error or 0.0) > 0:
+        if entry.parameter and entry.verdict != "do not use" and has_error(entry):
             by_name.setdefault(entry.parameter, []).append(entry)
     some = {name: every for name, every in by_name.items() if len(every) >= FEWEST}
     judged = {name: _judged(every) for name, every in some.items()}

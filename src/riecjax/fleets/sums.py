@@ -1,7 +1,7 @@
 """One task of a fleet: read some recordings, and sum up what they say to the model."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from riecjax.errors import DataError, RiecjaxError, printable
@@ -45,6 +45,11 @@ class Row(NamedTuple):
     sums: bytes = b""
     lengths: bytes = b""
 
+    @property
+    def whole_name(self) -> str:
+        """Of the recording: its source's, and which part of it."""
+        return ", ".join(filter(None, (self.name, self.part)))
+
 
 def sum_up(order: bytes, pieces: Sequence[Piece]) -> list[Row]:
     """The rows of some pieces; one that cannot be read or summed is a row that says why."""
@@ -61,10 +66,10 @@ def rows_of(order: Order, piece: Piece) -> list[Row]:
         return [lost(piece, reason_of(error))]
 
 
-def lost(piece: Piece, why: str) -> Row:
-    """The row of a piece that could not be read or summed."""
+def lost(piece: Piece, why: str, part: str = "") -> Row:
+    """The row of a piece, or of a part of it, that could not be read or summed."""
     keys = json.dumps(dict((*piece.source.keys, *piece.keys)))
-    return Row(piece.identity, piece.source.name, "", keys, 0.0, "", 0, 0.0, why)
+    return Row(piece.identity, piece.source.name, part, keys, 0.0, "", 0, 0.0, why)
 
 
 def reason_of(error: BaseException) -> str:
@@ -80,17 +85,26 @@ def _rows(order: Order, piece: Piece) -> Iterator[Row]:
     if piece.stop:
         yield _stretch(order, piece)
     elif source.is_parquet and columns:
-        for part in recordings_of(source, columns, order.storage):
-            yield _stretch(order, part)._replace(piece=piece.identity)
+        for run in recordings_of(source, columns, order.storage):
+            found = _or_lost(run, run.part, lambda run=run: _stretch(order, run))
+            yield found._replace(piece=piece.identity)
     else:
         with at_hand(source, order.storage) as file:
             for one in order.recordings_in(file):
-                yield _row(order, piece, one, one.part)
+                yield _or_lost(piece, one.part, lambda one=one: _row(order, piece, one, one.part))
+
+
+def _or_lost(piece: Piece, part: str, make: Callable[[], Row]) -> Row:
+    """The row of one recording of several in a source, of which the others stay."""
+    try:
+        return make()
+    except (Exception, MemoryError) as error:
+        return lost(piece, reason_of(error), part)
 
 
 def _stretch(order: Order, piece: Piece) -> Row:
     """The row of some rows of a source."""
-    part = ", ".join(f"{key}={value}" for key, value in piece.keys)
+    part = piece.part
     low, high = piece.reach(order.window)
     with rows_at_hand(piece.source, low, high, order.storage) as file:
         (one,) = order.recordings_in(file)

@@ -1,7 +1,8 @@
 """Rows of a fleet's recordings in Parquet files: parts of a run, and what is left of it.
 
-Pages carry checksums, which are verified; a file stands under its name only once it is whole. What
-a file was made for is its order's digest: rows of another order are none.
+Pages carry checksums, which are verified; what tells where they lie is held against the number of
+rows. A file stands under its name only once it is whole. What it was made for is its order's
+digest: rows of another order are none.
 """
 
 import os
@@ -9,12 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.fleets.groups import Entry
 from riecjax.fleets.sums import Row
 from riecjax.records.writing import write_whole
 
 ORDER, SCHEMA_KEY, SCHEMA = b"riecjax.order", b"riecjax.fleet", b"1"
+COUNT = b"riecjax.rows"
 ROWS = 64
 """Rows to a group of a file, which are read together."""
 LIGHT = tuple(name for name in Row._fields if name not in ("sums", "lengths"))
@@ -48,11 +50,14 @@ def write_rows(
             temporary, schema, compression="zstd", write_page_checksum=True, use_dictionary=False
         )
         with writer:
+            count = 0
             while some := list(itertools.islice(given, ROWS)):
                 columns = [
                     pa.array(values, field.type) for values, field in zip(zip(*some), schema)
                 ]
                 writer.write_batch(pa.record_batch(columns, schema=schema))
+                count += len(some)
+            writer.add_key_value_metadata({COUNT: str(count).encode()})
 
     write_whole(file, fill)
 
@@ -69,12 +74,21 @@ def read_rows(file: str | os.PathLike[str], columns: Sequence[str] = ()) -> Iter
     try:
         with parquet.ParquetFile(file, page_checksum_verification=True) as source:
             _require_rows(source.schema_arrow.metadata, file)
+            if tuple(source.schema_arrow.names) != Row._fields:
+                raise TypeError("columns are missing")
             wanted = list(columns or Row._fields)
             empty = {name: kind() for name, kind in Row.__annotations__.items()}
+            left = int((source.metadata.metadata or {})[COUNT])
             for batch in source.iter_batches(ROWS, columns=wanted):
+                left -= batch.num_rows
                 for one in batch.to_pylist():
                     yield Row(**(empty | one))
-    except (OSError, ArrowException, TypeError) as error:
+            if left:
+                raise TypeError(f"{left} rows are missing")
+    except RiecjaxError:
+        raise
+    # What is damaged may be no text either.
+    except (OSError, ArrowException, TypeError, ValueError, KeyError) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(f"{Path(file).name}: no readable table of a fleet: {said}") from None
 
@@ -111,7 +125,7 @@ def metadata_of(file: str | os.PathLike[str]) -> dict[bytes, bytes]:
 
     try:
         metadata = dict(parquet.read_schema(file).metadata or {})
-    except (OSError, ArrowException) as error:
+    except (OSError, ArrowException, ValueError) as error:
         raise DataError(f"{Path(file).name}: no readable table of a fleet: {error}") from None
     _require_rows(metadata, file)
     return metadata

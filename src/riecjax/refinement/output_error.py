@@ -263,7 +263,7 @@ def _method(
         simulated, kept = _trajectories(system, recorded, FixedStep(steps))
     if not all(kept):
         return method, simulated[0]
-    along = [_spread(states, part.levels) for states, part in zip(simulated, recorded)]
+    along = [_spread(states, part) for states, part in zip(simulated, recorded)]
     return FixedStep(max(steps, _steps(system, recorded, along))), simulated[0]
 
 
@@ -274,13 +274,14 @@ def _steps(system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence
     )
 
 
-def _spread(states: Leaf, levels: Leaf) -> Along:
-    """Of the samples of all windows, those to look at."""
-    chosen = spread_points(states.shape[0] * states.shape[1])
-    return (
-        np.asarray(states).reshape(-1, states.shape[-1])[chosen],
-        np.asarray(levels).reshape(-1, levels.shape[-1])[chosen],
-    )
+def _spread(states: Leaf, part: Recorded) -> Along:
+    """Of the samples within all windows, those to look at: what lies behind may run away."""
+    inside = np.arange(states.shape[1])[None, :] < np.asarray(part.length)[:, None]
+    chosen = np.flatnonzero(inside)
+    chosen = chosen[spread_points(chosen.size)]
+    flat = (np.asarray(each).reshape(inside.size, each.shape[-1]) for each in (states, part.levels))
+    at, levels = (each[chosen] for each in flat)
+    return at, levels
 
 
 @kept_jit

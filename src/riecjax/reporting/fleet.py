@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -38,7 +38,7 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
         "sentence": sentence(found),
         "groups": len(groups),
         "recordings": {
-            "summed": len(summed),
+            "summed": _count(summed),
             "left_out": len(found.failures),
             "samples": found.samples,
             "seconds": sum(row.seconds for row in summed),
@@ -46,7 +46,8 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
         "parameters": {one.parameter: _spread_entries(one, found) for one in found.spreads},
         "changes": [change._asdict() for change in found.changes[:LISTED]],
         "findings": dict(codes.most_common()),
-        "left_out": [{"recording": r.name, "why": r.status} for r in found.failures[:LISTED]],
+        "left_out": [{"recording": r.whole_name, "why": r.status} for r in found.failures[:LISTED]],
+        "unanswered": [{"group": e.group, "why": e.status} for e in found.unanswered[:LISTED]],
         "worst": [_worst_entries(row) for row in _worst(summed)[:LISTED]],
         "rate": found.rate,
         "warnings": [],
@@ -75,6 +76,11 @@ def _spread_entries(one: Spread, found: Fleet) -> Document:
 NUMBERS = ("mean", "std_error", "between", "within", "share", "p_value", "centre")
 
 
+def _count(rows: Iterable[Row]) -> int:
+    """Recordings, of which a long one has many rows."""
+    return len({(row.name, row.part) for row in rows})
+
+
 def _findings(row: Row) -> list[dict[str, Any]]:
     return json.loads(row.findings)
 
@@ -92,7 +98,7 @@ def _worst_entries(row: Row) -> Document:
     found = _findings(row)
     worst = max(found, key=lambda f: f["doubt"])
     return {
-        "recording": ", ".join(filter(None, (row.name, row.part))),
+        "recording": row.whole_name,
         "codes": list(dict.fromkeys(f["code"] for f in found)),
         "doubt": worst["doubt"],
         "message": worst["message"],
@@ -102,7 +108,7 @@ def _worst_entries(row: Row) -> Document:
 def sentence(found: Fleet) -> str:
     """What was found, in a sentence or two of plain English."""
     groups = len({entry.group for entry in found.entries if entry.status == DONE})
-    summed = sum(row.status == DONE for row in found.recordings)
+    summed = _count(row for row in found.recordings if row.status == DONE)
     several = f"{groups} group{'s' if groups != 1 else ''}"
     head = several if groups == summed else f"{several} of {summed} recordings"
     standing = [one for one in found.spreads if one.differing]
@@ -117,6 +123,8 @@ def sentence(found: Fleet) -> str:
         count = len({change.group for change in found.changes})
         names = sorted({change.parameter for change in found.changes})
         said += f" Over time {', '.join(names)} changed in {count} recording{'s' * (count > 1)}."
+    if lost := len(found.unanswered):
+        said += f" {lost} group{'s have' if lost > 1 else ' has'} no answer."
     if lost := len(found.failures):
         said += f" {lost} recording{'s were' if lost > 1 else ' was'} left out."
     return said
@@ -197,11 +205,12 @@ def changes_table(document: Document, most: int = LISTED) -> Table | None:
 
 
 def left_out_table(document: Document, most: int = LISTED) -> Table | None:
-    """Recordings that are in no group, and why."""
+    """Recordings that are in no group, groups that have no answer, and why."""
     rows = [[one["recording"], one["why"]] for one in document["left_out"][:most]]
+    rows += [[one["group"], one["why"]] for one in document["unanswered"][:most]]
     if not rows:
         return None
-    return Table(("recording", "why"), rows, "Recordings left out", numeric=False)
+    return Table(("recording or group", "why"), rows, "Without an answer", numeric=False)
 
 
 def worst_table(document: Document, most: int = LISTED) -> Table | None:
