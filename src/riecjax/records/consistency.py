@@ -1,7 +1,7 @@
 """Whether a recorded derivative fits its signal: wrong units, signs and channels show here."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from riecjax.records.faults.relations import Pairs, Relation, relations, with_su
 from riecjax.records.noise import noise_level
 from riecjax.records.reading.unit_expressions import readings
 from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.remembered import remembered
 
 SHORTEST, LONGEST_SHARE = 4, 8
 """Lags: from this many samples to this part of the record, each four times the one before."""
@@ -75,7 +76,13 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
     return wrong and wrong._replace(signals=relation.names), None
 
 
+def _pair(record: Record, signal: str, derivative: str) -> tuple[Any, ...]:
+    both = (samples_with_nan(record, name) for name in (signal, derivative))
+    return signal, derivative, *both, float(record.time_step), record.units
+
+
 # Values too large to be squared are for the fit to refuse.
+@remembered(32, _pair)
 @np.errstate(over="ignore", invalid="ignore")
 def disagreement(record: Record, signal: str, derivative: str) -> Finding | None:
     """`not_its_derivative` of a signal and what is read as its derivative, if they do not fit."""

@@ -10,11 +10,12 @@ deviation. A velocity differentiated from it shares the source, and has the taps
 so covariances between signals, and between samples of one, all follow from the kernels.
 """
 
+import functools
 from collections.abc import Mapping
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, require
@@ -248,13 +249,19 @@ def noise_level(
         starts = np.linspace(0, n - STRETCH, STRETCHES).astype(int)
         places = starts[:, None] + np.arange(STRETCH)
     differences = xp.diff(xp.asarray(samples)[..., places], n=DIFFERENCE_ORDER)
-    if present is not None:
+    if present is not None and not (xp is np and np.all(present)):
         there = xp.asarray(present)[..., places]
         count = differences.shape[-1]
         whole = [there[..., k : k + count] for k in range(DIFFERENCE_ORDER + 1)]
         differences = xp.where(xp.stack(whole).all(0), differences, xp.nan)
     gain = np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2))
     return usual_size(differences.reshape(*samples.shape[:-1], -1)) / gain
+
+
+@functools.lru_cache(64)
+def _drawn(count: int) -> Int[np.ndarray, " some"]:
+    """`SORTED` of so many places, at random."""
+    return np.random.default_rng(0).choice(count, SORTED, replace=False)
 
 
 def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
@@ -266,7 +273,7 @@ def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
     # take longer than all else. Drawn at random, they miss no phase of what is periodic.
     some = sizes
     if (n := sizes.shape[-1]) > SORTED:
-        some = sizes[..., np.random.default_rng(0).choice(n, SORTED, replace=False)]
+        some = sizes[..., _drawn(n)]
         some = xp.where(xp.isnan(some).all(-1, keepdims=True), 0.0, some)
     # Of a normal law, 6e-5 lie beyond four standard deviations, and 1e-3 of the squares' sum.
     kept = sizes <= 4 * xp.nanmedian(some, axis=-1, keepdims=True) / 0.6745

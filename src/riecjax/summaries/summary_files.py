@@ -7,6 +7,7 @@ reading a file runs no code of it.
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import json
 import os
@@ -182,6 +183,12 @@ def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path, simple=True, separator="/")
 
 
+@functools.cache
+def _version() -> str:
+    """Of riecjax; to look it up takes longer than all else of a small Summary."""
+    return version("riecjax")
+
+
 def _document(parts: Mapping[str, Any]) -> Document:
     """What of a Summary's fields is no array, but for the checksum."""
     outline: Outline = parts["outline"]
@@ -189,7 +196,7 @@ def _document(parts: Mapping[str, Any]) -> Document:
     return {
         "format": FORMAT,
         "schema": SCHEMA,
-        "riecjax": version("riecjax"),
+        "riecjax": _version(),
         "dtype": str(recordings[0].stages[0][0].moments.dtype),
         "stages": outline.stages,
         "units": outline.units,

@@ -93,6 +93,8 @@ def dropouts(signal: SampledSignal) -> np.ndarray:
     """
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
     several, none = np.flatnonzero(lengths >= SHORT), np.zeros(0, int)
+    if not several.size:
+        return none
     steps = np.abs(np.diff(signal.values))
     moving = _moving(signal, steps, several, beside=1)
     if not moving.size:
