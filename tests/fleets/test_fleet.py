@@ -17,7 +17,7 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.fleets import fleet as module
-from riecjax.fleets import groups, kept, pieces, planning, table
+from riecjax.fleets import groups, kept, pieces, planning, running, table
 from riecjax.fleets.fleet import Fleet, fleet
 from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
@@ -408,3 +408,10 @@ def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_p
         except (DataError, ModelError):
             continue
         assert [row.sums for row in found] == [row.sums for row in rows]
+
+
+def test_a_message_holds_some_groups_of_one_kind_or_a_large_one():
+    small, large = groups.Group("a", (), bytes(10)), groups.Group("b", (), bytes(3 * 2**20))
+    course = groups.Group("c", (), bytes(10), in_spans=True)
+    found = [*running._batches(iter([*[small] * 9, course, large, large, small]))]
+    assert [len(some) for some in found] == [8, 1, 1, 1, 2]

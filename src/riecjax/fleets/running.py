@@ -26,8 +26,8 @@ from riecjax.fleets.sums import DONE, Row, lost, sum_up
 
 ROUNDS = 3
 """Times that sources are looked through, for those that changed while others were summed."""
-GROUPS = 8
-"""Groups to a task."""
+GROUPS, MESSAGE = 8, 2**22
+"""Groups to a task, and bytes of their sums, at most."""
 
 Progress = Callable[[str, int, int, int], None]
 """Told what is being done, how much of it is, of how much, and how many samples that were."""
@@ -127,10 +127,16 @@ def _place(entry: Entry) -> tuple[str, float, float, str]:
 
 
 def _batches(groups: Iterator[Group]) -> Iterator[list[Group]]:
-    """A few groups at a time, of one kind."""
+    """A few groups at a time, of one kind, as many as one message holds."""
     for _, of_kind in itertools.groupby(groups, lambda one: one.in_spans):
-        while some := list(itertools.islice(of_kind, GROUPS)):
-            yield some
+        some: list[Group] = []
+        for one in of_kind:
+            size = sum(len(each.sums) + len(each.lengths) for each in (*some, one))
+            if some and (len(some) >= GROUPS or size > MESSAGE):
+                yield some
+                some = []
+            some.append(one)
+        yield some
 
 
 def _name(row: Row, by: Sequence[str]) -> str:
