@@ -282,14 +282,11 @@ class RecordingOptions:
         **Raises:** `DataError` naming the file, or a recording that was given twice.
         """
         from riecjax.records.faults.duplicates import refuse_duplicates
-        from riecjax.records.recording import read_recordings
+        from riecjax.records.recording import read_parts
 
         settings = self.settings
         recordings = [
-            one
-            for file in files
-            for part in self.parts or (None,)
-            for one in read_recordings(file, model=model, part=part, **settings)
+            one for file in files for one in read_parts(file, self.parts, model=model, **settings)
         ]
         if not self.allow_duplicates:
             refuse_duplicates(recordings)

@@ -88,13 +88,13 @@ class Cluster(contextlib.AbstractContextManager):
             "silence_logs": logging.CRITICAL,
         }
         # A process that is killed while it starts takes the others with it.
-        for _ in range(STARTS - 1):
-            with contextlib.suppress(RuntimeError):
+        for left in reversed(range(STARTS)):
+            try:
                 return self._open.enter_context(distributed.LocalCluster(**settings))
-        try:
-            return self._open.enter_context(distributed.LocalCluster(**settings))
-        except RuntimeError as error:
-            raise DataError(f"Dask's processes do not start: {error}") from None
+            except RuntimeError as error:
+                if not left:
+                    raise DataError(f"Dask's processes do not start: {error}") from None
+        return None
 
     def each(
         self, function: Callable[..., Any], tasks: Iterable[Task]

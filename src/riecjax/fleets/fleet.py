@@ -203,10 +203,11 @@ def _answered(
         if out is not None:
             write_entries(folder / ESTIMATES, [*found[0], *found[1]])
     entries, over_time = found
-    if all(entry.status != DONE for entry in entries):
-        raise DataError(f"no group can be estimated; the first: {_first_reason(entries, rows)}")
     shown = spreads(entries), changes(over_time)
-    return Fleet(asked.model, by, order.criterion, entries, over_time, *shown, rows)
+    made = Fleet(asked.model, by, order.criterion, entries, over_time, *shown, rows)
+    if all(entry.status != DONE for entry in entries):
+        raise DataError(f"no group can be estimated; the first: {made.unanswered[0].status}")
+    return made
 
 
 def _made(folder: str | os.PathLike[str]) -> Path:
@@ -260,11 +261,6 @@ def _require_sense(
         raise ModelError(f"span is a positive number of seconds; got {span}.")
     if workers is not None and workers < 0:
         raise ModelError(f"workers is a number of processes, 0 for none; got {workers}.")
-
-
-def _first_reason(entries: Sequence[Entry], rows: Sequence[Row]) -> str:
-    lost = {row.status for row in rows}
-    return next((e.status for e in entries if e.status not in lost), entries[0].status)
 
 
 def _require_some(rows: Sequence[Row]) -> None:

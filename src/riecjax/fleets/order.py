@@ -16,7 +16,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.procedure import AtRest, Procedure, with_rests
 from riecjax.fleets.sources import Source
 from riecjax.models.model import Model
-from riecjax.records.recording import Recording, read_recordings
+from riecjax.records.recording import Recording, read_parts
 from riecjax.runtime import start_jax
 from riecjax.summaries.digest import Outline
 
@@ -55,12 +55,7 @@ class Order:
 
         **Raises:** `DataError`, also for a part that it lacks.
         """
-        settings = {"model": self.model, **self.reading}
-        return [
-            one
-            for part in self.parts or (None,)
-            for one in read_recordings(file, part=part, **settings)
-        ]
+        return read_parts(file, self.parts, model=self.model, **self.reading)
 
     @functools.cached_property
     def procedure(self) -> Procedure:

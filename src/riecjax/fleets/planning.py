@@ -70,12 +70,12 @@ def order_for(
 
 
 def _first(order: Order, sources: Sequence[Source]) -> Recording:
-    errors: list[BaseException] = []
+    errors: list[Exception] = []
     for source in sources[:TRIED]:
         try:
             return _beginning(order, source)
         # What is wrong with one recording is told by its row.
-        except (Exception, MemoryError) as error:
+        except Exception as error:
             errors.append(error)
     raise DataError(
         f"none of the first {len(errors)} recordings can be read; the first: "
@@ -103,7 +103,7 @@ def planned(order: Order, sources: Sequence[Source]) -> Iterator[Piece]:
             continue
         try:
             every = recordings_of(source, order.columns_in(source), order.storage)
-        except (Exception, MemoryError):
+        except Exception:
             yield Piece(source)  # whoever sums it says why not
             continue
         for recording in every:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from riecjax.errors import DataError, RiecjaxError, printable
 from riecjax.estimation.check import of_sensors, read_of
@@ -62,7 +62,7 @@ def rows_of(order: Order, piece: Piece) -> list[Row]:
     try:
         return list(_rows(order, piece)) or [lost(piece, "it holds no rows.")]
     # Not the end of a run over a hundred thousand others, whatever it is.
-    except (Exception, MemoryError) as error:
+    except Exception as error:
         return [lost(piece, reason_of(error))]
 
 
@@ -86,19 +86,18 @@ def _rows(order: Order, piece: Piece) -> Iterator[Row]:
         yield _stretch(order, piece)
     elif source.is_parquet and columns:
         for run in recordings_of(source, columns, order.storage):
-            found = _or_lost(run, run.part, lambda run=run: _stretch(order, run))
-            yield found._replace(piece=piece.identity)
+            yield _or_lost(run, run.part, _stretch, order, run)._replace(piece=piece.identity)
     else:
         with at_hand(source, order.storage) as file:
             for one in order.recordings_in(file):
-                yield _or_lost(piece, one.part, lambda one=one: _row(order, piece, one, one.part))
+                yield _or_lost(piece, one.part, _row, order, piece, one, one.part)
 
 
-def _or_lost(piece: Piece, part: str, make: Callable[[], Row]) -> Row:
+def _or_lost(piece: Piece, part: str, make: Callable[..., Row], *given: Any) -> Row:
     """The row of one recording of several in a source, of which the others stay."""
     try:
-        return make()
-    except (Exception, MemoryError) as error:
+        return make(*given)
+    except Exception as error:
         return lost(piece, reason_of(error), part)
 
 

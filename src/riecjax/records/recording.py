@@ -155,6 +155,20 @@ def read_recordings(
     return _recordings(path, _held(path, model, settings), model, settings)
 
 
+def read_parts(
+    path: str | os.PathLike[str], parts: Sequence[str], *, model: Any = None, **settings: Any
+) -> list[Recording]:
+    """The recordings of a file that are called so, in this order; all that it holds if none is.
+
+    **Arguments** and errors as of [`read_recordings`][].
+    """
+    return [
+        one
+        for part in parts or (None,)
+        for one in read_recordings(path, model=model, part=part, **settings)
+    ]
+
+
 def _held(path: str | os.PathLike[str], model: Any, settings: ReadingSettings) -> Parts:
     require("the file", path, str | os.PathLike, "rx.read_recording('drive.csv')", DataError)
     if isinstance(model, str | type):

@@ -18,8 +18,8 @@ from riecjax.refinement.huber import LEAST_NOISE, THRESHOLD
 from riecjax.refinement.objective import AbstractObjective, Parameters, Specification
 from riecjax.refinement.output_misfit import OutputMisfit
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
-from riecjax.refinement.recorded import Along, Recorded, cut_records, over_windows
-from riecjax.refinement.shots import AbstractShooting, Shots, WholeRecord
+from riecjax.refinement.recorded import Along, Compared, Recorded, cut_records, over_windows
+from riecjax.refinement.shots import AbstractShooting, Shots, WholeRecord, within
 from riecjax.simulation.intersample import Intersample, require_intersample, smooth_inputs
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep
@@ -127,8 +127,8 @@ class OutputError(AbstractObjective):
         smooth = smooth_inputs(self.intersample, system.input_names)
         # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
         bent = smooth if any(smooth) or (smooth and self.method is None) else None
-        cut = (channels, dict(given), self.every, joined, self.shooting.overlap, bent)
-        recorded, along = cut_records(system, specified.records, shots, *cut)
+        cut = Compared(channels, dict(given), self.every, joined, self.shooting.overlap, bent)
+        recorded, along = cut_records(system, specified.records, shots, cut)
         method, simulated = _method(system, specified.records, recorded, along, self.method)
         units = dict(system.states) | dict(system.outputs)
         sigma, scale, seconds = _sizes(
@@ -276,12 +276,10 @@ def _steps(system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence
 
 def _spread(states: Leaf, part: Recorded) -> Along:
     """Of the samples within all windows, those to look at: what lies behind may run away."""
-    inside = np.arange(states.shape[1])[None, :] < np.asarray(part.length)[:, None]
-    chosen = np.flatnonzero(inside)
-    chosen = chosen[spread_points(chosen.size)]
-    flat = (np.asarray(each).reshape(inside.size, each.shape[-1]) for each in (states, part.levels))
-    at, levels = (each[chosen] for each in flat)
-    return at, levels
+    window, sample = np.nonzero(np.asarray(within(part.length, states.shape[1])))
+    chosen = spread_points(window.size)
+    at = window[chosen], sample[chosen]
+    return np.asarray(states)[at], np.asarray(part.levels)[at]
 
 
 @kept_jit
@@ -356,7 +354,7 @@ def _scale(
         return jnp.ones(0)
     size = recorded.square
     if simulated is not None:
-        inside = jnp.arange(simulated.shape[1])[None, :] < recorded.length[:, None]
+        inside = within(recorded.length, simulated.shape[1])
         squares = jnp.where(inside[..., None], simulated, 0.0) ** 2
         of_motion = jnp.sum(squares, axis=(0, 1)) / jnp.sum(recorded.length)
         size = jnp.where(np.array([source == "zero" for source in sources]), of_motion, size)

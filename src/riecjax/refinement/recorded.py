@@ -6,7 +6,7 @@ compared, and may diverge.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -74,8 +74,7 @@ class Recorded(eqx.Module):
         """
         # A method of one's own need not know of bends that are not asked for.
         bends = () if self.bends is None else (self.bends,)
-        found = method.trajectory(system, self.levels, self.time_step, initial, *bends)
-        states, _, reached = found
+        states, _, reached = method.trajectory(system, self.levels, self.time_step, initial, *bends)
         return states, reached >= self.length
 
 
@@ -94,17 +93,30 @@ Along = tuple[Leaf, Leaf]
 """States and inputs at points along a recording."""
 
 
-def cut_records(
-    system: AbstractSystem, records: Sequence[Record], shots: Sequence[Shots], *settings: Any
-) -> tuple[list[Recorded], list[Along]]:
-    """What each recording holds in its windows, and states and inputs at points spread over them.
+class Compared(NamedTuple):
+    """What of the windows is compared, and how they begin.
 
-    **Arguments:** as of `_cut`.
+    **Fields:** `channels` and `every`, of how many samples one, as of [`OutputError`][]; `given`,
+    values of initial states; `joined` as of `AbstractShooting.shots`, and `overlap`; which inputs
+    are `smooth`, `None` to keep no bends.
     """
+
+    channels: tuple[str, ...]
+    given: dict[str, Any]
+    every: int
+    joined: bool
+    overlap: bool
+    smooth: tuple[bool, ...] | None
+
+
+def cut_records(
+    system: AbstractSystem, records: Sequence[Record], shots: Sequence[Shots], compared: Compared
+) -> tuple[list[Recorded], list[Along]]:
+    """What each recording holds in its windows; states and inputs at points spread over them."""
     counts = [jnp.asarray(record.sample_count) for record in records]
     if is_concrete(records):
         records = [_filled(record) for record in records]
-    return _cut(system, records, counts, shots, *settings)
+    return _cut(system, records, counts, shots, compared)
 
 
 def _filled(record: Record) -> Record:
@@ -121,27 +133,16 @@ def _cut(
     records: Sequence[Record],
     counts: Sequence[Int[Array, ""]],
     shots: Sequence[Shots],
-    channels: tuple[str, ...],
-    given: dict[str, Any],
-    every: int,
-    joined: bool,
-    overlap: bool,
-    smooth: tuple[bool, ...] | None,
+    compared: Compared,
 ) -> tuple[list[Recorded], list[Along]]:
-    """What each recording holds in its windows, and states and inputs at points spread over them.
-
-    **Arguments:** `counts`, samples that the records hold; `given` values of initial states; the
-    others as of [`OutputError`][], `AbstractShooting.shots` and `AbstractShooting.overlap`; which
-    inputs are `smooth`, `None` to keep no bends.
-    """
-    settings = (channels, given, every, joined, overlap, smooth)
-    recorded = [_recorded(system, *cut, *settings) for cut in zip(records, counts, shots)]
-    along = []
-    for record, cut in zip(records, shots):
+    """The same of records that hold so many samples, and are filled up behind."""
+    recorded, along = [], []
+    for record, count, cut in zip(records, counts, shots):
+        states = measured_states(system, record)
+        recorded.append(_recorded(system, record, states, count, cut, compared))
         samples = cut.samples.reshape(-1)
         samples = samples[spread_points(samples.shape[0])]
-        states = measured_states(system, record)[samples]
-        along.append((states, _levels(system, record, samples)))
+        along.append((states[samples], _levels(system, record, samples)))
     return recorded, along
 
 
@@ -162,17 +163,13 @@ def _bends(
 def _recorded(
     system: AbstractSystem,
     record: Record,
+    states: Float[Array, "n states"],
     sample_count: Int[Array, ""],
     shots: Shots,
-    channels: tuple[str, ...],
-    given: dict[str, Any],
-    every: int,
-    joined: bool,
-    overlap: bool,
-    smooth: tuple[bool, ...] | None,
+    compared: Compared,
 ) -> Recorded:
-    compared = shots.samples[:, ::every]
-    states = measured_states(system, record)
+    channels, given, every, joined, overlap, smooth = compared
+    position = shots.samples[:, ::every]
     held = jnp.arange(record.sample_count) < sample_count
     initial = states[shots.first]
     for name, value in given.items():
@@ -183,20 +180,20 @@ def _recorded(
     counts = counts.at[:, 0].set(counts[:, 0] & (not joined))
     masks = (record.present((name,)) for name in channels)
     everywhere = jnp.ones(record.sample_count, bool)
-    present = [(everywhere if mask is None else mask)[compared] for mask in masks]
+    present = [(everywhere if mask is None else mask)[position] for mask in masks]
     # A window that overlaps others is one piece, by where it begins.
-    count = compared.shape[1]
+    count = position.shape[1]
     # As many as where the record is filled up, which under jit it is not.
     shared = shared_length(record.sample_count)
     short = -(-shared // SHORT_BLOCKS_OF_ROWS)
     return Recorded(
         _levels(system, record, shots.samples),
         None if smooth is None else _bends(system, record, shots.samples, smooth),
-        jnp.stack([record[name][compared] for name in channels], axis=-1),
+        jnp.stack([record[name][position] for name in channels], axis=-1),
         jnp.stack(present, axis=-1) & counts[:, :, None],
         initial,
         jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count,
-        compared,
+        position,
         jnp.asarray(shots.length),
         record.time_step,
         sample_count,

@@ -15,11 +15,11 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Bool, Int, Key
 
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
-from riecjax.leaves import is_concrete
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.filled import shared_length
 from riecjax.records.record import Record
 
@@ -47,7 +47,12 @@ class Shots(eqx.Module):
     @property
     def inside(self) -> Array:
         """Which of these lie within the window's length."""
-        return jnp.arange(self.longest)[None, :] < self.length[:, None]
+        return within(self.length, self.longest)
+
+
+def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows longest"]:
+    """Which of so many samples lie within the length of each window."""
+    return jnp.arange(longest)[None, :] < jnp.asarray(length)[:, None]
 
 
 class AbstractShooting(eqx.Module):
