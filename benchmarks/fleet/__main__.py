@@ -1,7 +1,7 @@
 """A fleet of recordings: speed, memory, discoveries, what breaks, tasks that do nothing.
 
     python -m benchmarks.fleet [--recordings 10000] [--folder DIR] [--kills 50] [--samples 10000000]
-        [--only speed discoveries breaks tasks one_pass long] [--json FILE]
+        [--only speed discoveries breaks tasks one_pass long scaling] [--json FILE]
     python -m benchmarks.fleet --page
 
 Twenty groups, two of which have dampers that are worn by 15 %, and one file in a hundred cut off.
@@ -26,6 +26,7 @@ from benchmarks.fleet.drives import write_fleet
 from benchmarks.fleet.weeks import long, one_pass
 from benchmarks.table import FOLDER, filled_in
 from benchmarks.writing import write_json
+from riecjax.fleets.engine import cores
 from riecjax.fleets.planning import TOGETHER
 from riecjax.runtime import start_jax
 
@@ -97,6 +98,16 @@ def speed(folder: Path, work: Path) -> dict[str, Any]:
         "same_bits": same,
         "summary_bytes": table.stat().st_size / count,
         "estimated_again_seconds": time.perf_counter() - began,
+    }
+
+
+def scaling(folder: Path, work: Path) -> dict[str, Any]:
+    """1, 2, 4 and more workers, to one a core: of machines with more than two."""
+    counts = [2**n for n in range(cores().bit_length())]
+    return {
+        "cores": cores(),
+        "recordings": sum(1 for _ in folder.rglob("*.parquet")),
+        "runs": [run(folder, work / f"scaling{workers}", workers) for workers in (1, *counts)][1:],
     }
 
 
@@ -218,6 +229,20 @@ def words(document: dict[str, Any]) -> str:
             f"with what their windows reach beside, differ from those of one pass over all of them "
             f"by {found['difference']:.1g} of their size; windows counted: {found['counted']}.",
         ]
+    if (found := document.get("scaling")) is not None:
+        one = found["runs"][0]["seconds"]
+        rows = [
+            f"| {run['workers']} | {run['seconds']:.0f} s | {run['samples_per_second']:,.0f} | "
+            f"{one / run['seconds']:.1f} |"
+            for run in found["runs"]
+        ]
+        said += [
+            f"\n**More cores**: {found['recordings']} recordings on a machine of "
+            f"{found['cores']} cores:\n",
+            "| workers | time | samples a second | times one worker |",
+            "|---|---|---|---|",
+            *rows,
+        ]
     if {"speed", "tasks"} <= {*document}:
         said += ["", *_further(document["speed"], document["tasks"])]
     return "\n".join(said)
@@ -260,7 +285,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--samples", type=int, default=10_000_000, help="of the long recording")
     parser.add_argument("--tasks", type=int, default=100_000, help="that do nothing")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--only", nargs="+", choices=(*PARTS, "scaling"), default=PARTS)
     parser.add_argument("--json", type=Path, help="where results are kept")
     parser.add_argument("--page", action="store_true", help="write the documentation's page")
     given = parser.parse_args()
@@ -277,6 +302,7 @@ def main() -> None:
         for part in given.only:
             found = {
                 "speed": lambda: speed(folder, work),
+                "scaling": lambda: scaling(folder, work),
                 "discoveries": lambda: discoveries(work / "out2" / "summaries.parquet"),
                 "breaks": lambda: breaks(folder, work, given.kills),
                 "tasks": lambda: tasks(given.tasks),
