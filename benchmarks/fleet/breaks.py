@@ -21,6 +21,8 @@ COMMANDS, SCHEDULERS, DISKS, CHANGES = 3, 3, 3, 1
 """Runs of which the command or the scheduler is killed, the disk is full, files change."""
 AT_ONCE = 12
 """Workers that are killed of one run, at most: each takes its time to begin anew."""
+MOST_CHANGED = 7
+"""Files that change during a run: once all are summed again, tenths are told anew."""
 RESULTS = ("summaries.parquet", "estimates.parquet")
 
 
@@ -146,28 +148,28 @@ def _files_changed(
 ) -> tuple[int, bool]:
     """Files that are written anew while others are summed count as they are in the end.
 
-    Only in the first half: what changes once all are summed is for the next run.
+    One at each tenth that the command tells of, to the sixth: what changes once all are summed is
+    for the next run.
     """
     copy, fresh = out.with_name("copy"), out.with_name("fresh")
     for each in (copy, fresh):
         shutil.rmtree(each, ignore_errors=True)
     shutil.copytree(folder, copy, symlinks=False)
-    files = sorted(copy.rglob("*.parquet"))
-    process = psutil.Popen(command(copy, out, 2), stdout=subprocess.DEVNULL)
-    changed, began = 0, time.perf_counter()
-    while True:
-        time.sleep(rng.uniform(0.02, 0.1) * seconds)
-        if time.perf_counter() - began > 0.5 * seconds:
-            break
-        if process.poll() is None:
-            one, other = rng.choice(len(files), 2, replace=False)
-            beside = files[one].with_suffix(".new")
-            shutil.copyfile(files[other], beside)
-            beside.replace(files[one])
-            changed += 1
-    ended = process.wait()
+    files, changed = sorted(copy.rglob("*.parquet")), 0
+    with subprocess.Popen(
+        command(copy, out, 2), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            told = re.search(r"summing: (\d+) of (\d+)", line)
+            if told and changed < MOST_CHANGED and int(told[1]) <= 0.6 * int(told[2]):
+                one, other = rng.choice(len(files), 2, replace=False)
+                beside = files[one].with_suffix(".new")
+                shutil.copyfile(files[other], beside)
+                beside.replace(files[one])
+                changed += 1
     run(copy, fresh, 2)
-    return changed, ended == 0 and _alike(out, fresh)
+    return changed, process.returncode == 0 and _alike(out, fresh)
 
 
 def _workers(process: psutil.Popen) -> list[psutil.Process]:

@@ -1,6 +1,7 @@
 """JAX's global settings, which no import makes: the command line does, or whoever asks for it."""
 
 import functools
+import gc
 import operator
 import os
 import platform
@@ -15,6 +16,8 @@ SMALL_LOOP_BYTES = 10**6
 """Loops that touch less memory than this in a turn are compiled whole; XLA's own limit is 1024."""
 CACHE_BYTES = 2**28
 """Size that kept programs may grow to, and JAX's own compilations beside them."""
+COLLECT_AFTER = 100_000
+"""New objects after which Python looks for cycles: tracing makes many, and hardly any cycle."""
 _programs_folder: Path | None = None
 _SMALL_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
 _FLAGS = {
@@ -65,6 +68,11 @@ def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int =
         jax.config.update("jax_num_cpu_devices", devices)
     if keep_compiled and not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         _keep_compiled()
+
+
+def collect_seldom() -> None:
+    """Look for cycles of objects less often, in a process that is this package's own."""
+    gc.set_threshold(COLLECT_AFTER)
 
 
 def _compiling_fast() -> dict[str, str]:

@@ -22,6 +22,7 @@ from riecjax.fleets.fleet import Fleet, fleet
 from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
+from riecjax.reporting.fleet import sentence
 from riecjax.summaries.reduced import in_blocks
 from riecjax.summaries.summarise import summarise
 
@@ -172,6 +173,22 @@ def test_a_file_that_changes_while_others_are_summed_is_summed_again(folder, tmp
     found = fleet(MODEL, drives_of, workers=0, progress=touched)
     alone = fleet(MODEL, drives_of, workers=0)
     assert found.entries == alone.entries
+    assert not found.changed
+
+
+def test_what_goes_on_changing_is_told(folder, tmp_path):
+    drives_of = tmp_path / "drives"
+    shutil.copytree(folder / "vehicle=0", drives_of)
+    times = [0]
+
+    def touched(what: str, done: int, total: int, samples: int) -> None:
+        if what == "summing" and done == total:
+            times[0] += 1
+            shutil.copy(folder / f"vehicle={times[0] % 3}/1.parquet", drives_of / "1.parquet")
+
+    found = fleet(MODEL, drives_of, workers=0, progress=touched)
+    assert found.changed == ["1.parquet"]
+    assert "1 recording went on changing while summed (1.parquet): run" in sentence(found)
 
 
 def test_sums_of_an_earlier_run_are_estimated_anew(by_vehicle):

@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import gc
 import importlib
 import io
 import json
@@ -12,6 +11,7 @@ import sys
 import click
 
 from riecjax.errors import RiecjaxError, printable
+from riecjax.runtime import collect_seldom
 from riecjax.standard_output import answer, for_answers_alone
 from riecjax.work import REMEDY
 
@@ -45,13 +45,11 @@ def cli() -> None:
 
 INTERRUPTED = 130
 """Exit status, as of shells, after Ctrl-C, where `riecjax.cli.start` does not see to it."""
-COLLECT_AFTER = 100_000
-"""New objects after which Python looks for cycles: tracing makes many, and hardly any cycle."""
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 no answer from these data, 2 wrong usage."""
-    gc.set_threshold(COLLECT_AFTER)
+    collect_seldom()
     for stream in (sys.stdout, sys.stderr):
         # Names of columns and files may not be in its encoding: redirected on Windows, a code page.
         if isinstance(stream, io.TextIOWrapper):

@@ -42,6 +42,7 @@ class Fleet(Shown):
     - `over_time`: the same for each span of time of each recording, if asked for.
     - `spreads` of each parameter over groups, and `changes` over time.
     - `recordings`: one row for each, or for each stretch of a long one, without its sums.
+    - `changed`: sources that went on changing while they were summed, and count as they were then.
     - `rate` of false discoveries among groups that are called different.
     """
 
@@ -53,6 +54,7 @@ class Fleet(Shown):
     spreads: Sequence[Spread]
     changes: Sequence[Change]
     recordings: Sequence[Row]
+    changed: Sequence[str] = ()
     rate: float = RATE
 
     @property
@@ -186,6 +188,7 @@ def _answered(
         if len(asked.patterns) == 1 and is_table(asked.patterns[0]):
             table = Path(asked.patterns[0])
             order = _order_of(asked.model, table, criterion, by, at_rest)
+            changed: list[str] = []
             rows = judged([*read_rows(table, LIGHT)], by, asked.allow_duplicates)
             _require_some(rows)
             found = estimates(order, asked.settings, rows, read_rows(table), started(), tell)
@@ -195,7 +198,7 @@ def _answered(
             plan_parameters(order.procedure, 1, asked.settings.known, ())
             kept = Kept(folder, order.digest, {b"riecjax.model": asked.model.name.encode()})
             runs = started()
-            pieces = summed(order, sources, look, kept, runs, asked.strict, tell)
+            pieces, changed = summed(order, sources, look, kept, runs, asked.strict, tell)
             rows = judged([*kept.light(pieces)], by, asked.allow_duplicates)
             _require_some(rows)
             found = estimates(order, asked.settings, rows, kept.whole(pieces), runs, tell)
@@ -204,7 +207,7 @@ def _answered(
             write_entries(folder / ESTIMATES, [*found[0], *found[1]])
     entries, over_time = found
     shown = spreads(entries), changes(over_time)
-    made = Fleet(asked.model, by, order.criterion, entries, over_time, *shown, rows)
+    made = Fleet(asked.model, by, order.criterion, entries, over_time, *shown, rows, changed)
     if all(entry.status != DONE for entry in entries):
         raise DataError(f"no group can be estimated; the first: {made.unanswered[0].status}")
     return made

@@ -17,7 +17,7 @@ from riecjax.equations.procedure import AtRest, Procedure, with_rests
 from riecjax.fleets.sources import Source
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording, read_parts
-from riecjax.runtime import start_jax
+from riecjax.runtime import collect_seldom, start_jax
 from riecjax.summaries.digest import Outline
 
 USERS = "riecjax_user_"
@@ -142,5 +142,5 @@ def unpacked(order: bytes) -> Order:
 
     if _is_worker():
         start_jax(keep_compiled=True)
-
+        collect_seldom()
     return cloudpickle.loads(order)

@@ -41,13 +41,14 @@ def summed(
     runs: Engine,
     strict: bool,
     tell: Progress,
-) -> list[str]:
+) -> tuple[list[str], list[str]]:
     """Keep the rows of all pieces, of which those that are kept already are not summed again.
 
     **Arguments:** `sources`; `look` finds them once more afterwards, and what has changed since is
     summed anew.
 
-    **Returns:** the pieces, in the order of their sources' names.
+    **Returns:** the pieces, in the order of their sources' names; and the names of sources that
+    have changed once more since they were summed last.
 
     **Raises:** `DataError` where rows cannot be kept, or the scheduler is gone; with `strict` for
     the first recording that fails.
@@ -57,7 +58,7 @@ def summed(
         pieces = list(planned(order, sources))
         missing = [piece for piece in pieces if piece.identity not in kept]
         if not missing:
-            break
+            return [piece.identity for piece in pieces], []
         done, samples = len(pieces) - len(missing), 0
         tell("summing", done, len(pieces), samples)
         for rows in _rows(packed, missing, runs):
@@ -69,7 +70,8 @@ def summed(
             tell("summing", done, len(pieces), samples)
         kept.write()
         sources = look()
-    return [piece.identity for piece in pieces]
+    changed = {one.source.name for one in planned(order, sources) if one.identity not in kept}
+    return [piece.identity for piece in pieces], sorted(changed)
 
 
 def _rows(packed: bytes, pieces: Sequence[Piece], runs: Engine) -> Iterator[list[Row]]:

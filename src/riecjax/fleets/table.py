@@ -15,7 +15,7 @@ from riecjax.fleets.groups import Entry
 from riecjax.fleets.sums import Row
 from riecjax.records.writing import write_whole
 
-ORDER, SCHEMA_KEY, SCHEMA = b"riecjax.order", b"riecjax.fleet", b"1"
+ORDER, SCHEMA_KEY, SCHEMA = b"riecjax.order", b"riecjax.fleet", b"2"
 COUNT = b"riecjax.rows"
 ROWS = 64
 """Rows to a group of a file, which are read together."""

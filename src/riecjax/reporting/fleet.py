@@ -47,6 +47,7 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
         "changes": [change._asdict() for change in found.changes[:LISTED]],
         "findings": dict(codes.most_common()),
         "left_out": [{"recording": r.whole_name, "why": r.status} for r in found.failures[:LISTED]],
+        "changed": [*found.changed[:LISTED]],
         "unanswered": [{"group": e.group, "why": e.status} for e in found.unanswered[:LISTED]],
         "worst": [_worst_entries(row) for row in _worst(summed)[:LISTED]],
         "rate": found.rate,
@@ -127,6 +128,11 @@ def sentence(found: Fleet) -> str:
         said += f" {lost} group{'s have' if lost > 1 else ' has'} no answer."
     if lost := len(found.failures):
         said += f" {lost} recording{'s were' if lost > 1 else ' was'} left out."
+    if lost := len(found.changed):
+        said += (
+            f" {lost} recording{'s' * (lost > 1)} went on changing while summed "
+            f"({found.changed[0]}{', ...' * (lost > 1)}): run it again once nothing writes there."
+        )
     return said
 
 

@@ -275,9 +275,7 @@ def _require_schema(document: Any, name: str, kind: str, schema: int) -> None:
 def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
     """The fields of the Summary with this document and these arrays."""
     edges = arrays.pop(EDGES) if document["bins"] else None
-    empty = tuple(_skeleton(**one) for one in document["recordings"])
-    paths, structure = jax.tree_util.tree_flatten_with_path(empty)
-    names = [_name(path) for path, _ in paths]
+    names, structure = _frame(json.dumps(document["recordings"]))
     if set(names) != set(arrays):
         raise DataError("its arrays are not those that it lists.")
     stages = (
@@ -294,6 +292,14 @@ def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
         "band": _pair(document["band"]),
         "asked": None if document["asked"] is None else _pair(document["asked"]),
     }
+
+
+@functools.lru_cache(maxsize=64)
+def _frame(recordings: str) -> tuple[list[str], Any]:
+    """Names of the arrays of recordings that are described so, and how they hang together."""
+    empty = tuple(_skeleton(**one) for one in json.loads(recordings))
+    paths, structure = jax.tree_util.tree_flatten_with_path(empty)
+    return [_name(path) for path, _ in paths], structure
 
 
 def _pair(values: list[Any]) -> tuple[Any, Any]:
