@@ -1,6 +1,6 @@
 """An equation of motion, linear in its parameters."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from riecjax.equations.expressions import (
 )
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.records.signals import Signals
 from riecjax.shows import Shown
@@ -155,6 +155,20 @@ class Equation(Shown, eqx.Module):
             order = max(term.derivative - smoothness, 0)
             read_expression(term.expression(record, order), signals)
         return signals.read
+
+
+def with_terms(equation: Equation, terms: Sequence[AbstractTerm]) -> Equation:
+    """The same equation with further terms, whose sign is that of the inertia."""
+    if not terms:
+        return equation
+    # What is differentiated most often, a named coefficient first.
+    moving = [term for term in equation.terms if isinstance(term, Term)]
+    moving.sort(key=lambda term: (-term.derivative, not term.parameters))
+    turned = any(
+        is_concrete(term.number) and float(np.asarray(term.number)) < 0 for term in moving[:1]
+    )
+    signed = [-term for term in terms] if turned else terms
+    return eqx.tree_at(lambda e: e.terms, equation, (*equation.terms, *signed))
 
 
 def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:

@@ -120,6 +120,43 @@ class _FasterThan:
         return jnp.abs(signals[self.name]) > self.threshold
 
 
+@dataclass(frozen=True)
+class _Power:
+    name: str
+    power: int
+    odd: bool
+
+    @property
+    def __name__(self) -> str:
+        size = f"|{self.name}|"
+        power = "" if self.power == 1 else f"^{self.power}"
+        if self.power == 0:
+            return f"sign({self.name})" if self.odd else "1"
+        if self.odd == bool(self.power % 2):  # a plain power has that sign
+            return f"{self.name}{power}"
+        if self.odd:
+            rest = "" if self.power == 2 else f"^{self.power - 1}"
+            return f"{self.name} {size}{rest}"
+        return f"{size}{power}"
+
+    def __call__(self, signals: Signals) -> Array:
+        x = signals[self.name]
+        if self.odd == bool(self.power % 2):
+            return x**self.power
+        size = jnp.abs(x) ** self.power
+        return jnp.sign(x) * size if self.odd else size
+
+
+def odd(name: str, power: int) -> _Power:
+    """sign(x) |x|^power of a signal x: dry friction of a velocity (0), drag (2), a cubic (3)."""
+    return _Power(name, power, odd=True)
+
+
+def even(name: str, power: int) -> _Power:
+    """|x|^power of a signal x, the same in both directions."""
+    return _Power(name, power, odd=False)
+
+
 def product(*names: str) -> _Product:
     """The product of signals, such as `product("current", "flux")`."""
     return _Product(names)

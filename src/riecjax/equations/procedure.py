@@ -11,7 +11,7 @@ from typing import Literal, Protocol, TypeAlias
 
 import equinox as eqx
 
-from riecjax.equations.equation import Equation
+from riecjax.equations.equation import Equation, with_terms
 from riecjax.equations.expressions import Expression
 from riecjax.equations.hidden_modes import (
     Expanded,
@@ -83,6 +83,29 @@ class Procedure(Shown, eqx.Module):
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
         return replace(self, modes=(*self.modes, *modes))
+
+    def with_terms(self, added: Mapping[str, Sequence[AbstractTerm]]) -> "Procedure":
+        """The same equations with further terms, each for the equation of a name.
+
+        They stand beside the inertia: where that has a minus they get one too, so that what resists
+        motion has a positive coefficient.
+
+        **Raises:** `ModelError` for an equation that there is none of, and for a coefficient that
+        the model has already or that is added twice.
+        """
+        names = [name for stage in self.equation_names for name in stage]
+        if unknown := [name for name in added if name not in names]:
+            raise ModelError(
+                f"no equation is called '{unknown[0]}'; there are: {', '.join(names)}."
+            )
+        taken = {*self.parameters}
+        for name in (n for terms in added.values() for term in terms for n in term.parameters):
+            if name in taken:
+                raise ModelError(f"there is a coefficient '{name}' already: call it otherwise.")
+            taken.add(name)
+        return self._with_equations(
+            [with_terms(e, added.get(name, ())) for name, e in zip(names, self.equations)]
+        )
 
     def with_unknown_offset(self, signal: str, unit: str = "") -> "Procedure":
         """The same equations, with the unknown zero of a signal's sensor as a coefficient.

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from riecjax.equations.hidden_modes import HiddenMode
     from riecjax.equations.procedure import HasProcedure, Procedure
     from riecjax.equations.series_springs import SeriesSpring
+    from riecjax.equations.term import AbstractTerm
     from riecjax.records.record import Record
     from riecjax.refinement.parametric import AbstractParametric
     from riecjax.simulation.attached_modes import Attachment
@@ -107,6 +108,38 @@ class Model(Shown):
             carrying, parameters=(*self.parameters, *added), own_simulation_parameters=own
         )
 
+    def with_terms(
+        self,
+        added: Mapping[str, Sequence[AbstractTerm]],
+        values: Mapping[str, float] | None = None,
+        meanings: Mapping[str, str] | None = None,
+    ) -> Model:
+        """The same model with further terms, see [`Procedure.with_terms`][].
+
+        Their coefficients join its parameters, and it is simulated by its equations. To be called
+        before hidden elements are added.
+
+        **Arguments:** `added`, terms by the name of their equation; `values` of parameters to
+        simulate with; `meanings` of those that are added.
+
+        **Raises:** as [`Procedure.with_terms`][].
+        """
+        procedure = self.build_procedure().with_terms(added)
+        given, said = values or {}, meanings or {}
+        names = [n for terms in added.values() for term in terms for n in term.parameters]
+        own = [
+            *self.parameters,
+            *(Quantity(n, procedure.units.get(n, ""), said.get(n, "")) for n in names),
+        ]
+        return replace(
+            self,
+            procedure=lambda: procedure,
+            parameters=tuple(q._replace(default=given.get(q.name, q.default)) for q in own),
+            system=None,
+            own_simulation_parameters=(),
+            written=(),
+        )
+
     def with_sensor_errors(self, offsets: Sequence[str] = (), gains: Sequence[str] = ()) -> Model:
         """The same model with unknown offsets and gains of the sensors of these signals.
 
@@ -173,14 +206,14 @@ class Model(Shown):
     def build_system(self, settings: Mapping[str, float]) -> AbstractSystem:
         """The system to simulate, with its defaults replaced by `settings`.
 
-        **Raises:** `ModelError` if this model is only for identification, or its system cannot
-        carry its modes; for a setting that is unknown or has neither value nor default.
+        Its equations', where the model has none of its own.
+
+        **Raises:** `ModelError` if its equations cannot be simulated, or its system cannot carry
+        its modes; for a setting that is unknown or has neither value nor default.
         """
         import jax.numpy as jnp
 
-        if self.system is None:
-            raise ModelError(f"model '{self.name}' can be identified but not simulated.")
-        if self.springs or self.sensors:
+        if self.system is not None and (self.springs or self.sensors):
             lacks = "springs in series" if self.springs else "errors of sensors"
             raise ModelError(
                 f"the system of {self.name} has no {lacks}: simulate its equations, "
@@ -197,13 +230,19 @@ class Model(Shown):
             raise ModelError(
                 f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
             )
-        if self._carries and self._attachments is None:
+        if self.system is not None and self._carries and self._attachments is None:
             raise ModelError(
                 f"the system of {self.name} cannot carry a hidden mode, whose body's velocity it "
                 f"does not have or accelerates together with others: simulate its equations, "
                 f"rx.equation_system(model.build_procedure(), values)."
             )
-        return self._built({name: jnp.asarray(v, float) for name, v in values.items()})
+        numbers = {name: jnp.asarray(value, float) for name, value in values.items()}
+        if self.system is None:
+            from riecjax.simulation.equation_system import equation_system
+
+            rates = {name: _resolve(rate) for name, rate in self.rates.items()}
+            return equation_system(self.build_procedure(), numbers, rates=rates)
+        return self._built(numbers)
 
     def identified_system(self, values: Mapping[str, Array], record: Record) -> AbstractSystem:
         """The system to validate identified values with on a record.

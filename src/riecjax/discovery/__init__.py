@@ -1,0 +1,5 @@
+"""Discovery: which terms a model lacks, chosen from one Gram matrix of all candidates."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,211 @@
+"""The verb: which terms a model lacks, told from recordings."""
+
+from collections.abc import Mapping, Sequence
+from numbers import Real
+
+import numpy as np
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.suited import suited
+from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, as_candidates
+from riecjax.discovery.catalogue import default_candidates
+from riecjax.discovery.discovery import Chosen, Discovery, Rejected
+from riecjax.discovery.extended import by_equation, extended, members, without_taken
+from riecjax.discovery.folds import Folds
+from riecjax.discovery.search import Offer, Search, Step
+from riecjax.discovery.selected import AGAIN, Again, again
+from riecjax.discovery.widths import Sums
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, with_rests
+from riecjax.errors import DataError, ModelError, require
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.identify import identify
+from riecjax.estimation.parameters import plan_parameters
+from riecjax.models.model import Model, as_model
+from riecjax.records.noise_judgement import GivenNoise
+from riecjax.records.record import Records
+from riecjax.records.recording import Recording, as_recordings
+from riecjax.summaries.task import ready
+from riecjax.uncertainty.intervals import AbstractIntervals
+
+FEWEST = 6
+"""Folds of time that a choice is made from at the least."""
+
+
+def discover(
+    model: Equation | Procedure | HasProcedure,
+    records: Records,
+    candidates: object = None,
+    criterion: AbstractCriterion | None = None,
+    *,
+    hold_out: float | None = None,
+    known: Mapping[str, float] | None = None,
+    intervals: AbstractIntervals | None = None,
+    noise: GivenNoise = "auto",
+    at_rest: AtRest | None = None,
+    resamples: int = AGAIN,
+    seed: int = 0,
+) -> Discovery:
+    """Find the terms that a model lacks, by what they predict of blocks of time left out.
+
+    The model's own terms stay. Candidates are added, exchanged and taken away again by what they
+    explain of the motion beyond the sensors' noise, all from one pass over the samples, and only
+    what chance does not explain is kept: of a model that lacks nothing one search in twenty adds a
+    term at most. Not under jit.
+
+    **Arguments:** `model`, `records`, `criterion`, `known`, `intervals`, `noise` and `at_rest` as
+    for [`identify`][];
+
+    - `candidates`: terms, [`Candidate`][riecjax.discovery.Candidate]s or
+      [`Shaped`][riecjax.discovery.Shaped]s that the model may lack; by default friction, springs,
+      dead zones and offsets of its motions, see [`default_candidates`][].
+    - `hold_out`: share at the end of each recording that has no part in the choice, and from which
+      alone parameters and their intervals come then. Without it all is used for both, and
+      standard errors include the choice, by searching again in data drawn again.
+    - `resamples`: how many times that is done; `seed` of what is drawn.
+
+    **Returns:** a [`Discovery`][riecjax.discovery.Discovery].
+
+    **Raises:** as [`identify`][]; `ModelError` for a model with hidden elements, and for candidates
+    that are none; `DataError` for recordings too short to leave blocks of time out.
+    """
+    found = as_model(model)
+    procedure = with_rests(found.build_procedure(), at_rest)
+    _require_sense(procedure, hold_out, known)
+    recordings = as_recordings(records)
+    offered = _offered(found, procedure, recordings, candidates)
+    whole = ready(extended(procedure, members(offered)), recordings, noise)
+    halves = [(one, one) if hold_out is None else one.split(hold_out) for one in whole]
+    first, last = ([pair[i] for pair in halves] for i in (0, 1))
+    if criterion is None:
+        criterion = suited(procedure, found.band, [one.record for one in whole])
+    sums = Sums(procedure, first, criterion, offered, dict(known or {}))
+    stages = _searched(sums)
+    taken = [one for _, chosen in stages for one in chosen]
+    resamples = 0 if hold_out is not None else resamples
+    drawn = [again(search, chosen, seed, resamples) for search, chosen in stages]
+    chosen = [_as_chosen(sums, one, drawn) for one in taken]
+    larger = _with_chosen(found, procedure, chosen)
+    estimate = identify(larger, last, criterion, known=known, intervals=intervals, at_rest=at_rest)
+    return Discovery(
+        larger,
+        found,
+        tuple(chosen),
+        tuple(_rejected(stages)),
+        _paths(procedure, stages),
+        estimate,
+        _errors(estimate, sums, taken, drawn),
+        hold_out or 0.0,
+        sum(len({one.family for one in search.offers}) for search, _ in stages),
+    )
+
+
+def _require_sense(
+    procedure: Procedure, hold_out: float | None, known: Mapping[str, float] | None
+) -> None:
+    require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.3, a share")
+    if procedure.has_hidden:
+        raise ModelError(
+            "terms are looked for beside a model without hidden modes and springs: leave these out."
+        )
+    plan_parameters(procedure, 1, known, ())
+
+
+def _offered(
+    model: Model, procedure: Procedure, recordings: Sequence[Recording], candidates: object
+) -> list[AnyCandidate]:
+    if candidates is not None:
+        return as_candidates(candidates)
+    units = {signal.name: signal.unit for signal in model.signals}
+    records = [one.record for one in recordings]
+    for record in records:
+        units |= {name: unit for name, unit in dict(record.units).items() if unit}
+    names = [name for stage in procedure.equation_names for name in stage]
+    usual = default_candidates(procedure.equations, names, records, units)
+    return without_taken(usual, procedure.parameters)
+
+
+def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
+    """A search of each stage that terms were offered to, and what it found."""
+    found: dict[str, float] = {}
+    stages = []
+    for number, _ in enumerate(sums.procedure.stages):
+        search, chosen = sums.settled(number, found)
+        _require_folds(search.folds)
+        names = (*search.kept, *(name for one in chosen for name in one.columns))
+        found |= dict(zip(names, map(float, search.folds.fitted(names))))
+        stages.append((search, chosen))
+    return stages
+
+
+def _require_folds(folds: Folds) -> None:
+    if folds.count < FEWEST:
+        raise DataError(
+            f"the recordings hold {folds.count} blocks of time, of which terms are to be chosen "
+            f"by leaving some out: {FEWEST} are needed. Record for longer, or choose a smaller "
+            f"beta."
+        )
+
+
+def _as_chosen(sums: Sums, offer: Offer, drawn: Sequence[Again]) -> Chosen:
+    share = max(one.shares.get(offer.family, np.nan) for one in drawn)
+    one = next(one for one in sums.candidates if one.name == offer.family)
+    if isinstance(one, Candidate):
+        return Chosen(one, None, "", share)
+    width = _width(one, offer)
+    return Chosen(one.chosen(width), width, one.unit, share)
+
+
+def _width(one: Shaped, offer: Offer) -> float:
+    return float(one.widths[int(offer.name.rpartition("@")[2])])
+
+
+def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -> Model:
+    candidates = [one.candidate for one in chosen]
+    if not candidates:
+        return model
+    meanings = {name: one.meaning for one in candidates for name in one.columns}
+    return model.with_terms(by_equation(procedure, candidates), meanings=meanings)
+
+
+def _rejected(stages: Sequence[tuple[Search, list[Offer]]]) -> list[Rejected]:
+    """The nearest of each law."""
+    found: dict[str, Rejected] = {}
+    for search, chosen in stages:
+        for offer, gain, chance in search.next_best(chosen):
+            found.setdefault(offer.family, Rejected(offer.family, gain, chance))
+    return sorted(found.values(), key=lambda one: -one.gain)
+
+
+def _paths(
+    procedure: Procedure, stages: Sequence[tuple[Search, list[Offer]]]
+) -> dict[str, tuple[Step, ...]]:
+    names = [" + ".join(of) for of in procedure.equation_names]
+    return {
+        name: tuple(search.path(chosen))
+        for name, (search, chosen) in zip(names, stages, strict=True)
+        if search.offers
+    }
+
+
+def _errors(
+    estimate: Estimate, sums: Sums, taken: Sequence[Offer], drawn: Sequence[Again]
+) -> dict[str, float]:
+    """Standard errors that include the choice: never less than the estimate's own."""
+    called = {
+        name: other
+        for offer in taken
+        for name, other in zip(offer.columns, _final_columns(sums, offer), strict=True)
+    }
+    own = dict(zip(estimate.parameters, map(float, estimate.standard_errors)))
+    for one in drawn:
+        for name, error in one.errors.items():
+            final = called.get(name, name)
+            if final in own and error == error:
+                own[final] = max(own[final], error)
+    return own
+
+
+def _final_columns(sums: Sums, offer: Offer) -> tuple[str, ...]:
+    one = next(one for one in sums.candidates if one.name == offer.family)
+    return one.columns if isinstance(one, Candidate) else one.chosen(_width(one, offer)).columns

@@ -1,0 +1,65 @@
+"""What a search for missing terms found."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from riecjax.discovery.candidate import Candidate
+from riecjax.discovery.search import Step
+from riecjax.estimation.estimate import Estimate
+from riecjax.models.model import Model
+from riecjax.shows import Shown
+
+
+class Rejected(NamedTuple):
+    """A candidate that was not taken: share of what is unexplained that it would gain, and the
+    chance that one which explains nothing stands out as much, any one of those offered."""
+
+    name: str
+    gain: float
+    chance: float
+
+
+class Chosen(NamedTuple):
+    """A candidate that was taken.
+
+    **Fields:** `candidate`; `width` of its law in `width_unit`, `None` of one without; `share` of
+    the searches of data drawn again that took it too.
+    """
+
+    candidate: Candidate
+    width: float | None
+    width_unit: str
+    share: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Discovery(Shown):
+    """A model with the terms that it lacked; made by [`discover`][].
+
+    **Fields:**
+
+    - `model`, with what was chosen; `start`, the model that was given.
+    - `chosen`, and `rejected`, those nearest to it.
+    - `paths` of the stages that terms were offered to: what blocks of time that were left out of
+      the fit leave unexplained, with one term more on each line.
+    - `estimate` of the model; `errors`, standard errors that include the choice of terms.
+    - `held_out`: share of each recording that had no part in the choice and that `estimate` is
+      from; 0 where choice and estimate are of all.
+    - `offered`: how many candidates could be told apart.
+    """
+
+    model: Model
+    start: Model
+    chosen: tuple[Chosen, ...]
+    rejected: tuple[Rejected, ...]
+    paths: Mapping[str, tuple[Step, ...]]
+    estimate: Estimate
+    errors: Mapping[str, float]
+    held_out: float
+    offered: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what was chosen."""
+        return tuple(one.candidate.name for one in self.chosen)

@@ -1,0 +1,74 @@
+"""Which signals of an equation are positions and which are velocities."""
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import NamedTuple
+
+from riecjax.discovery.units import per
+from riecjax.equations.bases import Polynomial
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term, Terms
+
+POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")
+
+
+class Motion(NamedTuple):
+    """A position and the velocity that is its derivative, of which one may not be recorded.
+
+    **Fields:** `position`, `velocity`, names of signals, empty where there is none; `unit` of the
+    position, empty where it is not known.
+    """
+
+    position: str
+    velocity: str
+    unit: str = ""
+
+    @property
+    def name(self) -> str:
+        """What candidates are called after, where there are several motions."""
+        return self.position or self.velocity
+
+
+def motions_of(
+    equation: Equation, recorded: Collection[str], units: Mapping[str, str]
+) -> list[Motion]:
+    """The motions that an equation reads, of the signals that are recorded.
+
+    By the derivatives of its terms; by their units, of signals that it reads in no derivative.
+    """
+    found: dict[str, Motion] = {}
+    for position, velocity in _pairs(equation, units):
+        held = [name if name in recorded else "" for name in (position, velocity)]
+        if not any(held):
+            continue
+        one = Motion(*held, _unit(position, velocity, units))
+        # What is read as a velocity here may be the derivative of a position there.
+        for key in filter(None, held):
+            before = found.get(key)
+            if before is None or (not before.position and one.position):
+                found[key] = one
+    return list(dict.fromkeys(found.values()))
+
+
+def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Positions with their velocities, either of them empty where the equation has no name."""
+    for term in equation.terms:
+        of = term.of
+        if isinstance(term, Term) and isinstance(of, str):
+            first = next(iter(term.measured), "")
+            if term.derivative == 2:
+                yield of, first
+            elif term.derivative == 1 and (units.get(of) in VELOCITIES or not first):
+                yield "", of
+            elif term.derivative == 1 and units.get(first, "m/s") in VELOCITIES:
+                yield of, first
+        elif isinstance(term, Terms) and isinstance(of, str):
+            yield (of, "") if isinstance(term.basis, Polynomial) else ("", of)
+        if isinstance(of, str) and not term.derivative and units.get(of) in POSITIONS:
+            yield of, ""
+
+
+def _unit(position: str, velocity: str, units: Mapping[str, str]) -> str:
+    if found := units.get(position):
+        return found
+    of = units.get(velocity, "")
+    return per(of, "1/s") if of else ""

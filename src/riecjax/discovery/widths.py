@@ -1,0 +1,112 @@
+"""Sums of a model and of all that it may lack, summed anew as widths come closer.
+
+A law with a width stands in the sums for each of a few widths. Once one of them is chosen, they are
+moved together around it, beside what else was chosen, until neighbours differ by a few parts in a
+thousand. Widths are arrays, so that no sum is compiled anew.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.discovery.candidate import AnyCandidate, Shaped
+from riecjax.discovery.extended import extended, members, offers
+from riecjax.discovery.folds import Folds
+from riecjax.discovery.search import SHARE, Offer, Search
+from riecjax.equations.procedure import Procedure
+from riecjax.records.recording import Recording
+from riecjax.summaries.stage_sums import sum_of_equations
+from riecjax.summaries.summarise import summarise
+from riecjax.summaries.summary import Summary
+
+CLOSER = 10
+"""Times at most that widths are moved together; each divides what lies between by 2.5."""
+ALIKE = 0.1 * SHARE
+"""Share of what is unexplained that neighbouring widths differ by in the end."""
+SEVERAL = 4
+"""Laws with widths that are looked into, one after the other."""
+
+
+@dataclass
+class Sums:
+    """Sums of a procedure's equations with candidates.
+
+    **Fields:** `candidates`, whose widths change; `known`, coefficients that are held.
+    """
+
+    procedure: Procedure
+    recordings: list[Recording]
+    criterion: AbstractCriterion
+    candidates: list[AnyCandidate]
+    known: Mapping[str, float]
+    summary: Summary = field(init=False)
+
+    def __post_init__(self):
+        self.sum_up()
+
+    def sum_up(self) -> None:
+        """Read the recordings and sum them up, for the widths as they are."""
+        model = extended(self.procedure, members(self.candidates))
+        # What is known of noise was judged before, and widths must not change it.
+        self.summary = summarise(model, self.recordings, self.criterion)
+
+    def folds(self, stage: int, found: Mapping[str, float]) -> Folds:
+        """Of one stage, what earlier ones found being known."""
+        equations = self.summary.equations()[stage]
+        names = tuple(dict.fromkeys(name for e in equations for name in e.parameters))
+        return Folds.of(sum_of_equations(equations, names).fix({**self.known, **found}))
+
+    def search(self, stage: int, found: Mapping[str, float]) -> Search:
+        """A search of one stage, as the sums are now."""
+        folds = self.folds(stage, found)
+        offered = offers(self.candidates, {*folds.parameters})
+        columns = {name for offer in offered for name in offer.columns}
+        kept = [name for name in folds.parameters if name not in columns]
+        return Search(folds, kept, offered)
+
+    def shape(self, family: str) -> Shaped:
+        """The law of this name, with the widths that are summed."""
+        one = next(one for one in self.candidates if one.name == family)
+        assert isinstance(one, Shaped)
+        return one
+
+    def settled(self, stage: int, found: Mapping[str, float]) -> tuple[Search, list[Offer]]:
+        """What belongs to one stage, with widths as near as samples tell them."""
+        near: set[str] = set()
+        for _ in range(SEVERAL):
+            search = self.search(stage, found)
+            chosen = search.found()
+            rough = [one for one in chosen if not one.simple and one.family not in near]
+            if not rough:
+                break
+            strongest = max(rough, key=lambda one: _without(search, chosen, one))
+            beside = [one for one in chosen if one.simple or one.family in near]
+            self._narrow(stage, found, strongest.family, beside)
+            near.add(strongest.family)
+        return search, chosen
+
+    def _narrow(
+        self, stage: int, found: Mapping[str, float], family: str, beside: Sequence[Offer]
+    ) -> None:
+        """Move the widths of a law to where it leaves least."""
+        for _ in range(CLOSER):
+            search = self.search(stage, found)
+            each = [search.left([*beside, o]) for o in search.every if o.family == family]
+            left = np.array([np.inf if one is None else one.motion.sum() for one in each])
+            best = int(np.argmin(left))
+            at_best = each[best]
+            if at_best is None:
+                return
+            near = left[max(best - 1, 0) : best + 2] - left[best]
+            if np.all(near < ALIKE * at_best.samples.sum()):
+                return
+            closer = self.shape(family).closer(best)
+            self.candidates = [closer if one.name == family else one for one in self.candidates]
+            self.sum_up()
+
+
+def _without(search: Search, chosen: Sequence[Offer], one: Offer) -> float:
+    left = search.left([other for other in chosen if other is not one])
+    return float("inf") if left is None else float(left.motion.sum())
