@@ -21,13 +21,14 @@ STAGES = (
     "validation",
     "studies",
     "models",
+    "discovery",
     "assessment",
     "fleets",
     "paper",
     "reporting",
     "cli",
 )
-OUTSIDE = ("models", "assessment", "fleets", "paper", "reporting", "cli")
+OUTSIDE = ("models", "discovery", "assessment", "fleets", "paper", "reporting", "cli")
 """What the engine never imports."""
 SHARED = (
     "errors",

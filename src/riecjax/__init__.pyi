@@ -1,4 +1,5 @@
 from . import criteria as criteria
+from . import discovery as discovery
 from . import equations as equations
 from . import estimation as estimation
 from . import fleets as fleets
@@ -18,12 +19,15 @@ from .criteria.test_functions import Boxcar as Boxcar
 from .criteria.test_functions import Hat as Hat
 from .criteria.windows import AllWindows as AllWindows
 from .criteria.windows import RandomWindows as RandomWindows
+from .discovery.discover import discover as discover
 from .equations.bases import Polynomial as Polynomial
 from .equations.bases import friction as friction
 from .equations.bases import roof as roof
 from .equations.equation import Equation as Equation
 from .equations.expressions import constant as constant
 from .equations.expressions import difference as difference
+from .equations.expressions import even as even
+from .equations.expressions import odd as odd
 from .equations.expressions import product as product
 from .equations.hidden_modes import HiddenMode as HiddenMode
 from .equations.procedure import simultaneous as simultaneous

@@ -18,6 +18,7 @@ from riecjax.work import REMEDY
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
 COMMANDS = {
     "identify": "riecjax.cli.identify",
+    "discover": "riecjax.cli.discover",
     "fleet": "riecjax.cli.fleet",
     "check": "riecjax.cli.check",
     "init": "riecjax.cli.init",

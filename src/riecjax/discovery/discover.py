@@ -139,9 +139,9 @@ def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
 
 
 def _require_folds(folds: Folds) -> None:
-    if folds.count < FEWEST:
+    if folds.number < FEWEST:
         raise DataError(
-            f"the recordings hold {folds.count} blocks of time, of which terms are to be chosen "
+            f"the recordings hold {folds.number} blocks of time, of which terms are to be chosen "
             f"by leaving some out: {FEWEST} are needed. Record for longer, or choose a smaller "
             f"beta."
         )

@@ -58,8 +58,8 @@ class Folds(NamedTuple):
         return cls(samples, motion, equations.parameters)
 
     @property
-    def count(self) -> int:
-        """Number of folds."""
+    def number(self) -> int:
+        """Of folds."""
         return len(self.motion)
 
     @property
@@ -97,7 +97,7 @@ class Folds(NamedTuple):
         motion, samples = (of[:, at[:, None], at] for of in (self.motion, self.samples))
         others = motion.sum(0) - motion
         theta = _solved(others[:, 1:, 1:], others[:, 1:, 0])
-        v = np.concatenate([np.ones((self.count, 1)), -theta], axis=1)
+        v = np.concatenate([np.ones((self.number, 1)), -theta], axis=1)
         return Left(*(np.einsum("fi,fij,fj->f", v, of, v) for of in (motion, samples)))
 
     def chance(self, names: Sequence[str], column: str) -> float:
@@ -117,13 +117,13 @@ class Folds(NamedTuple):
         alone = inverse[:, own] / inverse[own, own]
         scores = (moment - gram @ theta) @ alone
         energy = np.einsum("i,fij,j->f", alone, gram, alone)
-        total, freedom = float(energy.sum()), self.count - 1
+        total, freedom = float(energy.sum()), self.number - 1
         some = energy > 1e-6 * total
         if not total > 0 or freedom < 1 or not some.any():
             return 1.0
         apart = np.sum(scores**2) / total**2
         alike = np.mean(scores[some] ** 2 / energy[some]) / total
-        error = np.sqrt(max(apart, alike) * self.count / freedom)
+        error = np.sqrt(max(apart, alike) * self.number / freedom)
         away = abs(theta[own]) / error if error > 0 else np.inf
         return float(2 * scipy.stats.t.sf(away, freedom))
 

@@ -10,6 +10,9 @@ from riecjax.equations.term import Term, Terms
 
 POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")
 
+OF_INERTIA = {("N", "kg"): "m", ("N m", "kg m^2"): "rad"}
+"""Unit of a position by those of a force and an inertia."""
+
 
 class Motion(NamedTuple):
     """A position and the velocity that is its derivative, of which one may not be recorded.
@@ -40,7 +43,8 @@ def motions_of(
         held = [name if name in recorded else "" for name in (position, velocity)]
         if not any(held):
             continue
-        one = Motion(*held, _unit(position, velocity, units))
+        unit = _unit(position, velocity, units) or _unit_by_terms(equation, position)
+        one = Motion(held[0], held[1], unit)
         # What is read as a velocity here may be the derivative of a position there.
         for key in filter(None, held):
             before = found.get(key)
@@ -65,6 +69,17 @@ def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, 
             yield (of, "") if isinstance(term.basis, Polynomial) else ("", of)
         if isinstance(of, str) and not term.derivative and units.get(of) in POSITIONS:
             yield of, ""
+
+
+def _unit_by_terms(equation: Equation, position: str) -> str:
+    """The unit of a position by those of the equation and of coefficients."""
+    for term in equation.terms:
+        if isinstance(term, Term) and term.of == position and term.unit and equation.unit:
+            if not term.derivative:
+                return per(equation.unit, term.unit)
+            if term.derivative == 2 and (found := OF_INERTIA.get((equation.unit, term.unit))):
+                return found
+    return ""
 
 
 def _unit(position: str, velocity: str, units: Mapping[str, str]) -> str:

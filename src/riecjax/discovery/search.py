@@ -120,7 +120,7 @@ class Search:
         return grown if self._is_worth(before, self.left(grown)) else None
 
     def _gain(self, before: Left | None, after: Left | None) -> float:
-        """What is explained more of the motion: of samples, a term's own noise counts against it."""
+        """What more is explained of the motion: a term's own noise is no fault of it."""
         if before is None or after is None:
             return -np.inf
         return float(before.motion.sum() - after.motion.sum())
@@ -198,8 +198,8 @@ class Search:
     def _step(self, name: str, before: Left, left: Left, energy: float, chance: float) -> Step:
         gain = before.samples - left.samples
         error = np.sqrt(gain.size) * np.std(gain, ddof=1) if gain.size > 1 else np.nan
-        shares = (float(of.sum() / energy) for of in (left.samples, left.motion))
-        return Step(name, *shares, float(error / energy), chance)
+        whole, of_motion = (float(of.sum() / energy) for of in (left.samples, left.motion))
+        return Step(name, whole, of_motion, float(error / energy), chance)
 
     def next_best(self, chosen: Sequence[Offer], most: int = 5) -> list[tuple[Offer, float, float]]:
         """Offers that were not taken: share that each would gain, and by what chance."""

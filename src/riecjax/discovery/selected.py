@@ -7,11 +7,12 @@ recordings (Efron, 2014); a parameter's variance over these searches includes th
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from riecjax.discovery.folds import Left
 from riecjax.discovery.search import Offer, Search
 
 AGAIN = 40
@@ -39,7 +40,7 @@ def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN
     values: dict[str, list[float]] = {}
     family_of = {name: offer.family for offer in search.every for name in offer.columns}
     for _ in range(times):
-        drawn = folds.drawn(rng.integers(folds.count, size=folds.count))
+        drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
         one = Search(drawn, search.kept, among, trials=len(search.offers))
         found = one.found()
         families.update(offer.family for offer in found)
@@ -64,7 +65,7 @@ def _among(search: Search, chosen: Sequence[Offer]) -> list[Offer]:
     alone = {one.name: search.left([one]) for one in others}
     beside = {one.name: search.left([*chosen, one]) for one in others}
 
-    def rank(left: dict[str, object]) -> dict[str, int]:
+    def rank(left: Mapping[str, Left | None]) -> dict[str, int]:
         sizes = {
             n: float("inf") if of is None else float(of.motion.sum()) for n, of in left.items()
         }

@@ -75,17 +75,16 @@ class Sums:
     def settled(self, stage: int, found: Mapping[str, float]) -> tuple[Search, list[Offer]]:
         """What belongs to one stage, with widths as near as samples tell them."""
         near: set[str] = set()
-        for _ in range(SEVERAL):
+        while True:
             search = self.search(stage, found)
             chosen = search.found()
             rough = [one for one in chosen if not one.simple and one.family not in near]
-            if not rough:
-                break
+            if not rough or len(near) == SEVERAL:
+                return search, chosen
             strongest = max(rough, key=lambda one: _without(search, chosen, one))
             beside = [one for one in chosen if one.simple or one.family in near]
             self._narrow(stage, found, strongest.family, beside)
             near.add(strongest.family)
-        return search, chosen
 
     def _narrow(
         self, stage: int, found: Mapping[str, float], family: str, beside: Sequence[Offer]

@@ -4,3 +4,6 @@ from .bases import RoofFunctions as RoofFunctions
 from .expressions import faster_than as faster_than
 from .procedure import AtRest as AtRest
 from .procedure import Procedure as Procedure
+from .shapes import DeadZone as DeadZone
+from .shapes import Saturation as Saturation
+from .shapes import Stribeck as Stribeck

@@ -5,6 +5,7 @@ nothing anew, as a fresh `lambda` would.
 """
 
 import functools
+import json
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -90,6 +91,11 @@ class _Product:
     def __name__(self) -> str:
         return " ".join(self.names)
 
+    @property
+    def source(self) -> str:
+        """As it is written."""
+        return f"product({', '.join(map(json.dumps, self.names))})"
+
     def __call__(self, signals: Signals) -> Array:
         return functools.reduce(operator.mul, (signals[name] for name in self.names))
 
@@ -102,6 +108,11 @@ class _Difference:
     @property
     def __name__(self) -> str:
         return f"{self.first} - {self.second}"
+
+    @property
+    def source(self) -> str:
+        """As it is written."""
+        return f"difference({json.dumps(self.first)}, {json.dumps(self.second)})"
 
     def __call__(self, signals: Signals) -> Array:
         return signals[self.first] - signals[self.second]
@@ -138,6 +149,11 @@ class _Power:
             rest = "" if self.power == 2 else f"^{self.power - 1}"
             return f"{self.name} {size}{rest}"
         return f"{size}{power}"
+
+    @property
+    def source(self) -> str:
+        """As it is written."""
+        return f"{'odd' if self.odd else 'even'}({json.dumps(self.name)}, {self.power})"
 
     def __call__(self, signals: Signals) -> Array:
         x = signals[self.name]

@@ -126,10 +126,14 @@ class Model(Shown):
         """
         procedure = self.build_procedure().with_terms(added)
         given, said = values or {}, meanings or {}
-        names = [n for terms in added.values() for term in terms for n in term.parameters]
+        listed = {quantity.name for quantity in self.parameters}
         own = [
             *self.parameters,
-            *(Quantity(n, procedure.units.get(n, ""), said.get(n, "")) for n in names),
+            *(
+                Quantity(name, procedure.units.get(name, ""), said.get(name, ""))
+                for name in procedure.parameters
+                if name not in listed
+            ),
         ]
         return replace(
             self,

@@ -8,6 +8,7 @@ from riecjax.equations.bases import Polynomial, RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, constant
 from riecjax.equations.procedure import Procedure
+from riecjax.equations.shapes import AbstractShape
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.leaves import Leaf, is_concrete
 
@@ -90,6 +91,11 @@ def _of_basis(term: Terms) -> list[Signed]:
         powers = {0: "", 1: f" {base}"}
         shown = [powers.get(p, f" {base}^{p}") for p in term.basis.exponents]
         return [(minus, f"{front}{name}{of}") for name, of in zip(term.parameters, shown)]
+    if isinstance(term.basis, AbstractShape):
+        width = term.basis.width
+        at = f"; {float(width):.4g}" if is_concrete(width) else ""
+        law = type(term.basis).__name__.lower()
+        return [(minus, f"{front}{term.parameters[0]} {law}({of}{at})")]
     roof = isinstance(term.basis, RoofFunctions)
     name = "R" if roof else type(term.basis).__name__.lower()
     return [(minus, f"{front}{term.prefix} {name}({of})")]

@@ -8,6 +8,7 @@ import numpy as np
 
 from riecjax.assessment.assessment import Assessment
 from riecjax.assessment.verdict import Verdict
+from riecjax.discovery.discovery import Discovery
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
@@ -22,6 +23,7 @@ from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
 from riecjax.refinement.refined import Refined
 from riecjax.reporting.checking import excitation_entries, share_in_words
+from riecjax.reporting.discovery import discovery_document, path_table
 from riecjax.reporting.document import number
 from riecjax.reporting.equations import (
     equation_in_words,
@@ -138,6 +140,13 @@ def _(thing: Fleet) -> View:
     for made in (differing_table(document), left_out_table(document)):
         tables += [] if made is None else [made]
     return View(document["sentence"], tables)
+
+
+@view_of.register
+def _(thing: Discovery) -> View:
+    document = discovery_document(thing)
+    tables = [path_table(document), parameter_table(document)]
+    return View(document["sentence"], tables, [document["equation"]])
 
 
 @view_of.register

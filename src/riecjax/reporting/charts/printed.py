@@ -1,5 +1,6 @@
 """Charts in print: matplotlib, one style, readable without colour."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -243,10 +244,12 @@ def _finish(axis: Any, wanted: Axis, set_limits: Any) -> None:
 
 
 def _plain_numbers(axis: Any) -> None:
-    """Numbers as 1, 2, 5, 10, not as powers of ten, where they are of a readable size."""
+    """Numbers as 1, 2, 5, 10 where they are of a readable size, else as 1e-5, 1e-4."""
     low, high = sorted(axis.get_view_interval())
     axis.set_minor_locator(NullLocator())
     if low < PLAIN[0] or high > PLAIN[1]:
+        # Matplotlib's own are mathematical text, which names of signals must not be taken for.
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"1e{math.log10(value):.0f}"))
         return
     few, many = high < DECADE * low, high > 1e3 * low
     subs = (1, 1.5, 2, 3, 4, 5, 6, 8) if few else (1,) if many else (1, 2, 5)

@@ -1,0 +1,108 @@
+"""`riecjax discover`: which terms a model lacks."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from riecjax.cli.criteria import CriterionOptions, criterion_options
+from riecjax.cli.options import (
+    SHARE,
+    at_rest_option,
+    json_option,
+    model_option,
+    out_option,
+    seed_option,
+    set_option,
+)
+from riecjax.cli.progress import Progress
+from riecjax.cli.recordings import RecordingOptions, are_small, record_options
+from riecjax.runtime import start_jax
+
+if TYPE_CHECKING:
+    from riecjax.equations.procedure import AtRest
+
+MODEL_FILE = "model.py"
+
+
+@click.command("discover", short_help="Find the terms that a model lacks.")
+@model_option
+@click.option(
+    "--candidates",
+    metavar="FILE.py:OBJECT",
+    help="Terms that it may lack, a list of your own. [default: friction, springs, dead zones, "
+    "offsets and the like of its motions]",
+)
+@record_options
+@criterion_options
+@set_option
+@click.option(
+    "--hold-out",
+    type=SHARE,
+    metavar="SHARE",
+    help="Choose without this share at the end of each recording, and take values and intervals "
+    "from it alone.",
+)
+@at_rest_option
+@seed_option
+@json_option
+@out_option
+def command(
+    recordings: RecordingOptions,
+    model_name: str,
+    candidates: str | None,
+    criteria: CriterionOptions,
+    known: dict[str, float],
+    hold_out: float | None,
+    at_rest: "AtRest | None",
+    seed: int,
+    as_json: bool,
+    out: Path | None,
+) -> None:
+    """Find the terms that a model lacks, by what they predict of blocks of time left out.
+
+    The model's own terms stay; candidates are added only where chance does not explain what they
+    gain. With --out the model that was found is written to model.py, for identify and simulate.
+    """
+    criteria.require_sense()
+    start_jax(once=are_small(recordings.files), keep_compiled=True)
+    from riecjax.discovery.candidate import as_candidates
+    from riecjax.discovery.discover import discover
+    from riecjax.discovery.model_file import model_source
+    from riecjax.models.catalogue import find_model, object_of_file
+    from riecjax.reporting.discovery import discovery_document, print_discovery
+    from riecjax.reporting.discovery_page import discovery_figures, discovery_page
+    from riecjax.reporting.output import emit, require_folder
+    from riecjax.uncertainty.intervals import BlockBootstrap
+
+    if out is not None:
+        require_folder(out)
+    model = find_model(model_name)
+    own = None if candidates is None else as_candidates(object_of_file(candidates))
+    with Progress():
+        read = recordings.read(recordings.files, model)
+        found = discover(
+            model,
+            read,
+            own,
+            criteria.build(model, read) if criteria.is_given else None,
+            hold_out=hold_out,
+            known=known,
+            intervals=BlockBootstrap(seed=seed),
+            at_rest=at_rest,
+            seed=seed,
+        )
+    others, written = {}, None
+    if out is not None:
+        source, written = model_source(found, model_name, out, candidates), str(out / MODEL_FILE)
+        others[MODEL_FILE] = lambda path: path.write_text(source, encoding="utf-8")
+    command_line = click.get_current_context().obj or ()
+    emit(
+        discovery_document(found, command_line, written),
+        as_json=as_json,
+        out=out,
+        show=print_discovery,
+        charts=lambda: discovery_figures(found),
+        page=discovery_page,
+        others=others,
+    )

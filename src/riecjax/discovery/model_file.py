@@ -1,0 +1,110 @@
+"""A discovered model as a Python file that `identify` and `simulate` take."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from riecjax.discovery.discovery import Discovery
+from riecjax.equations.expressions import Expression, constant
+from riecjax.equations.shapes import AbstractShape
+from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.errors import ModelError
+
+
+def model_source(found: Discovery, model: str, folder: Path, candidates: str | None = None) -> str:
+    """The text of a file in a folder that holds the model.
+
+    **Arguments:** `model`, as [`find_model`][riecjax.find_model] takes it, that was searched; and
+    `candidates`, the file and object that a term came from which cannot be written down.
+
+    **Raises:** `ModelError` for a term that is a function of the user's own, without `candidates`.
+    """
+    names = ", ".join(found.names)
+    head = f'"""{found.start.name}{f" with {names}" if names else ""}."""\n\n'
+    values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
+    added: dict[str, list[str]] = {}
+    first = found.start.build_procedure().equation_names[0][0]
+    own = False
+    for one in (chosen.candidate for chosen in found.chosen):
+        lines = [_term_source(term) for term in one.terms]
+        if None in lines:
+            if candidates is None:
+                raise ModelError(f"{one.name} is of a function of your own: name its file.")
+            own = True
+            lines = [f"*rx.discovery.named({_path(candidates, folder)}, {_quoted(one.name)}).terms"]
+        added.setdefault(one.equation or first, []).extend(map(str, lines))
+    start = _path(model, folder)
+    body = [f"MODEL = rx.find_model({start}).with_terms(", "    {"]
+    for equation, lines in added.items():
+        body += [
+            f"        {_quoted(equation)}: [",
+            *(f"            {line}," for line in lines),
+            "        ],",
+        ]
+    meanings = {
+        name: one.candidate.meaning for one in found.chosen for name in one.candidate.columns
+    }
+    body += ["    },", *_mapping("values", values), *_mapping("meanings", meanings), ")"]
+    folder_line = ["HERE = Path(__file__).parent"] if "HERE" in start or own else []
+    folder_line += [""] if folder_line else []
+    imports = ["from pathlib import Path", ""] if folder_line else []
+    imports += ["import riecjax as rx", ""]
+    return head + "\n".join([*imports, *folder_line, *body]) + "\n"
+
+
+def _path(reference: str, folder: Path) -> str:
+    """Source of a reference to a model, that of a file relative to the folder."""
+    path, separator, attribute = reference.rpartition(":")
+    if reference.endswith(".py"):
+        path, separator, attribute = reference, "", ""
+    if not path.endswith(".py"):
+        return _quoted(reference)
+    beside = os.path.relpath(Path(path).resolve(), folder.resolve()).replace(os.sep, "/")
+    return f'f"{{HERE}}/{beside}{separator}{attribute}"'
+
+
+def _mapping(name: str, values: Mapping[str, object]) -> list[str]:
+    if not values:
+        return []
+    each = (f"        {_quoted(key)}: {_quoted(value)}," for key, value in values.items())
+    return [f"    {name}={{", *each, "    },"]
+
+
+def _quoted(value: object) -> str:
+    """As Python writes it, texts in double quotes."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_quoted, value))}{',' * (len(value) == 1)})"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+
+
+def _term_source(term: AbstractTerm) -> str | None:
+    """A term as it is written, `None` for what is of a function of the user's own."""
+    words: Sequence[str]
+    if isinstance(term, Term) and term.name is not None and float(np.asarray(term.number)) == 1:
+        of = _expression_source(term.of)
+        settings = {"derivative": term.derivative, "measured": term.measured, "unit": term.unit}
+        defaults = {"derivative": 0, "measured": (), "unit": ""}
+        words = [_quoted(term.name), of or ""]
+    elif isinstance(term, Terms) and isinstance(term.basis, AbstractShape):
+        of = _expression_source(term.of)
+        shape = f"rx.equations.{type(term.basis).__name__}({float(np.asarray(term.basis.width))!r})"
+        settings, defaults = {"unit": term.unit}, {"unit": ""}
+        words = [_quoted(term.prefix), shape, of or ""]
+    else:
+        return None
+    if of is None:
+        return None
+    words += [f"{k}={_quoted(v)}" for k, v in settings.items() if v != defaults[k]]
+    return f"rx.{type(term).__name__}({', '.join(words)})"
+
+
+def _expression_source(of: Expression) -> str | None:
+    if isinstance(of, str):
+        return _quoted(of)
+    if of is constant:
+        return "rx.constant"
+    source = getattr(of, "source", None)
+    return None if source is None else f"rx.{source}"

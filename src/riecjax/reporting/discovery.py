@@ -1,0 +1,219 @@
+"""A discovery in plain data, in a sentence, and as tables on a terminal."""
+
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from riecjax.discovery.discovery import Discovery
+from riecjax.discovery.search import Step
+from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
+from riecjax.reporting.equations import equation_in_words
+from riecjax.reporting.estimate import parameter_entries, parameter_table
+from riecjax.reporting.page import Table
+from riecjax.reporting.tables import in_rich, print_table
+
+NOTABLE = 0.05
+"""Share of what is unexplained that noise must make to be told."""
+
+
+def discovery_document(
+    found: Discovery, command: Sequence[str] = (), model_file: str | None = None
+) -> Document:
+    """The document that `--json` prints and results.json holds.
+
+    **Arguments:** `command`: the arguments of `riecjax` that made it; `model_file`, where the model
+    was written to.
+    """
+    procedure = found.model.build_procedure()
+    units = dict(found.estimate.units)
+    return {
+        "schema": SCHEMA,
+        "model": found.start.name,
+        "criterion": found.estimate.criterion.describe(),
+        "sentence": sentence(found),
+        "chosen": list(found.names),
+        "terms": {
+            one.candidate.name: {
+                "meaning": one.candidate.meaning,
+                "equation": one.candidate.equation,
+                "parameters": list(one.candidate.columns),
+                "width": None if one.width is None else finite(one.width),
+                "width_unit": one.width_unit,
+                "chosen_again": finite(one.share),
+            }
+            for one in found.chosen
+        },
+        "path": [
+            {
+                "equation": name,
+                "added": _family(step.added),
+                "unexplained": finite(step.unexplained),
+                "of_motion": finite(step.of_motion),
+                "std_error": finite(step.std_error),
+                "chance": finite(step.chance),
+            }
+            for name, steps in found.paths.items()
+            for step in steps
+        ],
+        "rejected": [one._asdict() for one in found.rejected],
+        "offered": found.offered,
+        "held_out": found.held_out,
+        "parameters": _parameters(found),
+        "known": {
+            name: {"value": finite(found.estimate[name]), "unit": units.get(name, "")}
+            for name in found.estimate.known
+        },
+        "equation": "; ".join(map(equation_in_words, procedure.equations)),
+        "model_file": model_file,
+        "warnings": [finding._asdict() for finding in found.estimate.findings()],
+        "provenance": {"versions": versions(), "command": list(command)},
+    }
+
+
+def _family(name: str) -> str:
+    return name.partition("@")[0]
+
+
+def _parameters(found: Discovery) -> Document:
+    """As of any estimate, with what the choice of terms adds to its errors."""
+    entries = parameter_entries(found.estimate)
+    for name, entry in entries.items():
+        own, whole = entry["std_error"], found.errors.get(name)
+        if own and whole is not None and whole > own:
+            value, ratio = entry["value"], whole / own
+            entry["std_error"] = finite(whole)
+            entry["interval95"] = [
+                None if end is None else value + ratio * (end - value)
+                for end in entry["interval95"]
+            ]
+    return entries
+
+
+def sentence(found: Discovery) -> str:
+    """What was found, in a sentence or two of plain English."""
+    if not found.offered:
+        return "No candidate could be told apart from the model's own terms."
+    if not found.chosen:
+        return (
+            f"Nothing is missing: none of {found.offered} candidates explains more than chance "
+            f"would, and {percent(_first(found).unexplained)} of the target's energy is "
+            f"unexplained{_noise(_first(found))}."
+        )
+    names = [
+        f"{one.candidate.name} ({one.candidate.meaning})"
+        if one.candidate.meaning
+        else one.candidate.name
+        for one in found.chosen
+    ]
+    listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    ends = [(steps[0], steps[-1]) for steps in found.paths.values() if len(steps) > 1]
+    said = "; ".join(
+        f"{percent(after.unexplained)} of the target's energy is unexplained instead of "
+        f"{percent(before.unexplained)}{_noise(after)}"
+        for before, after in ends
+    )
+    verb, them = ("is", "it") if len(names) == 1 else ("are", "them")
+    return f"{listed} {verb} missing: with {them} {said}."
+
+
+def _first(found: Discovery) -> Step:
+    return next(iter(found.paths.values()))[0]
+
+
+def _noise(step: Step) -> str:
+    """How much of what is left the sensors' noise makes."""
+    left = max(step.of_motion, 0.0)
+    share = 1 - left / step.unexplained if step.unexplained > 0 else 0.0
+    if share < NOTABLE:
+        return ""
+    return f", {'nearly all' if share > 1 - NOTABLE else f'{100 * share:.0f} %'} of it noise"
+
+
+def percent(share: float) -> str:
+    """A share, to two digits."""
+    return f"{number(100 * share, 2)} %"
+
+
+def path_table(document: Document) -> Table:
+    """What is unexplained, with one term more on each line."""
+    several = len({one["equation"] for one in document["path"]}) > 1
+    rows = [
+        [
+            *([one["equation"]] if several else []),
+            f"+ {one['added']}" if one["added"] else document["model"],
+            percent(one["unexplained"]),
+            percent(max(one["of_motion"], 0.0)),
+            percent(one["std_error"]) if one["added"] else "",
+            _chance(one["chance"]) if one["added"] else "",
+        ]
+        for one in document["path"]
+    ]
+    header = ("terms", "unexplained", "without noise", "std error of the step", "chance")
+    note = (
+        "Share of the target's energy in blocks of time that coefficients were not fitted to; "
+        "chance: that any one of all candidates stands out as much and explains nothing."
+    )
+    return Table(("equation", *header) if several else header, rows, "Terms one by one", note)
+
+
+def rejected_table(document: Document) -> Table | None:
+    """What came nearest of all that was not taken."""
+    rows = [
+        [one["name"], percent(one["gain"]), _chance(one["chance"])] for one in document["rejected"]
+    ]
+    header = ("candidate", "would explain, of what is left", "chance")
+    return Table(header, rows, "Not taken") if rows else None
+
+
+def _chance(p: float | None) -> str:
+    return "" if p is None else "< 1e-6" if p < 1e-6 else number(p, 2)
+
+
+def choice_in_words(document: Document) -> str:
+    """What intervals say of the choice of terms."""
+    if document["held_out"]:
+        return (
+            f"Terms were chosen without the last {100 * document['held_out']:.0f} % of each "
+            f"recording, from which alone values and intervals are."
+        )
+    if not document["terms"]:
+        return ""
+    again = ", ".join(
+        f"{name} {100 * one['chosen_again']:.0f} %"
+        for name, one in document["terms"].items()
+        if one["chosen_again"] is not None
+    )
+    if not again:
+        return "Intervals take the choice of terms for given."
+    return f"Standard errors include the choice; in data drawn again it fell on {again}."
+
+
+def widths_in_words(document: Document) -> str:
+    """Widths of laws that have one."""
+    said = [
+        f"{name} has the width {number(one['width'], 4)} {one['width_unit']}".rstrip()
+        for name, one in document["terms"].items()
+        if one["width"] is not None
+    ]
+    return f"{'; '.join(said)}." if said else ""
+
+
+def print_discovery(document: Document, console: Console) -> None:
+    """The sentence, the path, the parameters and the equation."""
+
+    def say(text: str, style: str = "") -> None:
+        if text:
+            console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+    say(document["sentence"])
+    for table in filter(None, (path_table(document), rejected_table(document))):
+        console.print()
+        say(table.caption, "bold")
+        print_table(in_rich(table), console)
+    console.print()
+    print_table(in_rich(parameter_table(document)), console)
+    say(widths_in_words(document))
+    say(choice_in_words(document))
+    say(f"\n{document['equation']}")
+    if document["model_file"]:
+        say(f"model: {document['model_file']}, for riecjax identify and simulate")
