@@ -1,0 +1,192 @@
+"""Missing terms: how often exactly those are found, what right models are given, and how fast.
+
+    python -m benchmarks.discovery [--seeds 200] [--noise 0.01 0.05] [--only duffing drag ...]
+        [--parts found false speed peers] [--json FILE]
+    python -m benchmarks.discovery --page
+
+Ten motions of each problem, noise of every seed its own. `--page` writes docs/discovery.md.
+"""
+
+import argparse
+import json
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.discovery.problems import PROBLEMS, Problem
+from benchmarks.table import FOLDER, filled_in
+from benchmarks.writing import write_json
+from riecjax.runtime import start_jax
+
+MOTIONS = 10
+FOUND, FALSE = (0.01, 0.05), (0.0, 0.01, 0.05, 0.1)
+PARTS = ("found", "false", "speed", "peers")
+PAGE = FOLDER.parent / "docs" / "discovery.md"
+BEGIN = "<!-- measured: python -m benchmarks.discovery -->"
+
+
+def found(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
+    """Structures that are found, and how far coefficients are from those of the whole model."""
+    import riecjax as rx
+
+    exact, others, seconds = 0, Counter[str](), []
+    for seed in range(seeds):
+        record = problem.record(noise, seed % MOTIONS, seed)
+        began = time.perf_counter()
+        names = rx.discover(problem.start, record, intervals=rx.Naive(), resamples=0).names
+        seconds.append(time.perf_counter() - began)
+        exact += {*names} == problem.missing
+        others.update({*names} - problem.missing)
+        others.update(f"no {name}" for name in problem.missing - {*names})
+    return {
+        "seeds": seeds,
+        "exact": exact / seeds,
+        "others": dict(others),
+        "seconds": float(np.median(seconds)),
+    }
+
+
+def false(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
+    """Models that lack nothing, and terms that they are given all the same."""
+    import riecjax as rx
+
+    others, added = Counter[str](), 0
+    for seed in range(seeds):
+        record = problem.record(noise, seed % MOTIONS, 10_000 + seed)
+        names = rx.discover(problem.whole, record, intervals=rx.Naive(), resamples=0).names
+        added += bool(names)
+        others.update(names)
+    return {"seeds": seeds, "added": added / seeds, "others": dict(others)}
+
+
+def speed() -> dict[str, Any]:
+    """Searches among ten, twenty and a hundred candidates, on sums that are made."""
+    import riecjax as rx
+    from riecjax.discovery.folds import Folds
+    from riecjax.discovery.search import Offer, Search
+
+    problem = PROBLEMS["duffing"]
+    record = problem.record(0.01, 0, 0)
+    times = {}
+    for count in (10, 20, 100):
+        names = [f"c{i}" for i in range(count)]
+        rest = [rx.Term(name, _ripple(i)) for i, name in enumerate(names)]
+        whole = rx.Equation(*problem.whole.terms, *rest, name="mass", unit="N")
+        (equations,) = rx.summarise(whole, record).equations()
+        folds = Folds.of(equations[0])
+        offered = [Offer(n, (n,), n) for n in folds.parameters if n != "m"][:count]
+        took = []
+        for _ in range(5):
+            began = time.perf_counter()
+            Search(folds, ["m"], offered).found()
+            took.append(time.perf_counter() - began)
+        times[str(count)] = float(np.median(took))
+    return {"seconds": times}
+
+
+def _ripple(number: int) -> Any:
+    import jax.numpy as jnp
+
+    rng = np.random.default_rng(number)
+    a, b, phase = rng.uniform(0.3, 3.0, 3)
+
+    def ripple(signals: Any) -> Any:
+        return jnp.sin(a * signals["x"] + b * signals["dx"] + phase)
+
+    return ripple
+
+
+def peers(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
+    """PySINDy's weak form with the same candidates on the same data."""
+    from benchmarks.discovery.peer import SETTINGS, structure
+
+    results = {}
+    for name, settings in SETTINGS.items():
+        exact, seconds = 0, []
+        for seed in range(seeds):
+            record = problem.record(noise, seed % MOTIONS, seed)
+            began = time.perf_counter()
+            names = structure(problem, record, **settings)
+            seconds.append(time.perf_counter() - began)
+            exact += names == problem.missing
+        results[name] = {
+            "seeds": seeds,
+            "exact": exact / seeds,
+            "seconds": float(np.median(seconds)),
+        }
+    return results
+
+
+def page() -> str:
+    document = json.loads((FOLDER / "discovery.json").read_text())
+    return filled_in(PAGE, BEGIN, "\n".join(words(document)))
+
+
+def words(document: dict[str, Any]) -> list[str]:
+    """What was measured, in Markdown."""
+    lines = ["| problem | missing | noise | exactly these | PySINDy | right model, terms added |"]
+    lines += ["|---|---|---|---|---|---|"]
+    for name, problem in PROBLEMS.items():
+        for noise in map(str, sorted({*FOUND, *FALSE})):
+            own = document.get("found", {}).get(name, {}).get(noise)
+            wrong = document.get("false", {}).get(name, {}).get(noise)
+            peer = document.get("peers", {}).get(name, {}).get(noise)
+            if own is None and wrong is None:
+                continue
+            best = max(peer.values(), key=lambda one: one["exact"]) if peer else None
+            lines.append(
+                f"| {name} | {', '.join(sorted(problem.missing))} | {100 * float(noise):g} % | "
+                f"{_share(own, 'exact')} | {_share(best, 'exact')} | {_share(wrong, 'added')} |"
+            )
+    if (quick := document.get("speed")) is not None:
+        said = ", ".join(f"{n}: {1e3 * s:.0f} ms" for n, s in quick["seconds"].items())
+        lines += ["", f"A search on sums that are made, by how many candidates there are: {said}."]
+    return lines
+
+
+def _share(one: dict[str, Any] | None, of: str) -> str:
+    return "" if one is None else f"{100 * one[of]:.3g} % of {one['seeds']}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--noise", nargs="+", type=float)
+    parser.add_argument("--only", nargs="+", choices=PROBLEMS, default=list(PROBLEMS))
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--json", type=Path, help="where results are kept")
+    parser.add_argument("--page", action="store_true", help="write the documentation's page")
+    given = parser.parse_args()
+    if given.page:
+        PAGE.write_text(page(), encoding="utf-8")
+        return
+    start_jax(keep_compiled=True)
+    of_problem = {"found": (found, FOUND), "false": (false, FALSE), "peers": (peers, FOUND)}
+    for part in given.parts:
+        if part == "speed":
+            _keep(given.json, ["speed"], speed())
+            continue
+        measure, levels = of_problem[part]
+        for name in given.only:
+            for noise in given.noise or levels:
+                one = measure(PROBLEMS[name], noise, given.seeds)
+                _keep(given.json, [part, name, str(noise)], one)
+
+
+def _keep(file: Path | None, place: list[str], result: dict[str, Any]) -> None:
+    print(*place, json.dumps(result), flush=True)
+    if file is None:
+        return
+    document = json.loads(file.read_text()) if file.exists() else {}
+    at = document
+    for name in place[:-1]:
+        at = at.setdefault(name, {})
+    at[place[-1]] = result
+    write_json(file, document)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""Motions whose equations are known, and models that lack some of their terms.
+
+Simulated between reversals, so that dry friction switches where the velocity does; noise is white,
+a share of the position's and of the velocity's standard deviation.
+"""
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.integrate
+from jaxtyping import Array
+
+import riecjax as rx
+
+Acceleration = Callable[[float, float, float, float], float]
+"""Of time, position, velocity and the direction of sliding."""
+COUNT, RATE = 4001, 100
+AXIS_COUNT, AXIS_RATE = 8001, 400
+WIDTH = 0.2
+
+
+class Problem(NamedTuple):
+    """A model that lacks terms, and what these are.
+
+    **Fields:** `start`; `missing`, names of the candidates that make it whole; `whole`, the model
+    with all of them; `motion`, signals of a seed without noise, and `time_step`.
+    """
+
+    name: str
+    start: rx.Equation
+    missing: frozenset[str]
+    whole: rx.Equation
+    motion: Callable[[int], dict[str, np.ndarray]]
+    time_step: float
+
+    def record(self, noise: float, motion: int, seed: int) -> rx.Record:
+        """One of its motions with noise on position and velocity."""
+        signals = dict(self.motion(motion))
+        rng = np.random.default_rng(1000 + seed)
+        for name in ("x", "dx"):
+            spread = noise * signals[name].std()
+            signals[name] = signals[name] + spread * rng.standard_normal(signals[name].size)
+        return rx.Record.from_samples(signals, time_step=self.time_step)
+
+
+def tones(times: np.ndarray | float, frequencies: list[float], size: float, seed: int):
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(frequencies))
+    each = [np.sin(2 * np.pi * f * np.asarray(times) + p) for f, p in zip(frequencies, phases)]
+    return size / np.sqrt(len(frequencies)) * np.sum(each, axis=0)
+
+
+def moved(
+    acceleration: Acceleration, times: np.ndarray, start: float = 0.0
+) -> dict[str, np.ndarray]:
+    """Position and velocity from rest, reversal by reversal; what sticks waits to be let go."""
+    x, v = np.empty(times.size), np.empty(times.size)
+    now, place = float(times[0]), start
+    while True:
+        direction = _let_go(acceleration, now, place)
+        if direction == 0.0:
+            then = now + 0.25 * float(times[1] - times[0])
+            inside = (times >= now) & (times <= then)
+            x[inside], v[inside] = place, 0.0
+        else:
+            run = _slid(acceleration, now, place, direction, float(times[-1]))
+            then = float(run.t[-1])
+            inside = (times >= now) & (times <= then)
+            x[inside], v[inside] = run.sol(times[inside])
+            place = float(run.y[0, -1])
+        now = then
+        if now >= times[-1]:
+            return {"x": x, "dx": v}
+
+
+def _let_go(acceleration: Acceleration, now: float, place: float) -> float:
+    """In which direction it slides off; 0 where it sticks."""
+    for direction in (1.0, -1.0):
+        if acceleration(now, place, 0.0, direction) * direction > 0:
+            return direction
+    return 0.0
+
+
+def _slid(acceleration: Acceleration, now: float, place: float, direction: float, end: float):
+    def reversal(t: float, state: np.ndarray) -> float:
+        return state[1] if t > now + 1e-9 else direction
+
+    reversal.terminal, reversal.direction = True, -direction  # type: ignore[attr-defined]
+    return scipy.integrate.solve_ivp(
+        lambda t, s: [s[1], acceleration(t, s[0], s[1], direction)],
+        (now, end),
+        [place, 0.0],
+        events=reversal,
+        dense_output=True,
+        rtol=1e-8,
+        atol=1e-10,
+        max_step=0.1,
+    )
+
+
+_FORCE = [0.13, 0.31, 0.53, 0.71, 0.97, 1.3, 1.9, 2.3]
+
+
+def _driven(size: float, force: Callable[[float, float, float], float], mass: float = 1.5):
+    """Motions of a mass under tones, and a force of position, velocity and direction."""
+
+    @functools.cache
+    def motion(seed: int) -> dict[str, np.ndarray]:
+        times = np.arange(COUNT) / RATE
+
+        def drive(t: np.ndarray | float):
+            return tones(t, _FORCE, size, seed)
+
+        found = moved(lambda t, x, v, d: (drive(t) - force(x, v, d)) / mass, times)
+        return {**found, "u": drive(times)}
+
+    return motion
+
+
+@functools.cache
+def _axis(seed: int) -> dict[str, np.ndarray]:
+    times = np.arange(AXIS_COUNT) / AXIS_RATE
+
+    def drive(t: np.ndarray | float):
+        # Strong enough that it hardly ever sticks.
+        return tones(t, [0.5, 0.9, 1.3, 1.7, 2.3], 250.0, seed)
+
+    def acceleration(t: float, x: float, v: float, d: float) -> float:
+        viscous, dry = (240.0, 24.0) if d < 0 else (167.0, 18.0)
+        return float(drive(t) - viscous * v - dry * d) / 95.0
+
+    return {**moved(acceleration, times), "u": drive(times)}
+
+
+@functools.cache
+def _pendulum(seed: int) -> dict[str, np.ndarray]:
+    start = float(np.random.default_rng(seed).uniform(2.0, 2.8))
+    return moved(
+        lambda t, x, v, d: -64.2 * np.sin(x) - 0.07 * v - 0.05 * v * abs(v),
+        np.arange(COUNT) / RATE,
+        start,
+    )
+
+
+def _sine(signals: Mapping[str, Array]) -> Array:
+    return jnp.sin(signals["x"])
+
+
+_INERTIA = rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg")
+_FORCE_TERM = -rx.Term(1.0, "u")
+_VISCOUS = rx.Term("c", "x", derivative=1, measured=("dx",), unit="N s/m")
+_SPRING = rx.Term("k", "x", unit="N/m")
+_SWING = (
+    rx.Term(1.0, "x", derivative=2, measured=("dx",)),
+    rx.Term("p1", _sine, unit="1/s^2"),
+    rx.Term("p2", "x", derivative=1, measured=("dx",), unit="1/s"),
+)
+
+
+def _mass(*terms: rx.Term | rx.Terms) -> rx.Equation:
+    return rx.Equation(_INERTIA, *terms, _FORCE_TERM, name="mass", unit="N")
+
+
+def _swing(*terms: rx.Term) -> rx.Equation:
+    return rx.Equation(*_SWING, *terms, name="pendulum", unit="rad/s^2")
+
+
+PROBLEMS = {
+    problem.name: problem
+    for problem in (
+        Problem(
+            "duffing",
+            _mass(),
+            frozenset({"stiffness", "cubic_stiffness", "coulomb", "viscous"}),
+            _mass(
+                _VISCOUS,
+                _SPRING,
+                rx.Term("k3", rx.odd("x", 3)),
+                rx.Term("dry", rx.odd("dx", 0)),
+            ),
+            _driven(30.0, lambda x, v, d: 0.8 * v + 1.5 * d + 20 * x + 15 * x**3),
+            1 / RATE,
+        ),
+        Problem(
+            "drag",
+            _mass(),
+            frozenset({"stiffness", "viscous", "quadratic_drag"}),
+            _mass(_VISCOUS, _SPRING, rx.Term("r2", rx.odd("dx", 2))),
+            _driven(14.0, lambda x, v, d: 0.8 * v + 0.5 * v * abs(v) + 20 * x),
+            1 / RATE,
+        ),
+        Problem(
+            "axis",
+            _mass(),
+            frozenset({"viscous", "coulomb", "asymmetry", "offset"}),
+            _mass(
+                _VISCOUS,
+                rx.Term("dry", rx.odd("dx", 0)),
+                rx.Term("differs", rx.even("dx", 1)),
+                rx.Term("weight", rx.constant),
+            ),
+            _axis,
+            1 / AXIS_RATE,
+        ),
+        Problem(
+            "pendulum",
+            _swing(),
+            frozenset({"quadratic_drag"}),
+            _swing(rx.Term("r2", rx.odd("dx", 2))),
+            _pendulum,
+            1 / RATE,
+        ),
+        Problem(
+            "dead_zone",
+            _mass(),
+            frozenset({"viscous", "dead_zone"}),
+            _mass(_VISCOUS, rx.Terms("gap", rx.equations.DeadZone(WIDTH), "x")),
+            _driven(14.0, lambda x, v, d: 2 * v + 60 * (x - np.clip(x, -WIDTH, WIDTH))),
+            1 / RATE,
+        ),
+    )
+}
