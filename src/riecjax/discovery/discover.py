@@ -1,17 +1,20 @@
 """The verb: which terms a model lacks, told from recordings."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from numbers import Real
 
 import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import suited
+from riecjax.criteria.suited import suited, with_velocities
 from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, as_candidates
 from riecjax.discovery.catalogue import default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Rejected
 from riecjax.discovery.extended import by_equation, extended, members, without_taken
 from riecjax.discovery.folds import Folds
+from riecjax.discovery.motions import reading_velocities
 from riecjax.discovery.search import Offer, Search, Step
 from riecjax.discovery.selected import AGAIN, Again, again
 from riecjax.discovery.widths import Sums
@@ -71,10 +74,12 @@ def discover(
     """
     found = as_model(model)
     procedure = with_rests(found.build_procedure(), at_rest)
-    _require_sense(procedure, hold_out, known)
-    recordings = as_recordings(records)
+    _require_sense(procedure, hold_out)
+    recordings = _with_velocities(procedure, as_recordings(records))
     offered = _offered(found, procedure, recordings, candidates)
-    whole = ready(extended(procedure, members(offered)), recordings, noise)
+    with_all = extended(procedure, members(offered))
+    plan_parameters(with_all, 1, known, ())
+    whole = ready(with_all, recordings, noise)
     halves = [(one, one) if hold_out is None else one.split(hold_out) for one in whole]
     first, last = ([pair[i] for pair in halves] for i in (0, 1))
     if criterion is None:
@@ -100,15 +105,24 @@ def discover(
     )
 
 
-def _require_sense(
-    procedure: Procedure, hold_out: float | None, known: Mapping[str, float] | None
-) -> None:
+def _require_sense(procedure: Procedure, hold_out: float | None) -> None:
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.3, a share")
     if procedure.has_hidden:
         raise ModelError(
             "terms are looked for beside a model without hidden modes and springs: leave these out."
         )
-    plan_parameters(procedure, 1, known, ())
+
+
+def _with_velocities(procedure: Procedure, recordings: list[Recording]) -> list[Recording]:
+    """Recordings with the velocities that candidates read and no sensor measured, if they can be
+    formed."""
+    reading, found = reading_velocities(procedure), []
+    for one in recordings:
+        with contextlib.suppress(DataError):  # too short, which sums will say
+            record, steps = with_velocities(reading, one.record)
+            one = replace(one, record=record, steps=(*one.steps, *steps))
+        found.append(one)
+    return found
 
 
 def _offered(
@@ -132,6 +146,8 @@ def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
     for number, _ in enumerate(sums.procedure.stages):
         search, chosen = sums.settled(number, found)
         _require_folds(search.folds)
+        places = [step.added for step in search.path(chosen)]
+        chosen = sorted(chosen, key=lambda one: places.index(one.name))
         names = (*search.kept, *(name for one in chosen for name in one.columns))
         found |= dict(zip(names, map(float, search.folds.fitted(names))))
         stages.append((search, chosen))

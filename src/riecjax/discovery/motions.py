@@ -6,6 +6,8 @@ from typing import NamedTuple
 from riecjax.discovery.units import per
 from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import odd
+from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term, Terms
 
 POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")
@@ -51,6 +53,17 @@ def motions_of(
             if before is None or (not before.position and one.position):
                 found[key] = one
     return list(dict.fromkeys(found.values()))
+
+
+def reading_velocities(procedure: Procedure) -> Procedure:
+    """The same equations with a term that reads each velocity that they have a name for."""
+    names = [name for stage in procedure.equation_names for name in stage]
+    added: dict[str, list[Term]] = {}
+    for name, equation in zip(names, procedure.equations, strict=True):
+        moving = [t for t in equation.terms if isinstance(t, Term) and isinstance(t.of, str)]
+        velocities = {t.measured[0] for t in moving if t.measured}
+        added[name] = [Term(f"{name} {v}", odd(v, 2)) for v in sorted(velocities)]
+    return procedure.with_terms(added)
 
 
 def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:

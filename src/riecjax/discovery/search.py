@@ -22,8 +22,10 @@ RATE = 0.05
 """Of searches that add anything where nothing is missing."""
 SHARE = 0.01
 """Of what is unexplained: less is not worth a term, and within reach of what sums leave undone."""
-LEAST = 1e-6
-"""Of the target's energy, 0.1 % of its size: less is within reach of sampling and integration."""
+LEAST = 2e-5
+"""Of the target's energy, 0.4 % of its size: of exact data, less is within reach of what sampling,
+integration and sensors do, and each of the many small things that a machine does is worth a term.
+"""
 MOST = 12
 """Terms that are added at most."""
 

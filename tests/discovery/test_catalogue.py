@@ -1,0 +1,108 @@
+"""Which candidates there are for a model, by what it calls its signals and their units."""
+
+import numpy as np
+import pytest
+
+import riecjax as rx
+from riecjax.discovery.candidate import Shaped
+from riecjax.discovery.catalogue import default_candidates
+from riecjax.discovery.motions import Motion, motions_of
+
+RNG = np.random.default_rng(0)
+MASS = rx.Equation(
+    rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"), -rx.Term(1.0, "u"), unit="N"
+)
+
+
+def record(*names: str) -> rx.Record:
+    return rx.Record.from_samples(
+        {name: RNG.standard_normal(500) for name in names}, time_step=0.01
+    )
+
+
+def candidates(model: rx.Equation | rx.Model, *names: str, **units: str):
+    procedure = rx.equations.Procedure(((model,),)) if isinstance(model, rx.Equation) else None
+    procedure = procedure or model.build_procedure()  # pyright: ignore[reportAttributeAccessIssue]
+    called = [name for stage in procedure.equation_names for name in stage]
+    return default_candidates(procedure.equations, called, [record(*names)], units)
+
+
+def units_of(found) -> dict[str, str]:
+    """Unit of each candidate's coefficient."""
+    terms = [(one.at(0) if isinstance(one, Shaped) else one).terms[0] for one in found]
+    return {one.name: next(iter(term.units.values())) for one, term in zip(found, terms)}
+
+
+def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_inertia():
+    assert units_of(candidates(MASS, "x", "dx", "u")) == {
+        "viscous": "N s/m",
+        "coulomb": "N",
+        "asymmetry": "N s/m",
+        "quadratic_drag": "N s^2/m^2",
+        "cubic_drag": "N s^3/m^3",
+        "stribeck": "N",
+        "stiffness": "N/m",
+        "quadratic_stiffness": "N/m^2",
+        "cubic_stiffness": "N/m^3",
+        "quintic_stiffness": "N/m^5",
+        "dead_zone": "N/m",
+        "saturation": "N/m",
+        "product": "N s/m^2",
+        "offset": "N",
+    }
+
+
+def test_what_needs_a_velocity_is_offered_where_there_is_one():
+    assert set(units_of(candidates(MASS, "x", "u"))) == {
+        *("viscous", "stiffness", "quadratic_stiffness", "cubic_stiffness", "quintic_stiffness"),
+        *("dead_zone", "saturation", "offset"),
+    }
+
+
+def test_motions_of_the_quarter_car_by_its_equations_and_units():
+    model = rx.find_model("quarter-car")
+    units = {q.name: q.unit for q in model.signals}
+    recorded = ("x1", "x2", "x3", "x4", "F_t")
+    every = [motions_of(e, recorded, units) for e in model.build_procedure().equations]
+    tyre, _, body = every
+    assert tyre == [Motion("x1", "", "m")]
+    assert {motion.name for motion in body} == {"x4", "x2"}
+    assert Motion("", "x4", "m") in body
+
+
+def test_of_several_motions_candidates_carry_the_signals_name_and_of_several_equations_theirs():
+    model = rx.find_model("quarter-car")
+    units = {q.name: q.unit for q in model.signals}
+    found = candidates(model, "x1", "x2", "x3", "x4", "F_t", **units)
+    names = [one.name for one in found]
+    assert len(set(names)) == len(names)
+    assert {"viscous_x3", "stiffness_x2", "offset_tyre"} <= {*names}
+    assert units_of(found)["viscous_x3"] == "N s/m"
+
+
+def test_widths_lie_within_the_motion_and_grow():
+    found = candidates(MASS, "x", "dx", "u")
+    for one in found:
+        if isinstance(one, Shaped):
+            assert np.all(np.diff(one.widths) > 0)
+            assert 0 < one.widths[0] < one.widths[-1] < 3
+
+
+def test_widths_grow_of_a_signal_that_hardly_moves():
+    still = rx.Record.from_samples(
+        {"x": np.zeros(500), "dx": np.zeros(500), "u": np.ones(500)}, time_step=0.01
+    )
+    for one in default_candidates([MASS], ["equation"], [still], {}):
+        if isinstance(one, Shaped):
+            assert np.all(np.diff(one.widths) > 0)
+
+
+@pytest.mark.parametrize("number", [0, 2, 5])
+def test_closer_widths_keep_the_one_that_they_are_around(number):
+    one = next(c for c in candidates(MASS, "x", "dx", "u") if c.name == "dead_zone")
+    assert isinstance(one, Shaped)
+    closer = one.closer(number)
+    assert one.widths[number] in closer.widths
+    assert closer.widths.size == one.widths.size
+    assert np.all(np.diff(closer.widths) > 0)
+    assert np.ptp(closer.widths) < np.ptp(one.widths)

@@ -1,0 +1,244 @@
+"""Missing terms of motions with noise, from the samples to a model."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from benchmarks.discovery.problems import PROBLEMS, WIDTH
+
+import riecjax as rx
+from riecjax.discovery import Candidate, discover
+from riecjax.discovery.model_file import model_source
+from riecjax.models.catalogue import find_model
+from riecjax.reporting.discovery import discovery_document
+
+QUICK = {"intervals": rx.Naive(), "resamples": 0}
+TRUTH = {"m": 1.5, "stiffness": 20.0, "quadratic_drag": 0.5, "viscous": 0.8}
+DRAG = PROBLEMS["drag"]
+
+
+@pytest.fixture(scope="module")
+def record() -> rx.Record:
+    return DRAG.record(0.01, 0, 0)
+
+
+@pytest.fixture(scope="module")
+def found(record):
+    return discover(DRAG.start, record)
+
+
+def test_exactly_the_missing_terms_are_found(found):
+    assert {*found.names} == DRAG.missing
+    (path,) = found.paths.values()
+    assert [step.added for step in path] == ["", "stiffness", "quadratic_drag", "viscous"]
+    assert path[0].unexplained > 0.9
+    assert path[-1].unexplained < 5e-4
+    # The rest is the sensors' noise.
+    assert abs(path[-1].of_motion) < 0.1 * path[-1].unexplained
+    assert all(gain.gain < 0.02 for gain in found.rejected)
+
+
+def test_their_values_are_right_and_errors_include_the_choice(found):
+    for name, value in TRUTH.items():
+        assert abs(float(found.estimate[name]) - value) < 4 * found.errors[name]
+        assert found.errors[name] >= float(found.estimate.standard_error(name))
+        assert found.errors[name] < 0.02 * value
+    assert all(one.share == 1.0 for one in found.chosen)
+
+
+def test_the_model_is_identified_and_simulated_like_any(found, record):
+    again = rx.identify(found.model, record)
+    assert dict(again.values) == pytest.approx(dict(found.estimate.values))
+    system = found.model.build_system({k: float(v) for k, v in again.values.items()})
+    run = rx.simulate(system, record.select("u"), method=rx.FixedStep(4))
+    clean = DRAG.motion(0)
+    assert np.std(np.asarray(run.record["x"]) - clean["x"]) < 0.01 * clean["x"].std()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_a_right_model_is_given_nothing(name, noise):
+    problem = PROBLEMS[name]
+    assert discover(problem.whole, problem.record(noise, 1, 7), **QUICK).names == ()
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_missing_terms_are_found_at_five_percent_of_noise(name):
+    problem = PROBLEMS[name]
+    assert {*discover(problem.start, problem.record(0.05, 2, 2), **QUICK).names} == problem.missing
+
+
+def test_the_width_of_a_dead_zone_is_found():
+    problem = PROBLEMS["dead_zone"]
+    found = discover(problem.start, problem.record(0.01, 0, 0), **QUICK)
+    widths = {one.candidate.name: one.width for one in found.chosen}
+    assert widths["dead_zone"] == pytest.approx(WIDTH, rel=0.02)
+    assert widths["viscous"] is None
+    assert float(found.estimate["dead_zone_stiffness"]) == pytest.approx(60, rel=0.02)
+
+
+def test_noise_alone_is_given_nothing():
+    rng = np.random.default_rng(0)
+    signals = {name: rng.standard_normal(4000) for name in ("x", "dx", "u")}
+    found = discover(DRAG.start, rx.Record.from_samples(signals, time_step=0.01), **QUICK)
+    assert found.names == ()
+
+
+def test_several_recordings_of_unequal_length_with_gaps_are_one_search(record):
+    other = {name: np.array(values) for name, values in DRAG.record(0.01, 1, 1).arrays.items()}
+    other["x"][1000:1200] = np.nan
+    gappy = rx.Record.from_samples(other, time_step=0.01)
+    assert {*discover(DRAG.start, [record.part(0, 1500), gappy], **QUICK).names} == DRAG.missing
+
+
+def test_without_a_recorded_velocity_it_is_formed(record):
+    found = discover(DRAG.start, record.select("x", "u"), **QUICK)
+    assert {*found.names} == DRAG.missing
+
+
+def test_what_is_held_out_has_no_part_in_the_choice(record):
+    found = discover(DRAG.start, record, hold_out=0.3, intervals=rx.Naive())
+    assert {*found.names} == DRAG.missing
+    last = rx.identify(found.model, rx.split(record, 0.3)[1], intervals=rx.Naive())
+    assert dict(found.estimate.values) == pytest.approx(dict(last.values), rel=1e-3)
+    assert "chosen without the last 30 %" in _said(found)
+
+
+def _said(found) -> str:
+    from riecjax.reporting.discovery import choice_in_words
+
+    return choice_in_words(discovery_document(found))
+
+
+def test_known_parameters_stay_known(record):
+    found = discover(DRAG.start, record, known={"m": 1.5}, **QUICK)
+    assert {*found.names} == DRAG.missing
+    assert "m" not in found.estimate.parameters
+
+
+def test_candidates_of_ones_own_are_all_that_is_offered(record):
+    own = [
+        rx.Term("k", "x", unit="N/m"),
+        Candidate("drag", (rx.Term("r", rx.odd("dx", 1)), rx.Term("r2", rx.odd("dx", 2)))),
+        rx.Term("nonsense", rx.even("x", 1)),
+    ]
+    found = discover(DRAG.start, record, own, **QUICK)
+    assert {*found.names} == {"k", "drag"}
+    assert {"k", "r", "r2"} < {*found.estimate.parameters}
+
+
+def test_a_model_that_stands_the_other_way_round_lacks_the_same(record):
+    turned = rx.Equation(
+        rx.Term(1.0, "u"), -rx.Term("m", "x", derivative=2, measured=("dx",)), name="mass"
+    )
+    found = discover(turned, record, **QUICK)
+    assert {*found.names} == DRAG.missing
+    assert float(found.estimate["stiffness"]) == pytest.approx(20, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"candidates": ["k"]}, "a candidate is the text 'k'"),
+        ({"candidates": [rx.Term("k", "x"), rx.Term("k", "x")]}, "two candidates are called k"),
+        ({"candidates": [rx.Term("m", "x")]}, "there is a coefficient 'm' already"),
+        (
+            {"candidates": [Candidate("k", (rx.Term("k", "x"),), equation="nope")]},
+            "no equation is called 'nope'; there are: mass",
+        ),
+        ({"candidates": [rx.Term("k", "zz")]}, "no signal 'zz'"),
+        ({"known": {"zz": 1.0}}, "unknown parameter 'zz'"),
+        ({"hold_out": 2.0}, "the share to hold out must lie between 0 and 1"),
+        ({"hold_out": "half"}, "hold_out"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(record, changed, said):
+    with pytest.raises(rx.RiecjaxError, match=said):
+        discover(DRAG.start, record, changed.pop("candidates", None), **changed, **QUICK)
+
+
+def test_a_candidate_without_a_coefficient_is_none():
+    with pytest.raises(rx.ModelError, match="'u' has no term with a coefficient"):
+        Candidate("u", (rx.Term(1.0, "u"),))
+
+
+def test_too_few_blocks_of_time_are_refused(record):
+    with pytest.raises(rx.DataError, match="5 blocks of time, of which terms are to be chosen"):
+        discover(DRAG.start, record.part(0, 300), **QUICK)
+
+
+def test_hidden_elements_are_refused(record):
+    model = find_model("drag-oscillator").with_modes(rx.HiddenMode(on="x"))
+    with pytest.raises(rx.ModelError, match="without hidden modes and springs"):
+        discover(model, record, **QUICK)
+
+
+def test_what_was_found_is_printed(found):
+    said = str(found)
+    assert "stiffness (linear stiffness), quadratic_drag (quadratic drag) and viscous" in said
+    assert "nearly all of it noise" in said
+    assert "m x'' + stiffness x + quadratic_drag dx |dx| + viscous x' = u" in said
+    assert "<table" in found._repr_html_()
+
+
+def test_of_a_right_model_the_sentence_says_that_nothing_is_missing(record):
+    found = discover(find_model("drag-oscillator"), record, **QUICK)
+    assert discovery_document(found)["sentence"].startswith("Nothing is missing: none of ")
+    assert found.model.name == "drag-oscillator"
+
+
+def _own_law(signals):
+    return jnp.tanh(3 * signals["x"])
+
+
+OWN = [rx.Term("grip", _own_law, unit="N"), rx.Term("stiffness", "x")]
+
+
+def test_the_model_file_holds_what_was_found(tmp_path):
+    problem = PROBLEMS["dead_zone"]
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own/mass.py").write_text(
+        "import riecjax as rx\n"
+        "MASS = rx.Equation(rx.Term('m', 'x', derivative=2, measured=('dx',), unit='kg'),\n"
+        "    -rx.Term(1.0, 'u'), name='mass', unit='N')\n"
+    )
+    reference = f"{tmp_path}/own/mass.py:MASS"
+    found = discover(find_model(reference), problem.record(0.01, 0, 0), **QUICK)
+    (tmp_path / "out").mkdir()
+    file = tmp_path / "out/model.py"
+    file.write_text(model_source(found, reference, tmp_path / "out"))
+    read = find_model(str(file))
+    values = {q.name: float(q.default or 0.0) for q in read.parameters}
+    assert values == pytest.approx({n: float(found.estimate[n]) for n in values})
+    assert {q.name: q.unit for q in read.parameters}["dead_zone_stiffness"] == "N/m"
+    drive = rx.Record({"u": problem.motion(0)["u"]}, problem.time_step)
+    runs = [
+        rx.simulate(system, drive).record["x"]
+        for system in (read.build_system({}), found.model.build_system(values))
+    ]
+    assert np.allclose(np.asarray(runs[0]), np.asarray(runs[1]))
+    assert str(tmp_path) not in file.read_text()
+
+
+def test_the_model_file_asks_for_a_function_of_ones_own_by_name(record, tmp_path):
+    (tmp_path / "laws.py").write_text(
+        "import jax.numpy as jnp\nimport riecjax as rx\n"
+        "def law(signals):\n    return signals['x'] + 0 * jnp.tanh(signals['x'])\n"
+        "LAWS = [rx.Term('spring', law), rx.Term('drag', rx.odd('dx', 2))]\n"
+    )
+    from riecjax.models.catalogue import object_of_file
+
+    laws = f"{tmp_path}/laws.py:LAWS"
+    found = discover(find_model("two-mass"), _renamed(record), object_of_file(laws), **QUICK)
+    assert {*found.names} == {"spring", "drag"}
+    with pytest.raises(rx.ModelError, match="spring is of a function of your own"):
+        model_source(found, "two-mass", tmp_path)
+    file = tmp_path / "model.py"
+    file.write_text(model_source(found, "two-mass", tmp_path, laws))
+    assert {"spring", "drag"} < {q.name for q in find_model(str(file)).parameters}
+
+
+def _renamed(record: rx.Record) -> rx.Record:
+    """As the two-mass model calls its signals; laws read the old names."""
+    arrays = {name: np.asarray(values) for name, values in record.arrays.items()}
+    both = arrays | {"z": arrays["x"], "dz": arrays["dx"], "F": arrays["u"]}
+    return rx.Record.from_samples(both, time_step=0.01)
