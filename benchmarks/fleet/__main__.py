@@ -231,16 +231,16 @@ def words(document: dict[str, Any]) -> str:
             f"by {found['difference']:.1g} of their size; windows counted: {found['counted']}.",
         ]
     if (found := document.get("scaling")) is not None:
-        one = found["runs"][0]["seconds"]
+        first = found["runs"][0]
         rows = [
             f"| {run['workers']} | {run['seconds']:.0f} s | {run['samples_per_second']:,.0f} | "
-            f"{one / run['seconds']:.1f} |"
+            f"{first['seconds'] / run['seconds']:.1f} |"
             for run in found["runs"]
         ]
         said += [
             f"\n**More cores**: {found['recordings']} recordings on a machine of "
             f"{found['cores']} cores:\n",
-            "| workers | time | samples a second | times one worker |",
+            f"| workers | time | samples a second | times {first['workers']} |",
             "|---|---|---|---|",
             *rows,
         ]

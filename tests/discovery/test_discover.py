@@ -242,3 +242,41 @@ def _renamed(record: rx.Record) -> rx.Record:
     arrays = {name: np.asarray(values) for name, values in record.arrays.items()}
     both = arrays | {"z": arrays["x"], "dz": arrays["dx"], "F": arrays["u"]}
     return rx.Record.from_samples(both, time_step=0.01)
+
+
+@pytest.fixture(scope="module")
+def modulated() -> rx.Record:
+    """A mass on a spring with a damper that a recorded voltage sets."""
+    times = np.arange(4001) / 100
+    voltage = 2 + np.sin(0.9 * times) + 0.5 * np.sin(2.3 * times + 1)
+    model = rx.Equation(
+        rx.Term("m", "x", derivative=2),
+        rx.Term("c", "x", derivative=1),
+        rx.Term("k", "x"),
+        rx.Term("by", rx.product("voltage", "dx")),
+        -rx.Term(1.0, "u"),
+    )
+    values = {"m": 1.5, "c": 0.5, "k": 20.0, "by": 0.6}
+    drive = rx.Record({"u": DRAG.motion(0)["u"], "voltage": voltage}, 0.01)
+    run = rx.simulate(rx.equation_system(model, values), drive, method=rx.FixedStep(4))
+    rng = np.random.default_rng(0)
+    signals = {name: np.asarray(run.record[name]) for name in ("x", "dx", "u", "voltage")}
+    for name in ("x", "dx"):
+        signals[name] = signals[name] + 0.02 * signals[name].std() * rng.standard_normal(4001)
+    signals["temperature"] = 20 + 0.1 * rng.standard_normal(4001)
+    return rx.Record.from_samples(signals, time_step=0.01)
+
+
+def test_a_voltage_that_is_recorded_and_not_read_is_named(modulated):
+    start = rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),
+        rx.Term("c", "x", derivative=1, measured=("dx",), unit="N s/m"),
+        rx.Term("k", "x", unit="N/m"),
+        -rx.Term(1.0, "u"),
+        name="mass",
+        unit="N",
+    )
+    found = discover(start, modulated, **QUICK)
+    assert found.names == ("viscous_by_voltage",)
+    assert float(found.estimate["viscous_by_voltage"]) == pytest.approx(0.6, rel=0.03)
+    assert found.chosen[0].candidate.meaning == "damping that voltage changes"

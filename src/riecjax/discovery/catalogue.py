@@ -4,7 +4,8 @@
 # of them divide its samples into shares that both sides of the kink can be told from. Stribeck's
 # speed is where friction falls off near standstill, and so among the slowest.
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -13,15 +14,25 @@ from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, renamed
 from riecjax.discovery.motions import Motion, motions_of
 from riecjax.discovery.units import per
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, constant, even, odd, product
+from riecjax.equations.expressions import (
+    Expression,
+    constant,
+    even,
+    odd,
+    product,
+    read_expression,
+)
 from riecjax.equations.shapes import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.errors import RiecjaxError
 from riecjax.records.record import Record
 
 WIDTHS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
 """Quantiles of a position's size."""
 SPEEDS = (0.05, 0.15, 0.3)
 """Quantiles of a speed."""
+MOST_UNREAD = 8
+"""Signals that no equation reads, of those that are looked into."""
 
 FRICTION = (
     ("coulomb", 0, True, "Coulomb friction"),
@@ -47,8 +58,10 @@ def default_candidates(
     """
     found: list[AnyCandidate] = []
     recorded = set.intersection(*({*record.arrays} for record in records))
+    unread = _unread(equations, records[0], recorded)
     for name, equation in zip(names, equations, strict=True):
         motions = motions_of(equation, recorded, units)
+        found += _of_unread(unread[:MOST_UNREAD], motions, equation.unit, units, name)
         for motion in motions:
             after = f"_{motion.name}" if len(motions) > 1 else ""
             found += _of_motion(motion, equation.unit, records, name, after)
@@ -102,6 +115,53 @@ def _of_motion(
     if x and v:
         both = per(per(force, unit), speed)
         yield one("product", partial(Term, of=product(x, v), unit=both), "damping by position")
+
+
+def _unread(equations: Sequence[Equation], record: Record, recorded: Collection[str]) -> list[str]:
+    """Signals that are recorded, and that no equation reads or knows as a derivative."""
+    known = {name for e in equations for pair in e.derivatives for name in pair}
+    for equation in equations:
+        signals = record.signals
+        for term in equation.terms:
+            with contextlib.suppress(RiecjaxError):
+                read_expression(term.of, signals)
+        known |= {*signals.read}
+    return [name for name in record.arrays if name in recorded and name not in known]
+
+
+def _of_unread(
+    unread: Sequence[str],
+    motions: Sequence[Motion],
+    force: str,
+    units: Mapping[str, str],
+    equation: str,
+) -> Iterator[Candidate]:
+    """What a signal does that is recorded and not read: by itself, and to friction."""
+    for name in unread:
+        unit = units.get(name, "")
+        own = per(force, unit)
+        yield Candidate(
+            f"signal_{name}",
+            (Term(f"signal_{name}", name, unit=own),),
+            f"force that follows {name}",
+            equation,
+        )
+        for v, speed in ((m.velocity, f"{m.unit}/s" if m.unit else "") for m in motions):
+            after = f"{name}_{v}" if len(motions) > 1 else name
+            if v:
+                damping, friction = f"viscous_by_{after}", f"coulomb_by_{after}"
+                yield Candidate(
+                    damping,
+                    (Term(damping, product(name, v), unit=per(own, speed)),),
+                    f"damping that {name} changes",
+                    equation,
+                )
+                yield Candidate(
+                    friction,
+                    (Term(friction, product(name, odd(v, 0)), unit=own),),
+                    f"dry friction that {name} changes",
+                    equation,
+                )
 
 
 def _shaped_term(

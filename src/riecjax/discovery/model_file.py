@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from riecjax.discovery.discovery import Discovery
-from riecjax.equations.expressions import Expression, constant
+from riecjax.equations.expressions import source_of
 from riecjax.equations.shapes import AbstractShape
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError
@@ -84,12 +84,12 @@ def _term_source(term: AbstractTerm) -> str | None:
     """A term as it is written, `None` for what is of a function of the user's own."""
     words: Sequence[str]
     if isinstance(term, Term) and term.name is not None and float(np.asarray(term.number)) == 1:
-        of = _expression_source(term.of)
+        of = source_of(term.of)
         settings = {"derivative": term.derivative, "measured": term.measured, "unit": term.unit}
         defaults = {"derivative": 0, "measured": (), "unit": ""}
         words = [_quoted(term.name), of or ""]
     elif isinstance(term, Terms) and isinstance(term.basis, AbstractShape):
-        of = _expression_source(term.of)
+        of = source_of(term.of)
         shape = f"rx.equations.{type(term.basis).__name__}({float(np.asarray(term.basis.width))!r})"
         settings, defaults = {"unit": term.unit}, {"unit": ""}
         words = [_quoted(term.prefix), shape, of or ""]
@@ -99,12 +99,3 @@ def _term_source(term: AbstractTerm) -> str | None:
         return None
     words += [f"{k}={_quoted(v)}" for k, v in settings.items() if v != defaults[k]]
     return f"rx.{type(term).__name__}({', '.join(words)})"
-
-
-def _expression_source(of: Expression) -> str | None:
-    if isinstance(of, str):
-        return _quoted(of)
-    if of is constant:
-        return "rx.constant"
-    source = getattr(of, "source", None)
-    return None if source is None else f"rx.{source}"

@@ -85,19 +85,21 @@ def constant(signals: Signals) -> Array:
 
 @dataclass(frozen=True)
 class _Product:
-    names: tuple[str, ...]
+    factors: tuple[Expression, ...]
 
     @property
     def __name__(self) -> str:
-        return " ".join(self.names)
+        return " ".join(of if isinstance(of, str) else of.__name__ for of in self.factors)
 
     @property
-    def source(self) -> str:
-        """As it is written."""
-        return f"product({', '.join(map(json.dumps, self.names))})"
+    def source(self) -> str | None:
+        """As it is written, if its factors can be."""
+        written = [source_of(of) for of in self.factors]
+        return None if None in written else f"product({', '.join(map(str, written))})"
 
     def __call__(self, signals: Signals) -> Array:
-        return functools.reduce(operator.mul, (signals[name] for name in self.names))
+        values = (signals[of] if isinstance(of, str) else of(signals) for of in self.factors)
+        return functools.reduce(operator.mul, values)
 
 
 @dataclass(frozen=True)
@@ -173,9 +175,20 @@ def even(name: str, power: int) -> _Power:
     return _Power(name, power, odd=False)
 
 
-def product(*names: str) -> _Product:
-    """The product of signals, such as `product("current", "flux")`."""
-    return _Product(names)
+def source_of(of: Expression) -> str | None:
+    """An expression as it is written after `import riecjax as rx`; `None` for a function of the
+    user's own."""
+    if isinstance(of, str):
+        return json.dumps(of, ensure_ascii=False)
+    if of is constant:
+        return "rx.constant"
+    source = getattr(of, "source", None)
+    return None if source is None else f"rx.{source}"
+
+
+def product(*factors: Expression) -> _Product:
+    """The product of signals and expressions, such as `product("current", "flux")`."""
+    return _Product(factors)
 
 
 def difference(first: str, second: str) -> _Difference:
