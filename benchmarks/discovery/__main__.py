@@ -69,6 +69,7 @@ def speed() -> dict[str, Any]:
     from riecjax.discovery.search import Offer, Search
 
     problem = PROBLEMS["duffing"]
+    assert isinstance(problem.whole, rx.Equation)
     record = problem.record(0.01, 0, 0)
     times = {}
     for count in (10, 20, 100):

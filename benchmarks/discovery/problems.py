@@ -32,7 +32,7 @@ class Problem(NamedTuple):
     name: str
     start: rx.Equation
     missing: frozenset[str]
-    whole: rx.Equation
+    whole: rx.Equation | rx.equations.Procedure
     motion: Callable[[int], dict[str, np.ndarray]]
     time_step: float
 
@@ -167,6 +167,26 @@ def _swing(*terms: rx.Term) -> rx.Equation:
     return rx.Equation(*_SWING, *terms, name="pendulum", unit="rad/s^2")
 
 
+STROKE = 0.1
+"""Displacement within which the hysteresis turns round."""
+
+
+@functools.cache
+def _hysteretic(seed: int) -> dict[str, np.ndarray]:
+    """A mass on a spring with Dahl's friction."""
+    times = np.arange(COUNT) / RATE
+
+    def rates(t: float, state: np.ndarray) -> list[float]:
+        x, v, z = state
+        force = tones(t, _FORCE, 20.0, seed) - 0.8 * v - 20 * x - 4 * z
+        return [v, float(force) / 1.5, (v - abs(v) * z) / STROKE]
+
+    run = scipy.integrate.solve_ivp(
+        rates, (0, times[-1]), [0.0, 0.0, 0.0], t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.02
+    )
+    return {"x": run.y[0], "dx": run.y[1], "u": tones(times, _FORCE, 20.0, seed)}
+
+
 PROBLEMS = {
     problem.name: problem
     for problem in (
@@ -218,6 +238,16 @@ PROBLEMS = {
             frozenset({"viscous", "dead_zone"}),
             _mass(_VISCOUS, rx.Terms("gap", rx.equations.DeadZone(WIDTH), "x")),
             _driven(14.0, lambda x, v, d: 2 * v + 60 * (x - np.clip(x, -WIDTH, WIDTH))),
+            1 / RATE,
+        ),
+        Problem(
+            "hysteresis",
+            _mass(_SPRING),
+            frozenset({"viscous", "dahl"}),
+            rx.staged(_mass(_SPRING, _VISCOUS, rx.Term("loop", "z"))).with_memories(
+                rx.equations.Dahl("z", "dx", STROKE)
+            ),
+            _hysteretic,
             1 / RATE,
         ),
     )

@@ -104,8 +104,9 @@ def test_chance_finds_what_is_there_though_it_acts_in_one_fold_alone():
     assert folds_of(rows, 20).chance(NAMES, "a") < 1e-6
 
 
-def test_folds_that_are_drawn_again_are_the_same_blocks():
+def test_a_fold_that_is_drawn_twice_weighs_twice_and_is_left_out_as_a_whole():
     rows = np.random.default_rng(4).standard_normal((100, 3))
-    found = folds_of(rows, 5).drawn([0, 0, 3])
-    assert found.number == 3
-    assert np.array_equal(found.samples[0], found.samples[1])
+    whole = folds_of(rows, 5)
+    found = whole.drawn([3, 0, 0])
+    assert found.number == 2
+    assert np.array_equal(found.samples, [2 * whole.samples[0], whole.samples[3]])

@@ -116,6 +116,16 @@ def test_the_path_goes_down_and_ends_at_what_noise_makes():
     assert all(gain < 0.02 for _, gain, _ in found.next_best(found.found()))
 
 
+def test_coefficients_of_one_law_have_errors_of_their_own():
+    given = columns(16)
+    noise = np.random.default_rng(17).standard_normal(len(given))
+    folds = folds_of(np.column_stack([given @ [1, 5, -3, 0, 0, 0, 0, 0] + noise, given]), 20)
+    law = Offer("law", ("b", "c"), "law")
+    found = again(Search(folds, ("a",), [law]), [law], seed=0)
+    assert found.errors["b"] == pytest.approx(1 / np.sqrt(1000), rel=0.5)
+    assert found.errors["c"] == pytest.approx(1 / np.sqrt(1000), rel=0.5)
+
+
 def test_data_drawn_again_choose_what_is_sure_each_time_and_what_is_not_less_often():
     given = columns(14)
     noise = np.random.default_rng(15).standard_normal(len(given))

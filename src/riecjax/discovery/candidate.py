@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from riecjax.equations.memories import Memory
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
 
@@ -20,6 +21,7 @@ class Candidate:
       of what resists motion is positive. One coefficient is called like the candidate.
     - `meaning`, in words.
     - `equation`, the name of the one that it may belong to; the first by default.
+    - `memories`, states that its terms read and recordings lack.
 
     **Raises:** `ModelError` without terms, or for what is no term.
     """
@@ -28,6 +30,7 @@ class Candidate:
     terms: tuple[AbstractTerm, ...]
     meaning: str = ""
     equation: str = ""
+    memories: tuple[Memory, ...] = ()
 
     def __post_init__(self):
         for term in self.terms:
@@ -47,7 +50,8 @@ class Shaped:
     """A law with a width, which the coefficients are not linear in: a candidate for each of some.
 
     **Fields:** `name`, `meaning`, `equation` as of a [`Candidate`][]; `build`, which makes the term
-    of a name and a width; `widths` that are tried, in the `unit` of the signal; `of`, that signal.
+    of a name and a width; `widths` that are tried, in the `unit` of the signal; `of`, that signal;
+    `remember`, of a law with a memory, which makes the state that the term reads.
     """
 
     name: str
@@ -57,16 +61,20 @@ class Shaped:
     unit: str = ""
     meaning: str = ""
     equation: str = ""
+    remember: Callable[[str, float], Memory] | None = None
 
     def at(self, number: int) -> Candidate:
         """The candidate of one of the widths."""
-        term = self.build(f"{self.name}@{number}", float(self.widths[number]))
-        return Candidate(f"{self.name}@{number}", (term,), self.meaning, self.equation)
+        return self._candidate(f"{self.name}@{number}", float(self.widths[number]))
 
     def chosen(self, width: float) -> Candidate:
         """The candidate of this width, by its own name."""
-        term = self.build(self.name, width)
-        return Candidate(self.name, (term,), self.meaning, self.equation)
+        return self._candidate(self.name, width)
+
+    def _candidate(self, name: str, width: float) -> Candidate:
+        memories = () if self.remember is None else (self.remember(name, width),)
+        term = self.build(name, width)
+        return Candidate(name, (term,), self.meaning, self.equation, memories)
 
     def with_widths(self, widths: Float[np.ndarray, " widths"]) -> "Shaped":
         """The same for other widths, of which there are as many."""

@@ -22,15 +22,18 @@ from riecjax.equations.expressions import (
     product,
     read_expression,
 )
+from riecjax.equations.memories import BoucWen, Dahl, Memory
 from riecjax.equations.shapes import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import RiecjaxError
-from riecjax.records.record import Record
+from riecjax.records.record import Record, samples_with_nan
 
 WIDTHS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
 """Quantiles of a position's size."""
 SPEEDS = (0.05, 0.15, 0.3)
 """Quantiles of a speed."""
+TURNS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Widths within which hysteresis turns round, in strokes."""
 MOST_UNREAD = 8
 """Signals that no equation reads, of those that are looked into."""
 
@@ -103,6 +106,7 @@ def _of_motion(
     if v:
         for name, p, is_odd, meaning in FRICTION:
             yield one(name, power(v, speed, p, is_odd), meaning)
+        yield from _with_memory(motion, force, records, equation, after)
         yield shaped(Stribeck, "stribeck", v, speed, "Stribeck friction", force, SPEEDS)
     if x:
         stiffness = partial(Term, of=x, unit=per(force, unit))
@@ -115,6 +119,53 @@ def _of_motion(
     if x and v:
         both = per(per(force, unit), speed)
         yield one("product", partial(Term, of=product(x, v), unit=both), "damping by position")
+
+
+def _with_memory(
+    motion: Motion, force: str, records: Sequence[Record], equation: str, after: str
+) -> Iterator[Shaped]:
+    """Hysteresis, whose widths are shares of a usual stroke."""
+    stroke = float(
+        np.sqrt(np.mean(np.concatenate([_strokes(motion.velocity, r) for r in records])))
+    )
+    widths = np.array(TURNS) * (stroke or 1.0)
+    for name, kind, meaning in (
+        ("dahl", Dahl, "hysteresis, as Dahl's friction"),
+        ("bouc_wen", BoucWen, "hysteresis, as of Bouc and Wen"),
+    ):
+        yield Shaped(
+            name + after,
+            partial(_of_state, force),
+            widths,
+            motion.velocity,
+            motion.unit,
+            meaning,
+            equation,
+            partial(_remembering, kind, motion.velocity),
+        )
+
+
+def _strokes(velocity: str, record: Record) -> np.ndarray:
+    """Squares of what lies between reversals."""
+    v = np.nan_to_num(samples_with_nan(record, velocity))
+    turns = np.flatnonzero(v[1:] * v[:-1] < 0) + 1
+    way = np.concatenate([[0.0], np.cumsum(v)]) * float(record.time_step)
+    return np.square(np.diff(way[[0, *turns, v.size]]))
+
+
+def _of_state(unit: str, name: str, width: float) -> AbstractTerm:
+    return Term(name, state_name(name), unit=unit)
+
+
+def _remembering(
+    kind: Callable[[str, str, float], Memory], velocity: str, name: str, width: float
+) -> Memory:
+    return kind(state_name(name), velocity, width)
+
+
+def state_name(name: str) -> str:
+    """What the state of a law with a memory is called as a signal."""
+    return f"{name}_state"
 
 
 def _unread(equations: Sequence[Equation], record: Record, recorded: Collection[str]) -> list[str]:

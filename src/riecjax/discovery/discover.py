@@ -181,7 +181,10 @@ def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -
     if not candidates:
         return model
     meanings = {name: one.meaning for one in candidates for name in one.columns}
-    return model.with_terms(by_equation(procedure, candidates), meanings=meanings)
+    memories = [memory for one in candidates for memory in one.memories]
+    return model.with_terms(
+        by_equation(procedure, candidates), memories=memories, meanings=meanings
+    )
 
 
 def _rejected(stages: Sequence[tuple[Search, list[Offer]]]) -> list[Rejected]:

@@ -68,8 +68,11 @@ class Folds(NamedTuple):
         return float(self.samples[:, 0, 0].sum())
 
     def drawn(self, index: Sequence[int] | np.ndarray) -> "Folds":
-        """These folds instead, some of them more than once."""
-        return Folds(self.samples[index], self.motion[index], self.parameters)
+        """These folds instead: one that is drawn several times weighs as often, and is left out as
+        a whole, since its copies would tell of it."""
+        place, times = np.unique(index, return_counts=True)
+        weights = times[:, None, None]
+        return Folds(self.samples[place] * weights, self.motion[place] * weights, self.parameters)
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
         """Places of columns, that of the target being 0."""

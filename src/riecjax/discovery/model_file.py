@@ -47,7 +47,14 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     meanings = {
         name: one.candidate.meaning for one in found.chosen for name in one.candidate.columns
     }
-    body += ["    },", *_mapping("values", values), *_mapping("meanings", meanings), ")"]
+    remembered = [memory for one in found.chosen for memory in one.candidate.memories]
+    states = [
+        f"        rx.equations.{type(m).__name__}"
+        f"({_quoted(m.state)}, {_quoted(m.velocity)}, {m.width!r}),"
+        for m in remembered
+    ]
+    body += ["    },", *(["    memories=[", *states, "    ],"] if states else [])]
+    body += [*_mapping("values", values), *_mapping("meanings", meanings), ")"]
     folder_line = ["HERE = Path(__file__).parent"] if "HERE" in start or own else []
     folder_line += [""] if folder_line else []
     imports = ["from pathlib import Path", ""] if folder_line else []

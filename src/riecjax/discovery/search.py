@@ -118,8 +118,24 @@ class Search:
                 best, most = offer, gain
         if best is None:
             return None
-        grown = [*chosen, best]
+        grown = self._simpler([*chosen, best])
         return grown if self._is_worth(before, self.left(grown)) else None
+
+    def _simpler(self, chosen: list[Offer]) -> list[Offer]:
+        """With a law without a width instead of the last one, where it predicts about as well."""
+        *rest, last = chosen
+        if last.simple:
+            return chosen
+        now = self.left(chosen)
+        alike = [
+            (left.motion.sum(), i)
+            for i, one in enumerate(self.offers)
+            if one.simple
+            and one not in rest
+            and (left := self.left([*rest, one])) is not None
+            and not self._is_worth(left, now)
+        ]
+        return [*rest, self.offers[min(alike)[1]]] if alike else chosen
 
     def _gain(self, before: Left | None, after: Left | None) -> float:
         """What more is explained of the motion: a term's own noise is no fault of it."""
@@ -156,6 +172,11 @@ class Search:
                 fewer = [*rest, other]
                 if other not in pair and not self._is_worth(self.left(fewer), now):
                     return fewer
+        for offer in chosen:
+            rest = [one for one in chosen if one is not offer]
+            simpler = self._simpler([*rest, offer])
+            if not offer.simple and simpler[-1] is not offer:
+                return simpler
         best, most = None, 0.0
         for offer in chosen:
             rest = [one for one in chosen if one is not offer]

@@ -37,8 +37,11 @@ def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN
     rng = np.random.default_rng(seed)
     folds, among = search.folds, _among(search, chosen)
     families: Counter[str] = Counter()
-    values: dict[str, list[float]] = {}
-    family_of = {name: offer.family for offer in search.every for name in offer.columns}
+    values: dict[tuple[str, int], list[float]] = {}
+    # Of a law the same coefficient, whatever its width.
+    place_of = {
+        name: (offer.family, i) for offer in search.every for i, name in enumerate(offer.columns)
+    }
     for _ in range(times):
         drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
         one = Search(drawn, search.kept, among, trials=len(search.offers))
@@ -46,9 +49,11 @@ def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN
         families.update(offer.family for offer in found)
         names = (*search.kept, *(name for offer in found for name in offer.columns))
         for name, value in zip(names, drawn.fitted(names)):
-            values.setdefault(family_of.get(name, name), []).append(float(value))
-    errors = {name: float(np.std(each)) for name, each in values.items() if len(each) > 1}
-    held = {name: errors.get(family_of.get(name, name), np.nan) for name in _held(search, chosen)}
+            values.setdefault(place_of.get(name, (name, 0)), []).append(float(value))
+    errors = {place: float(np.std(each)) for place, each in values.items() if len(each) > 1}
+    held = {
+        name: errors.get(place_of.get(name, (name, 0)), np.nan) for name in _held(search, chosen)
+    }
     shares = {offer.family: families[offer.family] / times for offer in chosen} if times else {}
     return Again(shares, held)
 

@@ -6,7 +6,7 @@ thousand. Widths are arrays, so that no sum is compiled anew.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from riecjax.discovery.candidate import AnyCandidate, Shaped
 from riecjax.discovery.extended import extended, members, offers
 from riecjax.discovery.folds import Folds
 from riecjax.discovery.search import SHARE, Offer, Search
+from riecjax.equations.memories import with_memories
 from riecjax.equations.procedure import Procedure
 from riecjax.records.recording import Recording
 from riecjax.summaries.stage_sums import sum_of_equations
@@ -48,9 +49,13 @@ class Sums:
 
     def sum_up(self) -> None:
         """Read the recordings and sum them up, for the widths as they are."""
-        model = extended(self.procedure, members(self.candidates))
+        every = members(self.candidates)
+        memories = [memory for one in every for memory in one.memories]
         # What is known of noise was judged before, and widths must not change it.
-        self.summary = summarise(model, self.recordings, self.criterion)
+        carrying = [
+            replace(one, record=with_memories(one.record, memories)) for one in self.recordings
+        ]
+        self.summary = summarise(extended(self.procedure, every), carrying, self.criterion)
 
     def folds(self, stage: int, found: Mapping[str, float]) -> Folds:
         """Of one stage, what earlier ones found being known."""
@@ -79,12 +84,22 @@ class Sums:
             search = self.search(stage, found)
             chosen = search.found()
             rough = [one for one in chosen if not one.simple and one.family not in near]
-            if not rough or len(near) == SEVERAL:
+            if not rough or len(near) >= SEVERAL:
                 return search, chosen
             strongest = max(rough, key=lambda one: _without(search, chosen, one))
             beside = [one for one in chosen if one.simple or one.family in near]
-            self._narrow(stage, found, strongest.family, beside)
-            near.add(strongest.family)
+            for family in self._kin(strongest.family):
+                self._narrow(stage, found, family, beside)
+                near.add(family)
+
+    def _kin(self, family: str) -> list[str]:
+        """A law, and of laws with a memory all of the same signal: rough widths tell none of them
+        from the others."""
+        one = self.shape(family)
+        if one.remember is None:
+            return [family]
+        shapes = [each for each in self.candidates if isinstance(each, Shaped)]
+        return [s.name for s in shapes if s.remember is not None and s.of == one.of]
 
     def _narrow(
         self, stage: int, found: Mapping[str, float], family: str, beside: Sequence[Offer]

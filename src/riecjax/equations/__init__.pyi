@@ -2,6 +2,8 @@ from .bases import AbstractBasis as AbstractBasis
 from .bases import Friction as Friction
 from .bases import RoofFunctions as RoofFunctions
 from .expressions import faster_than as faster_than
+from .memories import BoucWen as BoucWen
+from .memories import Dahl as Dahl
 from .procedure import AtRest as AtRest
 from .procedure import Procedure as Procedure
 from .shapes import DeadZone as DeadZone

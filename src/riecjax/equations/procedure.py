@@ -20,6 +20,7 @@ from riecjax.equations.hidden_modes import (
     is_hidden_name,
 )
 from riecjax.equations.kinematics import relation_of
+from riecjax.equations.memories import Memory
 from riecjax.equations.sensor_errors import with_unknown_gain, with_unknown_offset
 from riecjax.equations.series_springs import (
     SeriesSpring,
@@ -45,7 +46,7 @@ class Procedure(Shown, eqx.Module):
     `modes` are hidden in every equation that accelerates their bodies, see
     [`Procedure.with_modes`][], and `springs` stand in series with force elements, see
     [`Procedure.with_series_springs`][]; `at_rest`, see [`AtRest`][riecjax.equations.AtRest];
-    `kinematics`, see [`Procedure.with_rates`][].
+    `kinematics`, see [`Procedure.with_rates`][]; `memories`, see [`Procedure.with_memories`][].
     """
 
     stages: tuple[tuple[Equation, ...], ...]
@@ -53,6 +54,7 @@ class Procedure(Shown, eqx.Module):
     springs: tuple[SeriesSpring, ...] = ()
     at_rest: AtRest = eqx.field(static=True, default="mask")
     kinematics: tuple[Relation, ...] = eqx.field(static=True, default=())
+    memories: tuple[Memory, ...] = eqx.field(static=True, default=())
 
     @property
     def derivatives(self) -> tuple[tuple[str, str] | Relation, ...]:
@@ -83,6 +85,14 @@ class Procedure(Shown, eqx.Module):
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
         return replace(self, modes=(*self.modes, *modes))
+
+    def with_memories(self, *memories: Memory) -> "Procedure":
+        """The same equations, reading states of hysteresis as signals.
+
+        Recordings that lack them are given them from the velocities that drive them; simulations
+        carry them along.
+        """
+        return replace(self, memories=(*self.memories, *memories))
 
     def with_terms(self, added: Mapping[str, Sequence[AbstractTerm]]) -> "Procedure":
         """The same equations with further terms, each for the equation of a name.

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from riecjax.equations.equation import Equation
     from riecjax.equations.hidden_modes import HiddenMode
+    from riecjax.equations.memories import Memory
     from riecjax.equations.procedure import HasProcedure, Procedure
     from riecjax.equations.series_springs import SeriesSpring
     from riecjax.equations.term import AbstractTerm
@@ -111,6 +112,7 @@ class Model(Shown):
     def with_terms(
         self,
         added: Mapping[str, Sequence[AbstractTerm]],
+        memories: Sequence[Memory] = (),
         values: Mapping[str, float] | None = None,
         meanings: Mapping[str, str] | None = None,
     ) -> Model:
@@ -119,12 +121,13 @@ class Model(Shown):
         Their coefficients join its parameters, and it is simulated by its equations. To be called
         before hidden elements are added.
 
-        **Arguments:** `added`, terms by the name of their equation; `values` of parameters to
+        **Arguments:** `added`, terms by the name of their equation; `memories`, states that they
+        read and recordings lack, see [`Procedure.with_memories`][]; `values` of parameters to
         simulate with; `meanings` of those that are added.
 
         **Raises:** as [`Procedure.with_terms`][].
         """
-        procedure = self.build_procedure().with_terms(added)
+        procedure = self.build_procedure().with_memories(*memories).with_terms(added)
         given, said = values or {}, meanings or {}
         listed = {quantity.name for quantity in self.parameters}
         own = [

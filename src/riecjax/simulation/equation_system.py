@@ -273,7 +273,8 @@ def equation_system(
     numbers = _numbers(label, procedure, values)
     equations, elements = with_springs(equations, procedure.springs)
     equations, modes = with_forces(equations, procedure.modes)
-    structure = read_structure(label, equations, rates or {}, frozenset(inputs), modes, elements)
+    rates = {**{one.state: one for one in procedure.memories}, **(rates or {})}
+    structure = read_structure(label, equations, rates, frozenset(inputs), modes, elements)
     own = {k: v for m in modes for k, v in zip((m.deflection, m.velocity), m.units)}
     own |= {one.state: one.unit for one in elements}
     named = tuple(sorted((own | dict(units or {})).items()))

@@ -14,6 +14,7 @@ from jaxtyping import Array, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
 from riecjax.equations.equation import Equation
+from riecjax.equations.memories import with_memories
 from riecjax.equations.procedure import (
     AtRest,
     HasProcedure,
@@ -136,6 +137,7 @@ def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") ->
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
             record, found = without_computed(record, procedure.derivatives, known)
+            record = with_memories(record, procedure.memories)
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
