@@ -41,6 +41,8 @@ def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_iner
         "quadratic_drag": "N s^2/m^2",
         "cubic_drag": "N s^3/m^3",
         "stribeck": "N",
+        "dahl": "N",
+        "bouc_wen": "N",
         "stiffness": "N/m",
         "quadratic_stiffness": "N/m^2",
         "cubic_stiffness": "N/m^3",

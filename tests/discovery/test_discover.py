@@ -280,3 +280,40 @@ def test_a_voltage_that_is_recorded_and_not_read_is_named(modulated):
     assert found.names == ("viscous_by_voltage",)
     assert float(found.estimate["viscous_by_voltage"]) == pytest.approx(0.6, rel=0.03)
     assert found.chosen[0].candidate.meaning == "damping that voltage changes"
+
+
+def test_the_file_of_a_hysteretic_model_is_identified_and_simulated(tmp_path):
+    problem = PROBLEMS["hysteresis"]
+    (tmp_path / "mass.py").write_text(
+        "import riecjax as rx\n"
+        "MASS = rx.Equation(rx.Term('m', 'x', derivative=2, measured=('dx',), unit='kg'),\n"
+        "    rx.Term('k', 'x', unit='N/m'), -rx.Term(1.0, 'u'), name='mass', unit='N')\n"
+    )
+    reference, record = f"{tmp_path}/mass.py:MASS", problem.record(0.01, 0, 0)
+    found = discover(find_model(reference), record, **QUICK)
+    assert {*found.names} == problem.missing
+    file = tmp_path / "model.py"
+    file.write_text(model_source(found, reference, tmp_path))
+    read = find_model(str(file))
+    again = rx.identify(read, record)
+    assert dict(again.values) == pytest.approx(dict(found.estimate.values))
+    run = rx.simulate(read.build_system({}), record.select("u"), method=rx.FixedStep(4))
+    clean = problem.motion(0)["x"]
+    assert np.std(np.asarray(run.record["x"]) - clean) < 0.05 * clean.std()
+
+
+def test_a_velocitys_position_that_no_equation_reads_is_known_by_its_slope():
+    rng = np.random.default_rng(0)
+    times = np.arange(4000) / 100
+    v = np.sin(2 * times) + 0.5 * np.sin(5 * times + 1)
+    x = np.cumsum(v) / 100
+    signals = {"x": x, "v": v, "F": 3 * v + 5 * x + 0.01 * rng.standard_normal(4000)}
+    damper = rx.Equation(rx.Term("c", "v"), -rx.Term(1.0, "F"), name="damper", unit="N")
+    model = rx.Model(
+        "damper",
+        "a damper",
+        signals=(rx.models.model.Quantity("v", "m/s", ""),),
+        procedure=lambda: damper,
+    )
+    found = discover(model, rx.Record.from_samples(signals, time_step=0.01), **QUICK)
+    assert found.names == ("stiffness",)

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, renamed
-from riecjax.discovery.motions import Motion, motions_of
+from riecjax.discovery.motions import Motion, motions_of, with_position
 from riecjax.discovery.units import per
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import (
@@ -63,8 +63,12 @@ def default_candidates(
     recorded = set.intersection(*({*record.arrays} for record in records))
     unread = _unread(equations, records[0], recorded)
     for name, equation in zip(names, equations, strict=True):
-        motions = motions_of(equation, recorded, units)
-        found += _of_unread(unread[:MOST_UNREAD], motions, equation.unit, units, name)
+        motions = [
+            with_position(motion, records[0], unread)
+            for motion in motions_of(equation, recorded, units)
+        ]
+        others = [one for one in unread if one not in {motion.position for motion in motions}]
+        found += _of_unread(others[:MOST_UNREAD], motions, equation.unit, units, name)
         for motion in motions:
             after = f"_{motion.name}" if len(motions) > 1 else ""
             found += _of_motion(motion, equation.unit, records, name, after)

@@ -3,15 +3,20 @@
 from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
+import numpy as np
+
 from riecjax.discovery.units import per
 from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import odd
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term, Terms
+from riecjax.records.record import Record, samples_with_nan
 
 POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")
 
+FEWEST, ALIKE = 100, 0.9
+"""Samples, and correlation with its slope, that tell a velocity's position."""
 OF_INERTIA = {("N", "kg"): "m", ("N m", "kg m^2"): "rad"}
 """Unit of a position by those of a force and an inertia."""
 
@@ -55,6 +60,25 @@ def motions_of(
     return list(dict.fromkeys(found.values()))
 
 
+def with_position(motion: Motion, record: Record, unread: Collection[str]) -> Motion:
+    """A velocity with the position that is recorded beside it and that no equation reads."""
+    if motion.position or not motion.velocity:
+        return motion
+    v = samples_with_nan(record, motion.velocity)[1:-1]
+    for name in unread:
+        x = samples_with_nan(record, name)
+        slope = x[2:] - x[:-2]
+        both = np.isfinite(v) & np.isfinite(slope)
+        if both.sum() > FEWEST and _is_alike(slope[both], v[both]):
+            return motion._replace(position=name)
+    return motion
+
+
+def _is_alike(slope: np.ndarray, velocity: np.ndarray) -> bool:
+    moves = np.ptp(slope) > 0 and np.ptp(velocity) > 0
+    return bool(moves and np.corrcoef(slope, velocity)[0, 1] > ALIKE)
+
+
 def reading_velocities(procedure: Procedure) -> Procedure:
     """The same equations with a term that reads each velocity that they have a name for."""
     names = [name for stage in procedure.equation_names for name in stage]
@@ -80,8 +104,11 @@ def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, 
                 yield of, first
         elif isinstance(term, Terms) and isinstance(of, str):
             yield (of, "") if isinstance(term.basis, Polynomial) else ("", of)
-        if isinstance(of, str) and not term.derivative and units.get(of) in POSITIONS:
-            yield of, ""
+        if isinstance(of, str) and not term.derivative:
+            if units.get(of) in POSITIONS:
+                yield of, ""
+            elif units.get(of) in VELOCITIES:
+                yield "", of
 
 
 def _unit_by_terms(equation: Equation, position: str) -> str:

@@ -1,0 +1,98 @@
+"""Hysteresis: states along recordings and in simulations, held against SciPy's solution."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+from benchmarks.discovery.problems import PROBLEMS, STROKE
+
+import riecjax as rx
+from riecjax.equations.memories import BoucWen, Dahl, course, with_memories
+from riecjax.records.signals import Signals
+
+TIMES = np.arange(2001) / 100
+HYSTERETIC = PROBLEMS["hysteresis"]
+
+
+def velocity(t):
+    return np.sin(2 * np.pi * 0.4 * t) + 0.6 * np.sin(2 * np.pi * 1.1 * t + 1)
+
+
+@pytest.mark.parametrize("law", [Dahl, BoucWen])
+@pytest.mark.parametrize("width", [0.02, 0.3])
+def test_the_course_is_that_of_the_differential_equation(law, width):
+    memory = law("z", "v", width)
+
+    def rate(t, z):
+        signals = Signals({"v": jnp.asarray([velocity(t)]), "z": jnp.asarray(z)})
+        return np.asarray(memory(signals))
+
+    run = scipy.integrate.solve_ivp(
+        rate, (0, 5), [0.0], t_eval=TIMES[:501], rtol=1e-7, atol=1e-9, max_step=0.01
+    )
+    record = rx.Record.from_samples({"v": velocity(TIMES)}, time_step=0.01)
+    found = course(memory, record)
+    assert np.abs(found).max() <= 1
+    # A sample holds one stroke: what turns within it is an error of second order.
+    assert np.max(np.abs(found[:501] - run.y[0])) < 0.02
+
+
+def test_bouc_wen_goes_straight_back_to_zero_and_dahl_turns_at_once():
+    assert BoucWen("z", "v", 1.0).after(0.5, -0.3) == pytest.approx(0.2)
+    assert BoucWen("z", "v", 1.0).after(0.5, -0.7) == pytest.approx(-1 + np.exp(-0.2))
+    assert Dahl("z", "v", 1.0).after(0.5, -0.3) == pytest.approx(-1 + 1.5 * np.exp(-0.3))
+    assert Dahl("z", "v", 1.0).after(0.5, 500.0) == pytest.approx(1.0)
+
+
+def test_a_width_must_be_positive():
+    with pytest.raises(rx.ModelError, match="a width must be positive; got 0"):
+        Dahl("z", "v", 0.0)
+
+
+def test_recordings_are_given_states_that_they_lack_and_keep_those_they_have():
+    record = rx.Record.from_samples({"v": velocity(TIMES)}, time_step=0.01)
+    made = with_memories(record, [Dahl("z", "v", 0.1)])
+    assert set(made.arrays) == {"v", "z"}
+    assert made.noise.kernels["z"] == {}
+    own = rx.Record.from_samples({"v": velocity(TIMES), "z": 0 * TIMES}, time_step=0.01)
+    assert np.all(np.asarray(with_memories(own, [Dahl("z", "v", 0.1)])["z"]) == 0)
+
+
+def test_a_state_stays_where_its_velocity_is_missing():
+    v = velocity(TIMES)
+    v[500:600] = np.nan
+    record = rx.Record.from_samples({"v": v}, time_step=0.01)
+    found = course(Dahl("z", "v", 0.1), record)
+    assert np.all(np.isfinite(found))
+    assert np.ptp(found[502:598]) == 0
+
+
+def test_a_record_without_the_velocity_is_refused():
+    record = rx.Record.from_samples({"x": velocity(TIMES)}, time_step=0.01)
+    with pytest.raises(rx.DataError, match="no signal 'v'"):
+        with_memories(record, [Dahl("z", "v", 0.1)])
+
+
+def test_a_model_with_hysteresis_is_identified_from_a_record_without_the_state():
+    estimate = rx.identify(HYSTERETIC.whole, HYSTERETIC.record(0.01, 0, 0))
+    for name, value in {"m": 1.5, "k": 20.0, "c": 0.8, "loop": 4.0}.items():
+        assert float(estimate[name]) == pytest.approx(value, rel=0.03)
+
+
+def test_a_model_with_hysteresis_is_simulated_with_its_state():
+    values = {"m": 1.5, "k": 20.0, "c": 0.8, "loop": 4.0}
+    system = rx.equation_system(HYSTERETIC.whole, values)
+    assert "z" in system.state_names
+    clean = HYSTERETIC.motion(0)
+    drive = rx.Record({"u": clean["u"]}, 0.01)
+    run = rx.simulate(system, drive, method=rx.FixedStep(8))
+    assert np.std(np.asarray(run.record["x"]) - clean["x"]) < 0.01 * clean["x"].std()
+
+
+def test_the_width_of_a_loop_is_found():
+    found = rx.discover(
+        HYSTERETIC.start, HYSTERETIC.record(0.01, 0, 0), intervals=rx.Naive(), resamples=0
+    )
+    widths = {one.candidate.name: one.width for one in found.chosen}
+    assert widths["dahl"] == pytest.approx(STROKE, rel=0.1)
+    assert float(found.estimate["dahl"]) == pytest.approx(4.0, rel=0.05)
