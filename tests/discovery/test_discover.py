@@ -9,6 +9,7 @@ import riecjax as rx
 from riecjax.discovery import Candidate, discover
 from riecjax.discovery.model_file import model_source
 from riecjax.models.catalogue import find_model
+from riecjax.models.model import Quantity
 from riecjax.reporting.discovery import discovery_document
 
 QUICK = {"intervals": rx.Naive(), "resamples": 0}
@@ -312,7 +313,7 @@ def test_a_velocitys_position_that_no_equation_reads_is_known_by_its_slope():
     model = rx.Model(
         "damper",
         "a damper",
-        signals=(rx.models.model.Quantity("v", "m/s", ""),),
+        signals=(Quantity("v", "m/s", ""),),
         procedure=lambda: damper,
     )
     found = discover(model, rx.Record.from_samples(signals, time_step=0.01), **QUICK)
