@@ -289,10 +289,22 @@ def test_a_velocity_that_is_a_derivative_of_x_is_made_of_x_and_the_answer_says_h
         assert document["parameters"][name]["value"] == pytest.approx(value, rel=1e-5)
 
 
-def test_an_equation_cannot_be_simulated(capsys):
+SIMULATED = ("simulate", "mine.py:thing", "--input", "white-noise", "--out", "s.csv")
+VALUES = ("--set", "m=2", "--set", "c=3")
+
+
+def test_an_equation_of_motion_is_simulated_with_values(capsys):
+    moving = EQUATION.replace('"a"', POSITION)
+    model(IMPORTS + f"thing = {moving}\n")
+    assert "needs a value for m, c (--set m=VALUE)" in rejected(capsys, 1, *SIMULATED)
+    found = call(capsys, *SIMULATED, *VALUES)
+    assert found.status == 0, found.err
+    assert "columns t, a" in found.out
+
+
+def test_an_equation_that_says_nothing_of_motion_cannot_be_simulated(capsys):
     model(IMPORTS + f"thing = {EQUATION}\n")
-    arguments = ("simulate", "mine.py:thing", "--input", "white-noise", "--out", "s.csv")
-    assert "identified but not simulated" in rejected(capsys, 1, *arguments)
+    assert "cannot be simulated" in rejected(capsys, 1, *SIMULATED, *VALUES)
 
 
 def test_what_a_model_prints_is_no_part_of_the_answer(capsys):

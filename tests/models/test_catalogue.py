@@ -195,7 +195,7 @@ def test_a_setting_changes_the_system_and_an_unknown_one_is_refused(name):
 def test_what_a_model_cannot_do_is_refused():
     with pytest.raises(ModelError, match="simulated but not identified"):
         MODELS["quarter-car-source"].build_procedure()
-    with pytest.raises(ModelError, match="identified but not simulated"):
+    with pytest.raises(ModelError, match="neither equations nor a system"):
         Model("only-equation", "").build_system({})
 
 

@@ -220,6 +220,8 @@ class Model(Shown):
         """
         import jax.numpy as jnp
 
+        if self.system is None and self.procedure is None:
+            raise ModelError(f"model '{self.name}' has neither equations nor a system.")
         if self.system is not None and (self.springs or self.sensors):
             lacks = "springs in series" if self.springs else "errors of sensors"
             raise ModelError(
