@@ -432,3 +432,17 @@ def test_a_message_holds_some_groups_of_one_kind_or_a_large_one():
     course = groups.Group("c", (), bytes(10), in_spans=True)
     found = [*running._batches(iter([*[small] * 9, course, large, large, small]))]
     assert [len(some) for some in found] == [8, 1, 1, 1, 2]
+
+
+def test_an_interval_of_many_recordings_holds_what_differs_between_them(tmp_path):
+    """Within one recording it is alike: blocks of its own would be nine times the same."""
+    rng = np.random.default_rng(0)
+    stiffness = TRUTH["k"] * (1 + 0.02 * rng.standard_normal(12))
+    for i, k in enumerate(stiffness):
+        (record,) = drives(1, SAMPLES, 50 + i, k=float(k))
+        write_record(tmp_path / f"{i}.parquet", record)
+    found = fleet(MODEL, tmp_path, by="folder", workers=0)
+    (entry,) = [e for e in found.entries if e.parameter == "k"]
+    scatter = float(np.std(stiffness, ddof=1)) / np.sqrt(12)
+    assert entry.std_error is not None
+    assert 0.85 * scatter < entry.std_error < 1.3 * scatter

@@ -109,6 +109,8 @@ def as_candidates(given: object) -> list[AnyCandidate]:
         require("a candidate", one, (Candidate, Shaped), example)
         assert isinstance(one, Candidate | Shaped)
         found.append(one)
+    if not found:
+        raise ModelError("no candidate is given: leave candidates out for the usual ones.")
     names = [one.name for one in found]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ModelError(f"two candidates are called {', '.join(twice)}: give each its own name.")

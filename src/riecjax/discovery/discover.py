@@ -74,7 +74,7 @@ def discover(
     """
     found = as_model(model)
     procedure = with_rests(found.build_procedure(), at_rest)
-    _require_sense(procedure, hold_out)
+    _require_sense(procedure, hold_out, known or {})
     recordings = _with_velocities(procedure, as_recordings(records))
     offered = _offered(found, procedure, recordings, candidates)
     with_all = extended(procedure, members(offered))
@@ -105,12 +105,20 @@ def discover(
     )
 
 
-def _require_sense(procedure: Procedure, hold_out: float | None) -> None:
+def _require_sense(
+    procedure: Procedure, hold_out: float | None, known: Mapping[str, float]
+) -> None:
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.3, a share")
     if procedure.has_hidden:
         raise ModelError(
             "terms are looked for beside a model without hidden modes and springs: leave these out."
         )
+    # In the model's own words: of candidates none can be known, nor set a scale.
+    if unknown := [name for name in known if name not in procedure.parameters]:
+        raise ModelError(
+            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
+        )
+    procedure.plan({*known})
 
 
 def _with_velocities(procedure: Procedure, recordings: list[Recording]) -> list[Recording]:

@@ -111,10 +111,11 @@ def part_of(row: Row, members: int) -> Part:
     sums = Summary.from_bytes(row.sums)
     lengths = Summary.from_bytes(row.lengths) if row.lengths else None
     if members > FEW:
-        each = -(-BLOCKS // members)
-        sums = sums.of_recordings(in_blocks(one, each) for one in sums.recordings)
+        # What differs from recording to recording is alike within each: of so many, a recording is
+        # the block of time that is independent of others.
+        sums = sums.of_recordings(in_blocks(one, 1) for one in sums.recordings)
         if lengths is not None:
-            lengths = lengths.of_recordings(in_blocks(one, each) for one in lengths.recordings)
+            lengths = lengths.of_recordings(in_blocks(one, 1) for one in lengths.recordings)
     return Part(row._replace(sums=b"", lengths=b""), sums, lengths)
 
 

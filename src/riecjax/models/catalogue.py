@@ -277,7 +277,9 @@ def object_of_file(reference: str) -> object:
 
     **Raises:** `ModelError` if there is no such file or object.
     """
-    path, _, attribute = reference.rpartition(":")
+    path, separator, attribute = reference.rpartition(":")
+    if not separator or not path.endswith(".py"):
+        raise ModelError(f"name a file and an object of it, FILE.py:OBJECT; got '{reference}'.")
     module = _load(Path(path))
     if not hasattr(module, attribute):
         raise ModelError(f"{path} has no object '{attribute}'.")

@@ -12,6 +12,8 @@ from riecjax.reporting.estimate import parameter_entries, parameter_table
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import in_rich, print_table
 
+ELSE = 1e-4
+"""Share of the energy, 1 % of the size, that is unexplained and no noise, to be told."""
 NOTABLE = 0.05
 """Share of what is unexplained that noise must make to be told."""
 
@@ -97,7 +99,7 @@ def sentence(found: Discovery) -> str:
         return (
             f"Nothing is missing: none of {found.offered} candidates explains more than chance "
             f"would, and {percent(_first(found).unexplained)} of the target's energy is "
-            f"unexplained{_noise(_first(found))}."
+            f"unexplained{_noise(_first(found))}.{_something_else(found)}"
         )
     names = [
         f"{one.candidate.name} ({one.candidate.meaning})"
@@ -113,7 +115,18 @@ def sentence(found: Discovery) -> str:
         for before, after in ends
     )
     verb, them = ("is", "it") if len(names) == 1 else ("are", "them")
-    return f"{listed} {verb} missing: with {them} {said}."
+    return f"{listed} {verb} missing: with {them} {said}.{_something_else(found)}"
+
+
+def _something_else(found: Discovery) -> str:
+    """Where what is left is more than noise, that no candidate is what is missing."""
+    ends = [steps[-1] for steps in found.paths.values()]
+    if not any(one.of_motion > max(0.5 * one.unexplained, ELSE) for one in ends):
+        return ""
+    return (
+        " Most of what is left is no noise: something that is no candidate is missing, such as a "
+        "hidden mode or a delay; riecjax identify looks for these."
+    )
 
 
 def _first(found: Discovery) -> Step:
