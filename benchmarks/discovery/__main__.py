@@ -131,7 +131,7 @@ def words(document: dict[str, Any]) -> list[str]:
     lines = ["| problem | missing | noise | exactly these | PySINDy | right model, terms added |"]
     lines += ["|---|---|---|---|---|---|"]
     for name, problem in PROBLEMS.items():
-        for noise in map(str, sorted({*FOUND, *FALSE})):
+        for noise in map(str, FALSE):
             own = document.get("found", {}).get(name, {}).get(noise)
             wrong = document.get("false", {}).get(name, {}).get(noise)
             peer = document.get("peers", {}).get(name, {}).get(noise)
@@ -149,7 +149,7 @@ def words(document: dict[str, Any]) -> list[str]:
 
 
 def _share(one: dict[str, Any] | None, of: str) -> str:
-    return "" if one is None else f"{100 * one[of]:.3g} % of {one['seeds']}"
+    return "-" if one is None else f"{100 * one[of]:.3g} % of {one['seeds']}"
 
 
 def main() -> None:
