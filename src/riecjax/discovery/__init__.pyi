@@ -1,7 +1,6 @@
 from .candidate import Candidate as Candidate
 from .candidate import Shaped as Shaped
 from .catalogue import default_candidates as default_candidates
-from .discover import discover as discover
 from .discovery import Chosen as Chosen
 from .discovery import Discovery as Discovery
 from .discovery import Rejected as Rejected
