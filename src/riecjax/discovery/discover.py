@@ -9,7 +9,7 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
-from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, as_candidates
+from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates
 from riecjax.discovery.catalogue import default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Rejected
 from riecjax.discovery.extended import by_equation, extended, members, without_taken
@@ -99,7 +99,7 @@ def discover(
         tuple(_rejected(stages)),
         _paths(procedure, stages),
         estimate,
-        _errors(estimate, sums, taken, drawn),
+        _errors(estimate, taken, chosen, drawn),
         hold_out or 0.0,
         sum(len({one.family for one in search.offers}) for search, _ in stages),
     )
@@ -173,15 +173,11 @@ def _require_folds(folds: Folds) -> None:
 
 def _as_chosen(sums: Sums, offer: Offer, drawn: Sequence[Again]) -> Chosen:
     share = max(one.shares.get(offer.family, np.nan) for one in drawn)
-    one = next(one for one in sums.candidates if one.name == offer.family)
+    one = sums.candidate(offer.family)
     if isinstance(one, Candidate):
         return Chosen(one, None, "", share)
-    width = _width(one, offer)
+    width = float(one.widths[int(offer.name.rpartition("@")[2])])
     return Chosen(one.chosen(width), width, one.unit, share)
-
-
-def _width(one: Shaped, offer: Offer) -> float:
-    return float(one.widths[int(offer.name.rpartition("@")[2])])
 
 
 def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -> Model:
@@ -216,13 +212,13 @@ def _paths(
 
 
 def _errors(
-    estimate: Estimate, sums: Sums, taken: Sequence[Offer], drawn: Sequence[Again]
+    estimate: Estimate, taken: Sequence[Offer], chosen: Sequence[Chosen], drawn: Sequence[Again]
 ) -> dict[str, float]:
     """Standard errors that include the choice: never less than the estimate's own."""
     called = {
         name: other
-        for offer in taken
-        for name, other in zip(offer.columns, _final_columns(sums, offer), strict=True)
+        for offer, one in zip(taken, chosen, strict=True)
+        for name, other in zip(offer.columns, one.candidate.columns, strict=True)
     }
     own = dict(zip(estimate.parameters, map(float, estimate.standard_errors)))
     for one in drawn:
@@ -231,8 +227,3 @@ def _errors(
             if final in own and error == error:
                 own[final] = max(own[final], error)
     return own
-
-
-def _final_columns(sums: Sums, offer: Offer) -> tuple[str, ...]:
-    one = next(one for one in sums.candidates if one.name == offer.family)
-    return one.columns if isinstance(one, Candidate) else one.chosen(_width(one, offer)).columns

@@ -71,9 +71,13 @@ class Sums:
         kept = [name for name in folds.parameters if name not in columns]
         return Search(folds, kept, offered)
 
+    def candidate(self, family: str) -> AnyCandidate:
+        """The candidate of this name, with the widths that are summed."""
+        return next(one for one in self.candidates if one.name == family)
+
     def shape(self, family: str) -> Shaped:
-        """The law of this name, with the widths that are summed."""
-        one = next(one for one in self.candidates if one.name == family)
+        """The same of a law with a width."""
+        one = self.candidate(family)
         assert isinstance(one, Shaped)
         return one
 

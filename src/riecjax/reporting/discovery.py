@@ -4,9 +4,17 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
+from riecjax.assessment.causes import joined
 from riecjax.discovery.discovery import Discovery
 from riecjax.discovery.search import Step
-from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
+from riecjax.reporting.document import (
+    SCHEMA,
+    Document,
+    finite,
+    number,
+    probability,
+    versions,
+)
 from riecjax.reporting.equations import equation_in_words
 from riecjax.reporting.estimate import parameter_entries, parameter_table
 from riecjax.reporting.page import Table
@@ -107,7 +115,6 @@ def sentence(found: Discovery) -> str:
         else one.candidate.name
         for one in found.chosen
     ]
-    listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     ends = [(steps[0], steps[-1]) for steps in found.paths.values() if len(steps) > 1]
     said = "; ".join(
         f"{percent(after.unexplained)} of the target's energy is unexplained instead of "
@@ -115,7 +122,7 @@ def sentence(found: Discovery) -> str:
         for before, after in ends
     )
     verb, them = ("is", "it") if len(names) == 1 else ("are", "them")
-    return f"{listed} {verb} missing: with {them} {said}.{_something_else(found)}"
+    return f"{joined(names)} {verb} missing: with {them} {said}.{_something_else(found)}"
 
 
 def _something_else(found: Discovery) -> str:
@@ -157,7 +164,7 @@ def path_table(document: Document) -> Table:
             percent(one["unexplained"]),
             percent(max(one["of_motion"], 0.0)),
             percent(one["std_error"]) if one["added"] else "",
-            _chance(one["chance"]) if one["added"] else "",
+            probability(one["chance"]) if one["added"] else "",
         ]
         for one in document["path"]
     ]
@@ -172,14 +179,11 @@ def path_table(document: Document) -> Table:
 def rejected_table(document: Document) -> Table | None:
     """What came nearest of all that was not taken."""
     rows = [
-        [one["name"], percent(one["gain"]), _chance(one["chance"])] for one in document["rejected"]
+        [one["name"], percent(one["gain"]), probability(one["chance"])]
+        for one in document["rejected"]
     ]
     header = ("candidate", "would explain, of what is left", "chance")
     return Table(header, rows, "Not taken") if rows else None
-
-
-def _chance(p: float | None) -> str:
-    return "" if p is None else "< 1e-6" if p < 1e-6 else number(p, 2)
 
 
 def choice_in_words(document: Document) -> str:

@@ -57,6 +57,11 @@ def number(value: float | None, digits: int = 6) -> str:
     return f"{float(said):.0f}" if "e+" in said and abs(value) < LONGEST else said
 
 
+def probability(p: float | None) -> str:
+    """A probability for a table; `none` where there is none."""
+    return "none" if p is None else "< 1e-6" if p < 1e-6 else number(p, 2)
+
+
 HALF_DIGITS, MOST_DIGITS = 2, 12
 """Digits of an interval's half width that its ends show, and digits of an end at most."""
 

@@ -10,7 +10,14 @@ from rich.console import Console
 from riecjax.fleets.fleet import Fleet
 from riecjax.fleets.spread import Spread
 from riecjax.fleets.sums import DONE, Row
-from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
+from riecjax.reporting.document import (
+    SCHEMA,
+    Document,
+    finite,
+    number,
+    probability,
+    versions,
+)
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import in_rich, print_table
 
@@ -155,7 +162,7 @@ def spread_table(document: Document) -> Table:
             number(one["between"], 2),
             number(one["within"], 2),
             f"{100 * one['share']:.0f} %",
-            _probability(one["p_value"]),
+            probability(one["p_value"]),
             str(one["differing_count"]),
         ]
         for name, one in document["parameters"].items()
@@ -180,7 +187,7 @@ def differing_table(document: Document, most: int = LISTED) -> Table | None:
             number(group["value"]),
             number(one["centre"]),
             f"{100 * group['away']:+.2g} %",
-            _probability(group["adjusted"]),
+            probability(group["adjusted"]),
         ]
         for name, one in document["parameters"].items()
         for group in one["differing"][:most]
@@ -232,10 +239,6 @@ def worst_table(document: Document, most: int = LISTED) -> Table | None:
     ]
     header = ("recording", "findings", "doubt", "the worst of them")
     return Table(header, rows, "Recordings with something amiss", numeric=False) if rows else None
-
-
-def _probability(p: float | None) -> str:
-    return "none" if p is None else "< 1e-6" if p < 1e-6 else f"{p:.2g}"
 
 
 def print_fleet(document: Document, console: Console) -> None:
