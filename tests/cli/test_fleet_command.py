@@ -37,7 +37,8 @@ def test_a_fleet_is_answered_in_a_sentence_with_tables_and_a_report(capsys, fold
     assert "r differs in vehicle=3 (-" in sentence
     assert sentence.endswith("1 recording was left out.")
     assert "broken.csv: " in printed
-    assert f"wrote {out}/results.json" in printed
+    assert f"wrote {out}/results.json, report.html, estimates.parquet, summaries.par" in printed
+    assert "In 1 % of courses" not in printed
     document = json.loads((out / "results.json").read_text())
     assert document["sentence"] == sentence
     assert document["parameters"]["r"]["differing"][0]["group"] == "vehicle=3"
@@ -56,6 +57,7 @@ def test_spans_settings_and_json(capsys, folder, tmp_path):
     assert status == 0, said
     document = json.loads(printed)
     assert document["criterion"]["alpha"] == 0.1
+    assert [one["group"] for one in document["estimates"]] == 3 * ["0.parquet"] + 3 * ["1.parquet"]
     rows = parquet.read_table(tmp_path / "o/estimates.parquet").to_pylist()
     assert {row["parameter"] for row in rows} == {"m", "r", "r2"}
     assert len({row["start"] for row in rows}) > 2
@@ -75,6 +77,7 @@ def test_sums_are_estimated_anew(capsys, folder, tmp_path):
     first, second = (tmp_path / name / "estimates.parquet" for name in ("first", "second"))
     assert first.read_bytes() == second.read_bytes()
     assert printed.startswith("2 groups: ")
+    assert "Parameters of each group" in printed
 
 
 @pytest.mark.parametrize(

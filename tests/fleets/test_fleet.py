@@ -446,3 +446,51 @@ def test_an_interval_of_many_recordings_holds_what_differs_between_them(tmp_path
     scatter = float(np.std(stiffness, ddof=1)) / np.sqrt(12)
     assert entry.std_error is not None
     assert 0.85 * scatter < entry.std_error < 1.3 * scatter
+
+
+def test_sums_are_not_read_in_another_way_and_no_other_run_replaces_them(by_vehicle, folder):
+    _, out = by_vehicle
+    before = (out / "summaries.parquet").read_bytes()
+    with pytest.raises(DataError, match="cannot heed stop, cutoffs, parts"):
+        given = {"stop": 2.0, "cutoffs": {"x": 10.0}, "every": 1, "noise": "auto"}
+        fleet(MODEL, out / "summaries.parquet", workers=0, parts=["a"], **given)
+    with pytest.raises(DataError, match=r"holds sums by another model.*delete its summaries"):
+        fleet(MODEL, folder, by="vehicle", workers=0, out=out, stop=2.0)
+    assert (out / "summaries.parquet").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"by": 5}, "by is an int"),
+        ({"by": ["vehicle", 3]}, "a name of by is an int"),
+        ({"workers": "two"}, "got 'two'"),
+        ({"workers": 1.5}, "got 1.5"),
+        ({"span": "x"}, "got 'x'"),
+        ({"span": np.inf}, "got inf"),
+        ({"patterns": 3}, "patterns is an int"),
+        ({"patterns": [3]}, "a pattern is an int"),
+        ({"parts": "a"}, "parts is the text"),
+    ],
+)
+def test_what_is_of_a_wrong_type_is_said_at_once(given, why, tmp_path):
+    with pytest.raises(ModelError, match=why):
+        fleet(MODEL, **({"patterns": "absent/*.csv", "out": tmp_path / "out"} | given))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_that_is_stopped_keeps_all_that_was_summed(folder, tmp_path, monkeypatch):
+    real, calls = running.sum_up, []
+
+    def stopped(*given):
+        calls.append(given)
+        if len(calls) > 3:
+            raise KeyboardInterrupt
+        return real(*given)
+
+    monkeypatch.setattr(running, "sum_up", stopped)
+    monkeypatch.setattr(planning, "TOGETHER", 1)
+    with pytest.raises(KeyboardInterrupt):
+        fleet(MODEL, folder, workers=0, out=tmp_path)
+    (part,) = (tmp_path / kept.PARTS).glob("*.parquet")
+    assert len(list(table.read_rows(part))) == 3

@@ -132,6 +132,7 @@ def command(
 
 
 def _emit(found: "Fleet", as_json: bool, out: Path, seconds: float) -> None:
+    from riecjax.fleets.kept import ESTIMATES, SUMMARIES
     from riecjax.reporting.fleet import fleet_document, print_fleet
     from riecjax.reporting.fleet_figures import fleet_figures
     from riecjax.reporting.fleet_page import fleet_page
@@ -144,6 +145,7 @@ def _emit(found: "Fleet", as_json: bool, out: Path, seconds: float) -> None:
         show=print_fleet,
         charts=lambda: fleet_figures(found),
         page=fleet_page,
+        beside=(ESTIMATES, SUMMARIES),
     )
 
 

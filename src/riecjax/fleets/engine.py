@@ -69,9 +69,8 @@ class Cluster(contextlib.AbstractContextManager):
                 client = distributed.Client(
                     address, timeout=WAITS, set_as_default=False, heartbeat_interval="2s"
                 )
-            except (OSError, ValueError, TimeoutError) as error:
-                said = " ".join(str(error).split())
-                raise DataError(f"no scheduler of Dask answers at {scheduler}: {said}") from None
+            except (OSError, ValueError, TimeoutError, RuntimeError) as error:
+                raise DataError(_no_answer(scheduler, error)) from None
             self._client = self._open.enter_context(client)
         self.workers = max(len(client.scheduler_info()["workers"]), 1)
         self.dashboard = client.dashboard_link if _has_bokeh() else ""
@@ -90,10 +89,11 @@ class Cluster(contextlib.AbstractContextManager):
         # A process that is killed while it starts takes the others with it.
         for left in reversed(range(STARTS)):
             try:
-                return self._open.enter_context(distributed.LocalCluster(**settings))
-            except RuntimeError as error:
+                with _without_warnings_of_lost_memory():
+                    return self._open.enter_context(distributed.LocalCluster(**settings))
+            except RuntimeError:
                 if not left:
-                    raise DataError(f"Dask's processes do not start: {error}") from None
+                    raise
         return None
 
     def each(
@@ -187,6 +187,31 @@ def _settings() -> Iterator[None]:
             yield
     finally:
         log.setLevel(before)
+
+
+def _no_answer(scheduler: str | None, error: Exception) -> str:
+    said = " ".join(str(error).split()).removesuffix(".")
+    if scheduler:
+        return f"no scheduler of Dask answers at {scheduler}: {said}."
+    return (
+        f"Dask's processes do not start: {said}. A script calls rx.fleet below "
+        f"'if __name__ == \"__main__\":', since they import it."
+    )
+
+
+@contextlib.contextmanager
+def _without_warnings_of_lost_memory() -> Iterator[None]:
+    # Python's resource tracker frees what a killed process held, and warns that it had to. It is
+    # started by the first process that is, with what the environment says of warnings.
+    before = os.environ.get("PYTHONWARNINGS")
+    ignored = "ignore::UserWarning:multiprocessing.resource_tracker"
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (before, ignored)))
+    try:
+        yield
+    finally:
+        del os.environ["PYTHONWARNINGS"]
+        if before is not None:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 @contextlib.contextmanager

@@ -2,10 +2,12 @@
 
 import contextlib
 import importlib.util
+import math
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +31,10 @@ from riecjax.models.model import Model, as_model
 from riecjax.shows import Shown
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
+
+PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
+AS_THEY_ARE = {"noise": "auto", "outliers": "repair", "align": "auto", "upsample": 1, "every": 1}
+"""Settings by which recordings are read where nothing is said."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,11 +149,12 @@ def fleet(
     criterion that draws windows, and for sums of another model.
     """
     _require_packages()
+    require("by", by, str | list | tuple, "by='file', 'folder' or names of columns")
     keys = tuple(part.strip() for part in by.split(",")) if isinstance(by, str) else tuple(by)
     _require_sense(keys, span, workers, known)
     settings = Settings(known or {}, intervals or BlockBootstrap(), span)
-    listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
     require("parts", parts, (tuple, list), f"parts=('{parts}',), names of recordings in a file")
+    listed = _listed(patterns)
     given = (criterion, keys, storage or {}, at_rest, reading, parts)
     asked = _Asked(as_model(model), listed, given, settings, strict, allow_duplicates)
     tell: Progress = progress or (lambda *_: None)
@@ -165,6 +172,15 @@ class _Asked(NamedTuple):
     allow_duplicates: bool
 
 
+def _listed(patterns: Any) -> list[str | os.PathLike[str]]:
+    one = isinstance(patterns, str | os.PathLike)
+    require("patterns", patterns, str | os.PathLike | list | tuple, PATTERNS)
+    listed = [patterns] if one else [*patterns]
+    for pattern in listed:
+        require("a pattern", pattern, str | os.PathLike, PATTERNS)
+    return listed
+
+
 def _answered(
     asked: _Asked,
     start: Callable[[], Engine],
@@ -172,9 +188,9 @@ def _answered(
     tell: Progress,
     on_start: Callable[[str], None] | None,
 ) -> Fleet:
-    criterion, by, storage, at_rest, *_ = asked.given
+    criterion, by, storage, at_rest, reading, parts = asked.given
     with contextlib.ExitStack() as stack:
-        folder = _made(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
+        folder = Path(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
 
         def look() -> list[Source]:
             return find_sources(asked.patterns, storage, lambda path: is_result(folder, path))
@@ -187,15 +203,18 @@ def _answered(
 
         if len(asked.patterns) == 1 and is_table(asked.patterns[0]):
             table = Path(asked.patterns[0])
+            _require_as_summed(table, reading, parts)
             order = _order_of(asked.model, table, criterion, by, at_rest)
             changed: list[str] = []
             rows = judged([*read_rows(table, LIGHT)], by, asked.allow_duplicates)
             _require_some(rows)
             found = estimates(order, asked.settings, rows, read_rows(table), started(), tell)
+            _make(folder)
         else:
             sources = look()
             order = order_for(asked.model, sources, *asked.given)
             plan_parameters(order.procedure, 1, asked.settings.known, ())
+            _make(folder)
             kept = Kept(folder, order.digest, {b"riecjax.model": asked.model.name.encode()})
             runs = started()
             pieces, changed = summed(order, sources, look, kept, runs, asked.strict, tell)
@@ -213,12 +232,11 @@ def _answered(
     return made
 
 
-def _made(folder: str | os.PathLike[str]) -> Path:
+def _make(folder: Path) -> None:
     try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise DataError(f"cannot write to '{os.fspath(folder)}': {error.strerror}.") from None
-    return Path(folder)
+        raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
 
 
 def _order_of(
@@ -246,6 +264,17 @@ def _order_of(
     return order
 
 
+def _require_as_summed(table: Path, reading: Mapping[str, Any], parts: Sequence[str]) -> None:
+    """Raise for settings of how recordings are read, where none is."""
+    asked = [name for name, value in reading.items() if value and value != AS_THEY_ARE.get(name)]
+    if parts or asked:
+        raise DataError(
+            f"{table.name} holds sums, of which no sample is read again: it cannot heed "
+            f"{', '.join([*asked, *['parts'] * bool(parts)])}. Leave that out, or give the "
+            f"recordings."
+        )
+
+
 def _require_packages() -> None:
     names = ("cloudpickle", "distributed", "fsspec", "ruptures", "statsmodels")
     if missing := [name for name in names if importlib.util.find_spec(name) is None]:
@@ -260,10 +289,12 @@ def _require_sense(
     if not by or not all(by):
         raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
     require("known", known or {}, Mapping, "known={'M_s': 302.7}")
-    if span is not None and not span > 0:
-        raise ModelError(f"span is a positive number of seconds; got {span}.")
-    if workers is not None and workers < 0:
-        raise ModelError(f"workers is a number of processes, 0 for none; got {workers}.")
+    for name in by:
+        require("a name of by", name, str, "by='vehicle,load'")
+    if span is not None and not (isinstance(span, Real) and 0 < span < math.inf):
+        raise ModelError(f"span is a positive number of seconds; got {span!r}.")
+    if workers is not None and not (isinstance(workers, int) and workers >= 0):
+        raise ModelError(f"workers is a number of processes, 0 for none; got {workers!r}.")
 
 
 def _require_some(rows: Sequence[Row]) -> None:

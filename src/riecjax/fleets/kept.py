@@ -29,10 +29,14 @@ def is_result(folder: Path, path: str) -> bool:
 class Kept:
     """Rows of one order, by the piece that they are of, in files of a folder.
 
-    What another order made, what is damaged and recordings that failed are made anew.
+    What is damaged and recordings that failed are made anew.
     """
 
     def __init__(self, folder: Path, order: str, metadata: dict[bytes, bytes]):
+        """Take up what a folder holds.
+
+        **Raises:** `DataError` where that is of another order, which may have taken hours.
+        """
         self._folder, self._parts = folder, folder / PARTS
         self._metadata = {ORDER: order.encode(), **metadata}
         self._file: dict[str, Path] = {}
@@ -41,15 +45,22 @@ class Kept:
         self._written = time.monotonic()
         self._parts.mkdir(parents=True, exist_ok=True)
         sweep(self._parts)
-        self._number = 0
+        self._number, self._others = 0, False
         for file in [folder / SUMMARIES, *sorted(self._parts.glob("*.parquet"))]:
             with contextlib.suppress(RiecjaxError):
                 self._take_up(file, order)
             if file.stem.isdigit():
                 self._number = max(self._number, int(file.stem) + 1)
 
+        if self._others:
+            raise DataError(
+                f"'{folder}' holds sums by another model, criterion, version or way of reading. "
+                f"Give another folder, or delete its {SUMMARIES} and {PARTS}."
+            )
+
     def _take_up(self, file: Path, order: str) -> None:
-        if metadata_of(file).get(ORDER) != order.encode():
+        if metadata_of(file)[ORDER] != order.encode():
+            self._others = True
             return
         found: dict[str, list[Row]] = {}
         # All of it is read, and so seen to be sound.
@@ -72,6 +83,20 @@ class Kept:
         waited = time.monotonic() - self._written
         if len(self._waiting) >= MOST_WAITING or waited > LONGEST_WAIT:
             self.write()
+
+    @contextlib.contextmanager
+    def to_the_last(self) -> Iterator[None]:
+        """Write what was added, also where it ends early, as by Ctrl-C.
+
+        **Raises:** `DataError` where it cannot be written.
+        """
+        try:
+            yield
+        except BaseException:
+            with contextlib.suppress(DataError):
+                self.write()
+            raise
+        self.write()
 
     def write(self) -> None:
         """Write what is not written yet.

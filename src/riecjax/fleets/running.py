@@ -61,14 +61,14 @@ def summed(
             return [piece.identity for piece in pieces], []
         done, samples = len(pieces) - len(missing), 0
         tell("summing", done, len(pieces), samples)
-        for rows in _rows(packed, missing, runs):
-            if strict and (reason := next((r.status for r in rows if r.status != DONE), "")):
-                raise DataError(reason)
-            kept.add(rows)
-            done += len({row.piece for row in rows})
-            samples += sum(row.samples for row in rows)
-            tell("summing", done, len(pieces), samples)
-        kept.write()
+        with kept.to_the_last():
+            for rows in _rows(packed, missing, runs):
+                if strict and (reason := next((r.status for r in rows if r.status != DONE), "")):
+                    raise DataError(reason)
+                kept.add(rows)
+                done += len({row.piece for row in rows})
+                samples += sum(row.samples for row in rows)
+                tell("summing", done, len(pieces), samples)
         sources = look()
     changed = {one.source.name for one in planned(order, sources) if one.identity not in kept}
     return [piece.identity for piece in pieces], sorted(changed)

@@ -11,6 +11,7 @@ from riecjax.fleets.order import Order, unpacked
 from riecjax.fleets.pieces import Piece, recordings_of, rows_at_hand
 from riecjax.fleets.sources import at_hand
 from riecjax.records.recording import Recording
+from riecjax.runtime import release_memory
 from riecjax.summaries.reduced import in_blocks, together
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.task import task
@@ -64,6 +65,9 @@ def rows_of(order: Order, piece: Piece) -> list[Row]:
     # Not the end of a run over a hundred thousand others, whatever it is.
     except Exception as error:
         return [lost(piece, reason_of(error))]
+    finally:
+        if piece.stop:
+            release_memory()
 
 
 def lost(piece: Piece, why: str, part: str = "") -> Row:

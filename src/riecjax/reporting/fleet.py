@@ -7,7 +7,9 @@ from typing import Any
 
 from rich.console import Console
 
+from riecjax.fleets.changes import ALARMS
 from riecjax.fleets.fleet import Fleet
+from riecjax.fleets.groups import Entry
 from riecjax.fleets.spread import Spread
 from riecjax.fleets.sums import DONE, Row
 from riecjax.reporting.document import (
@@ -37,6 +39,8 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
     groups = {entry.group for entry in found.entries if entry.status == DONE}
     summed = [row for row in found.recordings if row.status == DONE]
     codes = Counter(code for row in summed for code in {f["code"] for f in _findings(row)})
+    answered = [entry for entry in found.entries if entry.status == DONE]
+    listed = sorted(groups)[:LISTED]
     return {
         "schema": SCHEMA,
         "model": found.model.name,
@@ -52,7 +56,10 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
         },
         "parameters": {one.parameter: _spread_entries(one, found) for one in found.spreads},
         "changes": [change._asdict() for change in found.changes[:LISTED]],
+        "changes_count": len(found.changes),
+        "estimates": [e._asdict() for e in answered if e.group in listed],
         "findings": dict(codes.most_common()),
+        "group_findings": dict(_of_groups(answered).most_common()),
         "left_out": [{"recording": r.whole_name, "why": r.status} for r in found.failures[:LISTED]],
         "changed": [*found.changed[:LISTED]],
         "unanswered": [{"group": e.group, "why": e.status} for e in found.unanswered[:LISTED]],
@@ -82,6 +89,12 @@ def _spread_entries(one: Spread, found: Fleet) -> Document:
 
 
 NUMBERS = ("mean", "std_error", "between", "within", "share", "p_value", "centre")
+
+
+def _of_groups(entries: Sequence[Entry]) -> Counter[str]:
+    """By code of a finding, groups that have it."""
+    pairs = {(e.group, code) for e in entries for code in e.findings.split(",") if code}
+    return Counter(code for _, code in pairs)
 
 
 def _count(rows: Iterable[Row]) -> int:
@@ -178,6 +191,22 @@ def spread_table(document: Document) -> Table:
     return Table(header, rows, "Parameters over groups", note)
 
 
+def estimates_table(document: Document, most: int = LISTED) -> Table | None:
+    """Each group's own values, of no more than so many rows."""
+    rows = [
+        [
+            one["group"],
+            one["parameter"],
+            one["unit"],
+            *(number(one[name]) for name in ("value", "low95", "high95")),
+            one["verdict"],
+        ]
+        for one in document["estimates"]
+    ]
+    header = ("group", "parameter", "unit", "value", "low 95 %", "high 95 %", "verdict")
+    return Table(header, rows, "Parameters of each group") if 0 < len(rows) <= most else None
+
+
 def differing_table(document: Document, most: int = LISTED) -> Table | None:
     """Groups that differ from the rest."""
     rows = [
@@ -198,6 +227,8 @@ def differing_table(document: Document, most: int = LISTED) -> Table | None:
     note = (
         f"Of groups that are called different, {100 * document['rate']:.0f} % are not, on average."
     )
+    whole = sum(one["differing_count"] for one in document["parameters"].values())
+    note += _further(whole - len(rows))
     return Table(header, rows, "Groups that differ from the rest", note)
 
 
@@ -214,7 +245,13 @@ def changes_table(document: Document, most: int = LISTED) -> Table | None:
         for change in document["changes"][:most]
     ]
     header = ("recording", "parameter", "at / s", "before", "after")
-    return Table(header, rows, "Changes over time") if rows else None
+    note = f"In {100 * ALARMS:.0f} % of courses without a step one is found."
+    note += _further(document["changes_count"] - len(rows))
+    return Table(header, rows, "Changes over time", note) if rows else None
+
+
+def _further(count: int) -> str:
+    return f" {count} more: estimates.parquet." if count else ""
 
 
 def left_out_table(document: Document, most: int = LISTED) -> Table | None:
@@ -245,6 +282,7 @@ def print_fleet(document: Document, console: Console) -> None:
     """The sentence and the tables, the longest cut short."""
     console.print(document["sentence"], markup=False, highlight=False, soft_wrap=True)
     tables = (
+        estimates_table(document),
         spread_table(document) if document["parameters"] else None,
         differing_table(document, SHOWN),
         changes_table(document, SHOWN),
@@ -254,6 +292,8 @@ def print_fleet(document: Document, console: Console) -> None:
         console.print()
         console.print(table.caption, style="bold", markup=False, highlight=False)
         print_table(in_rich(table), console)
+        if table.note:
+            console.print(table.note, markup=False, highlight=False)
     counts, seconds = document["recordings"], document["provenance"]["seconds"]
     rate = counts["samples"] / max(seconds, 1e-3)
     console.print(

@@ -4,6 +4,7 @@ from riecjax.reporting.document import Document
 from riecjax.reporting.fleet import (
     changes_table,
     differing_table,
+    estimates_table,
     left_out_table,
     spread_table,
     worst_table,
@@ -21,6 +22,7 @@ def fleet_page(document: Document) -> Page:
     )
     differing = differing_table(document)
     spread = [spread_table(document)] if document["parameters"] else []
+    spread += _some(estimates_table(document))
     sections = (
         Section(
             "Parameters over groups",
@@ -50,5 +52,8 @@ def _some(table: Table | None) -> list[Table]:
 
 
 def _findings_table(document: Document) -> Table | None:
-    rows = [[code, str(count)] for code, count in document["findings"].items()]
-    return Table(("finding", "recordings"), rows, "What is amiss, and how often") if rows else None
+    of_recordings, of_groups = document["findings"], document["group_findings"]
+    codes = dict.fromkeys([*of_recordings, *of_groups])
+    rows = [[code, *(str(of.get(code, 0)) for of in (of_recordings, of_groups))] for code in codes]
+    header = ("finding", "recordings", "groups")
+    return Table(header, rows, "What is amiss, and how often") if rows else None

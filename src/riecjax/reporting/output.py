@@ -32,11 +32,12 @@ def emit(
     page: Callable[[Document], Page],
     warnings: Sequence[Mapping[str, Any]] | None = None,
     others: Mapping[str, Writer] | None = None,
+    beside: Sequence[str] = (),
 ) -> None:
     """Write the folder first, if one is asked for, then print, the answer before warnings.
 
     Warnings go to standard error: the document's, or only these. `others` write further files of
-    the folder, by name.
+    the folder, by name; `beside` names those that are in it already.
 
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
@@ -53,7 +54,7 @@ def emit(
         line = f"warning [{warning['code']}]: {warning['message']}"
         told.print(line, markup=False, highlight=False, soft_wrap=not told.is_terminal)
     if out is not None and not as_json:
-        further = "".join(f", {name}" for name in others or ())
+        further = "".join(f", {name}" for name in (*(others or ()), *beside))
         click.echo(f"wrote {out}/{RESULTS}, {REPORT}{further} and figures")
 
 
