@@ -178,6 +178,7 @@ SOUND = pytest.mark.no_finding(
     "rows_left_out",
     "unmodelled_mode",
     "large_residual",
+    "hysteresis",
     "residual_follows_signal",
     "window_sensitive",
     "uneven_errors",

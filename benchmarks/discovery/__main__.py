@@ -1,7 +1,7 @@
 """Missing terms: how often exactly those are found, what right models are given, and how fast.
 
     python -m benchmarks.discovery [--seeds 200] [--noise 0.01 0.05] [--only duffing drag ...]
-        [--parts found false speed peers] [--json FILE]
+        [--parts found false speed peers measured] [--json FILE]
     python -m benchmarks.discovery --page
 
 Ten motions of each problem, noise of every seed its own. `--page` writes docs/discovery.md.
@@ -16,14 +16,16 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.discovery.measured import MEASURED
 from benchmarks.discovery.problems import PROBLEMS, Problem
+from benchmarks.measured.__main__ import DATA
 from benchmarks.table import FOLDER, filled_in
 from benchmarks.writing import write_json
 from riecjax.runtime import start_jax
 
 MOTIONS = 10
 FOUND, FALSE = (0.01, 0.05), (0.0, 0.01, 0.05, 0.1)
-PARTS = ("found", "false", "speed", "peers")
+PARTS = ("found", "false", "speed", "peers", "measured")
 PAGE = FOLDER.parent / "docs" / "discovery.md"
 BEGIN = "<!-- measured: python -m benchmarks.discovery -->"
 
@@ -169,6 +171,10 @@ def main() -> None:
     for part in given.parts:
         if part == "speed":
             _keep(given.json, ["speed"], speed())
+            continue
+        if part == "measured":
+            for name, of in MEASURED.items():
+                _keep(given.json, ["measured", name], of(DATA))
             continue
         measure, levels = of_problem[part]
         for name in given.only:

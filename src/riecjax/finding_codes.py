@@ -255,7 +255,7 @@ CODES: dict[str, FindingCode] = {
         "model",
         "the model leaves out a mode",
         "a peak in the spectrum of the equation error",
-        "validation.residuals:NOTABLE_SIZE",
+        "validation.equation_residual:NOTABLE_SIZE",
     ),
     "large_residual": FindingCode(
         "model",
@@ -267,7 +267,13 @@ CODES: dict[str, FindingCode] = {
         "model",
         "what the model leaves follows {signals}",
         "correlation of the equation error with a signal at lags",
-        "validation.residuals:NOTABLE_CORRELATION",
+        "validation.equation_residual:NOTABLE_CORRELATION",
+    ),
+    "hysteresis": FindingCode(
+        "model",
+        "what the model leaves depends on the way that the motion came",
+        "what a state that goes with the displacement explains beyond any function of the motion",
+        "validation.loops:NOTABLE_GAIN",
     ),
     "window_sensitive": FindingCode(
         "model",
@@ -279,7 +285,7 @@ CODES: dict[str, FindingCode] = {
         "model",
         "errors differ much along the record",
         "mean squares of window errors over stretches of time",
-        "validation.residuals:NOTABLE_RATIO",
+        "validation.equation_residual:NOTABLE_RATIO",
     ),
     "does_not_predict": FindingCode(
         "model",
@@ -300,9 +306,7 @@ CODES: dict[str, FindingCode] = {
         "estimation.estimate:NOTABLE_SHRINKAGE",
     ),
     "break_points_outside": FindingCode(
-        "model",
-        "a break point lies outside the data",
-        "the range of a signal against break points",
+        "model", "a break point lies outside the data", "the range of a signal against break points"
     ),
     "noise_dominates": FindingCode(
         "noise",
@@ -349,9 +353,7 @@ CODES: dict[str, FindingCode] = {
         "estimation.check:QUADRATURE_ERROR",
     ),
     "coarse_steps": FindingCode(
-        "computation",
-        "the simulation's steps are coarse",
-        "the answer with steps half as long",
+        "computation", "the simulation's steps are coarse", "the answer with steps half as long"
     ),
     "refinement_not_converged": FindingCode(
         "computation", "the refinement did not converge", "the search's result"
@@ -380,9 +382,7 @@ CODES: dict[str, FindingCode] = {
     ),
     "not_validated": FindingCode("computation", "it was not validated", "a simulation that failed"),
     "validated_on_fitted": FindingCode(
-        "computation",
-        "it was validated on what it was fitted to",
-        "the recordings of both",
+        "computation", "it was validated on what it was fitted to", "the recordings of both"
     ),
     "simulation_lost": FindingCode(
         "reproduction", "a simulation was lost", "results that are not finite"

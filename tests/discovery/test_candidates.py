@@ -6,7 +6,7 @@ import pytest
 import riecjax as rx
 from riecjax.discovery.candidate import Shaped
 from riecjax.discovery.catalogue import default_candidates
-from riecjax.discovery.motions import Motion, motions_of
+from riecjax.equations.motions import Motion, motions_of
 
 RNG = np.random.default_rng(0)
 MASS = rx.Equation(
@@ -41,6 +41,7 @@ def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_iner
         "quadratic_drag": "N s^2/m^2",
         "cubic_drag": "N s^3/m^3",
         "stribeck": "N",
+        "limited_friction": "N s/m",
         "dahl": "N",
         "bouc_wen": "N",
         "stiffness": "N/m",
@@ -51,13 +52,14 @@ def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_iner
         "saturation": "N/m",
         "product": "N s/m^2",
         "offset": "N",
+        "drift": "N/s",
     }
 
 
 def test_what_needs_a_velocity_is_offered_where_there_is_one():
     assert set(units_of(candidates(MASS, "x", "u"))) == {
         *("viscous", "stiffness", "quadratic_stiffness", "cubic_stiffness", "quintic_stiffness"),
-        *("dead_zone", "saturation", "offset"),
+        *("dead_zone", "saturation", "offset", "drift"),
     }
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from riecjax.discovery.units import per
+from riecjax.equations.units import per
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import scipy.integrate
 from benchmarks.discovery.problems import PROBLEMS, STROKE
 
 import riecjax as rx
-from riecjax.equations.memories import BoucWen, Dahl, course, with_memories
+from riecjax.equations.memories import BoucWen, Dahl, Elapsed, with_memories
 from riecjax.records.signals import Signals
 
 TIMES = np.arange(2001) / 100
@@ -31,7 +31,7 @@ def test_the_course_is_that_of_the_differential_equation(law, width):
         rate, (0, 5), [0.0], t_eval=TIMES[:501], rtol=1e-7, atol=1e-9, max_step=0.01
     )
     record = rx.Record.from_samples({"v": velocity(TIMES)}, time_step=0.01)
-    found = course(memory, record)
+    found = memory.course(record)
     assert np.abs(found).max() <= 1
     # A sample holds one stroke: what turns within it is an error of second order.
     assert np.max(np.abs(found[:501] - run.y[0])) < 0.02
@@ -62,7 +62,7 @@ def test_a_state_stays_where_its_velocity_is_missing():
     v = velocity(TIMES)
     v[500:600] = np.nan
     record = rx.Record.from_samples({"v": v}, time_step=0.01)
-    found = course(Dahl("z", "v", 0.1), record)
+    found = Dahl("z", "v", 0.1).course(record)
     assert np.all(np.isfinite(found))
     assert np.ptp(found[502:598]) == 0
 
@@ -96,3 +96,32 @@ def test_the_width_of_a_loop_is_found():
     widths = {one.candidate.name: one.width for one in found.chosen}
     assert widths["dahl"] == pytest.approx(STROKE, rel=0.1)
     assert float(found.estimate["dahl"]) == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.mark.parametrize("law", [Dahl, BoucWen])
+def test_the_course_is_that_of_one_step_after_the_other(law):
+    rng = np.random.default_rng(0)
+    v = rng.standard_normal(500) * (np.arange(500) % 7 > 1)
+    v[:3] = v[100:120] = 0
+    memory = law("z", "v", 0.02)
+    state, expected = 0.0, [0.0]
+    for stroke in 0.5 * (v[1:] + v[:-1]) * 0.01 / 0.02:
+        state = state if stroke == 0 else float(memory.after(state, stroke))
+        expected.append(state)
+    record = rx.Record.from_samples({"v": v}, time_step=0.01)
+    assert memory.course(record) == pytest.approx(np.array(expected), abs=1e-12)
+    still = rx.Record.from_samples({"v": 0 * v}, time_step=0.01)
+    assert np.all(memory.course(still) == 0)
+
+
+def test_elapsed_time_is_a_state_of_recordings_and_of_simulations():
+    memory = Elapsed("age")
+    record = rx.Record.from_samples({"u": np.ones(301), "x": np.zeros(301)}, time_step=0.01)
+    assert memory.course(record) == pytest.approx(np.arange(301) * 0.01)
+    falling = rx.staged(
+        rx.Equation(rx.Term("m", "x", derivative=2), rx.Term("a", "age"), -rx.Term(1.0, "u"))
+    ).with_memories(memory)
+    system = rx.equation_system(falling, {"m": 2.0, "a": 0.5})
+    run = rx.simulate(system, record).checked()
+    t = np.arange(301) * 0.01
+    assert np.asarray(run.record["x"]) == pytest.approx(t**2 / 4 - t**3 / 24, abs=1e-8)

@@ -451,8 +451,8 @@ def test_an_interval_of_many_recordings_holds_what_differs_between_them(tmp_path
 def test_sums_are_not_read_in_another_way_and_no_other_run_replaces_them(by_vehicle, folder):
     _, out = by_vehicle
     before = (out / "summaries.parquet").read_bytes()
+    given = {"stop": 2.0, "cutoffs": {"x": 10.0}, "every": 1, "noise": "auto"}
     with pytest.raises(DataError, match="cannot heed stop, cutoffs, parts"):
-        given = {"stop": 2.0, "cutoffs": {"x": 10.0}, "every": 1, "noise": "auto"}
         fleet(MODEL, out / "summaries.parquet", workers=0, parts=["a"], **given)
     with pytest.raises(DataError, match=r"holds sums by another model.*delete its summaries"):
         fleet(MODEL, folder, by="vehicle", workers=0, out=out, stop=2.0)

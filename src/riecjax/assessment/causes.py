@@ -126,9 +126,14 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
         yield from _zero_steps(assessment)
     if "window_sensitive" in by and assessment.sweep is not None:
         yield from _window_steps(assessment.sweep, by["window_sensitive"], smooth)
+    if "hysteresis" in by:
+        yield Step("Find the law of the hysteresis (riecjax discover, by short windows)")
     if "residual_follows_signal" in by:
         signal = " and ".join(by["residual_follows_signal"].signals)
-        yield Step(f"Add a term in {signal} to the model, or shift {signal} if it is late")
+        yield Step(
+            f"Find the term in {signal} that is missing (riecjax discover), or shift {signal} if "
+            f"it is late"
+        )
     if "records_disagree" in by:
         names = [f.parameters[0] for f in own if f.code == "records_disagree"]
         options = [word for name in names for word in ("--per-record", name)]

@@ -29,7 +29,7 @@ import numpy as np
 
 from riecjax.estimation.stages import StageSolution
 from riecjax.findings import Finding
-from riecjax.validation.residuals import NOTABLE_SHARED
+from riecjax.validation.equation_residual import NOTABLE_SHARED
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
@@ -48,7 +48,7 @@ TRUSTED = 0.1
 """Share of a value up to which a doubt leaves it good."""
 FINEST = 1e-3
 """Share of a value below which nothing is claimed."""
-OF_THE_MODEL = ("unmodelled_mode", "residual_follows_signal", "large_residual")
+OF_THE_MODEL = ("unmodelled_mode", "hysteresis", "residual_follows_signal", "large_residual")
 """Findings that say of an equation that what it leaves is the model's doing."""
 
 

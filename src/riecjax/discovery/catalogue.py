@@ -11,8 +11,6 @@ from functools import partial
 import numpy as np
 
 from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, renamed
-from riecjax.discovery.motions import Motion, motions_of, with_position
-from riecjax.discovery.units import per
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import (
     Expression,
@@ -22,18 +20,20 @@ from riecjax.equations.expressions import (
     product,
     read_expression,
 )
-from riecjax.equations.memories import BoucWen, Dahl, Memory
+from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
+from riecjax.equations.motions import Motion, motions_of, with_position
 from riecjax.equations.shapes import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.units import per
 from riecjax.errors import RiecjaxError
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 
 WIDTHS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
 """Quantiles of a position's size."""
+LIMITS = (0.3, 0.5, 0.7, 0.85)
+"""The same, of what saturates far from standstill."""
 SPEEDS = (0.05, 0.15, 0.3)
 """Quantiles of a speed."""
-TURNS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-"""Widths within which hysteresis turns round, in strokes."""
 MOST_UNREAD = 8
 """Signals that no equation reads, of those that are looked into."""
 
@@ -76,6 +76,15 @@ def default_candidates(
         found.append(
             Candidate("offset", (Term("offset", constant, unit=unit),), "constant force", name)
         )
+        found.append(
+            Candidate(
+                "drift",
+                (Term("drift", state_name("drift"), unit=per(unit, "s")),),
+                "force that drifts",
+                name,
+                (Elapsed(state_name("drift")),),
+            )
+        )
     return _told_apart(found)
 
 
@@ -112,13 +121,18 @@ def _of_motion(
             yield one(name, power(v, speed, p, is_odd), meaning)
         yield from _with_memory(motion, force, records, equation, after)
         yield shaped(Stribeck, "stribeck", v, speed, "Stribeck friction", force, SPEEDS)
+        damping = per(force, speed)
+        limited = "friction that saturates"
+        yield shaped(Saturation, "limited_friction", v, speed, limited, damping, LIMITS)
     if x:
         stiffness = partial(Term, of=x, unit=per(force, unit))
         yield one("stiffness", stiffness, "linear stiffness")
         for name, p, is_odd, meaning in STIFFNESS:
             yield one(name, power(x, unit, p, is_odd), meaning)
         slope = per(force, unit)
-        yield shaped(DeadZone, "dead_zone", x, unit, "spring with a dead zone", slope, WIDTHS)
+        yield shaped(
+            DeadZone, "dead_zone", x, unit, "spring beyond a width, as of stops", slope, WIDTHS
+        )
         yield shaped(Saturation, "saturation", x, unit, "force that saturates", slope, WIDTHS)
     if x and v:
         both = per(per(force, unit), speed)
@@ -129,10 +143,7 @@ def _with_memory(
     motion: Motion, force: str, records: Sequence[Record], equation: str, after: str
 ) -> Iterator[Shaped]:
     """Hysteresis, whose widths are shares of a usual stroke."""
-    stroke = float(
-        np.sqrt(np.mean(np.concatenate([_strokes(motion.velocity, r) for r in records])))
-    )
-    widths = np.array(TURNS) * (stroke or 1.0)
+    widths = usual_widths(motion.velocity, records)
     for name, kind, meaning in (
         ("dahl", Dahl, "hysteresis, as Dahl's friction"),
         ("bouc_wen", BoucWen, "hysteresis, as of Bouc and Wen"),
@@ -147,14 +158,6 @@ def _with_memory(
             equation,
             partial(_remembering, kind, motion.velocity),
         )
-
-
-def _strokes(velocity: str, record: Record) -> np.ndarray:
-    """Squares of what lies between reversals."""
-    v = np.nan_to_num(samples_with_nan(record, velocity))
-    turns = np.flatnonzero(v[1:] * v[:-1] < 0) + 1
-    way = np.concatenate([[0.0], np.cumsum(v)]) * float(record.time_step)
-    return np.square(np.diff(way[[0, *turns, v.size]]))
 
 
 def _of_state(unit: str, name: str, width: float) -> AbstractTerm:

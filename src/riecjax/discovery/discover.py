@@ -12,13 +12,13 @@ from riecjax.criteria.suited import suited, with_velocities
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates
 from riecjax.discovery.catalogue import default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Rejected
-from riecjax.discovery.extended import by_equation, extended, members, without_taken
+from riecjax.discovery.extended import by_equation, extended, members, without_taken, without_twins
 from riecjax.discovery.folds import Folds
-from riecjax.discovery.motions import reading_velocities
 from riecjax.discovery.search import Offer, Search, Step
 from riecjax.discovery.selected import AGAIN, Again, again
 from riecjax.discovery.widths import Sums
 from riecjax.equations.equation import Equation
+from riecjax.equations.motions import reading_velocities
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, with_rests
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.estimate import Estimate
@@ -86,10 +86,9 @@ def discover(
         criterion = suited(procedure, found.band, [one.record for one in whole])
     sums = Sums(procedure, first, criterion, offered, dict(known or {}))
     stages = _searched(sums)
-    taken = [one for _, chosen in stages for one in chosen]
     resamples = 0 if hold_out is not None else resamples
     drawn = [again(search, chosen, seed, resamples) for search, chosen in stages]
-    chosen = [_as_chosen(sums, one, drawn) for one in taken]
+    chosen = [_as_chosen(sums, search, of, one, drawn) for search, of in stages for one in of]
     larger = _with_chosen(found, procedure, chosen)
     estimate = identify(larger, last, criterion, known=known, intervals=intervals, at_rest=at_rest)
     return Discovery(
@@ -99,7 +98,7 @@ def discover(
         tuple(_rejected(stages)),
         _paths(procedure, stages),
         estimate,
-        _errors(estimate, taken, chosen, drawn),
+        _errors(estimate, stages, chosen, drawn),
         hold_out or 0.0,
         sum(len({one.family for one in search.offers}) for search, _ in stages),
     )
@@ -144,7 +143,7 @@ def _offered(
         units |= {name: unit for name, unit in dict(record.units).items() if unit}
     names = [name for stage in procedure.equation_names for name in stage]
     usual = default_candidates(procedure.equations, names, records, units)
-    return without_taken(usual, procedure.parameters)
+    return without_twins(without_taken(usual, procedure.parameters), procedure)
 
 
 def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
@@ -171,13 +170,17 @@ def _require_folds(folds: Folds) -> None:
         )
 
 
-def _as_chosen(sums: Sums, offer: Offer, drawn: Sequence[Again]) -> Chosen:
-    share = max(one.shares.get(offer.family, np.nan) for one in drawn)
+def _as_chosen(
+    sums: Sums, search: Search, beside: Sequence[Offer], offer: Offer, drawn: Sequence[Again]
+) -> Chosen:
+    shares = [one.shares[offer.family] for one in drawn if offer.family in one.shares]
+    share = max(shares, default=np.nan)
     one = sums.candidate(offer.family)
     if isinstance(one, Candidate):
-        return Chosen(one, None, "", share)
+        return Chosen(one, None, "", np.nan, share)
     width = float(one.widths[int(offer.name.rpartition("@")[2])])
-    return Chosen(one.chosen(width), width, one.unit, share)
+    error = sums.width_error(search, beside, offer)
+    return Chosen(one.chosen(width), width, one.unit, error, share)
 
 
 def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -> Model:
@@ -185,7 +188,7 @@ def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -
     if not candidates:
         return model
     meanings = {name: one.meaning for one in candidates for name in one.columns}
-    memories = [memory for one in candidates for memory in one.memories]
+    memories = list(dict.fromkeys(memory for one in candidates for memory in one.memories))
     return model.with_terms(
         by_equation(procedure, candidates), memories=memories, meanings=meanings
     )
@@ -212,9 +215,13 @@ def _paths(
 
 
 def _errors(
-    estimate: Estimate, taken: Sequence[Offer], chosen: Sequence[Chosen], drawn: Sequence[Again]
+    estimate: Estimate,
+    stages: Sequence[tuple[Search, list[Offer]]],
+    chosen: Sequence[Chosen],
+    drawn: Sequence[Again],
 ) -> dict[str, float]:
     """Standard errors that include the choice: never less than the estimate's own."""
+    taken = [one for _, of_stage in stages for one in of_stage]
     called = {
         name: other
         for offer, one in zip(taken, chosen, strict=True)

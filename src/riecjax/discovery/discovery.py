@@ -23,13 +23,15 @@ class Rejected(NamedTuple):
 class Chosen(NamedTuple):
     """A candidate that was taken.
 
-    **Fields:** `candidate`; `width` of its law in `width_unit`, `None` of one without; `share` of
-    the searches of data drawn again that took it too.
+    **Fields:** `candidate`; `width` of its law in `width_unit`, `None` of one without, and its
+    standard error `width_error`, nan where that is not known; `share` of the searches of data drawn
+    again that took it too.
     """
 
     candidate: Candidate
     width: float | None
     width_unit: str
+    width_error: float
     share: float
 
 

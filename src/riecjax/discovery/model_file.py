@@ -3,12 +3,14 @@
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.expressions import source_of
+from riecjax.equations.memories import Memory
 from riecjax.equations.shapes import AbstractShape
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError
@@ -47,12 +49,8 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     meanings = {
         name: one.candidate.meaning for one in found.chosen for name in one.candidate.columns
     }
-    remembered = [memory for one in found.chosen for memory in one.candidate.memories]
-    states = [
-        f"        rx.equations.{type(m).__name__}"
-        f"({_quoted(m.state)}, {_quoted(m.velocity)}, {m.width!r}),"
-        for m in remembered
-    ]
+    remembered = dict.fromkeys(m for one in found.chosen for m in one.candidate.memories)
+    states = [f"        {_memory_source(memory)}," for memory in remembered]
     body += ["    },", *(["    memories=[", *states, "    ],"] if states else [])]
     body += [*_mapping("values", values), *_mapping("meanings", meanings), ")"]
     folder_line = ["HERE = Path(__file__).parent"] if "HERE" in start or own else []
@@ -85,6 +83,15 @@ def _quoted(value: object) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(_quoted, value))}{',' * (len(value) == 1)})"
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+
+
+def _memory_source(memory: Memory) -> str:
+    words = [
+        _quoted(value)
+        for field in fields(memory)
+        if (value := getattr(memory, field.name)) != field.default
+    ]
+    return f"rx.equations.{type(memory).__name__}({', '.join(words)})"
 
 
 def _term_source(term: AbstractTerm) -> str | None:

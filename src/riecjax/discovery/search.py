@@ -235,5 +235,6 @@ class Search:
             if after is None:
                 continue
             gain = self._gain(before, after) / before.samples.sum()
-            found.append((offer, float(gain), self.chance([*chosen, offer], offer)))
+            if gain > 0:
+                found.append((offer, float(gain), self.chance([*chosen, offer], offer)))
         return sorted(found, key=lambda one: -one[1])[:most]

@@ -12,7 +12,7 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.discovery.candidate import AnyCandidate, Shaped
-from riecjax.discovery.extended import extended, members, offers
+from riecjax.discovery.extended import extended, members, offers, without_twins
 from riecjax.discovery.folds import Folds
 from riecjax.discovery.search import SHARE, Offer, Search
 from riecjax.equations.memories import with_memories
@@ -89,12 +89,43 @@ class Sums:
             chosen = search.found()
             rough = [one for one in chosen if not one.simple and one.family not in near]
             if not rough or len(near) >= SEVERAL:
-                return search, chosen
+                families = {one.family for one in chosen}
+                fewer = without_twins(self.candidates, self.procedure, families)
+                if len(fewer) == len(self.candidates):
+                    return search, chosen
+                self.candidates = fewer
+                self.sum_up()
+                continue
             strongest = max(rough, key=lambda one: _without(search, chosen, one))
             beside = [one for one in chosen if one.simple or one.family in near]
             for family in self._kin(strongest.family):
                 self._narrow(stage, found, family, beside)
                 near.add(family)
+
+    def width_error(self, search: Search, chosen: Sequence[Offer], one: Offer) -> float:
+        """Standard error of a law's width; nan where it lies at the end of what was tried.
+
+        The width makes the sum over folds of what is unexplained least: with L_f' its slope in fold
+        f, the variance is sum L_f'^2 / (sum L_f'')^2 (Huber's sandwich), slopes by differences.
+        """
+        if one.simple:
+            return float("nan")
+        number = int(one.name.rpartition("@")[2])
+        widths = self.shape(one.family).widths
+        if not 0 < number < widths.size - 1:
+            return float("nan")
+        beside = [other for other in chosen if other is not one]
+        near = {o.name: o for o in search.every if o.family == one.family}
+        offers = [near[f"{one.family}@{i}"] for i in (number - 1, number, number + 1)]
+        left = [search.left([*beside, offer]) for offer in offers]
+        if any(each is None for each in left):
+            return float("nan")
+        below, at, above = (each.motion for each in left if each is not None)
+        low, high = widths[number] - widths[number - 1], widths[number + 1] - widths[number]
+        # Of a parabola through three points, wherever its least is.
+        slopes = ((above - at) * low / high + (at - below) * high / low) / (low + high)
+        bend = 2 * np.sum((above - at) / high - (at - below) / low) / (low + high)
+        return float(np.sqrt(np.sum(slopes**2)) / bend) if bend > 0 else float("nan")
 
     def _kin(self, family: str) -> list[str]:
         """A law, and of laws with a memory all of the same signal: rough widths tell none of them

@@ -4,6 +4,7 @@ from .bases import RoofFunctions as RoofFunctions
 from .expressions import faster_than as faster_than
 from .memories import BoucWen as BoucWen
 from .memories import Dahl as Dahl
+from .memories import Elapsed as Elapsed
 from .procedure import AtRest as AtRest
 from .procedure import Procedure as Procedure
 from .shapes import DeadZone as DeadZone

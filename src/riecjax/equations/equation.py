@@ -161,14 +161,21 @@ def with_terms(equation: Equation, terms: Sequence[AbstractTerm]) -> Equation:
     """The same equation with further terms, whose sign is that of the inertia."""
     if not terms:
         return equation
-    # What is differentiated most often, a named coefficient first.
-    moving = [term for term in equation.terms if isinstance(term, Term)]
-    moving.sort(key=lambda term: (-term.derivative, not term.parameters))
+    # What is differentiated most often stands for the inertia, a named coefficient first; of a
+    # force element, which has none, what it was given.
+    every = sorted(
+        equation.terms, key=lambda term: (-getattr(term, "derivative", 0), not term.parameters)
+    )
     turned = any(
-        is_concrete(term.number) and float(np.asarray(term.number)) < 0 for term in moving[:1]
+        is_concrete(sign) and float(np.asarray(sign)) < 0 for sign in map(_sign, every[:1])
     )
     signed = [-term for term in terms] if turned else terms
     return eqx.tree_at(lambda e: e.terms, equation, (*equation.terms, *signed))
+
+
+def _sign(term: AbstractTerm) -> Leaf:
+    """The number before a term."""
+    return term.number if isinstance(term, Term) else getattr(term, "sign", 1.0)
 
 
 def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:

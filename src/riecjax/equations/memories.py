@@ -1,4 +1,4 @@
-"""Laws with a memory: hysteresis, whose force depends on the way that the motion came.
+"""States that recordings lack: of hysteresis, whose force depends on the way that the motion came.
 
 A state z, from -1 to 1, goes with the displacement: after a reversal it takes about a `width` of it
 to turn round. Equations read z like a signal; recordings are given it from their velocity, and
@@ -14,7 +14,6 @@ which holds over any step within which the motion does not turn, however long.
 on the way back to zero, z = z_0 + dx / width, and as Dahl's from there on.
 """
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -27,6 +26,9 @@ from riecjax.errors import ModelError
 from riecjax.records.noise import Noise
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.signals import Signals
+
+TURNS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Widths within which hysteresis turns round, in strokes."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,28 @@ class Memory:
         """The state's time derivative."""
         raise NotImplementedError
 
-    def after(self, state: float, stroke: float) -> float:
+    def after(self, state: np.ndarray | float, stroke: np.ndarray | float) -> np.ndarray:
         """The state after a stroke, in terms of the width."""
         raise NotImplementedError
+
+    def course(self, record: Record) -> Float[np.ndarray, " n"]:
+        """The state along a record, from zero on; it stays where the velocity is missing."""
+        pieces = pieces_of_way(self.velocity, record) / self.width
+        moving = np.flatnonzero(pieces)
+        if not moving.size:
+            return np.zeros(pieces.size + 1)
+        # Of pieces in one direction only the sum counts: a step is a stroke, not a sample.
+        turns = np.flatnonzero(np.diff(np.sign(pieces[moving])))
+        begins = np.concatenate([[0], moving[turns + 1]])
+        way, lengths = np.cumsum(pieces), np.diff([*begins, pieces.size])
+        before = way[begins] - pieces[begins]
+        starts, state = np.zeros(begins.size), np.zeros(())
+        for i, stroke in enumerate(np.add.reduceat(pieces, begins)):
+            starts[i] = state
+            state = self.after(state, stroke)
+        along = way - np.repeat(before, lengths)
+        held = np.repeat(starts, lengths)
+        return np.concatenate([[0.0], np.where(along == 0, held, self.after(held, along))])
 
     def _both(self, signals: Signals) -> tuple[Array, Array]:
         return signals[self.velocity], signals[self.state]
@@ -71,10 +92,10 @@ class Dahl(Memory):
         v, z = self._both(signals)
         return (v - jnp.abs(v) * z) / self.width
 
-    def after(self, state: float, stroke: float) -> float:
+    def after(self, state: np.ndarray | float, stroke: np.ndarray | float) -> np.ndarray:
         """s + (z - s) exp(-|stroke|), s its direction."""
-        end = math.copysign(1.0, stroke)
-        return end + (state - end) * math.exp(-abs(stroke))
+        end = np.sign(stroke)
+        return end + (state - end) * np.exp(-np.abs(stroke))
 
 
 @dataclass(frozen=True)
@@ -89,25 +110,48 @@ class BoucWen(Memory):
         v, z = self._both(signals)
         return (v - 0.5 * (jnp.abs(v) * z + v * jnp.abs(z))) / self.width
 
-    def after(self, state: float, stroke: float) -> float:
+    def after(self, state: np.ndarray | float, stroke: np.ndarray | float) -> np.ndarray:
         """Straight back to zero, and as Dahl's from there."""
-        end, left = math.copysign(1.0, stroke), abs(stroke)
-        if state * end < 0:
-            if left <= abs(state):
-                return state + stroke
-            left, state = left - abs(state), 0.0
-        return end + (state - end) * math.exp(-left)
+        end, left = np.sign(stroke), np.abs(stroke)
+        back = np.where(state * end < 0, np.minimum(np.abs(state), left), 0.0)
+        moved = state + end * back
+        return end + (moved - end) * np.exp(back - left)
 
 
-def course(memory: Memory, record: Record) -> Float[np.ndarray, " n"]:
-    """The state along a record, from zero on; it stays where the velocity is missing."""
-    v = np.nan_to_num(samples_with_nan(record, memory.velocity))
-    strokes = 0.5 * (v[1:] + v[:-1]) * (float(record.time_step) / memory.width)
-    found, state = [0.0], 0.0
-    for stroke in strokes.tolist():
-        state = memory.after(state, stroke)
-        found.append(state)
-    return np.array(found)
+@dataclass(frozen=True)
+class Elapsed(Memory):
+    """The time since the start, in terms of the width, 1 s by default: of what drifts.
+
+    **Arguments:** `state`, a name for it as a signal.
+    """
+
+    velocity: str = ""
+    width: float = 1.0
+
+    def __call__(self, signals: Signals) -> Array:
+        """z' = 1 / width."""
+        return jnp.full_like(signals[self.state], 1 / self.width)
+
+    def course(self, record: Record) -> Float[np.ndarray, " n"]:
+        """Time from the first sample on."""
+        return np.arange(record.sample_count) * (float(record.time_step) / self.width)
+
+
+def pieces_of_way(velocity: str, record: Record) -> Float[np.ndarray, " n-1"]:
+    """What is covered from each sample to the next."""
+    v = np.nan_to_num(samples_with_nan(record, velocity))
+    return 0.5 * (v[1:] + v[:-1]) * float(record.time_step)
+
+
+def usual_widths(velocity: str, records: Iterable[Record]) -> Float[np.ndarray, " widths"]:
+    """Widths within which hysteresis may turn round: shares of a usual stroke."""
+    squares = []
+    for record in records:
+        pieces = pieces_of_way(velocity, record)
+        turns = np.flatnonzero(pieces[1:] * pieces[:-1] < 0) + 1
+        squares.append(np.square(np.add.reduceat(pieces, np.concatenate([[0], turns]))))
+    stroke = float(np.sqrt(np.mean(np.concatenate(squares))))
+    return np.array(TURNS) * (stroke or 1.0)
 
 
 def with_memories(record: Record, memories: Iterable[Memory]) -> Record:
@@ -120,5 +164,5 @@ def with_memories(record: Record, memories: Iterable[Memory]) -> Record:
     missing = {one.state: one for one in memories if one.state not in record.arrays}
     if not missing:
         return record
-    made: dict[str, Any] = {name: course(one, record) for name, one in missing.items()}
+    made: dict[str, Any] = {name: one.course(record) for name, one in missing.items()}
     return record.with_signals(made, noise=Noise({name: {} for name in made}))

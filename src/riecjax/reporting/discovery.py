@@ -49,6 +49,7 @@ def discovery_document(
                 "parameters": list(one.candidate.columns),
                 "width": None if one.width is None else finite(one.width),
                 "width_unit": one.width_unit,
+                "width_std_error": finite(one.width_error),
                 "chosen_again": finite(one.share),
             }
             for one in found.chosen
@@ -115,11 +116,12 @@ def sentence(found: Discovery) -> str:
         else one.candidate.name
         for one in found.chosen
     ]
-    ends = [(steps[0], steps[-1]) for steps in found.paths.values() if len(steps) > 1]
+    ends = [(name, of[0], of[-1]) for name, of in found.paths.items() if len(of) > 1]
     said = "; ".join(
-        f"{percent(after.unexplained)} of the target's energy is unexplained instead of "
+        f"{percent(after.unexplained)} of the target's energy{where} is unexplained instead of "
         f"{percent(before.unexplained)}{_noise(after)}"
-        for before, after in ends
+        for name, before, after in ends
+        for where in [f" in {name}" if len(found.paths) > 1 else ""]
     )
     verb, them = ("is", "it") if len(names) == 1 else ("are", "them")
     return f"{joined(names)} {verb} missing: with {them} {said}.{_something_else(found)}"
@@ -208,11 +210,16 @@ def choice_in_words(document: Document) -> str:
 def widths_in_words(document: Document) -> str:
     """Widths of laws that have one."""
     said = [
-        f"{name} has the width {number(one['width'], 4)} {one['width_unit']}".rstrip()
+        f"{name} has the width {_with_error(one)} {one['width_unit']}".rstrip()
         for name, one in document["terms"].items()
         if one["width"] is not None
     ]
     return f"{'; '.join(said)}." if said else ""
+
+
+def _with_error(one: Document) -> str:
+    error = one["width_std_error"]
+    return number(one["width"], 4) + (f" +- {number(error, 2)}" if error else "")
 
 
 def print_discovery(document: Document, console: Console) -> None:

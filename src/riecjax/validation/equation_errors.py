@@ -25,6 +25,7 @@ from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_motion import with_hidden_motion
 from riecjax.equations.in_motion import in_motion
+from riecjax.equations.memories import with_memories
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_of_record
@@ -82,7 +83,7 @@ class EquationError(eqx.Module):
         share = xp.sum(xp.square(self.error)) / xp.where(energy > 0, energy, 1.0)
         return xp.sqrt(xp.where(energy > 0, share, 0.0))
 
-    def centred(self, samples: Float[Array, " n"]) -> Float[Array, " values"]:
+    def centred(self, samples: Float[Leaf, " n"]) -> Float[Leaf, " values"]:
         """A signal at the middle of each window, from its samples."""
         samples = namespace(samples).asarray(samples)
         return 0.5 * (samples[1:] + samples[:-1]) if self.span == 1 else samples[1:-1]
@@ -129,6 +130,7 @@ def errors_over_records(
             f"records to one rate first (riecjax.resample)."
         )
     procedure = as_procedure(model)
+    records = [with_memories(record, procedure.memories) for record in records]
     own = [values_of_record(values, i) for i in range(len(records))]
     # Only what the equations read: other names would compile them anew.
     parts = [

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.discovery.units import per
 from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import odd
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term, Terms
+from riecjax.equations.units import per
 from riecjax.records.record import Record, samples_with_nan
 
 POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")

@@ -1,0 +1,227 @@
+"""Measured recordings: the terms that are found there, and simulations before and after.
+
+Each search starts from a model without them, and is told nothing.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.io
+from jaxtyping import Array, Float
+
+import riecjax as rx
+from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
+from riecjax.discovery.discovery import Discovery
+from riecjax.models.emps import Axis
+from riecjax.models.emps_stribeck import SUBSTEPS
+from riecjax.models.model import as_model
+from riecjax.records.preparation import upsample
+from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.shots import Tiles
+from riecjax.reporting.discovery import sentence
+from riecjax.simulation.method import FixedStep
+from riecjax.validation.residuals import residual_tests
+
+LAWS = ("viscous", "asymmetry", "coulomb", "offset", "limited_friction_slope")
+"""What of an axis can be simulated exactly."""
+MR_TRAIN = 1000
+"""Samples of the damper's 1501 that the search reads."""
+
+
+class LimitedAxis(Axis):
+    """An axis whose dry friction grows with the speed up to a limit.
+
+    **Fields:** those of `Axis`, `slope` in N s/m up to the speed `limit` in m/s.
+    """
+
+    slope: Float[Array, ""]
+    limit: Float[Array, ""]
+
+    def advance(
+        self, position: Array, velocity: Array, force: Array, seconds: Array
+    ) -> tuple[Array, Array, Array]:
+        """As of `Axis`, in `SUBSTEPS` parts, in which friction is that of the part's begin."""
+        step = seconds / SUBSTEPS
+
+        def part(_: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            q, v, first = motion
+            more = self.slope * jnp.minimum(jnp.abs(v), self.limit)
+            axis = Axis(
+                self.M,
+                self.Fv_pos,
+                self.Fc_pos + more,
+                self.Fv_neg,
+                self.Fc_neg + more,
+                self.offset,
+            )
+            moved, speed, acceleration = axis.advance(q, v, force, step)
+            return moved, speed, jnp.where(jnp.isnan(first), acceleration, first)
+
+        begun = jnp.full_like(velocity, jnp.nan)
+        return jax.lax.fori_loop(0, SUBSTEPS, part, (position, velocity, begun))
+
+
+def told(found: Discovery) -> dict[str, Any]:
+    """What was found, in words and numbers."""
+    return {
+        "sentence": sentence(found),
+        "terms": [one.candidate.meaning for one in found.chosen],
+        "values": {name: float(found.estimate[name]) for name in found.estimate.parameters},
+        "widths": {one.candidate.name: one.width for one in found.chosen if one.width is not None},
+    }
+
+
+def silverbox_found(data: Path) -> dict[str, Any]:
+    """A mass under a voltage; then all by output error on the training slice, as it was found."""
+    record = silverbox.load_silverbox(data / "silverbox")
+    fine = upsample(record, silverbox.FACTOR)
+    train = record.part(*silverbox.TRAIN)
+    start = rx.Equation(
+        rx.Term("m", "y", derivative=2, measured=("dy",)), -rx.Term(1.0, "u"), name="circuit"
+    )
+    finer = rx.differentiate(upsample(train, silverbox.FACTOR), "y", "dy")
+    found = rx.discover(rx.Model("circuit", "", procedure=lambda: start, band=(20, 150)), finer)
+    values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
+    by = OutputError(
+        Tiles(samples=silverbox_refined.WINDOW * silverbox.FACTOR),
+        channels=("y",),
+        method=FixedStep(1),
+        every=silverbox.FACTOR,
+    )
+    refined = rx.refine(found.model, finer.select("u", "y"), values, by)
+    after = {name: float(refined[name]) for name in values}
+    return {
+        **told(found),
+        "identified_mV": _scores(found.model, values, fine),
+        "refined_mV": _scores(found.model, after, fine),
+        "refined": after,
+        "parameters": len(values) + len(found.estimate.known),
+    }
+
+
+def _scores(model: rx.Model, values: dict[str, float], fine: rx.Record) -> dict[str, float]:
+    found = {}
+    for name, (first, last) in silverbox.SLICES.items():
+        y = np.asarray(silverbox_refined.slice_of(fine, first, last)["y"])
+        dt = float(fine.time_step)
+        before = np.asarray(silverbox_refined.slice_of(fine, first - 1, first + 2)["y"])
+        near = silverbox.FACTOR
+        at = {"y": y[0], "dy": (before[near + 1] - before[near - 1]) / (2 * dt)}
+        part = silverbox_refined.slice_of(fine, first, last).select("u")
+        run = rx.simulate(model.build_system(values), part, method=FixedStep(1), initial_state=at)
+        error = (np.asarray(run.record["y"]) - y)[:: silverbox.FACTOR]
+        found[name] = 1e3 * float(np.sqrt(np.mean(error[50:] ** 2)))
+    return found
+
+
+def emps_found(data: Path) -> dict[str, Any]:
+    """A mass under the drive's force; its friction is found, and the axis runs in its loop."""
+    rig = emps_closed_loop.load_rig(data / "emps")
+    record = rx.Record({"q": rig.position, "force": rig.gain * rig.voltage}, emps_closed_loop.STEP)
+    record = rx.differentiate(record, "q", "dq")
+    inertia = rx.Term("M", "q", derivative=2, measured=("dq",), unit="kg")
+    start = rx.Equation(inertia, -rx.Term(1.0, "force"), name="axis", unit="N")
+    found = rx.discover(start, record, criterion=rx.RIEC(rx.AllWindows(0.01, 0.1)))
+    alone = rx.identify(start, record, rx.RIEC(rx.AllWindows(0.01, 0.1)))
+    return {
+        **told(found),
+        "loop_before": _loop(rig, {"M": float(alone["M"])}, {}),
+        "loop_after": _loop(rig, told(found)["values"], told(found)["widths"]),
+    }
+
+
+def _loop(
+    rig: emps_closed_loop.Rig, values: dict[str, float], widths: dict[str, float]
+) -> dict[str, float]:
+    """Errors in percent of the axis under its controller, as far as it can be simulated exactly."""
+    of = {name: values.get(name, 0.0) for name in LAWS}
+    numbers = {
+        "M": values["M"],
+        "Fv_pos": of["viscous"] + of["asymmetry"],
+        "Fv_neg": of["viscous"] - of["asymmetry"],
+        "Fc_pos": of["coulomb"],
+        "Fc_neg": of["coulomb"],
+        "offset": of["offset"],
+        "slope": of["limited_friction_slope"],
+        "limit": widths.get("limited_friction", 1.0),
+    }
+    if unknown := {*values} - {*LAWS, "M"}:
+        raise ValueError(f"the axis has no {', '.join(sorted(unknown))}")
+    axis = LimitedAxis(**{name: jnp.asarray(value) for name, value in numbers.items()})
+    return emps_closed_loop.errors(rig, emps_closed_loop.sampled(rig, axis, delay=0))
+
+
+def pendulum_found(data: Path) -> dict[str, Any]:
+    """A swinging arm with viscous friction; the last recording is held out, and simulated."""
+    file = scipy.io.loadmat(
+        data / "pendulum_single" / "SinglePendulumDataForParameterEstimation.mat"
+    )
+    angles = [one[0].ravel() for one in file["Y_id"].ravel()]
+    records = [
+        rx.differentiate(rx.Record.from_samples({"theta": a}, time_step=1e-3), "theta", "dtheta")
+        for a in angles
+    ]
+    model = rx.find_model("pendulum")
+    found = rx.discover(model, records[:-1])
+    before = rx.identify(model, records[:-1])
+    return {
+        **told(found),
+        "simulated_before": _swings(model, before, records[-1]),
+        "simulated_after": _swings(found.model, found.estimate, records[-1]),
+    }
+
+
+def _swings(model: rx.Model, estimate: rx.Estimate, record: rx.Record) -> float:
+    """Relative error in percent of a simulation from the recording's first state."""
+    values = {name: float(estimate[name]) for name in estimate.values}
+    at = {name: float(record[name][0]) for name in ("theta", "dtheta")}
+    system = rx.equation_system(model.build_procedure(), values)
+    run = rx.simulate(system, record, method=FixedStep(4), initial_state=at)
+    theta = np.asarray(record["theta"])
+    return 100 * float(np.linalg.norm(run.record["theta"] - theta) / np.linalg.norm(theta))
+
+
+def damper_found(data: Path) -> dict[str, Any]:
+    """A damper as a curve over velocity; its force is predicted behind what the search reads."""
+    file = scipy.io.loadmat(data / "mr_damper_labcontrol" / "data_simulation_4.4_MRdamper.mat")
+    moved, force = file["x_F"][:, 0], file["x_F"][:, 2]
+    record = rx.Record.from_samples(
+        {"x": moved, "F": force}, time_step=0.01, units={"x": "mm", "F": "N"}
+    )
+    record = rx.differentiate(record, "x", "v")
+    reach = float(np.max(np.abs(np.asarray(record["v"]))))
+    curve = rx.Terms("F", rx.roof([-reach, -0.4 * reach, 0.4 * reach, reach]), "v", unit="N")
+    start = rx.Equation(curve, -rx.Term(1.0, "F"), name="damper", unit="N")
+    windows = rx.RIEC(rx.AllWindows(0.02, 0.1))
+    train, rest = record.part(0, MR_TRAIN), record.part(MR_TRAIN, record.sample_count)
+    alone = rx.identify(start, train, windows)
+    tests = residual_tests(start, train, alone)
+    found = rx.discover(start, train, criterion=windows)
+    return {
+        **told(found),
+        "finding": [f.message for f in tests.findings() if f.code == "hysteresis"],
+        "held_out_before": _left(start, alone, rest, record),
+        "held_out_after": _left(found.model, found.estimate, rest, record),
+    }
+
+
+def _left(model: Any, estimate: rx.Estimate, rest: rx.Record, whole: rx.Record) -> float:
+    """Error of the force in percent of it, on what was not read, states known from before."""
+    (equation,) = residual_tests(
+        as_model(model).build_procedure(), whole, dict(estimate.values)
+    ).equations
+    error, target = (np.asarray(of) for of in (equation.error.error, equation.error.target))
+    late = np.asarray(equation.error.times) > float(rest.start_time)
+    return 100 * math.sqrt(np.sum(error[late] ** 2) / np.sum(target[late] ** 2))
+
+
+MEASURED = {
+    "silverbox": silverbox_found,
+    "emps": emps_found,
+    "pendulum": pendulum_found,
+    "mr_damper": damper_found,
+}
