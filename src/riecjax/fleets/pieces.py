@@ -4,6 +4,7 @@
 # beside them, the samples that these reach and that a derivative or a spike is judged by. So every
 # window counts once, also one that lies across the boundary of two files of a data set.
 
+import bisect
 import contextlib
 import itertools
 import tempfile
@@ -31,7 +32,8 @@ class Piece(NamedTuple):
 
     **Fields:** `source`; windows start in rows from `first` to before `stop`, which is 0 for a
     source as a whole; `low` and `high`, first row of the recording and one beyond its last;
-    `keys`, what columns hold in all of these rows.
+    `keys`, what columns hold in all of these rows; `before`, rows of the recording in files before
+    the source's first, and `ends`, rows up to the end of each of its files, where they are known.
     """
 
     source: Source
@@ -40,6 +42,8 @@ class Piece(NamedTuple):
     low: int = 0
     high: int = 0
     keys: Keys = ()
+    before: int = 0
+    ends: tuple[int, ...] = ()
 
     @property
     def identity(self) -> str:
@@ -57,18 +61,31 @@ class Piece(NamedTuple):
         return max(self.first - BESIDE, self.low), min(self.stop + window + BESIDE, self.high)
 
 
+    def within(self, window: int) -> "Piece":
+        """The same with only those files that it reads: of weeks in thousands the others would be
+        sent along with each piece, and opened."""
+        low, high = self.reach(window)
+        first, last = bisect.bisect_right(self.ends, low), bisect.bisect_left(self.ends, high)
+        source = self.source._replace(urls=self.source.urls[first : last + 1])
+        before = self.ends[first - 1] if first else self.before
+        return self._replace(source=source, before=before, ends=self.ends[first : last + 1])
+
+
 def is_long(source: Source) -> bool:
     """Whether a source is read by rows: it is large, or its files are one recording together."""
     return source.is_parquet and (source.size > LONG or len(source.urls) > 1)
 
 
-def stretches(piece: Piece, starts: int) -> Iterator[Piece]:
-    """A recording's rows in pieces of so many starts; the last may have half as many more."""
+def stretches(piece: Piece, starts: int, window: int) -> Iterator[Piece]:
+    """A recording's rows in pieces of so many starts; the last may have half as many more.
+
+    **Arguments:** `window`, samples of the longest one.
+    """
     first = piece.first
     while piece.stop - first > 1.5 * starts:
-        yield piece._replace(first=first, stop=first + starts)
+        yield piece._replace(first=first, stop=first + starts).within(window)
         first += starts
-    yield piece._replace(first=first)
+    yield piece._replace(first=first).within(window)
 
 
 def recordings_of(
@@ -79,6 +96,7 @@ def recordings_of(
     **Raises:** `DataError` where a column is in none of its files; `OSError`.
     """
     found: list[Piece] = []
+    ends: list[int] = []
     before = 0
     for url in source.urls:
         with opened(url, storage) as stream:
@@ -93,9 +111,11 @@ def recordings_of(
                         Piece(source, before, before + count, before, before + count, keys)
                     )
                 before += count
+            ends.append(before)
     if not (some := [piece for piece in found if piece.stop > piece.first]):
         raise DataError("it holds no rows.")
-    return some
+    every = tuple(ends)
+    return [piece._replace(ends=every) for piece in some]
 
 
 def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:
@@ -110,16 +130,16 @@ def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:
 
 
 @contextlib.contextmanager
-def rows_at_hand(source: Source, low: int, high: int, storage: Mapping[str, Any]) -> Iterator[Path]:
-    """Rows of a Parquet source as a Parquet file of this machine, of the source's name.
+def rows_at_hand(piece: Piece, low: int, high: int, storage: Mapping[str, Any]) -> Iterator[Path]:
+    """Rows of a recording as a Parquet file of this machine, of its source's name.
 
     **Raises:** `OSError` where it cannot be read or written.
     """
     from pyarrow import Table, concat_tables, parquet
 
     parts: list[Any] = []
-    before = 0
-    for url in source.urls:
+    before = piece.before
+    for url in piece.source.urls:
         with opened(url, storage) as stream:
             file = _parquet(stream)
             rows = file.metadata.num_rows
@@ -130,7 +150,7 @@ def rows_at_hand(source: Source, low: int, high: int, storage: Mapping[str, Any]
             break
     table = concat_tables(Table.from_batches([part]) for part in parts)
     with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
-        here = (Path(folder) / Path(source.name).name).with_suffix(".parquet")
+        here = (Path(folder) / Path(piece.source.name).name).with_suffix(".parquet")
         parquet.write_table(table, here, compression="none", use_dictionary=False)
         yield here
 

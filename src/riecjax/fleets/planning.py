@@ -91,7 +91,7 @@ def _beginning(order: Order, source: Source) -> Recording:
             return order.recordings_in(file)[0]
     first = recordings_of(source, columns, order.storage)[0]
     high = min(first.high, first.low + LOOKED_AT)
-    with rows_at_hand(source, first.low, high, order.storage) as file:
+    with rows_at_hand(first, first.low, high, order.storage) as file:
         return order.recordings_in(file)[0]
 
 
@@ -107,7 +107,7 @@ def planned(order: Order, sources: Sequence[Source]) -> Iterator[Piece]:
             yield Piece(source)  # whoever sums it says why not
             continue
         for recording in every:
-            yield from stretches(recording, order.starts)
+            yield from stretches(recording, order.starts, order.window)
 
 
 def tasks_of(pieces: Sequence[Piece]) -> Iterator[list[Piece]]:

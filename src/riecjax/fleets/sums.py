@@ -109,7 +109,7 @@ def _stretch(order: Order, piece: Piece) -> Row:
     """The row of some rows of a source."""
     part = piece.part
     low, high = piece.reach(order.window)
-    with rows_at_hand(piece.source, low, high, order.storage) as file:
+    with rows_at_hand(piece, low, high, order.storage) as file:
         (one,) = order.recordings_in(file)
     if one.record.sample_count != high - low:
         raise DataError(
