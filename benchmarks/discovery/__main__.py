@@ -147,7 +147,52 @@ def words(document: dict[str, Any]) -> list[str]:
     if (quick := document.get("speed")) is not None:
         said = ", ".join(f"{n}: {1e3 * s:.0f} ms" for n, s in quick["seconds"].items())
         lines += ["", f"A search on sums that are made, by how many candidates there are: {said}."]
+    if (measured := document.get("measured")) is not None:
+        lines += _of_measured(measured)
     return lines
+
+
+def _of_measured(found: dict[str, Any]) -> list[str]:
+    """A line for each measured recording."""
+    lines = [
+        "",
+        "**Measured recordings**, each from a model that lacks all of this, told nothing:",
+        "",
+    ]
+    if (one := found.get("silverbox")) is not None:
+        identified, refined = (_listed(one[key], 3) for key in ("identified_mV", "refined_mV"))
+        lines.append(
+            f"- *Silverbox*, from a mass under a voltage: {', '.join(one['terms'])}. Test "
+            f"slices ({', '.join(one['refined_mV'])}) are simulated to {identified} mV as "
+            f"identified, and {refined} mV refined by output error, by {one['parameters']} "
+            f"parameters."
+        )
+    if (one := found.get("emps")) is not None:
+        before, after = (
+            _listed({k: one[loop][k] for k in ("q", "dq", "force")}, 2)
+            for loop in ("loop_before", "loop_after")
+        )
+        lines.append(
+            f"- *EMPS*, from a mass under the drive's force: {', '.join(one['terms'])}. Under its "
+            f"controller position, velocity and force are off by {after} %, instead of {before} %."
+        )
+    if (one := found.get("pendulum")) is not None:
+        lines.append(
+            f"- *Pendulum*, with viscous friction: {', '.join(one['terms']) or 'nothing'}. A "
+            f"recording that was held out is simulated to {one['simulated_after']:.2g} %, "
+            f"{one['simulated_before']:.2g} % before."
+        )
+    if (one := found.get("mr_damper")) is not None:
+        lines.append(
+            f"- *Magneto-rheological damper*, from a curve over velocity, which `identify` warns "
+            f"of (`hysteresis`): {', '.join(one['terms'])}. The force behind what was searched is "
+            f"off by {one['held_out_after']:.2g} % instead of {one['held_out_before']:.2g} %."
+        )
+    return lines
+
+
+def _listed(values: dict[str, float], digits: int) -> str:
+    return ", ".join(f"{value:.{digits}g}" for value in values.values())
 
 
 def _share(one: dict[str, Any] | None, of: str) -> str:

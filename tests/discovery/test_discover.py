@@ -76,6 +76,9 @@ def test_the_width_of_a_dead_zone_is_found():
     widths = {one.candidate.name: one.width for one in found.chosen}
     assert widths["dead_zone"] == pytest.approx(WIDTH, rel=0.02)
     assert widths["viscous"] is None
+    (error,) = (one.width_error for one in found.chosen if one.width is not None)
+    assert abs(widths["dead_zone"] - WIDTH) < 4 * error
+    assert error < 0.01 * WIDTH
     assert float(found.estimate["dead_zone_stiffness"]) == pytest.approx(60, rel=0.02)
 
 
@@ -320,3 +323,82 @@ def test_a_velocitys_position_that_no_equation_reads_is_known_by_its_slope():
     )
     found = discover(model, rx.Record.from_samples(signals, time_step=0.01), **QUICK)
     assert found.names == ("stiffness",)
+
+
+def driven(force, seed: int = 0) -> rx.Record:
+    """A mass under a force of time, position and velocity, with tones, and 1 % of noise."""
+    import scipy.integrate
+    from benchmarks.discovery.problems import _FORCE, COUNT, RATE, tones
+
+    times = np.arange(COUNT) / RATE
+    run = scipy.integrate.solve_ivp(
+        lambda t, s: [s[1], float(tones(t, _FORCE, 20.0, seed) - force(t, *s)) / 1.5],
+        (0, times[-1]),
+        [0.0, 0.0],
+        t_eval=times,
+        rtol=1e-8,
+        atol=1e-10,
+        max_step=0.02,
+    )
+    rng = np.random.default_rng(seed)
+    signals = {"x": run.y[0], "dx": run.y[1]}
+    signals = {
+        name: of + 0.01 * of.std() * rng.standard_normal(of.size) for name, of in signals.items()
+    }
+    signals["u"] = tones(times, _FORCE, 20.0, seed)
+    return rx.Record.from_samples(signals, time_step=1 / RATE)
+
+
+def test_a_spring_with_stops_has_one_name_however_it_is_reached():
+    """A spring of 40 N/m that is four times as stiff beyond 0.3 m."""
+    record = driven(lambda t, x, v: 0.8 * v + 40 * x + 120 * (x - np.clip(x, -0.3, 0.3)))
+    for start in (DRAG.start, rx.Equation(*DRAG.start.terms, rx.Term("k", "x"), name="mass")):
+        found = discover(start, record, **QUICK)
+        assert {*found.names} | {"stiffness"} == {"viscous", "stiffness", "dead_zone"}
+        assert float(found.estimate["dead_zone_stiffness"]) == pytest.approx(120, rel=0.05)
+
+
+def test_a_force_that_drifts_is_found_and_simulated():
+    record = driven(lambda t, x, v: 0.8 * v + 20 * x + 0.2 * t)
+    found = discover(DRAG.start, record, **QUICK)
+    assert {*found.names} == {"viscous", "stiffness", "drift"}
+    assert float(found.estimate["drift"]) == pytest.approx(0.2, rel=0.05)
+    values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
+    run = rx.simulate(found.model.build_system(values), record.select("u")).checked()
+    error = np.asarray(run.record["x"]) - np.asarray(record["x"])
+    assert error.std() < 0.05 * np.asarray(record["x"]).std()
+
+
+def test_friction_that_saturates_is_found_with_its_limit():
+    record = driven(lambda t, x, v: 20 * x + 0.5 * v + 4 * np.clip(v, -1.2, 1.2))
+    found = discover(DRAG.start, record, **QUICK)
+    assert {*found.names} == {"stiffness", "viscous", "limited_friction"}
+    widths = {one.candidate.name: one.width for one in found.chosen}
+    assert widths["limited_friction"] == pytest.approx(1.2, rel=0.1)
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_a_late_sensor_is_told_beside_the_terms(record):
+    signals = {name: np.asarray(values) for name, values in record.arrays.items()}
+    late = {"x": signals["x"][4:], "dx": signals["dx"][4:], "u": signals["u"][:-4]}
+    found = discover(DRAG.start, rx.Record.from_samples(late, time_step=0.01), **QUICK)
+    assert ("late_signal", ("u",)) in [(one.code, one.signals) for one in found.findings]
+    document = discovery_document(found)
+    assert "late_signal" in {one["code"] for one in document["warnings"]}
+    assert (
+        "amiss with the recordings, late_signal of u: mend that first (--shift u=0.0"
+        in (document["sentence"])
+    )
+
+
+def test_a_force_element_has_positive_coefficients_of_what_resists():
+    """Without an inertia, by the sign of its own curve."""
+    times = np.arange(4000) / 200
+    x, v = np.sin(7 * times), 7 * np.cos(7 * times)
+    force = 3 * v + 5 * x + 4 * np.sign(v)
+    record = rx.Record.from_samples({"x": x, "v": v, "F": force}, time_step=1 / 200)
+    curve = rx.Term("c", "x", derivative=1, measured=("v",))
+    for sign in (1, -1):
+        terms = (curve, -rx.Term(1.0, "F")) if sign > 0 else (rx.Term(1.0, "F"), -curve)
+        found = discover(rx.Equation(*terms, name="damper"), record, **QUICK)
+        assert float(found.estimate["coulomb"]) == pytest.approx(4, rel=0.02)

@@ -43,6 +43,14 @@ MODEL_FILE = "model.py"
     help="Choose without this share at the end of each recording, and take values and intervals "
     "from it alone.",
 )
+@click.option(
+    "--least",
+    type=SHARE,
+    default=0.01,
+    show_default=True,
+    metavar="SHARE",
+    help="Of what is unexplained, the share that a term must make up for.",
+)
 @at_rest_option
 @seed_option
 @json_option
@@ -54,6 +62,7 @@ def command(
     criteria: CriterionOptions,
     known: dict[str, float],
     hold_out: float | None,
+    least: float,
     at_rest: "AtRest | None",
     seed: int,
     as_json: bool,
@@ -87,6 +96,7 @@ def command(
             own,
             criteria.build(model, read) if criteria.is_given else None,
             hold_out=hold_out,
+            least=least,
             known=known,
             intervals=BlockBootstrap(seed=seed),
             at_rest=at_rest,

@@ -14,22 +14,26 @@ from riecjax.discovery.catalogue import default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Rejected
 from riecjax.discovery.extended import by_equation, extended, members, without_taken, without_twins
 from riecjax.discovery.folds import Folds
-from riecjax.discovery.search import Offer, Search, Step
+from riecjax.discovery.search import SHARE, Offer, Search, Step
 from riecjax.discovery.selected import AGAIN, Again, again
 from riecjax.discovery.widths import Sums
 from riecjax.equations.equation import Equation
+from riecjax.equations.memories import with_memories
 from riecjax.equations.motions import reading_velocities
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, with_rests
-from riecjax.errors import DataError, ModelError, require
+from riecjax.errors import DataError, ModelError, RiecjaxError, require
+from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
+from riecjax.findings import Finding
 from riecjax.models.model import Model, as_model
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals
+from riecjax.validation.late_signals import late_signals
 
 FEWEST = 6
 """Folds of time that a choice is made from at the least."""
@@ -46,6 +50,7 @@ def discover(
     intervals: AbstractIntervals | None = None,
     noise: GivenNoise = "auto",
     at_rest: AtRest | None = None,
+    least: float = SHARE,
     resamples: int = AGAIN,
     seed: int = 0,
 ) -> Discovery:
@@ -65,6 +70,7 @@ def discover(
     - `hold_out`: share at the end of each recording that has no part in the choice, and from which
       alone parameters and their intervals come then. Without it all is used for both, and
       standard errors include the choice, by searching again in data drawn again.
+    - `least`: share of what is unexplained that a term must make up for.
     - `resamples`: how many times that is done; `seed` of what is drawn.
 
     **Returns:** a [`Discovery`][riecjax.discovery.Discovery].
@@ -74,7 +80,7 @@ def discover(
     """
     found = as_model(model)
     procedure = with_rests(found.build_procedure(), at_rest)
-    _require_sense(procedure, hold_out, known or {})
+    _require_sense(procedure, hold_out, known or {}, least)
     recordings = _with_velocities(procedure, as_recordings(records))
     offered = _offered(found, procedure, recordings, candidates)
     with_all = extended(procedure, members(offered))
@@ -84,7 +90,7 @@ def discover(
     first, last = ([pair[i] for pair in halves] for i in (0, 1))
     if criterion is None:
         criterion = suited(procedure, found.band, [one.record for one in whole])
-    sums = Sums(procedure, first, criterion, offered, dict(known or {}))
+    sums = Sums(procedure, first, criterion, offered, dict(known or {}), least)
     stages = _searched(sums)
     resamples = 0 if hold_out is not None else resamples
     drawn = [again(search, chosen, seed, resamples) for search, chosen in stages]
@@ -101,13 +107,17 @@ def discover(
         _errors(estimate, stages, chosen, drawn),
         hold_out or 0.0,
         sum(len({one.family for one in search.offers}) for search, _ in stages),
+        tuple(_of_recordings(larger.build_procedure(), last, estimate)),
     )
 
 
 def _require_sense(
-    procedure: Procedure, hold_out: float | None, known: Mapping[str, float]
+    procedure: Procedure, hold_out: float | None, known: Mapping[str, float], least: float
 ) -> None:
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.3, a share")
+    require("least", least, Real, "least=0.01, a share")
+    if not 0 < least < 1:
+        raise ModelError(f"least is a share between 0 and 1; got {least:g}.")
     if procedure.has_hidden:
         raise ModelError(
             "terms are looked for beside a model without hidden modes and springs: leave these out."
@@ -192,6 +202,21 @@ def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -
     return model.with_terms(
         by_equation(procedure, candidates), memories=memories, meanings=meanings
     )
+
+
+def _of_recordings(
+    procedure: Procedure, recordings: list[Recording], estimate: Estimate
+) -> list[Finding]:
+    """What is amiss with recordings, and what is late against the equations."""
+    found: list[Finding] = []
+    records = [with_memories(one.record, procedure.memories) for one in recordings]
+    for one, record in zip(recordings, records, strict=True):
+        one = replace(one, record=record)
+        read = read_of(procedure, one, estimate.criterion)
+        found += [*one.concerning(read).findings, *of_sensors(procedure, one, read)]
+    with contextlib.suppress(RiecjaxError):  # too short to tell
+        found += late_signals(procedure, records, estimate)
+    return list({one.message: one for one in found}.values())
 
 
 def _rejected(stages: Sequence[tuple[Search, list[Offer]]]) -> list[Rejected]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from riecjax.discovery.candidate import Candidate
 from riecjax.discovery.search import Step
 from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.shows import Shown
 
@@ -49,6 +50,8 @@ class Discovery(Shown):
     - `held_out`: share of each recording that had no part in the choice and that `estimate` is
       from; 0 where choice and estimate are of all.
     - `offered`: how many candidates could be told apart.
+    - `findings`: what is amiss with the recordings, also signals that are late against the
+      equations that were found.
     """
 
     model: Model
@@ -60,6 +63,7 @@ class Discovery(Shown):
     errors: Mapping[str, float]
     held_out: float
     offered: int
+    findings: tuple[Finding, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ time, those chosen before are exchanged for others, or left out, where that pred
 terms are taken away again, the least sure first, until each of the rest
 
 - is further from zero than chance makes any one of all that were offered, at the stated rate,
-- makes up for `SHARE` of what is unexplained without it, noise included,
+- makes up for `SHARE` (unless told otherwise) of what is unexplained without it, noise included,
 - and for `LEAST` of the whole.
 """
 
@@ -58,7 +58,8 @@ class Step(NamedTuple):
 class Search:
     """A search for the columns that belong beside those that are kept.
 
-    `trials`, how many offers there were to choose from, where these are some of them.
+    `trials`, how many offers there were to choose from, where these are some of them; `least`,
+    share of what is unexplained that a term must make up for.
     """
 
     def __init__(
@@ -67,10 +68,12 @@ class Search:
         kept: Sequence[str],
         offers: Sequence[Offer],
         trials: int | None = None,
+        least: float = SHARE,
     ):
         self.folds, self.kept = folds, tuple(kept)
         self.every = tuple(offers)
         self.offers = [one for one in offers if folds.told_apart(self._names([one]))]
+        self.least = least
         self._trials = max(len(self.offers) if trials is None else trials, 1)
         self._known: dict[frozenset[str], Left | None] = {}
 
@@ -103,23 +106,38 @@ class Search:
                 break
             seen.add(names)
             chosen = settled
-        return self._pruned(chosen)
+        found = self._pruned(chosen)
+        # What gained most may have been left to chance, and hidden what is sure and gains less.
+        while (grown := self._grown(found, sure=True)) is not None:
+            more = self._pruned(self._settled(grown))
+            if len(more) <= len(found):
+                break
+            found = more
+        return found
 
     def _free(self, chosen: Sequence[Offer]) -> Iterator[Offer]:
         families = {offer.family for offer in chosen}
         return (offer for offer in self.offers if offer.family not in families)
 
-    def _grown(self, chosen: list[Offer]) -> list[Offer] | None:
-        """With what gains most, if that is worth a term."""
+    def _grown(self, chosen: list[Offer], sure: bool = False) -> list[Offer] | None:
+        """With what gains most, if that is worth a term; of what chance does not explain, if it is
+        to be `sure`."""
         before, best, most = self.left(chosen), None, 0.0
         for offer in self._free(chosen):
             after = self.left([*chosen, offer])
-            if (gain := self._gain(before, after)) > most:
+            gain = self._gain(before, after)
+            if gain > most and not (sure and self._is_doubtful(chosen, offer, before, after)):
                 best, most = offer, gain
         if best is None:
             return None
         grown = self._simpler([*chosen, best])
         return grown if self._is_worth(before, self.left(grown)) else None
+
+    def _is_doubtful(
+        self, chosen: list[Offer], offer: Offer, before: Left | None, after: Left | None
+    ) -> bool:
+        worth = self._is_worth(before, after)
+        return not worth or self.chance([*chosen, offer], offer) >= RATE
 
     def _simpler(self, chosen: list[Offer]) -> list[Offer]:
         """With a law without a width instead of the last one, where it predicts about as well."""
@@ -149,7 +167,7 @@ class Search:
         if after is None:
             return False
         gain = self._gain(before, after)
-        return gain > max(SHARE * before.samples.sum(), LEAST * self.folds.energy)
+        return gain > max(self.least * before.samples.sum(), LEAST * self.folds.energy)
 
     def _settled(self, chosen: list[Offer]) -> list[Offer]:
         """Without what is worth no term beside the rest, and others where these predict better."""

@@ -24,8 +24,8 @@ from riecjax.summaries.summary import Summary
 
 CLOSER = 10
 """Times at most that widths are moved together; each divides what lies between by 2.5."""
-ALIKE = 0.1 * SHARE
-"""Share of what is unexplained that neighbouring widths differ by in the end."""
+ALIKE = 0.1
+"""Part of the least share of what is unexplained, that neighbouring widths differ by in the end."""
 SEVERAL = 4
 """Laws with widths that are looked into, one after the other."""
 
@@ -34,7 +34,8 @@ SEVERAL = 4
 class Sums:
     """Sums of a procedure's equations with candidates.
 
-    **Fields:** `candidates`, whose widths change; `known`, coefficients that are held.
+    **Fields:** `candidates`, whose widths change; `known`, coefficients that are held; `least`, as
+    of a [`Search`][riecjax.discovery.search.Search].
     """
 
     procedure: Procedure
@@ -42,6 +43,7 @@ class Sums:
     criterion: AbstractCriterion
     candidates: list[AnyCandidate]
     known: Mapping[str, float]
+    least: float = SHARE
     summary: Summary = field(init=False)
 
     def __post_init__(self):
@@ -69,7 +71,7 @@ class Sums:
         offered = offers(self.candidates, {*folds.parameters})
         columns = {name for offer in offered for name in offer.columns}
         kept = [name for name in folds.parameters if name not in columns]
-        return Search(folds, kept, offered)
+        return Search(folds, kept, offered, least=self.least)
 
     def candidate(self, family: str) -> AnyCandidate:
         """The candidate of this name, with the widths that are summed."""
@@ -149,7 +151,7 @@ class Sums:
             if at_best is None:
                 return
             near = left[max(best - 1, 0) : best + 2] - left[best]
-            if np.all(near < ALIKE * at_best.samples.sum()):
+            if np.all(near < ALIKE * self.least * at_best.samples.sum()):
                 return
             closer = self.shape(family).closer(best)
             self.candidates = [closer if one.name == family else one for one in self.candidates]

@@ -60,7 +60,6 @@ class Piece(NamedTuple):
         """First row to read, and one beyond the last, for windows of so many samples."""
         return max(self.first - BESIDE, self.low), min(self.stop + window + BESIDE, self.high)
 
-
     def within(self, window: int) -> "Piece":
         """The same with only those files that it reads: of weeks in thousands the others would be
         sent along with each piece, and opened."""

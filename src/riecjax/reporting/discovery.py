@@ -1,5 +1,6 @@
 """A discovery in plain data, in a sentence, and as tables on a terminal."""
 
+import shlex
 from collections.abc import Sequence
 
 from rich.console import Console
@@ -76,7 +77,7 @@ def discovery_document(
         },
         "equation": "; ".join(map(equation_in_words, procedure.equations)),
         "model_file": model_file,
-        "warnings": [finding._asdict() for finding in found.estimate.findings()],
+        "warnings": [f._asdict() for f in (*found.findings, *found.estimate.findings())],
         "provenance": {"versions": versions(), "command": list(command)},
     }
 
@@ -124,7 +125,8 @@ def sentence(found: Discovery) -> str:
         for where in [f" in {name}" if len(found.paths) > 1 else ""]
     )
     verb, them = ("is", "it") if len(names) == 1 else ("are", "them")
-    return f"{joined(names)} {verb} missing: with {them} {said}.{_something_else(found)}"
+    further = _something_else(found) + _amiss(found)
+    return f"{joined(names)} {verb} missing: with {them} {said}.{further}"
 
 
 def _something_else(found: Discovery) -> str:
@@ -135,6 +137,20 @@ def _something_else(found: Discovery) -> str:
     return (
         " Most of what is left is no noise: something that is no candidate is missing, such as a "
         "hidden mode or a delay; riecjax identify looks for these."
+    )
+
+
+def _amiss(found: Discovery) -> str:
+    """That terms may only make up for a fault of the recordings."""
+    faults = {
+        f"{f.code} of {' and '.join(f.signals)}": f.remedy for f in found.findings if f.remedy
+    }
+    if not faults:
+        return ""
+    remedy = shlex.join(next(iter(faults.values())))
+    return (
+        f" But terms may stand for what is amiss with the recordings, {joined(list(faults))}: mend "
+        f"that first ({remedy})."
     )
 
 

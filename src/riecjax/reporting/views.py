@@ -23,7 +23,13 @@ from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
 from riecjax.refinement.refined import Refined
 from riecjax.reporting.checking import excitation_entries, share_in_words
-from riecjax.reporting.discovery import discovery_document, path_table
+from riecjax.reporting.discovery import (
+    choice_in_words,
+    discovery_document,
+    path_table,
+    rejected_table,
+    widths_in_words,
+)
 from riecjax.reporting.document import number
 from riecjax.reporting.equations import (
     equation_in_words,
@@ -145,8 +151,9 @@ def _(thing: Fleet) -> View:
 @view_of.register
 def _(thing: Discovery) -> View:
     document = discovery_document(thing)
-    tables = [path_table(document), parameter_table(document)]
-    return View(document["sentence"], tables, [document["equation"]])
+    tables = [path_table(document), rejected_table(document), parameter_table(document)]
+    said = (widths_in_words(document), choice_in_words(document), document["equation"])
+    return View(document["sentence"], [*filter(None, tables)], [*filter(None, said)])
 
 
 @view_of.register
