@@ -51,6 +51,14 @@ MODEL_FILE = "model.py"
     metavar="SHARE",
     help="Of what is unexplained, the share that a term must make up for.",
 )
+@click.option(
+    "--smallest",
+    type=SHARE,
+    default=2e-5,
+    show_default=True,
+    metavar="SHARE",
+    help="Of the target's energy, the share that a term must make up for: less for exact data.",
+)
 @at_rest_option
 @seed_option
 @json_option
@@ -63,6 +71,7 @@ def command(
     known: dict[str, float],
     hold_out: float | None,
     least: float,
+    smallest: float,
     at_rest: "AtRest | None",
     seed: int,
     as_json: bool,
@@ -97,6 +106,7 @@ def command(
             criteria.build(model, read) if criteria.is_given else None,
             hold_out=hold_out,
             least=least,
+            smallest=smallest,
             known=known,
             intervals=BlockBootstrap(seed=seed),
             at_rest=at_rest,

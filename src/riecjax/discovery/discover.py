@@ -14,7 +14,7 @@ from riecjax.discovery.catalogue import default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Rejected
 from riecjax.discovery.extended import by_equation, extended, members, without_taken, without_twins
 from riecjax.discovery.folds import Folds
-from riecjax.discovery.search import SHARE, Offer, Search, Step
+from riecjax.discovery.search import LEAST, SHARE, Offer, Search, Step
 from riecjax.discovery.selected import AGAIN, Again, again
 from riecjax.discovery.widths import Sums
 from riecjax.equations.equation import Equation
@@ -51,6 +51,7 @@ def discover(
     noise: GivenNoise = "auto",
     at_rest: AtRest | None = None,
     least: float = SHARE,
+    smallest: float = LEAST,
     resamples: int = AGAIN,
     seed: int = 0,
 ) -> Discovery:
@@ -64,13 +65,13 @@ def discover(
     **Arguments:** `model`, `records`, `criterion`, `known`, `intervals`, `noise` and `at_rest` as
     for [`identify`][];
 
-    - `candidates`: terms, [`Candidate`][riecjax.discovery.Candidate]s or
-      [`Shaped`][riecjax.discovery.Shaped]s that the model may lack; by default friction, springs,
-      dead zones and offsets of its motions, see [`default_candidates`][].
+    - `candidates` that the model may lack: terms, [`Candidate`][riecjax.discovery.Candidate]s or
+      [`Shaped`][riecjax.discovery.Shaped]s; by default the [`default_candidates`][] of its motions.
     - `hold_out`: share at the end of each recording that has no part in the choice, and from which
       alone parameters and their intervals come then. Without it all is used for both, and
       standard errors include the choice, by searching again in data drawn again.
-    - `least`: share of what is unexplained that a term must make up for.
+    - `least`: share of what is unexplained that a term must make up for; `smallest`, share of the
+      target's energy: how exact the recordings are.
     - `resamples`: how many times that is done; `seed` of what is drawn.
 
     **Returns:** a [`Discovery`][riecjax.discovery.Discovery].
@@ -80,17 +81,16 @@ def discover(
     """
     found = as_model(model)
     procedure = with_rests(found.build_procedure(), at_rest)
-    _require_sense(procedure, hold_out, known or {}, least)
+    _require_sense(procedure, hold_out, known or {}, (least, smallest))
     recordings = _with_velocities(procedure, as_recordings(records))
     offered = _offered(found, procedure, recordings, candidates)
     with_all = extended(procedure, members(offered))
     plan_parameters(with_all, 1, known, ())
     whole = ready(with_all, recordings, noise)
-    halves = [(one, one) if hold_out is None else one.split(hold_out) for one in whole]
-    first, last = ([pair[i] for pair in halves] for i in (0, 1))
+    first, last = (whole, whole) if hold_out is None else _split(whole, hold_out)
     if criterion is None:
         criterion = suited(procedure, found.band, [one.record for one in whole])
-    sums = Sums(procedure, first, criterion, offered, dict(known or {}), least)
+    sums = Sums(procedure, first, criterion, offered, dict(known or {}), least, smallest)
     stages = _searched(sums)
     resamples = 0 if hold_out is not None else resamples
     drawn = [again(search, chosen, seed, resamples) for search, chosen in stages]
@@ -112,12 +112,16 @@ def discover(
 
 
 def _require_sense(
-    procedure: Procedure, hold_out: float | None, known: Mapping[str, float], least: float
+    procedure: Procedure,
+    hold_out: float | None,
+    known: Mapping[str, float],
+    shares: Sequence[float],
 ) -> None:
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.3, a share")
-    require("least", least, Real, "least=0.01, a share")
-    if not 0 < least < 1:
-        raise ModelError(f"least is a share between 0 and 1; got {least:g}.")
+    for name, share in zip(("least", "smallest"), shares, strict=True):
+        require(name, share, Real, f"{name}=0.01, a share")
+        if not 0 < share < 1:
+            raise ModelError(f"{name} is a share between 0 and 1; got {share:g}.")
     if procedure.has_hidden:
         raise ModelError(
             "terms are looked for beside a model without hidden modes and springs: leave these out."
@@ -128,6 +132,14 @@ def _require_sense(
             f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
         )
     procedure.plan({*known})
+
+
+def _split(
+    recordings: Sequence[Recording], hold_out: float
+) -> tuple[list[Recording], list[Recording]]:
+    """What is searched, and what values are from."""
+    first, last = zip(*(one.split(hold_out) for one in recordings))
+    return list(first), list(last)
 
 
 def _with_velocities(procedure: Procedure, recordings: list[Recording]) -> list[Recording]:

@@ -6,8 +6,8 @@ time, those chosen before are exchanged for others, or left out, where that pred
 terms are taken away again, the least sure first, until each of the rest
 
 - is further from zero than chance makes any one of all that were offered, at the stated rate,
-- makes up for `SHARE` (unless told otherwise) of what is unexplained without it, noise included,
-- and for `LEAST` of the whole.
+- makes up for `SHARE` of what is unexplained without it, noise included,
+- and for `LEAST` of the whole, unless told otherwise.
 """
 
 import itertools
@@ -59,7 +59,7 @@ class Search:
     """A search for the columns that belong beside those that are kept.
 
     `trials`, how many offers there were to choose from, where these are some of them; `least`,
-    share of what is unexplained that a term must make up for.
+    share of what is unexplained that a term must make up for; `smallest`, share of the whole.
     """
 
     def __init__(
@@ -69,13 +69,19 @@ class Search:
         offers: Sequence[Offer],
         trials: int | None = None,
         least: float = SHARE,
+        smallest: float = LEAST,
     ):
         self.folds, self.kept = folds, tuple(kept)
         self.every = tuple(offers)
         self.offers = [one for one in offers if folds.told_apart(self._names([one]))]
-        self.least = least
+        self.least, self.smallest = least, smallest
         self._trials = max(len(self.offers) if trials is None else trials, 1)
         self._known: dict[frozenset[str], Left | None] = {}
+
+    def among(self, folds: Folds, offers: Sequence[Offer]) -> "Search":
+        """A search of other folds, among some of these offers and as strict as this one."""
+        trials = len(self.offers)
+        return Search(folds, self.kept, offers, trials, self.least, self.smallest)
 
     def _names(self, chosen: Sequence[Offer]) -> tuple[str, ...]:
         return (*self.kept, *(column for offer in chosen for column in offer.columns))
@@ -140,11 +146,12 @@ class Search:
         return not worth or self.chance([*chosen, offer], offer) >= RATE
 
     def _simpler(self, chosen: list[Offer]) -> list[Offer]:
-        """With a law without a width instead of the last one, where it predicts about as well."""
+        """With a law without a width instead of the last one, where it predicts about as well and
+        is as sure."""
         *rest, last = chosen
         if last.simple:
             return chosen
-        now = self.left(chosen)
+        now, is_doubtful = self.left(chosen), self.chance(chosen, last) >= RATE
         alike = [
             (left.motion.sum(), i)
             for i, one in enumerate(self.offers)
@@ -152,6 +159,7 @@ class Search:
             and one not in rest
             and (left := self.left([*rest, one])) is not None
             and not self._is_worth(left, now)
+            and (is_doubtful or self.chance([*rest, one], one) < RATE)
         ]
         return [*rest, self.offers[min(alike)[1]]] if alike else chosen
 
@@ -167,7 +175,7 @@ class Search:
         if after is None:
             return False
         gain = self._gain(before, after)
-        return gain > max(self.least * before.samples.sum(), LEAST * self.folds.energy)
+        return gain > max(self.least * before.samples.sum(), self.smallest * self.folds.energy)
 
     def _settled(self, chosen: list[Offer]) -> list[Offer]:
         """Without what is worth no term beside the rest, and others where these predict better."""

@@ -44,7 +44,7 @@ def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN
     }
     for _ in range(times):
         drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
-        one = Search(drawn, search.kept, among, trials=len(search.offers), least=search.least)
+        one = search.among(drawn, among)
         found = one.found()
         families.update(offer.family for offer in found)
         names = (*search.kept, *(name for offer in found for name in offer.columns))

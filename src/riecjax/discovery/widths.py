@@ -14,7 +14,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.discovery.candidate import AnyCandidate, Shaped
 from riecjax.discovery.extended import extended, members, offers, without_twins
 from riecjax.discovery.folds import Folds
-from riecjax.discovery.search import SHARE, Offer, Search
+from riecjax.discovery.search import LEAST, SHARE, Offer, Search
 from riecjax.equations.memories import with_memories
 from riecjax.equations.procedure import Procedure
 from riecjax.records.recording import Recording
@@ -34,8 +34,8 @@ SEVERAL = 4
 class Sums:
     """Sums of a procedure's equations with candidates.
 
-    **Fields:** `candidates`, whose widths change; `known`, coefficients that are held; `least`, as
-    of a [`Search`][riecjax.discovery.search.Search].
+    **Fields:** `candidates`, whose widths change; `known`, coefficients that are held; `least`
+    and `smallest` as of a [`Search`][riecjax.discovery.search.Search].
     """
 
     procedure: Procedure
@@ -44,6 +44,7 @@ class Sums:
     candidates: list[AnyCandidate]
     known: Mapping[str, float]
     least: float = SHARE
+    smallest: float = LEAST
     summary: Summary = field(init=False)
 
     def __post_init__(self):
@@ -71,7 +72,7 @@ class Sums:
         offered = offers(self.candidates, {*folds.parameters})
         columns = {name for offer in offered for name in offer.columns}
         kept = [name for name in folds.parameters if name not in columns]
-        return Search(folds, kept, offered, least=self.least)
+        return Search(folds, kept, offered, least=self.least, smallest=self.smallest)
 
     def candidate(self, family: str) -> AnyCandidate:
         """The candidate of this name, with the widths that are summed."""
