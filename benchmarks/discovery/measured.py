@@ -92,7 +92,8 @@ def silverbox_found(data: Path) -> dict[str, Any]:
     finer = rx.differentiate(upsample(train, silverbox.FACTOR // 2), "y", "dy")
     model = rx.Model("circuit", "", procedure=lambda: start, band=(20, 150))
     found = rx.discover(model, finer, least=EXACT[0], smallest=EXACT[1])
-    values = {**told(found)["values"], **_widths(found)}
+    identified, widths = told(found)["values"], _widths(found)
+    values = {**identified, **widths}
     by = OutputError(
         Tiles(samples=silverbox_refined.WINDOW * silverbox.FACTOR),
         channels=("y",),
@@ -100,7 +101,11 @@ def silverbox_found(data: Path) -> dict[str, Any]:
         every=silverbox.FACTOR,
     )
     build = _by_widths(found)
-    refined = rx.refine(build, silverbox_refined.slice_of(fine, *silverbox.TRAIN), values, by)
+    fitted = silverbox_refined.slice_of(fine, *silverbox.TRAIN)
+    # Widths last: of coefficients that are far off, a width may run away.
+    nearer = rx.refine(build, fitted, identified, by, known=widths)
+    begun = {**{name: float(nearer[name]) for name in identified}, **widths}
+    refined = rx.refine(build, fitted, begun, by)
     after = {name: float(refined[name]) for name in values}
     return {
         **told(found),
