@@ -128,6 +128,7 @@ def test_held_out_part_is_simulated_from_the_users_own_equation(capsys):
     assert Path("result/window_sweep.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("does_not_predict")
 def test_a_model_that_does_not_predict_is_called_so(capsys):
     write_csv(Path("run.csv"), motion())

@@ -71,6 +71,7 @@ def drive(tmp_path, monkeypatch):
     return write_csv(tmp_path / "drive.csv", quarter_car_columns())
 
 
+@pytest.mark.slow
 def test_a_long_run_is_announced_on_standard_error(capsys, drive, monkeypatch):
     monkeypatch.setattr(work, "LONG", 0.01)
     result = call(capsys, "identify", drive, *CAR, "--json")

@@ -11,6 +11,7 @@ import itertools
 import logging
 import os
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
@@ -71,11 +72,13 @@ class Cluster(contextlib.AbstractContextManager):
         import distributed
 
         self._open = contextlib.ExitStack()
-        self._scheduler = scheduler
+        self._scheduler, self._here = scheduler, None
         self._open.enter_context(_settings())
         with _closing_on_error(self._open):
             try:
-                address = scheduler or self._started(distributed, workers or cores())
+                if scheduler is None:
+                    self._here = self._started(distributed, workers or cores())
+                address = scheduler or self._here
                 client = distributed.Client(
                     address, timeout=WAITS, set_as_default=False, heartbeat_interval="2s"
                 )
@@ -143,7 +146,7 @@ class Cluster(contextlib.AbstractContextManager):
 
         hand_over(ahead)
         while running:
-            future = next(waiting)
+            future = self._next(waiting)
             task = running.pop(future)
             hand_over(1)
             if future.status == "cancelled":  # as all are whose scheduler has ended
@@ -157,10 +160,27 @@ class Cluster(contextlib.AbstractContextManager):
                 raise self._gone() from None
             yield task, answer
 
+    def _next(self, waiting: Any) -> Any:
+        """The next task that is done.
+
+        **Raises:** `DataError` where this machine's processes have ended, and none comes back.
+        """
+        alive = time.monotonic()
+        while not waiting.has_ready():
+            with waiting.thread_condition:
+                waiting.thread_condition.wait(0.1)
+            if self._here is None or self._here.scheduler.workers:
+                alive = time.monotonic()
+            elif time.monotonic() - alive > WAITS:
+                raise self._gone()
+        return next(waiting)
+
     def _gone(self) -> DataError:
-        where = f" at {self._scheduler}" if self._scheduler else ""
+        what = (
+            f"the scheduler at {self._scheduler} is" if self._scheduler else "Dask's processes are"
+        )
         return DataError(
-            f"the scheduler{where} is gone. What was summed is kept: run the same command again, "
+            f"{what} gone. What was summed is kept: run the same command again, "
             f"which goes on from there."
         )
 
