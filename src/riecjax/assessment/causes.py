@@ -126,8 +126,6 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
         yield from _zero_steps(assessment)
     if "window_sensitive" in by and assessment.sweep is not None:
         yield from _window_steps(assessment.sweep, by["window_sensitive"], smooth)
-    if "hysteresis" in by:
-        yield Step("Find the law of the hysteresis (riecjax discover, by short windows)")
     if "residual_follows_signal" in by:
         signal = " and ".join(by["residual_follows_signal"].signals)
         yield Step(

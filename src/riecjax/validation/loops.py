@@ -70,13 +70,15 @@ class Loop(NamedTuple):
                 f"the model does not use it. Add a term in it (riecjax discover).",
                 (self.by,),
             )
+        windows = f"--alpha {2 * time_step:.3g} --beta {10 * time_step:.3g}"
         width = f"{self.width:.2g} {self.motion.unit}".rstrip()
         return Finding(
             "hysteresis",
             f"what the model leaves runs in loops over {v}: a state that turns round within about "
             f"{width} of displacement ({self.law}) explains {share}, {size}. Hysteresis is "
             f"missing: find its law by windows that are no longer than it takes to turn (riecjax "
-            f"discover --alpha {2 * time_step:.3g} --beta {10 * time_step:.3g}).",
+            f"discover {windows}).",
+            step=f"Find the law of the hysteresis: riecjax discover, with {windows}",
         )
 
 
