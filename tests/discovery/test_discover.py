@@ -77,7 +77,7 @@ def test_the_width_of_a_dead_zone_is_found():
     assert widths["dead_zone"] == pytest.approx(WIDTH, rel=0.02)
     assert widths["viscous"] is None
     (error,) = (one.width_error for one in found.chosen if one.width is not None)
-    assert abs(widths["dead_zone"] - WIDTH) < 4 * error
+    assert abs(widths["dead_zone"] - WIDTH) < 4 * error  # pyright: ignore[reportOptionalOperand]
     assert error < 0.01 * WIDTH
     assert float(found.estimate["dead_zone_stiffness"]) == pytest.approx(60, rel=0.02)
 

@@ -1,6 +1,7 @@
 """An equation of motion, linear in its parameters."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -173,9 +174,9 @@ def with_terms(equation: Equation, terms: Sequence[AbstractTerm]) -> Equation:
     return eqx.tree_at(lambda e: e.terms, equation, (*equation.terms, *signed))
 
 
-def _sign(term: AbstractTerm) -> Leaf:
+def _sign(term: AbstractTerm) -> Any:
     """The number before a term."""
-    return term.number if isinstance(term, Term) else getattr(term, "sign", 1.0)
+    return getattr(term, "number" if isinstance(term, Term) else "sign", 1.0)
 
 
 def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
