@@ -162,8 +162,8 @@ def _of_measured(found: dict[str, Any]) -> list[str]:
     if (one := found.get("silverbox")) is not None:
         identified, refined = (_listed(one[key], 3) for key in ("identified_mV", "refined_mV"))
         lines.append(
-            f"- *Silverbox*, from a mass under a voltage (`least=0.005`, `smallest=1e-6`): {', '.join(one['terms'])}. Test "
-            f"slices ({', '.join(one['refined_mV'])}) are simulated to {identified} mV as "
+            f"- *Silverbox*, from a mass under a voltage (`least=0.005`, `smallest=1e-6`): "
+            f"{', '.join(one['terms'])}. Test slices ({', '.join(one['refined_mV'])}) are simulated to {identified} mV as "
             f"identified, and {refined} mV refined by output error, by {one['parameters']} "
             f"parameters."
         )
