@@ -163,9 +163,9 @@ def _of_measured(found: dict[str, Any]) -> list[str]:
         identified, refined = (_listed(one[key], 3) for key in ("identified_mV", "refined_mV"))
         lines.append(
             f"- *Silverbox*, from a mass under a voltage (`least=0.005`, `smallest=1e-6`): "
-            f"{', '.join(one['terms'])}. Test slices ({', '.join(one['refined_mV'])}) are simulated to {identified} mV as "
-            f"identified, and {refined} mV refined by output error, by {one['parameters']} "
-            f"parameters."
+            f"{', '.join(one['terms'])}. Test slices ({', '.join(one['refined_mV'])}) are "
+            f"simulated to {identified} mV as identified, and {refined} mV refined by output "
+            f"error, by {one['parameters']} parameters."
         )
     if (one := found.get("emps")) is not None:
         before, after = (
