@@ -82,6 +82,7 @@ def test_missing_terms_are_told_and_the_model_file_runs(capsys, place, tmp_path)
     assert np.std(again["x"][:1000] - clean[:1000]) < 0.05 * clean.std()
 
 
+@pytest.mark.slow
 def test_candidates_of_a_file_and_held_out_samples(capsys, place):
     model = f"{place}/rig.py:RIG"
     given = ("--candidates", f"{place}/rig.py:LAWS", "--hold-out", "0.3", "--json")

@@ -12,9 +12,10 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy.signal
 from jaxtyping import Float
 
-from riecjax.equations.memories import BoucWen, Dahl, usual_widths
+from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths
 from riecjax.equations.motions import Motion
 from riecjax.findings import Finding
 from riecjax.records.record import Record, samples_with_nan
@@ -118,8 +119,9 @@ def _regressors(
 ) -> Iterator[tuple[Loop | None, Series]]:
     """What is taken out first, and each that may explain the rest, as signals of each record."""
     v = _each(records, motion.velocity)
-    for name in filter(None, (motion.velocity, motion.position)):
-        signals = _each(records, name)
+    # Without a recorded position a spring would pass for a state that goes with the displacement.
+    x = _each(records, motion.position) if motion.position else [_way(motion, r) for r in records]
+    for signals in (v, x):
         every = np.concatenate(signals)
         knots = np.linspace(every.min(), every.max(), KNOTS)
         for i in range(KNOTS):
@@ -172,6 +174,12 @@ def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
         v = np.concatenate([[1.0], -scale * (theta @ (scale * moment))])
         total += float(v @ held[np.ix_(at, at)] @ v)
     return total
+
+
+def _way(motion: Motion, record: Record) -> Float[np.ndarray, " n"]:
+    """The way that was covered, without its trend."""
+    way = np.concatenate([[0.0], np.cumsum(pieces_of_way(motion.velocity, record))])
+    return scipy.signal.detrend(way)
 
 
 def _each(records: Sequence[Record], name: str) -> Series:
