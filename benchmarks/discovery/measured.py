@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.io
@@ -20,7 +19,7 @@ from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.shapes import AbstractShape
 from riecjax.models.emps import Axis
-from riecjax.models.emps_stribeck import SUBSTEPS
+from riecjax.models.emps_stribeck import SteppedAxis
 from riecjax.models.model import as_model
 from riecjax.records.preparation import upsample
 from riecjax.refinement.output_error import OutputError
@@ -38,7 +37,7 @@ MR_TRAIN = 1000
 """Samples of the damper's 1501 that the search reads."""
 
 
-class LimitedAxis(Axis):
+class LimitedAxis(SteppedAxis):
     """An axis whose dry friction grows with the speed up to a limit.
 
     **Fields:** those of `Axis`, `slope` in N s/m up to the speed `limit` in m/s.
@@ -47,28 +46,10 @@ class LimitedAxis(Axis):
     slope: Float[Array, ""]
     limit: Float[Array, ""]
 
-    def advance(
-        self, position: Array, velocity: Array, force: Array, seconds: Array
-    ) -> tuple[Array, Array, Array]:
-        """As of `Axis`, in `SUBSTEPS` parts, in which friction is that of the part's begin."""
-        step = seconds / SUBSTEPS
-
-        def part(_: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            q, v, first = motion
-            more = self.slope * jnp.minimum(jnp.abs(v), self.limit)
-            axis = Axis(
-                self.M,
-                self.Fv_pos,
-                self.Fc_pos + more,
-                self.Fv_neg,
-                self.Fc_neg + more,
-                self.offset,
-            )
-            moved, speed, acceleration = axis.advance(q, v, force, step)
-            return moved, speed, jnp.where(jnp.isnan(first), acceleration, first)
-
-        begun = jnp.full_like(velocity, jnp.nan)
-        return jax.lax.fori_loop(0, SUBSTEPS, part, (position, velocity, begun))
+    def at_speed(self, velocity: Array) -> Axis:
+        """Both levels and slope min(|v|, limit)."""
+        more = self.slope * jnp.minimum(jnp.abs(velocity), self.limit)
+        return self.with_levels(self.Fc_pos + more, self.Fc_neg + more)
 
 
 def told(found: Discovery) -> dict[str, Any]:
@@ -151,17 +132,10 @@ def _scores(
     fine: rx.Record,
 ) -> dict[str, float]:
     system = build({name: jnp.asarray(value) for name, value in values.items()})
-    found = {}
-    for name, (first, last) in silverbox.SLICES.items():
-        y = np.asarray(silverbox_refined.slice_of(fine, first, last)["y"])
-        dt, near = float(fine.time_step), silverbox.FACTOR
-        before = np.asarray(silverbox_refined.slice_of(fine, first - 1, first + 2)["y"])
-        at = {"y": y[0], "dy": (before[near + 1] - before[near - 1]) / (2 * dt)}
-        part = silverbox_refined.slice_of(fine, first, last).select("u")
-        run = rx.simulate(system, part, method=FixedStep(1), initial_state=at)
-        error = (np.asarray(run.record["y"]) - y)[:: silverbox.FACTOR]
-        found[name] = 1e3 * float(np.sqrt(np.mean(error[50:] ** 2)))
-    return found
+    return {
+        name: silverbox_refined.score(system, fine, *ends)
+        for name, ends in silverbox.SLICES.items()
+    }
 
 
 def emps_found(data: Path) -> dict[str, Any]:

@@ -45,7 +45,8 @@ def print_silverbox_refined() -> None:
         values = {n: float(v) for n, v in refined.values.items()}
         plain = values if plain is None else plain
         scores = [
-            silverbox_refined.score(values, fine, *ends) for ends in silverbox.SLICES.values()
+            silverbox_refined.score(silverbox_refined.circuit(values), fine, *ends)
+            for ends in silverbox.SLICES.values()
         ]
         train = 1e3 * float(refined.rms[0])
         print(f"  {name:<28}", *(f"{s:7.4f}" for s in (train, *scores)), f"{seconds:6.1f} s")

@@ -29,6 +29,7 @@ from riecjax.refinement.refined import Refined
 from riecjax.refinement.shots import Tiles
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
+from riecjax.simulation.system import AbstractSystem
 
 WINDOW = 1000
 """Samples of a window, as recorded: 110 periods, 35 time constants."""
@@ -77,13 +78,13 @@ def slice_of(fine: Record, first: int, last: int) -> Record:
     return fine.part((first - lost) * FACTOR, (last - 1 - lost) * FACTOR + 1)
 
 
-def score(values: Mapping[str, float], fine: Record, first: int, last: int) -> float:
+def score(system: AbstractSystem, fine: Record, first: int, last: int) -> float:
     """Simulation error in mV on the samples of a slice, from its recorded start."""
     y, dt = np.asarray(slice_of(fine, first, last)["y"]), float(fine.time_step)
     before = np.asarray(slice_of(fine, first - 1, first + 2)["y"])
     start = {"y": y[0], "dy": (before[FACTOR + 1] - before[FACTOR - 1]) / (2 * dt)}
     part = slice_of(fine, first, last).select("u")
-    run = simulate(circuit(values), part, method=FixedStep(1), initial_state=start).checked()
+    run = simulate(system, part, method=FixedStep(1), initial_state=start).checked()
     error = (np.asarray(run.record["y"]) - y)[::FACTOR]
     return 1e3 * float(np.sqrt(np.mean(error[50:] ** 2)))
 

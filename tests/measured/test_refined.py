@@ -35,7 +35,7 @@ def test_silverbox_is_simulated_below_the_best_black_boxes_of_the_literature():
     assert bool(refined.converged)
     values = {name: float(value) for name, value in refined.values.items()}
     scores = {
-        name: silverbox_refined.score(values, fine, *ends)
+        name: silverbox_refined.score(silverbox_refined.circuit(values), fine, *ends)
         for name, ends in silverbox.SLICES.items()
     }
     assert scores["no extrapolation"] < 0.28

@@ -21,7 +21,7 @@ from riecjax.equations.expressions import (
     read_expression,
 )
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
-from riecjax.equations.motions import Motion, motions_of, with_position
+from riecjax.equations.motions import Motion, motions_and_unread
 from riecjax.equations.shapes import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.equations.units import per
@@ -34,8 +34,6 @@ LIMITS = (0.3, 0.5, 0.7, 0.85)
 """The same, of what saturates far from standstill."""
 SPEEDS = (0.05, 0.15, 0.3)
 """Quantiles of a speed."""
-MOST_UNREAD = 8
-"""Signals that no equation reads, of those that are looked into."""
 
 FRICTION = (
     ("coulomb", 0, True, "Coulomb friction"),
@@ -63,12 +61,8 @@ def default_candidates(
     recorded = set.intersection(*({*record.arrays} for record in records))
     unread = _unread(equations, records[0], recorded)
     for name, equation in zip(names, equations, strict=True):
-        motions = [
-            with_position(motion, records[0], unread)
-            for motion in motions_of(equation, recorded, units)
-        ]
-        others = [one for one in unread if one not in {motion.position for motion in motions}]
-        found += _of_unread(others[:MOST_UNREAD], motions, equation.unit, units, name)
+        motions, others = motions_and_unread(equation, records[0], recorded, units, unread)
+        found += _of_unread(others, motions, equation.unit, units, name)
         for motion in motions:
             after = f"_{motion.name}" if len(motions) > 1 else ""
             found += _of_motion(motion, equation.unit, records, name, after)

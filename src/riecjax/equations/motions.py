@@ -1,6 +1,6 @@
 """Which signals of an equation are positions and which are velocities."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,8 @@ POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg
 
 FEWEST, ALIKE = 100, 0.9
 """Samples, and correlation with its slope, that tell a velocity's position."""
+MOST_UNREAD = 8
+"""Signals that no equation reads, of those that are looked into."""
 OF_INERTIA = {("N", "kg"): "m", ("N m", "kg m^2"): "rad"}
 """Unit of a position by those of a force and an inertia."""
 
@@ -72,6 +74,22 @@ def with_position(motion: Motion, record: Record, unread: Collection[str]) -> Mo
         if both.sum() > FEWEST and _is_alike(slope[both], v[both]):
             return motion._replace(position=name)
     return motion
+
+
+def motions_and_unread(
+    equation: Equation,
+    record: Record,
+    recorded: Collection[str],
+    units: Mapping[str, str],
+    unread: Sequence[str],
+) -> tuple[list[Motion], list[str]]:
+    """Motions with the positions that are recorded beside them, and of the signals that no equation
+    reads the first ones of those that are none of these."""
+    motions = [
+        with_position(motion, record, unread) for motion in motions_of(equation, recorded, units)
+    ]
+    positions = {motion.position for motion in motions}
+    return motions, [name for name in unread if name not in positions][:MOST_UNREAD]
 
 
 def _is_alike(slope: np.ndarray, velocity: np.ndarray) -> bool:

@@ -45,23 +45,22 @@ class Kept:
         self._written = time.monotonic()
         self._parts.mkdir(parents=True, exist_ok=True)
         sweep(self._parts)
-        self._number, self._others = 0, False
+        self._number, is_anothers = 0, False
         for file in [folder / SUMMARIES, *sorted(self._parts.glob("*.parquet"))]:
             with contextlib.suppress(RiecjaxError):
-                self._take_up(file, order)
+                is_anothers |= not self._take_up(file, order)
             if file.stem.isdigit():
                 self._number = max(self._number, int(file.stem) + 1)
-
-        if self._others:
+        if is_anothers:
             raise DataError(
                 f"'{folder}' holds sums by another model, criterion, version or way of reading. "
                 f"Give another folder, or delete its {SUMMARIES} and {PARTS}."
             )
 
-    def _take_up(self, file: Path, order: str) -> None:
+    def _take_up(self, file: Path, order: str) -> bool:
+        """Its rows, if they are of this order."""
         if metadata_of(file)[ORDER] != order.encode():
-            self._others = True
-            return
+            return False
         found: dict[str, list[Row]] = {}
         # All of it is read, and so seen to be sound.
         for row in read_rows(file):
@@ -69,6 +68,7 @@ class Kept:
         for piece, rows in found.items():
             if all(row.status == DONE for row in rows):
                 self._rows[piece], self._file[piece] = rows, file
+        return True
 
     def __contains__(self, piece: str) -> bool:
         return piece in self._rows

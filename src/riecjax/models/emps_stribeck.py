@@ -66,14 +66,12 @@ class StribeckBalance(AbstractBalance):
         return viscous * v + level * jnp.tanh(v / self.width) - signals["force"]
 
 
-class StribeckAxis(Axis):
-    """An axis whose Coulomb friction is higher near rest, for the sampled control loop.
+class SteppedAxis(Axis):
+    """An axis whose friction's level changes with the speed, for the sampled control loop."""
 
-    **Fields:** those of `Axis`, `excess` of static over Coulomb friction, and `vs` in m/s.
-    """
-
-    excess: Float[Array, ""]
-    vs: Float[Array, ""]
+    def at_speed(self, velocity: Array) -> Axis:
+        """The axis with the level that it has at a velocity."""
+        raise NotImplementedError
 
     def advance(
         self, position: Array, velocity: Array, force: Array, seconds: Array
@@ -87,20 +85,30 @@ class StribeckAxis(Axis):
 
         def part(_: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             q, v, first = motion
-            factor = 1 + stribeck_rise(v, self.excess, self.vs)
-            axis = Axis(
-                self.M,
-                self.Fv_pos,
-                factor * self.Fc_pos,
-                self.Fv_neg,
-                factor * self.Fc_neg,
-                self.offset,
-            )
-            moved, speed, acceleration = axis.advance(q, v, force, step)
+            moved, speed, acceleration = self.at_speed(v).advance(q, v, force, step)
             return moved, speed, jnp.where(jnp.isnan(first), acceleration, first)
 
         begun = jnp.full_like(velocity, jnp.nan)
         return jax.lax.fori_loop(0, SUBSTEPS, part, (position, velocity, begun))
+
+    def with_levels(self, positive: Array, negative: Array) -> Axis:
+        """An axis with these Coulomb levels, and all else as here."""
+        return Axis(self.M, self.Fv_pos, positive, self.Fv_neg, negative, self.offset)
+
+
+class StribeckAxis(SteppedAxis):
+    """An axis whose Coulomb friction is higher near rest.
+
+    **Fields:** those of `Axis`, `excess` of static over Coulomb friction, and `vs` in m/s.
+    """
+
+    excess: Float[Array, ""]
+    vs: Float[Array, ""]
+
+    def at_speed(self, velocity: Array) -> Axis:
+        """Both levels times 1 + excess e^-(v/vs)^2."""
+        factor = 1 + stribeck_rise(velocity, self.excess, self.vs)
+        return self.with_levels(factor * self.Fc_pos, factor * self.Fc_neg)
 
 
 def stribeck_axis(parameters: Mapping[str, Array]) -> StribeckAxis:

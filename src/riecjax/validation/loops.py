@@ -28,7 +28,6 @@ PARTS = 40
 """Parts of the recordings, every other of which is explained by the rest."""
 NOTABLE_GAIN = 0.5
 """Share of what no function explains, from which on it is a loop."""
-MOST_UNREAD = 8
 MOST_VALUES = 2**16
 """Values that are enough."""
 
@@ -133,7 +132,7 @@ def _regressors(
             memory = law("state", motion.velocity, float(width))
             found = Loop(law.__name__, motion, float(width), "", 0.0, 0.0)
             yield found, [memory.course(record) for record in records]
-    for name in unread[:MOST_UNREAD]:
+    for name in unread:
         s = _each(records, name)
         for dry in (False, True):
             found = Loop("", motion, 0.0, name, 0.0, 0.0, dry)

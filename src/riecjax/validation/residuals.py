@@ -17,7 +17,7 @@ from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_modes import accelerated
 from riecjax.equations.memories import with_memories
-from riecjax.equations.motions import motions_of, with_position
+from riecjax.equations.motions import motions_and_unread
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, told_apart
 from riecjax.equations.series_springs import force_elements
 from riecjax.equations.term import Term
@@ -135,11 +135,7 @@ def _loop(
     units = {name: unit for record in records for name, unit in record.units}
     common = [name for name in records[0].arrays if all(name in one.arrays for one in records)]
     unread = [name for name in common if name not in named]
-    motions = [
-        with_position(motion, records[0], unread)
-        for motion in motions_of(equation, {*common}, units)
-    ]
-    unread = [name for name in unread if name not in {motion.position for motion in motions}]
+    motions, unread = motions_and_unread(equation, records[0], {*common}, units, unread)
     return loop_of(errors, records, motions, unread, count)
 
 
