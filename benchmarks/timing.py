@@ -63,11 +63,13 @@ def compare(
 ) -> Comparison:
     """Time both sides in turn, after one call of each.
 
-    **Arguments:** `their_repeats`, fewer where the baseline takes long; `scale`, by which the
-    baseline's time is multiplied where it does only a part of the work.
+    **Arguments:** `their_repeats`, fewer where the baseline takes long, whose first call was to
+    compare answers; `scale`, by which the baseline's time is multiplied where it does only a part
+    of the work.
     """
     seconds(ours)
-    seconds(theirs)
+    if their_repeats is None:
+        seconds(theirs)
     here, there = [], []
     for turn in range(repeats):
         here.append(seconds(ours))

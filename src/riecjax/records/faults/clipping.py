@@ -88,10 +88,10 @@ def limits(signal: SampledSignal) -> list[Visits]:
 
 def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:
     """Visits to one extreme; `None` where it is a crest, or where the signal rests."""
-    order = np.argsort(-sign * signal.levels)[:5]
-    extreme, samples = signal.levels[order[0]], int(signal.counts[order[0]])
+    outermost = slice(None, -6, -1) if sign > 0 else slice(5)
+    extreme, (samples, *others) = signal.levels[outermost][0], signal.counts[outermost].tolist()
     ratio = PILE_UP if signal.resolution else REPEATS
-    piles_up = samples > ratio * np.mean(signal.counts[order[1:]])
+    piles_up = samples > ratio * np.mean(others)
     if not piles_up or samples > LONGEST_REST * signal.sample_count:
         return None
     visits = np.abs(signal.run_values - extreme) <= signal.rounding

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.special import fdtrc, gammaincinv
+from scipy.special import fdtrc, fdtri, gammaincinv
 
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
@@ -60,7 +60,8 @@ class Spectrum(NamedTuple):
     power: np.ndarray
     """Squared amplitude of a line at each bin, over the squared rms."""
     chance: np.ndarray
-    """Probability that noise stands out of what surrounds a bin as far as it does."""
+    """Probability that noise stands out of what surrounds a bin as far as it does; 1 for more
+    than 0.01."""
     resolution: float
     """Hz between bins."""
     rms: float
@@ -140,7 +141,10 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     usual = median_filter(power, 2 * AROUND + 1, mode="nearest")
     ratio = power / np.maximum(usual * stretches / gammaincinv(stretches, 0.5), 1e-300)
     # Of so many bins through Hann's window, the median tells as much as the mean of a quarter.
-    chance = fdtrc(2 * stretches, 2 * stretches * (2 * AROUND + 1) / 4, ratio)
+    freedom = 2 * stretches, 2 * stretches * (2 * AROUND + 1) / 4
+    # Nothing is concluded from more than a hundredth, as most bins have.
+    chance, high = np.ones(ratio.size), ratio > fdtri(*freedom, 0.99)
+    chance[high] = fdtrc(*freedom, ratio[high])
     return Spectrum(power, chance, 1 / (length * time_step), rms * size)
 
 

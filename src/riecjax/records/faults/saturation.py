@@ -88,11 +88,12 @@ def _limit(values: np.ndarray) -> tuple[float, np.ndarray] | None:
     """The upper limit of values in units of their noise, if there is one, and visits to it."""
     error = AVERAGED**-0.5
     averages = uniform_filter1d(values, AVERAGED)
-    known = np.sort(averages[~np.isnan(averages)])
+    known = averages[~np.isnan(averages)]
     if known.size < 10 * FEWEST:
         return None
     # Most averages to one level, of those near the highest but a few.
-    top = known[known > known[-FEWEST] - 2 * BAND]
+    highest = np.partition(known, -FEWEST)[-FEWEST]
+    top = np.sort(known[known > highest - 2 * BAND])
     ends = np.searchsorted(top, top + 2 * error)
     first = int(np.argmax(ends - np.arange(top.size)))
     limit = float(np.mean(top[first : ends[first]]))
