@@ -22,6 +22,9 @@ from riecjax.summaries.task import ready
 
 TRIED = 20
 """Sources that are tried, to find one that says how all are sampled."""
+BANDS = 5
+"""Of window lengths that drift is looked for over: each costs every recording, and of many of them
+a few tell as much as the ten that one is looked through by."""
 LOOKED_AT = 2**15
 """Rows of a long one that are enough."""
 TOGETHER, SMALL = 16, 2**22
@@ -60,7 +63,7 @@ def order_for(
             windows = criterion.windows
             assert windows is not None
             longest = LONGER * float(windows.beta)
-            edges = sweep_edges([record], criterion, longest=longest)
+            edges = sweep_edges([record], criterion, longest=longest, bands=BANDS)
     order = dataclasses.replace(reads, criterion=criterion, edges=edges)
     if not any(map(is_long, sources)):
         return order
