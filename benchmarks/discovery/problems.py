@@ -103,8 +103,11 @@ def _slid(acceleration: Acceleration, now: float, place: float, direction: float
 _FORCE = [0.13, 0.31, 0.53, 0.71, 0.97, 1.3, 1.9, 2.3]
 
 
-def _driven(size: float, force: Callable[[float, float, float], float], mass: float = 1.5):
-    """Motions of a mass under tones, and a force of position, velocity and direction."""
+def _driven(size: float, force: Callable[[float, float, float], float], late: float = 0.0):
+    """Motions of 1.5 kg under tones, and a force of position, velocity and direction.
+
+    **Arguments:** `late`, seconds by which the tones come late in the recording.
+    """
 
     @functools.cache
     def motion(seed: int) -> dict[str, np.ndarray]:
@@ -113,8 +116,8 @@ def _driven(size: float, force: Callable[[float, float, float], float], mass: fl
         def drive(t: np.ndarray | float):
             return tones(t, _FORCE, size, seed)
 
-        found = moved(lambda t, x, v, d: (drive(t) - force(x, v, d)) / mass, times)
-        return {**found, "u": drive(times)}
+        found = moved(lambda t, x, v, d: (drive(t) - force(x, v, d)) / 1.5, times)
+        return {**found, "u": drive(times - late)}
 
     return motion
 
@@ -187,6 +190,28 @@ def _hysteretic(seed: int) -> dict[str, np.ndarray]:
     return {"x": run.y[0], "dx": run.y[1], "u": tones(times, _FORCE, 20.0, seed)}
 
 
+@functools.cache
+def _carrying(seed: int) -> dict[str, np.ndarray]:
+    """A mass on a spring that carries another one, of 0.5 kg at 1.5 Hz."""
+    times = np.arange(COUNT) / RATE
+    mass, stiffness, damping = 0.5, 0.5 * (2 * np.pi * 1.5) ** 2, 0.8
+
+    def rates(t: float, state: np.ndarray) -> list[float]:
+        x, v, y, w = state
+        carried = stiffness * (x - y) + damping * (v - w)
+        force = tones(t, _FORCE, 20.0, seed) - 0.8 * v - 20 * x - carried
+        return [v, float(force) / 1.5, w, carried / mass]
+
+    run = scipy.integrate.solve_ivp(
+        rates, (0, times[-1]), [0.0] * 4, t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.05
+    )
+    return {"x": run.y[0], "dx": run.y[1], "u": tones(times, _FORCE, 20.0, seed)}
+
+
+LATE = 0.033
+"""Seconds by which the force comes late in a recording."""
+
+
 PROBLEMS = {
     problem.name: problem
     for problem in (
@@ -252,3 +277,25 @@ PROBLEMS = {
         ),
     )
 }
+OTHERS = {
+    problem.name: problem
+    for problem in (
+        Problem(
+            "late_force",
+            _mass(),
+            frozenset({"delay", "stiffness", "viscous", "quadratic_drag"}),
+            PROBLEMS["drag"].whole,
+            _driven(14.0, lambda x, v, d: 0.8 * v + 0.5 * v * abs(v) + 20 * x, LATE),
+            1 / RATE,
+        ),
+        Problem(
+            "hidden_mode",
+            _mass(_VISCOUS, _SPRING),
+            frozenset({"mode"}),
+            _mass(_VISCOUS, _SPRING),
+            _carrying,
+            1 / RATE,
+        ),
+    )
+}
+"""What is missing and no term. Models that lack nothing are those of the problems above."""

@@ -57,6 +57,7 @@ def codes(found: list[rx.Finding]) -> list[str]:
     return [finding.code for finding in found]
 
 
+@pytest.mark.slow
 def test_an_equation_is_assessed_as_its_stages_are_one_by_one():
     recording = rx.read_recording(write("run.csv", motion(noise=1e-3)))
     seen = []

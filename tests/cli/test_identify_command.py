@@ -12,7 +12,7 @@ import pytest
 import scipy.stats
 from command_line import call, quarter_car_columns, write_csv
 
-from nightly import nightly
+from nightly import by_day, nightly
 from riecjax.cli.drive import drive
 from riecjax.cli.main import run
 from riecjax.criteria.criterion import DOLS, RIEC
@@ -160,8 +160,9 @@ BANDS = {
 }
 
 
-@pytest.mark.parametrize(("options", "alpha", "beta"), BANDS.values(), ids=BANDS)
-def test_windows_are_half_periods_of_a_band(from_file, tyre_file, options, alpha, beta):
+@pytest.mark.parametrize("case", by_day(BANDS, "default", "band and alpha", "band and beta"))
+def test_windows_are_half_periods_of_a_band(from_file, tyre_file, case):
+    options, alpha, beta = BANDS[case]
     document = from_file(*options, "--no-sweep", model=f"{tyre_file}:tyre")
     assert document["criterion"]["alpha"] == pytest.approx(alpha)
     assert document["criterion"]["beta"] == pytest.approx(beta)
@@ -298,6 +299,7 @@ def test_of_all_windows_a_seed_moves_the_bootstrap_only(from_file):
         assert np.ptp(ends, axis=0).max() < 0.1 * np.ptp(ends[0])
 
 
+@pytest.mark.slow
 def test_set_moves_parameters_to_known(from_file, drive_record):
     document = from_file("--set", "M_s=300", "--set", "M_us=30", "--no-sweep")
     assert document["known"] == {

@@ -189,6 +189,7 @@ def machine(tmp_path, monkeypatch):
     write_csv(Path("run.csv"), motion(offset=4.0, count=1500))
 
 
+@pytest.mark.slow
 @pytest.mark.portable
 def test_a_proposed_job_does_what_the_plain_command_does(capsys, machine):
     arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN)

@@ -25,6 +25,7 @@ LINEAR = ("--refine", "none")
 SLOW = {"shuffled signals", "shuffled column", "many nan", "text entry", "whole numbers", "cut out"}
 SLOW |= {"spliced", "dropout", "huge", "swapped blocks", "parquet bomb", "coarse", "offset jump"}
 SLOW |= {"repeated block", "truth values", "mixed", "extreme scale", "hostile names", "silent"}
+SLOW |= {"frozen all", "burst", "single nan", "late column", "clipped", "saturated"}
 """What leaves another number of samples, or much to read."""
 
 

@@ -353,6 +353,7 @@ def test_impossible_noise(capsys, options, message):
     assert message in refused
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("validated_on_fitted")
 def test_several_parts_are_read_and_what_was_fitted_is_no_validation(capsys):
     """Three runs in one file, of which two are named."""

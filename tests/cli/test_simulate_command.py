@@ -126,6 +126,7 @@ def test_every_parameter_of_the_source_matters(capsys, tmp_path, option, column)
     assert change > 1e-4 * np.ptp(before[column])
 
 
+@pytest.mark.slow
 def test_identification_model_gives_its_own_parameters_back(capsys, tmp_path):
     path = tmp_path / "a.csv"
     settings = {"K_t": 150e3, "M_us": 35.0, "M_s": 280.0, "K_s": 18e3}

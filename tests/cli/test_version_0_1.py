@@ -99,6 +99,7 @@ def answer(capsys, tmp_path, monkeypatch):
     return run
 
 
+@pytest.mark.slow
 def test_all_windows(answer):
     found, signals = answer(1)
     assert [in_six_digits(row) for row in found] == [

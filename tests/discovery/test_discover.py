@@ -351,6 +351,7 @@ def driven(force, seed: int = 0) -> rx.Record:
     return rx.Record.from_samples(signals, time_step=1 / RATE)
 
 
+@pytest.mark.slow
 def test_a_spring_with_stops_has_one_name_however_it_is_reached():
     """A spring of 40 N/m that is four times as stiff beyond 0.3 m."""
     record = driven(lambda t, x, v: 0.8 * v + 40 * x + 120 * (x - np.clip(x, -0.3, 0.3)))
@@ -381,20 +382,7 @@ def test_friction_that_saturates_is_found_with_its_limit():
     assert widths["limited_friction"] == pytest.approx(1.2, rel=0.1)
 
 
-@pytest.mark.raises_finding("late_signal")
-def test_a_late_sensor_is_told_beside_the_terms(record):
-    signals = {name: np.asarray(values) for name, values in record.arrays.items()}
-    late = {"x": signals["x"][4:], "dx": signals["dx"][4:], "u": signals["u"][:-4]}
-    found = discover(DRAG.start, rx.Record.from_samples(late, time_step=0.01), **QUICK)
-    assert ("late_signal", ("u",)) in [(one.code, one.signals) for one in found.findings]
-    document = discovery_document(found)
-    assert "late_signal" in {one["code"] for one in document["warnings"]}
-    assert (
-        "amiss with the recordings, late_signal of u: mend that first (--shift u=0.0"
-        in (document["sentence"])
-    )
-
-
+@pytest.mark.slow
 def test_a_force_element_has_positive_coefficients_of_what_resists():
     """Without an inertia, by the sign of its own curve."""
     times = np.arange(4000) / 200

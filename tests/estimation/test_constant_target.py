@@ -162,6 +162,7 @@ def test_a_parameter_that_another_equation_tells_is_not_hidden():
     assert findings(staged(WITH_OFFSET, base), both)
 
 
+@pytest.mark.slow
 def test_a_force_that_is_zero_throughout_tells_nothing():
     motion = (*swaying(0.5)[:3], 0 * TIME)
     with pytest.raises(IdentifiabilityError, match="zero for all of m, c, k would fit") as refused:

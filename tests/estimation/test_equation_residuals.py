@@ -202,6 +202,7 @@ def test_equations_of_the_same_name_are_numbered():
     np.testing.assert_allclose(again.rms_before, left, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_of_a_batch_shares_have_its_shape():
     records = [record(0), record(1)]
     model = simultaneous(spring(), damped())

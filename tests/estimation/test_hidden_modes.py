@@ -89,6 +89,7 @@ def test_linearised_equations_leave_the_residual_itself():
     np.testing.assert_allclose(theta @ mix, expanded.residual(values, shapes), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_and_batches(with_mode):
     weight = rx.criteria.GradedBump(lengths=1)
     criterion = rx.RIEC(rx.AllWindows(0.16, 0.17), weight)

@@ -302,6 +302,7 @@ def with_scale(record, scale):
     return record.with_signals({"x": scale * record["x"]})
 
 
+@pytest.mark.slow
 def test_derivatives_with_respect_to_the_signals_agree_with_finite_differences():
     record = noisy(5.0, 0)
 

@@ -181,6 +181,7 @@ def test_intervals_are_those_of_many_random_windows():
     np.testing.assert_allclose(every.standard_errors, drawn.standard_errors, rtol=0.25)
 
 
+@pytest.mark.slow
 def test_the_sweep_takes_all_windows():
     record = record_of(3000)
     sweep = window_sweep(EQUATION, record, RIEC(AllWindows(0.1, 0.5), Hat()), bands=4)

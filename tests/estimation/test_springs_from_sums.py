@@ -182,6 +182,7 @@ def test_what_cannot_be_asked(clean):
         rx.refine(MODEL, clean, dict(TRUTH), rx.IntegralError())
 
 
+@pytest.mark.slow
 def test_beside_a_mode_a_damper_is_named_that_a_spring_may_be_in_series_with(clean):
     model = rx.staged(BODY).with_modes(rx.HiddenMode("v"))
     left = rx.validation.residual_tests(model, clean, dict.fromkeys(model.parameters, 1.0))["body"]

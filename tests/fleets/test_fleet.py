@@ -277,6 +277,7 @@ def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_p
         assert values(parts, "week.parquet")[name][0] == pytest.approx(value, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_courses_over_time_show_when_a_damper_wore(tmp_path):
     before, after = drives(1, 6000, 1)[0], drives(1, 6000, 2, r=0.4, r2=0.25)[0]
     for name, record in (("new.parquet", before), ("worn.parquet", after)):

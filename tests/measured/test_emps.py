@@ -118,7 +118,7 @@ def integral_fit(position, velocity, force, windows: int, seed: int) -> np.ndarr
     return np.linalg.lstsq(np.column_stack(columns), over(force))[0]
 
 
-@pytest.mark.parametrize("cutoff", [None, 100.0])
+@pytest.mark.parametrize("cutoff", [None, *nightly([100.0])])
 def test_riec_agrees_with_an_independent_draw_of_windows(identified, raw, cutoff):
     q, velocity, _, force = motion(raw, cutoff)
     draws = np.array([integral_fit(q, velocity, force, 8000, seed) for seed in range(12)])
@@ -128,7 +128,7 @@ def test_riec_agrees_with_an_independent_draw_of_windows(identified, raw, cutoff
     assert np.all(np.abs(values - draws.mean(0)) < 4 * draws.std(0, ddof=1))
 
 
-@pytest.mark.parametrize("options", [(), FILTERED], ids=["raw", "filtered"])
+@pytest.mark.parametrize("options", [(), *nightly([(FILTERED,)])], ids=["raw", "filtered"])
 def test_riec_sees_a_lighter_axis_than_dols_does(identified, options):
     mass = identified("emps", *options)["M"]
     assert 92.5 < mass["value"] < 93.5
@@ -137,6 +137,7 @@ def test_riec_sees_a_lighter_axis_than_dols_does(identified, options):
     assert not low <= dols <= high
 
 
+@pytest.mark.slow
 def test_low_pass_hardly_matters_to_riec(identified):
     raw, filtered = identified("emps"), identified("emps", *FILTERED)
     for name, entry in raw.items():

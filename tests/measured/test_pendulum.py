@@ -40,6 +40,7 @@ def riec(records: list[Record], seed: int = 0):
     return identify(pendulum_equation(), derived, criterion, key=jax.random.key(seed))
 
 
+@pytest.mark.slow
 def test_four_pieces_at_once(records):
     estimate = riec(records)
     assert 63.9 < float(estimate["p1"]) < 64.4

@@ -46,6 +46,7 @@ def test_the_integral_estimate_simulates_within_the_reference_scores(record, fin
     assert 0.2 < score(estimate, fine, *SLICES[name]) <= REFERENCE[name]
 
 
+@pytest.mark.slow
 def test_quadrature_of_high_order_does_without_more_samples(record, fine):
     estimate = estimate_from(record.part(*TRAIN), Hat(8))
     assert float(estimate["m"]) == pytest.approx(5.375e-6, rel=2e-3)

@@ -119,6 +119,7 @@ def test_riec_converges_to_the_parameters_in_second_order_of_the_time_step():
     np.testing.assert_allclose(np.log2(coarse / fine) / 4, 2.0, atol=0.3)
 
 
+@pytest.mark.slow
 def test_known_masses_are_kept_and_the_rest_is_found():
     known = {"M_us": PARAMETERS["M_us"], "M_s": PARAMETERS["M_s"]}
     estimate = identify(quarter_car_by_wheel(), recording(1), DOLS(), known=known)

@@ -114,6 +114,7 @@ def test_slopes_of_local_polynomials_take_its_place():
     assert not kept.record.noise.is_made_of("dx", "x")
 
 
+@pytest.mark.slow
 def test_estimates_are_right():
     model, errors = find_model("drag-oscillator"), []
     for seed in range(20):

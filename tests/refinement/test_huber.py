@@ -52,6 +52,7 @@ def huber_costs_by_scipy(data, sizes, points):
     return total
 
 
+@pytest.mark.slow
 def test_the_optimum_is_scipys_and_spikes_hardly_move_it():
     held = record(0)
     found = refine(oscillator(), held, START, OutputError(loss="huber", **BY))

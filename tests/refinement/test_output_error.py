@@ -162,6 +162,7 @@ def test_what_was_made_of_a_compared_signal_is_compared_if_asked_for():
     assert asked.quantities == ("x", "dx")
 
 
+@pytest.mark.slow
 def test_tiles_as_long_as_the_record_are_the_whole_record(noisy, whole):
     one = refine(oscillator(), noisy, START, OutputError(Tiles(samples=COUNT - 1)))
     np.testing.assert_allclose(one.theta, whole.theta, rtol=1e-9)

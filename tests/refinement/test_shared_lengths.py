@@ -10,6 +10,7 @@ import pytest
 from benchmarks.drag_problem import START, oscillator, record
 from jaxtyping import Array
 
+from nightly import nightly
 from riecjax import runtime
 from riecjax.compilation import kept_jit
 from riecjax.records.filled import shared_length
@@ -41,7 +42,9 @@ def test_another_length_compiles_nothing(tmp_path: Path, monkeypatch: pytest.Mon
     assert sorted(path.name for path in tmp_path.iterdir()) == kept
 
 
-@pytest.mark.parametrize("shooting", [WholeRecord(), Tiles(samples=150)], ids=["whole", "tiles"])
+@pytest.mark.parametrize(
+    "shooting", [WholeRecord(), *nightly([Tiles(samples=150)])], ids=["whole", "tiles"]
+)
 def test_what_a_record_is_filled_up_with_tells_nothing(shooting: AbstractShooting):
     """Traced, a record is not filled up."""
     given = record(seed=1, count=930)
@@ -78,6 +81,7 @@ def test_a_motion_that_is_lost_behind_the_end_is_not_lost():
     assert abs(float(found["c"]) - c) < 4 * error
 
 
+@pytest.mark.slow
 def test_straight_lines_compile_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Of the search nothing: lines are bent by zero."""
     monkeypatch.setattr(kept_jit, "_programs", {})

@@ -73,6 +73,7 @@ def recording(hardening) -> Record:
     return record_of(hardening, "u", "y", "dy")
 
 
+@pytest.mark.slow
 def test_a_spring_that_hardens_is_resolved_where_it_is_deflected(recording):
     refined = refine(duffing(), recording, HARD, OutputError(intersample="lines"))
     assert bool(refined.converged)
@@ -103,6 +104,7 @@ def steps_for(system, records, start, by=None) -> int:
     return method.steps_per_sample
 
 
+@pytest.mark.slow
 def test_the_fastest_of_the_motion_counts_however_it_is_cut(hardening, recording):
     broken = {name: values.copy() for name, values in hardening.items()}
     broken["u"][500:510] = np.nan

@@ -170,6 +170,7 @@ def test_a_drift_is_told_from_scatter_of_the_difference():
     assert exact.away("m", float(exact.theta[-1, 0])) < 2e-3 * 1.5
 
 
+@pytest.mark.slow
 def test_a_steady_range_holds_no_estimate_that_differs():
     wrong = window_sweep(linear_oscillator(), oscillator(), CRITERION, key=KEY)
     assert wrong.steady(("m",)) is None

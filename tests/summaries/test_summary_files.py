@@ -692,6 +692,7 @@ def fixed(one: RecordingSums) -> RecordingSums:
     )
 
 
+@pytest.mark.slow
 def test_a_summary_is_of_its_equations_numbers_too():
     """With another factor in front of the force, sums are other sums; a known value moves none."""
     record = rx.Record({"x": np.sin(np.arange(900) / 7), "u": np.cos(np.arange(900) / 9)}, 0.01)

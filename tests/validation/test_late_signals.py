@@ -237,7 +237,7 @@ def test_of_several_inputs_the_late_one_is_named():
 
 
 @pytest.mark.raises_finding("late_signal")
-@pytest.mark.parametrize("late", ["F", "y"])
+@pytest.mark.parametrize("late", ["F", *nightly(["y"])])
 def test_the_late_one_is_that_which_explains_what_all_equations_leave(late):
     spring = Equation(Term("K", "y", unit="N/m"), -Term(1.0, "F"), name="spring", unit="N")
     model = staged(spring, AXIS.equations[0])

@@ -4,11 +4,13 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
+from typing import NamedTuple
 
 import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
+from riecjax.discovery.absent_mode import with_mode
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates
 from riecjax.discovery.catalogue import default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Rejected
@@ -29,14 +31,17 @@ from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.models.model import Model, as_model
 from riecjax.records.noise_judgement import GivenNoise
+from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals
-from riecjax.validation.late_signals import late_signals
+from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
 
 FEWEST = 6
 """Folds of time that a choice is made from at the least."""
+LATE = 3
+"""Delays that are taken off at the most, one after the other."""
 
 
 def discover(
@@ -87,28 +92,106 @@ def discover(
     with_all = extended(procedure, members(offered))
     plan_parameters(with_all, 1, known, ())
     whole = ready(with_all, recordings, noise)
-    first, last = (whole, whole) if hold_out is None else _split(whole, hold_out)
-    if criterion is None:
-        criterion = suited(procedure, found.band, [one.record for one in whole])
-    sums = Sums(procedure, first, criterion, offered, dict(known or {}), least, smallest)
+    own = criterion or suited(procedure, found.band, [one.record for one in whole])
+    searched_again = seed, 0 if hold_out is not None else resamples
+    settings = own, dict(known or {}), intervals, at_rest, hold_out
+    asked = _Asked(found, procedure, offered, *settings, (least, smallest), searched_again)
+    answer, in_time = _in_time(asked, whole)
+    if not answer.leaves_more:
+        return answer
+    # Hidden elements have criteria of their own.
+    return with_mode(answer, lambda model: asked.identified(model, in_time, criterion))
+
+
+class _Asked(NamedTuple):
+    """What is asked of the recordings, however often they are searched.
+
+    **Fields:** `shares`, least and smallest; `again`, the seed and number of searches in data drawn
+    again.
+    """
+
+    model: Model
+    procedure: Procedure
+    offered: list[AnyCandidate]
+    criterion: AbstractCriterion
+    known: Mapping[str, float]
+    intervals: AbstractIntervals | None
+    at_rest: AtRest | None
+    hold_out: float | None
+    shares: tuple[float, float]
+    again: tuple[int, int]
+
+    def parts(self, recordings: list[Recording]) -> tuple[list[Recording], list[Recording]]:
+        """What is searched, and what values are from."""
+        if self.hold_out is None:
+            return recordings, recordings
+        first, last = zip(*(one.split(self.hold_out) for one in recordings))
+        return list(first), list(last)
+
+    def identified(
+        self, model: Model, recordings: list[Recording], criterion: AbstractCriterion | None
+    ) -> Estimate:
+        """The estimate of a model."""
+        settings = {"intervals": self.intervals, "at_rest": self.at_rest}
+        return identify(model, self.parts(recordings)[1], criterion, known=self.known, **settings)
+
+
+def _in_time(asked: _Asked, recordings: list[Recording]) -> tuple[Discovery, list[Recording]]:
+    """What is found once signals are in time that come late against the terms found.
+
+    Terms stand for a delay: damping turns a phase as well. It is taken off only where a search
+    leaves less without it.
+    """
+    found, late = _found(asked, recordings)
+    known: list[Finding] = []
+    while late is not None and len(known) < LATE:
+        told = finding_of(late, recordings[0].record)
+        if told.code != "late_signal":
+            break
+        moved = dict.fromkeys(late.signals, late.seconds)
+        try:
+            in_time = [replace(one, record=shift(one.record, moved)) for one in recordings]
+            again, late = _found(asked, in_time)
+        except RiecjaxError:  # nothing is left of a signal
+            break
+        if _left(again) >= _left(found):
+            break
+        delays = {name: found.delays.get(name, 0.0) + more for name, more in moved.items()}
+        known.append(told)
+        found, recordings = replace(again, delays={**found.delays, **delays}), in_time
+    return replace(found, findings=(*known, *found.findings)), recordings
+
+
+def _left(found: Discovery) -> float:
+    """What is unexplained of all equations, noise not counted."""
+    return sum(steps[-1].of_motion for steps in found.paths.values())
+
+
+def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDelay | None]:
+    """What is found in recordings as they are, and the delay that explains what is left."""
+    first, last = asked.parts(whole)
+    least, smallest = asked.shares
+    procedure, model = asked.procedure, asked.model
+    sums = Sums(procedure, first, asked.criterion, asked.offered, asked.known, least, smallest)
     stages = _searched(sums)
-    resamples = 0 if hold_out is not None else resamples
-    drawn = [again(search, chosen, seed, resamples) for search, chosen in stages]
+    drawn = [again(search, chosen, *asked.again) for search, chosen in stages]
     chosen = [_as_chosen(sums, search, of, one, drawn) for search, of in stages for one in of]
-    larger = _with_chosen(found, procedure, chosen)
-    estimate = identify(larger, last, criterion, known=known, intervals=intervals, at_rest=at_rest)
-    return Discovery(
+    larger = _with_chosen(model, procedure, chosen)
+    estimate = asked.identified(larger, whole, asked.criterion)
+    late, amiss = _of_recordings(larger.build_procedure(), last, estimate)
+    found = Discovery(
         larger,
-        found,
+        model,
         tuple(chosen),
         tuple(_rejected(stages)),
         _paths(procedure, stages),
         estimate,
         _errors(estimate, stages, chosen, drawn),
-        hold_out or 0.0,
+        asked.hold_out or 0.0,
         sum(len({one.family for one in search.offers}) for search, _ in stages),
-        tuple(_of_recordings(larger.build_procedure(), last, estimate)),
+        tuple(amiss),
     )
+    return found, late
 
 
 def _require_sense(
@@ -132,14 +215,6 @@ def _require_sense(
             f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
         )
     procedure.plan({*known})
-
-
-def _split(
-    recordings: Sequence[Recording], hold_out: float
-) -> tuple[list[Recording], list[Recording]]:
-    """What is searched, and what values are from."""
-    first, last = zip(*(one.split(hold_out) for one in recordings))
-    return list(first), list(last)
 
 
 def _with_velocities(procedure: Procedure, recordings: list[Recording]) -> list[Recording]:
@@ -218,17 +293,19 @@ def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -
 
 def _of_recordings(
     procedure: Procedure, recordings: list[Recording], estimate: Estimate
-) -> list[Finding]:
-    """What is amiss with recordings, and what is late against the equations."""
+) -> tuple[SignalDelay | None, list[Finding]]:
+    """What is late against the equations, and all that is amiss with recordings."""
     found: list[Finding] = []
     records = [with_memories(one.record, procedure.memories) for one in recordings]
     for one, record in zip(recordings, records, strict=True):
         one = replace(one, record=record)
         read = read_of(procedure, one, estimate.criterion)
         found += [*one.concerning(read).findings, *of_sensors(procedure, one, read)]
+    late = None
     with contextlib.suppress(RiecjaxError):  # too short to tell
-        found += late_signals(procedure, records, estimate)
-    return list({one.message: one for one in found}.values())
+        late = late_cause(procedure, records, estimate)
+    found += [] if late is None else [finding_of(late, records[0])]
+    return late, list({one.message: one for one in found}.values())
 
 
 def _rejected(stages: Sequence[tuple[Search, list[Offer]]]) -> list[Rejected]:

@@ -1,15 +1,19 @@
 """What a search for missing terms found."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from riecjax.discovery.candidate import Candidate
 from riecjax.discovery.search import Step
+from riecjax.equations.hidden_modes import HiddenMode
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.shows import Shown
+
+ELSE = 1e-4
+"""Share of the energy, 1 % of the size, that is unexplained and no noise, to be told."""
 
 
 class Rejected(NamedTuple):
@@ -52,6 +56,9 @@ class Discovery(Shown):
     - `offered`: how many candidates could be told apart.
     - `findings`: what is amiss with the recordings, also signals that are late against the
       equations that were found.
+    - `delays`, seconds by which such signals were advanced before terms were chosen.
+    - `mode`: a hidden mode that is missing, where it explains much more than any terms; `chosen` is
+      empty then.
     """
 
     model: Model
@@ -64,8 +71,18 @@ class Discovery(Shown):
     held_out: float
     offered: int
     findings: tuple[Finding, ...] = ()
+    delays: Mapping[str, float] = field(default_factory=dict)
+    mode: HiddenMode | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of what was chosen."""
-        return tuple(one.candidate.name for one in self.chosen)
+        """Names of what was found: `delay` (of several signals `delay_u`), `mode`, and terms."""
+        late = ["delay"] if len(self.delays) == 1 else [f"delay_{name}" for name in self.delays]
+        hidden = [] if self.mode is None else ["mode"]
+        return (*late, *hidden, *(one.candidate.name for one in self.chosen))
+
+    @property
+    def leaves_more(self) -> bool:
+        """Whether most of what is left is no noise, so that something else is missing."""
+        ends = [steps[-1] for steps in self.paths.values()]
+        return any(one.of_motion > max(0.5 * one.unexplained, ELSE) for one in ends)

@@ -39,25 +39,34 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
             lines = [f"*rx.discovery.named({_path(candidates, folder)}, {_quoted(one.name)}).terms"]
         added.setdefault(one.equation or first, []).extend(map(str, lines))
     start = _path(model, folder)
-    body = [f"MODEL = rx.find_model({start}).with_terms(", "    {"]
+    if found.mode is None:
+        body = [f"MODEL = rx.find_model({start}).with_terms(", *_terms_source(found, added)]
+    else:
+        mode = f"rx.HiddenMode({_quoted(found.mode.on)}, {found.mode.hz!r})"
+        body = [f"MODEL = rx.find_model({start}).with_modes(", f"    {mode},"]
+    body += [*_mapping("values", values), *_mapping("meanings", _meanings(found)), ")"]
+    folder_line = ["HERE = Path(__file__).parent"] if "HERE" in start or own else []
+    folder_line += [""] if folder_line else []
+    imports = ["from pathlib import Path", ""] if folder_line else []
+    imports += ["import riecjax as rx", ""]
+    return head + "\n".join([*imports, *folder_line, *body]) + "\n"
+
+
+def _terms_source(found: Discovery, added: Mapping[str, Sequence[str]]) -> list[str]:
+    body = ["    {"]
     for equation, lines in added.items():
         body += [
             f"        {_quoted(equation)}: [",
             *(f"            {line}," for line in lines),
             "        ],",
         ]
-    meanings = {
-        name: one.candidate.meaning for one in found.chosen for name in one.candidate.columns
-    }
     remembered = dict.fromkeys(m for one in found.chosen for m in one.candidate.memories)
     states = [f"        {_memory_source(memory)}," for memory in remembered]
-    body += ["    },", *(["    memories=[", *states, "    ],"] if states else [])]
-    body += [*_mapping("values", values), *_mapping("meanings", meanings), ")"]
-    folder_line = ["HERE = Path(__file__).parent"] if "HERE" in start or own else []
-    folder_line += [""] if folder_line else []
-    imports = ["from pathlib import Path", ""] if folder_line else []
-    imports += ["import riecjax as rx", ""]
-    return head + "\n".join([*imports, *folder_line, *body]) + "\n"
+    return [*body, "    },", *(["    memories=[", *states, "    ],"] if states else [])]
+
+
+def _meanings(found: Discovery) -> dict[str, str]:
+    return {name: one.candidate.meaning for one in found.chosen for name in one.candidate.columns}
 
 
 def _path(reference: str, folder: Path) -> str:

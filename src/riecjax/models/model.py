@@ -85,11 +85,13 @@ class Model(Shown):
         """Parameters of the simulated system, with defaults."""
         return self.own_simulation_parameters or self.parameters
 
-    def with_modes(self, *modes: HiddenMode) -> Model:
+    def with_modes(self, *modes: HiddenMode, values: Mapping[str, float] | None = None) -> Model:
         """The same model with oscillators that its equations leave out.
 
         Their parameters join the model's. Its own system carries them where that is exact: where
         its equations say that the body's acceleration is coupled to no other.
+
+        **Arguments:** `values` of parameters to simulate with.
 
         **Raises:** `ModelError` for a mode on a signal whose derivative no equation holds.
         """
@@ -105,9 +107,12 @@ class Model(Shown):
         own = self.own_simulation_parameters
         if {q.name for q in own} == {q.name for q in self.parameters}:
             own = (*own, *added)
-        return replace(
-            carrying, parameters=(*self.parameters, *added), own_simulation_parameters=own
+        given = values or {}
+        every, own = (
+            tuple(q._replace(default=given.get(q.name, q.default)) for q in some)
+            for some in ((*self.parameters, *added), own)
         )
+        return replace(carrying, parameters=every, own_simulation_parameters=own)
 
     def with_terms(
         self,

@@ -8,6 +8,8 @@ from rich.console import Console
 from riecjax.assessment.causes import joined
 from riecjax.discovery.discovery import Discovery
 from riecjax.discovery.search import Step
+from riecjax.equations.hidden_modes import HiddenMode, ModeParameters
+from riecjax.findings import option_for
 from riecjax.reporting.document import (
     SCHEMA,
     Document,
@@ -21,8 +23,6 @@ from riecjax.reporting.estimate import parameter_entries, parameter_table
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import in_rich, print_table
 
-ELSE = 1e-4
-"""Share of the energy, 1 % of the size, that is unexplained and no noise, to be told."""
 NOTABLE = 0.05
 """Share of what is unexplained that noise must make to be told."""
 
@@ -44,16 +44,19 @@ def discovery_document(
         "sentence": sentence(found),
         "chosen": list(found.names),
         "terms": {
-            one.candidate.name: {
-                "meaning": one.candidate.meaning,
-                "equation": one.candidate.equation,
-                "parameters": list(one.candidate.columns),
-                "width": None if one.width is None else finite(one.width),
-                "width_unit": one.width_unit,
-                "width_std_error": finite(one.width_error),
-                "chosen_again": finite(one.share),
-            }
-            for one in found.chosen
+            **{
+                one.candidate.name: {
+                    "meaning": one.candidate.meaning,
+                    "equation": one.candidate.equation,
+                    "parameters": list(one.candidate.columns),
+                    "width": None if one.width is None else finite(one.width),
+                    "width_unit": one.width_unit,
+                    "width_std_error": finite(one.width_error),
+                    "chosen_again": finite(one.share),
+                }
+                for one in found.chosen
+            },
+            **_mode(found),
         },
         "path": [
             {
@@ -70,16 +73,41 @@ def discovery_document(
         "rejected": [one._asdict() for one in found.rejected],
         "offered": found.offered,
         "held_out": found.held_out,
+        "delays": {name: finite(late) for name, late in found.delays.items()},
         "parameters": _parameters(found),
         "known": {
             name: {"value": finite(found.estimate[name]), "unit": units.get(name, "")}
             for name in found.estimate.known
         },
-        "equation": "; ".join(map(equation_in_words, procedure.equations)),
+        "equation": "; ".join(
+            [*map(equation_in_words, procedure.equations), *_mode_as_equation(found)]
+        ),
         "model_file": model_file,
         "warnings": [f._asdict() for f in (*found.findings, *found.estimate.findings())],
         "provenance": {"versions": versions(), "command": list(command)},
     }
+
+
+def _mode(found: Discovery) -> Document:
+    """A hidden mode as one of the terms that were found."""
+    if found.mode is None:
+        return {}
+    (equation,) = found.paths
+    return {
+        "mode": {
+            "meaning": _mode_in_words(found.mode),
+            "equation": equation,
+            "parameters": list(ModeParameters.of(len(found.start.modes))),
+            "width": None,
+            "width_unit": "",
+            "width_std_error": None,
+            "chosen_again": None,
+        }
+    }
+
+
+def _mode_as_equation(found: Discovery) -> list[str]:
+    return [] if found.mode is None else [f"with {_mode_in_words(found.mode)}"]
 
 
 def _family(name: str) -> str:
@@ -103,47 +131,73 @@ def _parameters(found: Discovery) -> Document:
 
 def sentence(found: Discovery) -> str:
     """What was found, in a sentence or two of plain English."""
-    if not found.offered:
+    if not found.offered and found.mode is None:
         return "No candidate could be told apart from the model's own terms."
-    if not found.chosen:
-        return (
-            f"Nothing is missing: none of {found.offered} candidates explains more than chance "
-            f"would, and {percent(_first(found).unexplained)} of the target's energy is "
-            f"unexplained{_noise(_first(found))}.{_something_else(found)}"
-        )
     names = [
         f"{one.candidate.name} ({one.candidate.meaning})"
         if one.candidate.meaning
         else one.candidate.name
         for one in found.chosen
     ]
+    if found.mode is not None:
+        names.append(f"mode ({_mode_in_words(found.mode)})")
+    if not names:
+        return (
+            f"Nothing is missing: none of {found.offered} candidates explains more than chance "
+            f"would, and {percent(_first(found).unexplained)} of the target's energy is "
+            f"unexplained{_noise(_first(found))}.{_something_else(found)}{_late(found)}"
+        )
     ends = [(name, of[0], of[-1]) for name, of in found.paths.items() if len(of) > 1]
+    several = len(found.paths) > 1 or found.mode is not None
     said = "; ".join(
         f"{percent(after.unexplained)} of the target's energy{where} is unexplained instead of "
         f"{percent(before.unexplained)}{_noise(after)}"
         for name, before, after in ends
-        for where in [f" in {name}" if len(found.paths) > 1 else ""]
+        for where in [f" in {name}" if several else ""]
     )
     verb, them = ("is", "it") if len(names) == 1 else ("are", "them")
-    further = _something_else(found) + _amiss(found)
+    further = _something_else(found) + _late(found) + _amiss(found)
     return f"{joined(names)} {verb} missing: with {them} {said}.{further}"
+
+
+def _mode_in_words(mode: HiddenMode) -> str:
+    return f"a hidden mode on {mode.on} near {mode.hz:.3g} Hz"
 
 
 def _something_else(found: Discovery) -> str:
     """Where what is left is more than noise, that no candidate is what is missing."""
-    ends = [steps[-1] for steps in found.paths.values()]
-    if not any(one.of_motion > max(0.5 * one.unexplained, ELSE) for one in ends):
+    if found.mode is not None:
+        return " No terms were looked for beside it."
+    if not found.leaves_more:
         return ""
+    return " Most of what is left is no noise: something that is no candidate is missing."
+
+
+def _late(found: Discovery) -> str:
+    """Of which recordings the terms are, where some signals are late in those that were given."""
+    if not found.delays:
+        return ""
+    each = [
+        f"{name} comes {number(1e3 * abs(late), 3)} ms {'late' if late > 0 else 'early'}"
+        for name, late in found.delays.items()
+    ]
+    remedy = [
+        word
+        for name, late in found.delays.items()
+        for word in option_for("--shift", [name], f"{late:.4g}")
+    ]
     return (
-        " Most of what is left is no noise: something that is no candidate is missing, such as a "
-        "hidden mode or a delay; riecjax identify looks for these."
+        f" {joined(each)}; all this is of recordings with it in time: identify with "
+        f"{shlex.join(remedy)}."
     )
 
 
 def _amiss(found: Discovery) -> str:
     """That terms may only make up for a fault of the recordings."""
     faults = {
-        f"{f.code} of {' and '.join(f.signals)}": f.remedy for f in found.findings if f.remedy
+        f"{f.code} of {' and '.join(f.signals)}": f.remedy
+        for f in found.findings
+        if f.remedy and not (f.code == "late_signal" and {*f.signals} <= {*found.delays})
     }
     if not faults:
         return ""
@@ -181,14 +235,16 @@ def path_table(document: Document) -> Table:
             f"+ {one['added']}" if one["added"] else document["model"],
             percent(one["unexplained"]),
             percent(max(one["of_motion"], 0.0)),
-            percent(one["std_error"]) if one["added"] else "",
-            probability(one["chance"]) if one["added"] else "",
+            percent(one["std_error"]) if one["added"] and one["std_error"] is not None else "",
+            probability(one["chance"]) if one["added"] and one["chance"] is not None else "",
         ]
         for one in document["path"]
     ]
     header = ("terms", "unexplained", "without noise", "std error of the step", "chance")
     note = (
-        "Share of the target's energy in blocks of time that coefficients were not fitted to; "
+        "Share of the target's energy, by the windows of each fit."
+        if "mode" in document["terms"]
+        else "Share of the target's energy in blocks of time that coefficients were not fitted to; "
         "chance: that any one of all candidates stands out as much and explains nothing."
     )
     return Table(("equation", *header) if several else header, rows, "Terms one by one", note)

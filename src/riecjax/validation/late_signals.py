@@ -184,12 +184,27 @@ def late_signals(
 
     **Raises:** as [`signal_delays`][].
     """
+    one = late_cause(procedure, records, estimate)
+    if one is not None:
+        yield finding_of(one, records[0])
+
+
+def late_cause(
+    procedure: Procedure, records: Sequence[Record], estimate: Estimate
+) -> SignalDelay | None:
+    """The delay that explains nearly all of what is left, if one does.
+
+    **Raises:** as [`signal_delays`][].
+    """
     delays = signal_delays(procedure, records, estimate)
     causes = [one for one in delays if one.significant and one.explains and _matters(one, estimate)]
-    if causes:
-        # One equation blames either of its signals; all together, the one that they read.
-        one = max(causes, key=lambda each: each.left_as_recorded**2 - each.left**2)
-        yield _finding(one) if one.course.kind == "steady" else _uneven(one, records[0])
+    # One equation blames either of its signals; all together, the one that they read.
+    return max(causes, key=lambda one: one.left_as_recorded**2 - one.left**2, default=None)
+
+
+def finding_of(one: SignalDelay, record: Record) -> Finding:
+    """What is told of a delay, seen in a record and others."""
+    return _finding(one) if one.course.kind == "steady" else _uneven(one, record)
 
 
 def _finding(one: SignalDelay) -> Finding:

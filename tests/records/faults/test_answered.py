@@ -43,6 +43,7 @@ def test_blows_of_a_hammer_stay(motion, blows):
         assert [f.code for f in check_signals(record, ["u", motion]) if f.code == "outliers"] == []
 
 
+@pytest.mark.slow
 def test_spikes_of_one_sensor_are_answered_by_chance_at_most():
     answered = 0
     for seed in range(300):

@@ -70,6 +70,7 @@ MODEL = rx.Equation(
 )
 
 
+@pytest.mark.slow
 def test_a_refusal_names_the_copy_that_is_why():
     record = rx.Record.from_samples({"x": X, "v": X, "u": NOISE[0].cumsum()}, time_step=1 / 200)
     checked = rx.check(MODEL, record, rx.RIEC(rx.AllWindows(0.1, 1.0)))

@@ -1,0 +1,90 @@
+"""What is missing and no term: a signal that comes late, a mode that the equations leave out."""
+
+import numpy as np
+import pytest
+from benchmarks.discovery.problems import LATE, OTHERS, PROBLEMS
+
+import riecjax as rx
+from hidden_body import BODY, STEP, TRUTH, motion
+from riecjax.discovery.discover import discover
+from riecjax.discovery.model_file import model_source
+from riecjax.models.catalogue import find_model
+from riecjax.reporting.discovery import discovery_document
+
+QUICK = {"intervals": rx.Naive(), "resamples": 0}
+DRAG = PROBLEMS["drag"]
+
+
+def carrying(noise: float = 0.0) -> rx.Record:
+    rng = np.random.default_rng(3)
+    clean = motion(True)
+    return rx.Record(
+        {n: s + noise * np.std(s) * rng.standard_normal(s.size) for n, s in clean.items()}, STEP
+    )
+
+
+@pytest.fixture(scope="module")
+def late() -> rx.Record:
+    return OTHERS["late_force"].record(0.01, 1, 1)
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_terms_are_found_once_what_comes_late_is_in_time(late):
+    found = discover(DRAG.start, late, **QUICK)
+    assert {*found.names} == OTHERS["late_force"].missing
+    assert found.delays["u"] == pytest.approx(LATE, abs=2e-4)
+    assert float(found.estimate["viscous"]) == pytest.approx(0.8, rel=0.03)
+    assert ("late_signal", ("u",)) in [(one.code, one.signals) for one in found.findings]
+    document = discovery_document(found)
+    assert document["delays"] == {"u": pytest.approx(LATE, abs=2e-4)}
+    assert "u comes 33" in document["sentence"]
+    assert "identify with --shift u=0.03" in document["sentence"]
+    assert "mend that first" not in document["sentence"]
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_of_a_right_model_only_the_delay_is_found(late):
+    """Hysteresis and a harder spring stand for it where it is not taken off."""
+    found = discover(DRAG.whole, late, **QUICK)
+    assert found.names == ("delay",)
+    assert discovery_document(found)["sentence"].startswith("Nothing is missing")
+
+
+def test_without_a_delay_none_is_found():
+    assert discover(DRAG.start, DRAG.record(0.05, 0, 3), **QUICK).delays == {}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
+    found = discover(BODY, carrying(noise), **QUICK)
+    assert found.names == ("mode",)
+    assert found.mode is not None
+    assert found.mode.on == "v"
+    for name in ("M_mode", "K_mode"):
+        assert float(found.estimate[name]) == pytest.approx(TRUTH[name], rel=0.1)
+    document = discovery_document(found)
+    assert document["chosen"] == ["mode"]
+    assert document["terms"]["mode"]["parameters"] == ["M_mode", "K_mode", "B_mode"]
+    first, last = (one["unexplained"] for one in document["path"])
+    assert last < 0.1 * first
+    assert document["sentence"].startswith("mode (a hidden mode on v near ")
+
+
+def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
+    found = discover(BODY, carrying(), **QUICK)
+    (tmp_path / "body.py").write_text(
+        "import sys\n"
+        f"sys.path.insert(0, {str(__import__('hidden_body').__file__.rpartition('/')[0])!r})\n"
+        "from hidden_body import BODY\n"
+    )
+    source = model_source(found, str(tmp_path / "body.py:BODY"), tmp_path)
+    (tmp_path / "model.py").write_text(source)
+    read = find_model(str(tmp_path / "model.py"))
+    again = rx.identify(read, carrying())
+    assert float(again["M_mode"]) == pytest.approx(float(found.estimate["M_mode"]), rel=1e-6)
+    assert {q.name: q.default for q in read.simulation_parameters}["M_mode"] is not None
+
+
+def test_a_body_without_a_mode_is_given_none():
+    found = discover(BODY, rx.Record(motion(False), STEP), **QUICK)
+    assert found.names == ()
