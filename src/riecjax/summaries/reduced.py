@@ -43,7 +43,9 @@ def together(summary: Summary) -> Summary:
 def in_blocks(recording: RecordingSums, most: int) -> RecordingSums:
     """The same in so many blocks of time at most, neighbours added up."""
     held = int(recording.blocks)
-    count = min(held, most)
+    if held <= most:
+        return recording
+    count = most
     first = -(-np.arange(count) * held // count)
 
     def of(equation: EquationSums) -> EquationSums:
