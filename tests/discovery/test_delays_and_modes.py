@@ -88,3 +88,9 @@ def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
 def test_a_body_without_a_mode_is_given_none():
     found = discover(BODY, rx.Record(motion(False), STEP), **QUICK)
     assert found.names == ()
+
+
+def test_of_candidates_of_ones_own_nothing_else_is_found(late):
+    found = discover(DRAG.start, late, [rx.Term("stiffness", "x")], **QUICK)
+    assert found.names == ("stiffness",)
+    assert found.delays == {}

@@ -71,7 +71,8 @@ def discover(
     for [`identify`][];
 
     - `candidates` that the model may lack: terms, [`Candidate`][riecjax.discovery.Candidate]s or
-      [`Shaped`][riecjax.discovery.Shaped]s; by default the [`default_candidates`][] of its motions.
+      [`Shaped`][riecjax.discovery.Shaped]s; by default the [`default_candidates`][] of its motions,
+      a signal's delay, and a hidden mode.
     - `hold_out`: share at the end of each recording that has no part in the choice, and from which
       alone parameters and their intervals come then. Without it all is used for both, and
       standard errors include the choice, by searching again in data drawn again.
@@ -96,6 +97,8 @@ def discover(
     searched_again = seed, 0 if hold_out is not None else resamples
     settings = own, dict(known or {}), intervals, at_rest, hold_out
     asked = _Asked(found, procedure, offered, *settings, (least, smallest), searched_again)
+    if candidates is not None:  # these, and nothing else
+        return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
     if not answer.leaves_more:
         return answer
