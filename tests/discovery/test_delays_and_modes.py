@@ -1,15 +1,19 @@
 """What is missing and no term: a signal that comes late, a mode that the equations leave out."""
 
+import io
+
 import numpy as np
 import pytest
 from benchmarks.discovery.problems import LATE, OTHERS, PROBLEMS
+from rich.console import Console
 
 import riecjax as rx
 from hidden_body import BODY, STEP, TRUTH, motion
 from riecjax.discovery.discover import discover
 from riecjax.discovery.model_file import model_source
 from riecjax.models.catalogue import find_model
-from riecjax.reporting.discovery import discovery_document
+from riecjax.reporting.discovery import discovery_document, print_discovery
+from riecjax.reporting.discovery_page import discovery_figures, discovery_page
 
 QUICK = {"intervals": rx.Naive(), "resamples": 0}
 DRAG = PROBLEMS["drag"]
@@ -68,6 +72,12 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     first, last = (one["unexplained"] for one in document["path"])
     assert last < 0.1 * first
     assert document["sentence"].startswith("mode (a hidden mode on v near ")
+    # What has no error or chance is printed without.
+    console = Console(width=200, record=True, file=io.StringIO())
+    print_discovery(document, console)
+    assert "+ mode" in console.export_text()
+    assert discovery_page(document).sections
+    assert discovery_figures(found)["path"].rows
 
 
 def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
