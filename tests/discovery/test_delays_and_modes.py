@@ -9,6 +9,7 @@ from rich.console import Console
 
 import riecjax as rx
 from hidden_body import BODY, STEP, TRUTH, motion
+from nightly import nightly
 from riecjax.discovery.discover import discover
 from riecjax.discovery.model_file import model_source
 from riecjax.models.catalogue import find_model
@@ -58,7 +59,7 @@ def test_without_a_delay_none_is_found():
     assert discover(DRAG.start, DRAG.record(0.05, 0, 3), **QUICK).delays == {}
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("noise", [*nightly([0.0]), 0.02])
 def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     found = discover(BODY, carrying(noise), **QUICK)
     assert found.names == ("mode",)
