@@ -52,7 +52,7 @@ def test_of_a_right_model_only_the_delay_is_found(late):
     """Hysteresis and a harder spring stand for it where it is not taken off."""
     found = discover(DRAG.whole, late, **QUICK)
     assert found.names == ("delay",)
-    assert discovery_document(found)["sentence"].startswith("Nothing is missing")
+    assert discovery_document(found)["sentence"].startswith("No term is missing")
 
 
 def test_without_a_delay_none_is_found():
@@ -105,3 +105,21 @@ def test_of_candidates_of_ones_own_nothing_else_is_found(late):
     found = discover(DRAG.start, late, [rx.Term("stiffness", "x")], **QUICK)
     assert found.names == ("stiffness",)
     assert found.delays == {}
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_a_velocity_that_is_late_is_not_the_forces_fault():
+    clean = DRAG.record(0.01, 1, 4)
+    late = clean.with_signals({"dx": np.roll(np.asarray(clean["dx"]), 1)}).part(1, 4000)
+    found = discover(DRAG.start, late, **QUICK)
+    assert found.delays == {}
+    assert ("late_signal", ("dx",)) in [(one.code, one.signals) for one in found.findings]
+    sentence = discovery_document(found)["sentence"]
+    assert "mend that first (--shift dx=0.0" in sentence
+
+
+def test_a_signal_that_is_absent_is_told_by_what_was_recorded():
+    record = DRAG.record(0.01, 1, 4).select("x", "dx")
+    with pytest.raises(rx.DataError, match="'u'") as error:
+        discover(DRAG.start, record, **QUICK)
+    assert "state" not in str(error.value)

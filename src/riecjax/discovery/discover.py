@@ -42,6 +42,9 @@ FEWEST = 6
 """Folds of time that a choice is made from at the least."""
 LATE = 3
 """Delays that are taken off at the most, one after the other."""
+TAKEN_OFF = "terms are of recordings with it in time"
+IN_DISORDER = ("late_signal", "low_passed", "two_clocks", "lost_rows", "not_its_derivative")
+"""What is amiss among the sensors of one motion."""
 
 
 def discover(
@@ -94,16 +97,23 @@ def discover(
     plan_parameters(with_all, 1, known, ())
     whole = ready(with_all, recordings, noise)
     own = criterion or suited(procedure, found.band, [one.record for one in whole])
+    for one in whole:  # before they are given states that nobody recorded
+        read_of(procedure, one, own)
     searched_again = seed, 0 if hold_out is not None else resamples
     settings = own, dict(known or {}), intervals, at_rest, hold_out
     asked = _Asked(found, procedure, offered, *settings, (least, smallest), searched_again)
     if candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
-    if not answer.leaves_more:
+    if not answer.leaves_more or any(one.code in IN_DISORDER for one in _untold(answer)):
         return answer
     # Hidden elements have criteria of their own.
     return with_mode(answer, lambda model: asked.identified(model, in_time, criterion))
+
+
+def _untold(found: Discovery) -> Sequence[Finding]:
+    """What is amiss and was not taken off."""
+    return [one for one in found.findings if TAKEN_OFF not in one.message]
 
 
 class _Asked(NamedTuple):
@@ -148,7 +158,7 @@ def _in_time(asked: _Asked, recordings: list[Recording]) -> tuple[Discovery, lis
     found, late = _found(asked, recordings)
     known: list[Finding] = []
     while late is not None and len(known) < LATE:
-        told = finding_of(late, recordings[0].record)
+        told = found.findings[-1]
         if told.code != "late_signal":
             break
         moved = dict.fromkeys(late.signals, late.seconds)
@@ -160,7 +170,7 @@ def _in_time(asked: _Asked, recordings: list[Recording]) -> tuple[Discovery, lis
         if _left(again) >= _left(found):
             break
         delays = {name: found.delays.get(name, 0.0) + more for name, more in moved.items()}
-        known.append(told)
+        known.append(told._replace(message=f"{told.message.partition('. ')[0]}; {TAKEN_OFF}"))
         found, recordings = replace(again, delays={**found.delays, **delays}), in_time
     return replace(found, findings=(*known, *found.findings)), recordings
 
@@ -305,8 +315,10 @@ def _of_recordings(
         read = read_of(procedure, one, estimate.criterion)
         found += [*one.concerning(read).findings, *of_sensors(procedure, one, read)]
     late = None
-    with contextlib.suppress(RiecjaxError):  # too short to tell
-        late = late_cause(procedure, records, estimate)
+    # Of signals that contradict each other an equation blames the wrong one.
+    if not any(one.code in IN_DISORDER for one in found):
+        with contextlib.suppress(RiecjaxError):  # too short to tell
+            late = late_cause(procedure, records, estimate)
     found += [] if late is None else [finding_of(late, records[0])]
     return late, list({one.message: one for one in found}.values())
 

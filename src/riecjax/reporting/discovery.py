@@ -8,7 +8,7 @@ from rich.console import Console
 from riecjax.assessment.causes import joined
 from riecjax.discovery.discovery import Discovery
 from riecjax.discovery.search import Step
-from riecjax.equations.hidden_modes import HiddenMode, ModeParameters
+from riecjax.equations.hidden_modes import HiddenMode, ModeParameters, accelerated
 from riecjax.findings import option_for
 from riecjax.reporting.document import (
     SCHEMA,
@@ -142,8 +142,10 @@ def sentence(found: Discovery) -> str:
     if found.mode is not None:
         names.append(f"mode ({_mode_in_words(found.mode)})")
     if not names:
+        what = "No candidate is missing" if found.leaves_more else "No term is missing"
+        what = what if found.leaves_more or found.delays else "Nothing is missing"
         return (
-            f"Nothing is missing: none of {found.offered} candidates explains more than chance "
+            f"{what}: none of {found.offered} candidates explains more than chance "
             f"would, and {percent(_first(found).unexplained)} of the target's energy is "
             f"unexplained{_noise(_first(found))}.{_something_else(found)}{_late(found)}"
         )
@@ -166,11 +168,16 @@ def _mode_in_words(mode: HiddenMode) -> str:
 
 def _something_else(found: Discovery) -> str:
     """Where what is left is more than noise, that no candidate is what is missing."""
-    if found.mode is not None:
-        return " No terms were looked for beside it."
+    beside = "" if found.mode is None else " No terms were looked for beside it."
     if not found.leaves_more:
-        return ""
-    return " Most of what is left is no noise: something that is no candidate is missing."
+        return beside
+    left = " Most of what is left is no noise: something that is no candidate is missing"
+    bodies = {on: "" for e in found.model.build_procedure().equations for on in accelerated(e)}
+    if found.mode is not None:
+        return f"{left} too.{beside} Add terms to the model by hand."
+    if not bodies:
+        return f"{left}; no equation holds an inertia."
+    return f"{left}, such as a mode beside terms (identify with --add-mode {' or '.join(bodies)})."
 
 
 def _late(found: Discovery) -> str:
@@ -178,7 +185,7 @@ def _late(found: Discovery) -> str:
     if not found.delays:
         return ""
     each = [
-        f"{name} comes {number(1e3 * abs(late), 3)} ms {'late' if late > 0 else 'early'}"
+        f"{name if late > 0 else f'all but {name}'} comes {number(1e3 * abs(late), 3)} ms late"
         for name, late in found.delays.items()
     ]
     remedy = [
