@@ -208,6 +208,25 @@ def _carrying(seed: int) -> dict[str, np.ndarray]:
     return {"x": run.y[0], "dx": run.y[1], "u": tones(times, _FORCE, 20.0, seed)}
 
 
+@functools.cache
+def _hardening(seed: int) -> dict[str, np.ndarray]:
+    """2 kg on a spring that hardens, with 0.5 kg on it at 6 Hz, shaken up to 10 Hz."""
+    times = np.arange(COUNT) / RATE
+    mass, stiffness, damping = 0.5, 0.5 * (2 * np.pi * 6.0) ** 2, 1.13
+
+    def rates(t: float, state: np.ndarray) -> list[float]:
+        x, v, y, w = state
+        carried = stiffness * (x - y) + damping * (v - w)
+        force = tones(t, _UP_TO_TEN, 14.0, seed) - 4 * v - 800 * x - 2e6 * x**3 - carried
+        return [v, float(force) / 2.0, w, carried / mass]
+
+    run = scipy.integrate.solve_ivp(
+        rates, (0, times[-1]), [0.0] * 4, t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.01
+    )
+    return {"x": run.y[0], "dx": run.y[1], "u": tones(times, _UP_TO_TEN, 14.0, seed)}
+
+
+_UP_TO_TEN = [0.7 + 0.41 * i for i in range(23)]
 LATE = 0.033
 """Seconds by which the force comes late in a recording."""
 
@@ -294,6 +313,14 @@ OTHERS = {
             frozenset({"mode"}),
             _mass(_VISCOUS, _SPRING),
             _carrying,
+            1 / RATE,
+        ),
+        Problem(
+            "mode_and_spring",
+            _mass(_VISCOUS, _SPRING),
+            frozenset({"mode", "cubic_stiffness"}),
+            _mass(_VISCOUS, _SPRING, rx.Term("k3", rx.odd("x", 3))),
+            _hardening,
             1 / RATE,
         ),
     )

@@ -81,6 +81,19 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     assert discovery_figures(found)["path"].rows
 
 
+def test_terms_that_are_told_from_zero_stay_beside_a_mode(tmp_path):
+    problem = OTHERS["mode_and_spring"]
+    found = discover(problem.start, problem.record(0.01, 2, 2), **QUICK)
+    assert {*found.names} == problem.missing
+    truth = {"m": 2.0, "c": 4.0, "k": 800.0, "cubic_stiffness": 2e6, "M_mode": 0.5}
+    for name, value in truth.items():
+        assert float(found.estimate[name]) == pytest.approx(value, rel=0.05)
+    (steps,) = found.paths.values()
+    assert [step.added for step in steps] == ["", "cubic_stiffness", "mode"]
+    source = model_source(found, "duffing", tmp_path)
+    assert ").with_modes(\n    rx.HiddenMode(" in source
+
+
 def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
     found = discover(BODY, carrying(), **QUICK)
     (tmp_path / "body.py").write_text(

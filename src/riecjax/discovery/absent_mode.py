@@ -1,4 +1,4 @@
-"""A hidden mode that is missing, and no term.
+"""A hidden mode that is missing, instead of terms or beside them.
 
 An oscillator on a body rings in the body's equation. Terms of its velocity and position explain a
 part of that, one more for each thing that it does, and are no forces of the machine. Its three
@@ -6,10 +6,10 @@ coefficients do not stand in the sums of candidates: [`identify`][riecjax.identi
 what both leave beyond noise says which it is.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from riecjax.discovery.discovery import Discovery
+from riecjax.discovery.discovery import ELSE, Chosen, Discovery
 from riecjax.discovery.search import Step
 from riecjax.equations.hidden_modes import (
     HiddenMode,
@@ -23,16 +23,22 @@ from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.models.model import Model
 
 LEAVES = 0.3
-"""Of the error beyond noise that terms leave, rms, what a mode leaves at most that is missing
-instead: a tenth of the energy."""
+"""Of the error beyond noise that terms leave, rms, what is left with a mode at most that is
+missing: a tenth of the energy."""
+TOLD = 3.0
+"""Standard errors from zero of a term that stays beside a mode; without the mode it may have stood
+for it."""
 
 Identified = Callable[[Model], Estimate]
+WithTerms = Callable[[Sequence[Chosen]], Model]
 
 
-def with_mode(found: Discovery, identified: Identified) -> Discovery:
-    """The same, or where a hidden mode explains much more than the terms, with it instead.
+def with_mode(found: Discovery, identified: Identified, with_terms: WithTerms) -> Discovery:
+    """The same, or where much less is left with a hidden mode, with it: instead of all terms, or
+    beside those that are still told from zero.
 
-    **Arguments:** `identified`, of a model its estimate from what values are from.
+    **Arguments:** `identified`, of a model its estimate from what values are from; `with_terms`,
+    the model that was given with some of what was chosen.
     """
     equations = found.start.build_procedure().equations
     names = told_apart([equation.name for equation in equations])
@@ -41,30 +47,62 @@ def with_mode(found: Discovery, identified: Identified) -> Discovery:
     for name in sorted((n for n in names if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
         most = LEAVES * float(fits[name].model_rms)
         for on in reversed(bodies[name]):
-            model = found.start.with_modes(HiddenMode(on))
             try:
-                estimate = identified(model)
+                chosen, estimate = _beside(found, on, name, identified, with_terms)
             except RiecjaxError:  # no mode is to be found on this body
                 continue
             if float(estimate.equations[name].model_rms) < most:
-                before = identified(found.start).equations[name]
-                return _instead(found, on, model, estimate, (name, before))
+                own = identified(found.start).equations[name]
+                return _with(found, on, with_terms(chosen), estimate, chosen, (name, own))
     return found
 
 
-def _instead(
-    found: Discovery, on: str, model: Model, estimate: Estimate, before: tuple[str, EquationFit]
+def _beside(
+    found: Discovery, on: str, name: str, identified: Identified, with_terms: WithTerms
+) -> tuple[tuple[Chosen, ...], Estimate]:
+    """Terms that stay beside a mode, and the estimate with both."""
+
+    def of(chosen: Sequence[Chosen]) -> Estimate:
+        return identified(with_terms(chosen).with_modes(HiddenMode(on)))
+
+    alone = of(())
+    fit = alone.equations[name]
+    rest = float(fit.model_rms) ** 2
+    if not found.chosen or rest <= max(0.5 * float(fit.relative_rms) ** 2, ELSE):
+        return (), alone
+    both = of(found.chosen)
+    errors = dict(zip(both.parameters, map(float, both.standard_errors), strict=True))
+    stay = tuple(
+        one
+        for one in found.chosen
+        if any(abs(float(both[n])) > TOLD * errors[n] for n in one.candidate.columns)
+    )
+    if len(stay) < len(found.chosen):
+        both = of(stay) if stay else alone
+    return (stay, both) if float(both.equations[name].model_rms) ** 2 < 0.5 * rest else ((), alone)
+
+
+def _with(
+    found: Discovery,
+    on: str,
+    model: Model,
+    estimate: Estimate,
+    chosen: tuple[Chosen, ...],
+    before: tuple[str, EquationFit],
 ) -> Discovery:
     name, own = before
     frequency, _ = mode_frequency(estimate.values, ModeParameters.of(len(found.start.modes)))
     stage = next((key for key in found.paths if name in key.split(" + ")), name)
-    steps = (_step("", own), _step("mode", estimate.equations[name]))
+    terms = " + ".join(one.candidate.name for one in chosen)
+    beside = [_step(terms, found.estimate.equations[name])] if chosen else []
+    steps = (_step("", own), *beside, _step("mode", estimate.equations[name]))
+    mode = HiddenMode(on, float(f"{float(frequency):.4g}"))
     return replace(
         found,
-        model=model,
-        chosen=(),
+        model=model.with_modes(mode),
+        chosen=chosen,
         rejected=(),
-        mode=HiddenMode(on, float(f"{float(frequency):.4g}")),
+        mode=mode,
         paths={stage: steps},
         estimate=estimate,
         errors=dict(zip(estimate.parameters, map(float, estimate.standard_errors), strict=True)),

@@ -57,8 +57,8 @@ class Discovery(Shown):
     - `findings`: what is amiss with the recordings, also signals that are late against the
       equations that were found.
     - `delays`, seconds by which such signals were advanced before terms were chosen.
-    - `mode`: a hidden mode that is missing, where it explains much more than any terms; `chosen` is
-      empty then.
+    - `mode`: a hidden mode that is missing, where much less is left with it; `chosen` are then
+      those terms that were found without it and are told from zero beside it.
     """
 
     model: Model

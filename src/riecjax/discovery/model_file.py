@@ -10,6 +10,7 @@ import numpy as np
 
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.expressions import source_of
+from riecjax.equations.hidden_modes import is_mode_name
 from riecjax.equations.memories import Memory
 from riecjax.equations.shapes import AbstractShape
 from riecjax.equations.term import AbstractTerm, Term, Terms
@@ -27,6 +28,7 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     names = ", ".join(found.names)
     head = f'"""{found.start.name}{f" with {names}" if names else ""}."""\n\n'
     values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
+    of_mode = {name: value for name, value in values.items() if is_mode_name(name)}
     added: dict[str, list[str]] = {}
     first = found.start.build_procedure().equation_names[0][0]
     own = False
@@ -39,12 +41,16 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
             lines = [f"*rx.discovery.named({_path(candidates, folder)}, {_quoted(one.name)}).terms"]
         added.setdefault(one.equation or first, []).extend(map(str, lines))
     start = _path(model, folder)
-    if found.mode is None:
-        body = [f"MODEL = rx.find_model({start}).with_terms(", *_terms_source(found, added)]
-    else:
+    body = [f"MODEL = rx.find_model({start})"]
+    if found.chosen or found.mode is None:
+        others = {name: value for name, value in values.items() if name not in of_mode}
+        meanings = _mapping("meanings", _meanings(found))
+        body[-1] += ".with_terms("
+        body += [*_terms_source(found, added), *_mapping("values", others), *meanings, ")"]
+    if found.mode is not None:
+        body[-1] += ".with_modes("
         mode = f"rx.HiddenMode({_quoted(found.mode.on)}, {found.mode.hz!r})"
-        body = [f"MODEL = rx.find_model({start}).with_modes(", f"    {mode},"]
-    body += [*_mapping("values", values), *_mapping("meanings", _meanings(found)), ")"]
+        body += [f"    {mode},", *_mapping("values", of_mode if found.chosen else values), ")"]
     folder_line = ["HERE = Path(__file__).parent"] if "HERE" in start or own else []
     folder_line += [""] if folder_line else []
     imports = ["from pathlib import Path", ""] if folder_line else []

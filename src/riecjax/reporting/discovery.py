@@ -168,7 +168,7 @@ def _mode_in_words(mode: HiddenMode) -> str:
 
 def _something_else(found: Discovery) -> str:
     """Where what is left is more than noise, that no candidate is what is missing."""
-    beside = "" if found.mode is None else " No terms were looked for beside it."
+    beside = "" if found.mode is None or found.chosen else " No terms were looked for beside it."
     if not found.leaves_more:
         return beside
     left = " Most of what is left is no noise: something that is no candidate is missing"
@@ -281,7 +281,7 @@ def choice_in_words(document: Document) -> str:
         for name, one in document["terms"].items()
         if one["chosen_again"] is not None
     )
-    if not again:
+    if not again or "mode" in document["terms"]:
         return "Intervals take the choice of terms for given."
     return f"Standard errors include the choice; in data drawn again it fell on {again}."
 
