@@ -1,7 +1,7 @@
 """A fleet of recordings: speed, memory, discoveries, what breaks, tasks that do nothing.
 
     python -m benchmarks.fleet [--recordings 10000] [--folder DIR] [--kills 50] [--samples 10000000]
-        [--only speed discoveries breaks tasks one_pass long scaling] [--json FILE]
+        [--only speed discoveries breaks tasks one_pass long soak scaling] [--json FILE]
     python -m benchmarks.fleet --page
 
 Twenty groups, two of which have dampers that are worn by 15 %, and one file in a hundred cut off.
@@ -224,6 +224,11 @@ def words(document: dict[str, Any]) -> str:
             f"({found['samples_per_second']:,.0f} samples a second), "
             f"{found['peak_bytes'] / 1e9:.1f} GB of all processes together{_growth(found)}.",
         ]
+    if (found := document.get("soak")) is not None:
+        said += [
+            f"\nA soak of {found['seconds'] / 60:.0f} minutes since, {found['samples']:,} samples "
+            f"beside other work on the same cores: {found['peak_bytes'] / 1e9:.1f} GB{_growth(found)}.",
+        ]
     if (found := document.get("one_pass")) is not None:
         said += [
             f"\nThe sums of {found['samples']:,} samples, read in {found['stretches']} stretches "
@@ -286,7 +291,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--samples", type=int, default=10_000_000, help="of the long recording")
     parser.add_argument("--tasks", type=int, default=100_000, help="that do nothing")
-    parser.add_argument("--only", nargs="+", choices=(*PARTS, "scaling"), default=PARTS)
+    parser.add_argument("--only", nargs="+", choices=(*PARTS, "soak", "scaling"), default=PARTS)
     parser.add_argument("--json", type=Path, help="where results are kept")
     parser.add_argument("--page", action="store_true", help="write the documentation's page")
     given = parser.parse_args()
@@ -309,6 +314,7 @@ def main() -> None:
                 "tasks": lambda: tasks(given.tasks),
                 "one_pass": lambda: one_pass(work),
                 "long": lambda: long(work, given.samples),
+                "soak": lambda: long(work, given.samples),
             }[part]()
             print(part, json.dumps(found, indent=2), flush=True)
             if given.json:
