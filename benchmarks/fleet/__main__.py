@@ -227,7 +227,8 @@ def words(document: dict[str, Any]) -> str:
     if (found := document.get("soak")) is not None:
         said += [
             f"\nA soak of {found['seconds'] / 60:.0f} minutes since, {found['samples']:,} samples "
-            f"beside other work on the same cores: {found['peak_bytes'] / 1e9:.1f} GB{_growth(found)}.",
+            f"beside other work on the same cores: {found['peak_bytes'] / 1e9:.1f} GB"
+            f"{_growth(found)}.",
         ]
     if (found := document.get("one_pass")) is not None:
         said += [

@@ -2,6 +2,7 @@
 
 import io
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from benchmarks.discovery.problems import LATE, OTHERS, PROBLEMS
@@ -123,7 +124,7 @@ def test_of_candidates_of_ones_own_nothing_else_is_found(late):
 @pytest.mark.raises_finding("late_signal")
 def test_a_velocity_that_is_late_is_not_the_forces_fault():
     clean = DRAG.record(0.01, 1, 4)
-    late = clean.with_signals({"dx": np.roll(np.asarray(clean["dx"]), 1)}).part(1, 4000)
+    late = clean.with_signals({"dx": jnp.roll(clean["dx"], 1)}).part(1, 4000)
     found = discover(DRAG.start, late, **QUICK)
     assert found.delays == {}
     assert ("late_signal", ("dx",)) in [(one.code, one.signals) for one in found.findings]
