@@ -33,22 +33,25 @@ Identified = Callable[[Model], Estimate]
 WithTerms = Callable[[Sequence[Chosen]], Model]
 
 
-def with_mode(found: Discovery, identified: Identified, with_terms: WithTerms) -> Discovery:
+def with_mode(
+    found: Discovery, identified: Identified, by_blocks: Identified, with_terms: WithTerms
+) -> Discovery:
     """The same, or where much less is left with a hidden mode, with it: instead of all terms, or
     beside those that are still told from zero.
 
-    **Arguments:** `identified`, of a model its estimate from what values are from; `with_terms`,
+    **Arguments:** `identified`, of a model its estimate from what values are from; `by_blocks`, the
+    same with standard errors by blocks of time, whatever intervals were asked for; `with_terms`,
     the model that was given with some of what was chosen.
     """
     equations = found.start.build_procedure().equations
     names = told_apart([equation.name for equation in equations])
     bodies = {name: accelerated(one) for name, one in zip(names, equations, strict=True)}
-    fits = found.estimate.equations
+    fits, both = found.estimate.equations, (identified, by_blocks)
     for name in sorted((n for n in names if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
         most = LEAVES * float(fits[name].model_rms)
         for on in reversed(bodies[name]):
             try:
-                chosen, estimate = _beside(found, on, name, identified, with_terms)
+                chosen, estimate = _beside(found, on, name, both, with_terms)
             except RiecjaxError:  # no mode is to be found on this body
                 continue
             if float(estimate.equations[name].model_rms) < most:
@@ -58,27 +61,31 @@ def with_mode(found: Discovery, identified: Identified, with_terms: WithTerms) -
 
 
 def _beside(
-    found: Discovery, on: str, name: str, identified: Identified, with_terms: WithTerms
+    found: Discovery,
+    on: str,
+    name: str,
+    by: tuple[Identified, Identified],
+    with_terms: WithTerms,
 ) -> tuple[tuple[Chosen, ...], Estimate]:
     """Terms that stay beside a mode, and the estimate with both."""
+    identified, by_blocks = by
 
-    def of(chosen: Sequence[Chosen]) -> Estimate:
-        return identified(with_terms(chosen).with_modes(HiddenMode(on)))
+    def of(chosen: Sequence[Chosen], by: Identified = identified) -> Estimate:
+        return by(with_terms(chosen).with_modes(HiddenMode(on)))
 
     alone = of(())
     fit = alone.equations[name]
     rest = float(fit.model_rms) ** 2
     if not found.chosen or rest <= max(0.5 * float(fit.relative_rms) ** 2, ELSE):
         return (), alone
-    both = of(found.chosen)
+    both = of(found.chosen, by_blocks)
     errors = dict(zip(both.parameters, map(float, both.standard_errors), strict=True))
     stay = tuple(
         one
         for one in found.chosen
         if any(abs(float(both[n])) > TOLD * errors[n] for n in one.candidate.columns)
     )
-    if len(stay) < len(found.chosen):
-        both = of(stay) if stay else alone
+    both = of(stay) if stay else alone
     return (stay, both) if float(both.equations[name].model_rms) ** 2 < 0.5 * rest else ((), alone)
 
 

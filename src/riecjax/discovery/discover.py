@@ -108,9 +108,11 @@ def discover(
     if not answer.leaves_more or any(one.code in IN_DISORDER for one in _untold(answer)):
         return answer
     # Hidden elements have criteria of their own.
+    by_blocks = asked._replace(intervals=None)
     return with_mode(
         answer,
         lambda model: asked.identified(model, in_time, criterion),
+        lambda model: by_blocks.identified(model, in_time, criterion),
         lambda chosen: _with_chosen(found, procedure, chosen),
     )
 
