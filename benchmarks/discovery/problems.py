@@ -177,53 +177,51 @@ STROKE = 0.1
 @functools.cache
 def _hysteretic(seed: int) -> dict[str, np.ndarray]:
     """A mass on a spring with Dahl's friction."""
-    times = np.arange(COUNT) / RATE
 
     def rates(t: float, state: np.ndarray) -> list[float]:
         x, v, z = state
         force = tones(t, _FORCE, 20.0, seed) - 0.8 * v - 20 * x - 4 * z
         return [v, float(force) / 1.5, (v - abs(v) * z) / STROKE]
 
-    run = scipy.integrate.solve_ivp(
-        rates, (0, times[-1]), [0.0, 0.0, 0.0], t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.02
-    )
-    return {"x": run.y[0], "dx": run.y[1], "u": tones(times, _FORCE, 20.0, seed)}
+    return _recorded(rates, 3, (_FORCE, 20.0), seed, 0.02)
 
 
-@functools.cache
-def _carrying(seed: int) -> dict[str, np.ndarray]:
-    """A mass on a spring that carries another one, of 0.5 kg at 1.5 Hz."""
+def _recorded(
+    rates: Callable[[float, np.ndarray], list[float]], states: int,
+    drive: tuple[list[float], float], seed: int, step: float,
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """Position and velocity, the first two of so many states, and the tones."""
     times = np.arange(COUNT) / RATE
-    mass, stiffness, damping = 0.5, 0.5 * (2 * np.pi * 1.5) ** 2, 0.8
-
-    def rates(t: float, state: np.ndarray) -> list[float]:
-        x, v, y, w = state
-        carried = stiffness * (x - y) + damping * (v - w)
-        force = tones(t, _FORCE, 20.0, seed) - 0.8 * v - 20 * x - carried
-        return [v, float(force) / 1.5, w, carried / mass]
-
     run = scipy.integrate.solve_ivp(
-        rates, (0, times[-1]), [0.0] * 4, t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.05
+        rates, (0, times[-1]), [0.0] * states, t_eval=times, rtol=1e-8, atol=1e-10, max_step=step
     )
-    return {"x": run.y[0], "dx": run.y[1], "u": tones(times, _FORCE, 20.0, seed)}
+    return {"x": run.y[0], "dx": run.y[1], "u": tones(times, *drive, seed)}
 
 
-@functools.cache
-def _hardening(seed: int) -> dict[str, np.ndarray]:
-    """2 kg on a spring that hardens, with 0.5 kg on it at 6 Hz, shaken up to 10 Hz."""
-    times = np.arange(COUNT) / RATE
-    mass, stiffness, damping = 0.5, 0.5 * (2 * np.pi * 6.0) ** 2, 1.13
+def _carrying(
+    body: tuple[float, float, float, float], carried: tuple[float, float, float],
+    drive: tuple[list[float], float], step: float,
+):  # fmt: skip
+    """Motions of a mass that carries another one on a spring and a damper.
 
-    def rates(t: float, state: np.ndarray) -> list[float]:
-        x, v, y, w = state
-        carried = stiffness * (x - y) + damping * (v - w)
-        force = tones(t, _UP_TO_TEN, 14.0, seed) - 4 * v - 800 * x - 2e6 * x**3 - carried
-        return [v, float(force) / 2.0, w, carried / mass]
+    **Arguments:** `body`: mass, damping, linear and cubic stiffness; `carried`: mass, hertz,
+    damping; `drive`: tones and their size; `step`, the solver's longest.
+    """
+    m, c, k, k3 = body
+    mass, hertz, damping = carried
+    stiffness = mass * (2 * np.pi * hertz) ** 2
 
-    run = scipy.integrate.solve_ivp(
-        rates, (0, times[-1]), [0.0] * 4, t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.01
-    )
-    return {"x": run.y[0], "dx": run.y[1], "u": tones(times, _UP_TO_TEN, 14.0, seed)}
+    @functools.cache
+    def motion(seed: int) -> dict[str, np.ndarray]:
+        def rates(t: float, state: np.ndarray) -> list[float]:
+            x, v, y, w = state
+            between = stiffness * (x - y) + damping * (v - w)
+            force = tones(t, *drive, seed) - c * v - k * x - k3 * x**3 - between
+            return [v, float(force) / m, w, between / mass]
+
+        return _recorded(rates, 4, drive, seed, step)
+
+    return motion
 
 
 _UP_TO_TEN = [0.7 + 0.41 * i for i in range(23)]
@@ -312,7 +310,7 @@ OTHERS = {
             _mass(_VISCOUS, _SPRING),
             frozenset({"mode"}),
             _mass(_VISCOUS, _SPRING),
-            _carrying,
+            _carrying((1.5, 0.8, 20.0, 0.0), (0.5, 1.5, 0.8), (_FORCE, 20.0), 0.05),
             1 / RATE,
         ),
         Problem(
@@ -320,7 +318,7 @@ OTHERS = {
             _mass(_VISCOUS, _SPRING),
             frozenset({"mode", "cubic_stiffness"}),
             _mass(_VISCOUS, _SPRING, rx.Term("k3", rx.odd("x", 3))),
-            _hardening,
+            _carrying((2.0, 4.0, 800.0, 2e6), (0.5, 6.0, 1.13), (_UP_TO_TEN, 14.0), 0.01),
             1 / RATE,
         ),
     )

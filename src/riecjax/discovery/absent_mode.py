@@ -9,7 +9,7 @@ what both leave beyond noise says which it is.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from riecjax.discovery.discovery import ELSE, Chosen, Discovery
+from riecjax.discovery.discovery import Chosen, Discovery, is_more_than_noise
 from riecjax.discovery.search import Step
 from riecjax.equations.hidden_modes import (
     HiddenMode,
@@ -55,7 +55,8 @@ def with_mode(
             except RiecjaxError:  # no mode is to be found on this body
                 continue
             if float(estimate.equations[name].model_rms) < most:
-                own = identified(found.start).equations[name]
+                start = identified(found.start) if found.chosen else found.estimate
+                own = start.equations[name]
                 return _with(found, on, with_terms(chosen), estimate, chosen, (name, own))
     return found
 
@@ -74,9 +75,8 @@ def _beside(
         return by(with_terms(chosen).with_modes(HiddenMode(on)))
 
     alone = of(())
-    fit = alone.equations[name]
-    rest = float(fit.model_rms) ** 2
-    if not found.chosen or rest <= max(0.5 * float(fit.relative_rms) ** 2, ELSE):
+    left = _step("mode", alone.equations[name])
+    if not found.chosen or not is_more_than_noise(left):
         return (), alone
     both = of(found.chosen, by_blocks)
     errors = dict(zip(both.parameters, map(float, both.standard_errors), strict=True))
@@ -85,8 +85,10 @@ def _beside(
         for one in found.chosen
         if any(abs(float(both[n])) > TOLD * errors[n] for n in one.candidate.columns)
     )
-    both = of(stay) if stay else alone
-    return (stay, both) if float(both.equations[name].model_rms) ** 2 < 0.5 * rest else ((), alone)
+    if len(stay) < len(found.chosen) or by_blocks is not identified:
+        both = of(stay) if stay else alone
+    less = _step("mode", both.equations[name]).of_motion < 0.5 * left.of_motion
+    return (stay, both) if less else ((), alone)
 
 
 def _with(

@@ -10,7 +10,7 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
-from riecjax.discovery.absent_mode import with_mode
+from riecjax.discovery.absent_mode import Identified, with_mode
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates
 from riecjax.discovery.catalogue import default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Rejected
@@ -105,21 +105,13 @@ def discover(
     if candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
-    if not answer.leaves_more or any(one.code in IN_DISORDER for one in _untold(answer)):
+    if not answer.leaves_more or any(one.code in IN_DISORDER for one in answer.amiss):
         return answer
     # Hidden elements have criteria of their own.
-    by_blocks = asked._replace(intervals=None)
+    of_all, by_blocks = asked.identifying(in_time, criterion)
     return with_mode(
-        answer,
-        lambda model: asked.identified(model, in_time, criterion),
-        lambda model: by_blocks.identified(model, in_time, criterion),
-        lambda chosen: _with_chosen(found, procedure, chosen),
+        answer, of_all, by_blocks, lambda chosen: _with_chosen(found, procedure, chosen)
     )
-
-
-def _untold(found: Discovery) -> Sequence[Finding]:
-    """What is amiss and was not taken off."""
-    return [one for one in found.findings if TAKEN_OFF not in one.message]
 
 
 class _Asked(NamedTuple):
@@ -153,6 +145,17 @@ class _Asked(NamedTuple):
         """The estimate of a model."""
         settings = {"intervals": self.intervals, "at_rest": self.at_rest}
         return identify(model, self.parts(recordings)[1], criterion, known=self.known, **settings)
+
+    def identifying(
+        self, recordings: list[Recording], criterion: AbstractCriterion | None
+    ) -> tuple[Identified, Identified]:
+        """Estimates of models, and those with standard errors by blocks of time."""
+
+        def of(model: Model) -> Estimate:
+            return self.identified(model, recordings, criterion)
+
+        blocks = self._replace(intervals=None)
+        return of, of if self.intervals is None else blocks.identifying(recordings, criterion)[0]
 
 
 def _in_time(asked: _Asked, recordings: list[Recording]) -> tuple[Discovery, list[Recording]]:

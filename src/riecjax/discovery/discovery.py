@@ -16,6 +16,11 @@ ELSE = 1e-4
 """Share of the energy, 1 % of the size, that is unexplained and no noise, to be told."""
 
 
+def is_more_than_noise(step: Step) -> bool:
+    """Whether noise makes less than half of what a step leaves, and the rest is worth telling."""
+    return step.of_motion > max(0.5 * step.unexplained, ELSE)
+
+
 class Rejected(NamedTuple):
     """A candidate that was not taken: share of what is unexplained that it would gain, and the
     chance that one which explains nothing stands out as much, any one of those offered."""
@@ -84,5 +89,13 @@ class Discovery(Shown):
     @property
     def leaves_more(self) -> bool:
         """Whether most of what is left is no noise, so that something else is missing."""
-        ends = [steps[-1] for steps in self.paths.values()]
-        return any(one.of_motion > max(0.5 * one.unexplained, ELSE) for one in ends)
+        return any(is_more_than_noise(steps[-1]) for steps in self.paths.values())
+
+    @property
+    def amiss(self) -> tuple[Finding, ...]:
+        """Findings but the delays that were taken off."""
+        return tuple(
+            f
+            for f in self.findings
+            if not (f.code == "late_signal" and {*f.signals} <= {*self.delays})
+        )

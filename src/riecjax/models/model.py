@@ -107,12 +107,11 @@ class Model(Shown):
         own = self.own_simulation_parameters
         if {q.name for q in own} == {q.name for q in self.parameters}:
             own = (*own, *added)
-        given = values or {}
-        every, own = (
-            tuple(q._replace(default=given.get(q.name, q.default)) for q in some)
-            for some in ((*self.parameters, *added), own)
+        return replace(
+            carrying,
+            parameters=_with_defaults((*self.parameters, *added), values),
+            own_simulation_parameters=_with_defaults(own, values),
         )
-        return replace(carrying, parameters=every, own_simulation_parameters=own)
 
     def with_terms(
         self,
@@ -133,7 +132,7 @@ class Model(Shown):
         **Raises:** as [`Procedure.with_terms`][].
         """
         procedure = self.build_procedure().with_memories(*memories).with_terms(added)
-        given, said = values or {}, meanings or {}
+        said = meanings or {}
         listed = {quantity.name for quantity in self.parameters}
         own = [
             *self.parameters,
@@ -146,7 +145,7 @@ class Model(Shown):
         return replace(
             self,
             procedure=lambda: procedure,
-            parameters=tuple(q._replace(default=given.get(q.name, q.default)) for q in own),
+            parameters=_with_defaults(own, values),
             system=None,
             own_simulation_parameters=(),
             written=(),
@@ -339,6 +338,13 @@ class Model(Shown):
         own = {name for one in added for name in one.states.parameters}
         inner = _resolve(self.system)({n: v for n, v in values.items() if n not in own})
         return WithModes(inner, tuple(one.attached(values) for one in added))
+
+
+def _with_defaults(
+    quantities: Sequence[Quantity], values: Mapping[str, float] | None
+) -> tuple[Quantity, ...]:
+    given = values or {}
+    return tuple(q._replace(default=given.get(q.name, q.default)) for q in quantities)
 
 
 def as_model(model: Equation | Procedure | HasProcedure, name: str = "") -> Model:

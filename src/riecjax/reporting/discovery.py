@@ -201,11 +201,7 @@ def _late(found: Discovery) -> str:
 
 def _amiss(found: Discovery) -> str:
     """That terms may only make up for a fault of the recordings."""
-    faults = {
-        f"{f.code} of {' and '.join(f.signals)}": f.remedy
-        for f in found.findings
-        if f.remedy and not (f.code == "late_signal" and {*f.signals} <= {*found.delays})
-    }
+    faults = {f"{f.code} of {' and '.join(f.signals)}": f.remedy for f in found.amiss if f.remedy}
     if not faults:
         return ""
     remedy = shlex.join(next(iter(faults.values())))
