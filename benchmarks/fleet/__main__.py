@@ -81,9 +81,11 @@ def identified_on_one_core(folder: Path) -> float:
 
 
 def speed(folder: Path, work: Path) -> dict[str, Any]:
-    """One worker and two, and the same recordings by `identify`."""
-    one = identified_on_one_core(folder)
-    runs = [run(folder, work / f"out{workers}", workers) for workers in (1, 2)]
+    """One worker and two, and the same recordings by `identify`, before and after one worker."""
+    before = identified_on_one_core(folder)
+    runs = [run(folder, work / "out1", 1)]
+    one = (before + identified_on_one_core(folder)) / 2
+    runs.append(run(folder, work / "out2", 2))
     count = sum(1 for _ in folder.rglob("*.parquet"))
     table = work / "out2" / "summaries.parquet"
     same = table.read_bytes() == (work / "out1" / "summaries.parquet").read_bytes()

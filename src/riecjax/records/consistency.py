@@ -77,8 +77,9 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
 
 
 def _pair(record: Record, signal: str, derivative: str) -> tuple[Any, ...]:
-    both = (samples_with_nan(record, name) for name in (signal, derivative))
-    return signal, derivative, *both, float(record.time_step), record.units
+    names, units = (signal, derivative), dict(record.units)
+    both = (samples_with_nan(record, name) for name in names)
+    return *names, *both, float(record.time_step), *(units.get(name, "") for name in names)
 
 
 # Values too large to be squared are for the fit to refuse.

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import math
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -20,6 +21,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
@@ -68,7 +70,7 @@ def to_bytes(parts: Mapping[str, Any]) -> bytes:
     for name, array in sorted(arrays.items()):
         halved = _is_symmetric(array)
         listed.append((name, array.dtype.str, array.shape, halved))
-        kept = array[..., *np.triu_indices(array.shape[-1])] if halved else array
+        kept = array[..., *_upper(array.shape[-1])] if halved else array
         numbers.append(np.ascontiguousarray(kept).tobytes())
     told = {**document, "checksum": _checksum(document, arrays), "arrays": listed}
     text = json.dumps(told).encode()
@@ -88,7 +90,7 @@ def from_bytes(content: bytes) -> dict[str, Any]:
         for name, kind, shape, halved in document.pop("arrays"):
             dtype = np.dtype(kind)
             kept = (*shape[:-2], shape[-1] * (shape[-1] + 1) // 2) if halved else tuple(shape)
-            size = int(np.prod(kept, dtype=int))
+            size = math.prod(kept)
             read = np.frombuffer(content, dtype, size, place).reshape(kept)
             arrays[name] = _whole(read, shape[-1]) if halved else np.array(read)
             place += size * dtype.itemsize
@@ -107,11 +109,20 @@ def _is_symmetric(array: np.ndarray) -> bool:
 
 def _whole(half: np.ndarray, size: int) -> np.ndarray:
     """Symmetric matrices of which these are the upper halves, row by row."""
-    rows, columns = np.triu_indices(size)
+    rows, columns = _upper(size)
     found = np.empty((*half.shape[:-1], size, size), half.dtype)
     found[..., rows, columns] = half
     found[..., columns, rows] = half
     return found
+
+
+# Looked up for every recording of a fleet, in which all are of a few sizes and criteria.
+_upper = functools.lru_cache(maxsize=64)(np.triu_indices)
+
+
+@functools.lru_cache(maxsize=64)
+def _criterion(text: str) -> AbstractCriterion:
+    return criterion_from_plain_data(json.loads(text))
 
 
 def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
@@ -285,7 +296,7 @@ def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
     units = tuple((name, unit) for name, unit in document["units"])
     return {
         "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
-        "criterion": criterion_from_plain_data(document["criterion"]),
+        "criterion": _criterion(json.dumps(document["criterion"])),
         "outline": Outline(tuple(stages), units, str(document["fingerprint"])),
         "edges": edges,
         "in_law": _pair(document["in_law"]),

@@ -9,10 +9,8 @@ import numpy as np
 
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
-    FEW_LEVELS,
     LONGEST_REST,
     SampledSignal,
-    is_piecewise_linear,
     percent,
 )
 
@@ -77,7 +75,7 @@ def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iter
 
 def limits(signal: SampledSignal) -> list[Visits]:
     """Extremes into which a signal ran, real ones too."""
-    if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
+    if signal.is_command:
         return []
     sides = [_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0)]
     found = [side for side in sides if side is not None and side.steep]

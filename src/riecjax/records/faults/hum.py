@@ -9,9 +9,7 @@ from scipy.special import fdtrc, fdtri, gammaincinv
 
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
-    FEW_LEVELS,
     SampledSignal,
-    is_piecewise_linear,
     percent,
 )
 
@@ -186,7 +184,7 @@ def hum(
 
 def _spectrum(signal: SampledSignal) -> Spectrum | None:
     # Steps of commands have lines of their own.
-    if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
+    if signal.is_command:
         return None
     return spectrum_of(signal.values, signal.time_step)
 

@@ -5,10 +5,14 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records import resolution
 from riecjax.records.record import Record, samples_with_nan
-from riecjax.records.resolution import FEW_LEVELS as FEW_LEVELS
-from riecjax.records.resolution import levels_of, resolution_of, rounding_of
+from riecjax.records.resolution import (
+    FEW_LEVELS,
+    is_piecewise_linear,
+    levels_of,
+    resolution_of,
+    rounding_of,
+)
 
 LONGEST_REST = 0.5
 """Share of samples at one value past which that is where the signal rests."""
@@ -37,6 +41,8 @@ class SampledSignal(NamedTuple):
     """First sample of each run, a stretch of one exact value."""
     run_lengths: np.ndarray
     """Samples in each run."""
+    is_command: bool
+    """Whether it takes few values, or lies on straight lines, as no sensor's signal does."""
 
     @property
     def sample_count(self) -> int:
@@ -87,12 +93,8 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
         resolution_of(levels),
         starts,
         np.diff(starts, append=values.size),
+        levels.size <= FEW_LEVELS or is_piecewise_linear(values, levels, rounding),
     )
-
-
-def is_piecewise_linear(signal: SampledSignal) -> bool:
-    """Whether more than half of the samples lie on straight lines, as only commands do."""
-    return resolution.is_piecewise_linear(signal.values, signal.levels, signal.rounding)
 
 
 def percent(part: float, whole: float) -> str:

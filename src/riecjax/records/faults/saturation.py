@@ -10,9 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from riecjax.findings import Finding
 from riecjax.records.faults.clipping import Visits, is_real
 from riecjax.records.faults.sampled_signal import (
-    FEW_LEVELS,
     SampledSignal,
-    is_piecewise_linear,
     percent,
 )
 from riecjax.records.noise import noise_level
@@ -67,7 +65,7 @@ def saturated(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> It
 def limits_under_noise(signal: SampledSignal) -> list[Visits]:
     """Levels at which a signal's slope ends, real limits too."""
     missing = np.isnan(signal.values)
-    if signal.levels.size <= FEW_LEVELS or missing.all() or is_piecewise_linear(signal):
+    if signal.is_command or missing.all():
         return []
     rms, noise = float(np.nanstd(signal.values)), float(noise_level(signal.values, ~missing))
     if not QUIETEST * rms < noise < LOUDEST * rms:

@@ -10,7 +10,6 @@ from riecjax.records.faults.sampled_signal import (
     FEW_LEVELS,
     LONGEST_REST,
     SampledSignal,
-    is_piecewise_linear,
     percent,
 )
 
@@ -161,7 +160,7 @@ def _moving(
 ) -> np.ndarray:
     """The steps outside of some runs, and not so many beside them, in a signal that moves; none of
     a command, or of what mostly rests."""
-    if signal.levels.size <= FEW_LEVELS or is_piecewise_linear(signal):
+    if signal.is_command:
         return steps[:0]
     inside = np.zeros(steps.size + 1, int)
     starts, stops = signal.run_starts[runs], signal.run_starts[runs] + signal.run_lengths[runs] - 1
