@@ -21,10 +21,11 @@ LOST_WORKERS = 10
 """Workers that may end during a task before it is given up."""
 SETTINGS = {
     "distributed.scheduler.allowed-failures": LOST_WORKERS,
-    # One thread for each of BLAS. Dask also has C's allocator give back each 64 kB at once, which
-    # makes arrays of a recording 12 % slower to work on: here that is done after long ones alone.
+    # One thread for each of BLAS, and of XLA. Dask also has C's allocator give back each 64 kB at
+    # once, which makes arrays of a recording 12 % slower to work on: here that is done after long
+    # ones alone.
     "distributed.nanny.pre-spawn-environ": dict.fromkeys(
-        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), 1
+        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NPROC", "PJRT_NPROC"), 1
     ),
     # It looks at the stack of what runs a hundred times a second, for a page that is not shown.
     "distributed.worker.profile.enabled": False,

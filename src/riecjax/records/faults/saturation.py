@@ -3,6 +3,7 @@
 import functools
 import shlex
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -115,40 +116,62 @@ def _widened(near: np.ndarray, start: int, stop: int) -> tuple[int, int]:
 
 def _ends_there(values: np.ndarray, visits: np.ndarray, most: int, distance: float) -> bool:
     """Whether slopes to both sides of visits end where these begin, rather than pass over."""
-    told, left, count, near, missed = 0.0, 0.0, 0, [], []
+    left, count, near, missed, smooth = 0.0, 0, [], [], []
     for start, stop in visits:
         side = int(min(stop - start, most))
         some = values[max(start - side - CORNER, 0) : stop + side + CORNER]
         if some.size < stop - start + 2 * (side + CORNER) or np.isnan(some).any():
             continue
-        powers, inverse, kept, smooth = _designs(some.size, side)
-        parts = np.stack([some[:side], some[-side:][::-1]], axis=1)
-        ramps = inverse @ parts
+        design = _design(some.size, side)
+        parts = np.array([some[:side], some[: -side - 1 : -1]]).T
+        ramps = design.inverse @ parts
+        beside = (parts - design.powers @ ramps).ravel()
         flat = some[side + CORNER : -side - CORNER]
-        squares = np.sum((parts - powers @ ramps) ** 2) + flat.size * np.var(flat)
-        beside = some[kept]
-        told += float(np.sum((beside - smooth @ (smooth.T @ beside)) ** 2) - squares)
-        left, count = left + float(squares), count + int(kept.sum()) - 7
-        errors = np.linalg.norm(inverse[1]), 2 * np.linalg.norm(inverse[2])
-        near += [(slope, -2 * bend, *errors) for _, slope, bend in ramps.T]
-        missed += [float(np.mean(flat)) - ramps[0]]
-    if not near or told < TOLD or left > FITS * count:
+        height = flat.sum() / flat.size
+        within = flat - height
+        left += float(beside @ beside + within @ within)
+        count += int(design.kept.size) - 7
+        near += [(slope, -2 * bend, *design.errors) for _, slope, bend in ramps.T]
+        missed += [height - ramps[0]]
+        smooth += [(some, design)]
+    if not near or left > FITS * count:
         return False
     # What jumps to a level does not run into it.
     edges, short = np.array(near), float(np.mean(missed))
-    return bool(short < JUMP * np.mean(edges[:, 0]) + BAND) and _is_abrupt(edges, distance)
+    runs_up = bool(short < JUMP * np.mean(edges[:, 0]) + BAND)
+    if not runs_up or not _is_abrupt(edges, distance):
+        return False
+    return sum(design.left_by_polynomials(some) for some, design in smooth) - left >= TOLD
+
+
+class _Design(NamedTuple):
+    """Of a visit with what lies beside it, on each side some samples for a slope.
+
+    **Fields:** `powers` of their time, and the `inverse`; `errors` of slope and deceleration; the
+    samples that are `kept`, no corner; an `orthonormal` basis of polynomials of degree 6 over them.
+    """
+
+    powers: np.ndarray
+    inverse: np.ndarray
+    errors: tuple[float, float]
+    kept: np.ndarray
+    orthonormal: np.ndarray
+
+    def left_by_polynomials(self, some: np.ndarray) -> float:
+        """Sum of squares that these leave of a visit's samples."""
+        beside = some[self.kept]
+        return float(np.sum((beside - self.orthonormal @ (self.orthonormal.T @ beside)) ** 2))
 
 
 @functools.lru_cache(64)
-def _designs(size: int, side: int) -> tuple[np.ndarray, ...]:
-    """Of a visit of so many samples with what lies beside it, on each side `side` of them for a
-    slope: powers of their time and the inverse, the samples that are no corner, and an orthonormal
-    basis of polynomials of degree 6 over these."""
+def _design(size: int, side: int) -> _Design:
     powers = np.vander(np.arange(-side, 0) - CORNER + 0.5, 3, increasing=True)
     kept = np.ones(size, bool)
     kept[side : side + CORNER] = kept[-side - CORNER : -side] = False
     smooth = np.polynomial.legendre.legvander(np.linspace(-1, 1, size)[kept], 6)
-    return powers, np.linalg.pinv(powers), kept, np.linalg.qr(smooth)[0]
+    inverse = np.linalg.pinv(powers)
+    errors = float(np.linalg.norm(inverse[1])), 2 * float(np.linalg.norm(inverse[2]))
+    return _Design(powers, inverse, errors, np.flatnonzero(kept), np.linalg.qr(smooth)[0])
 
 
 def _is_abrupt(edges: np.ndarray, distance: float) -> bool:
