@@ -4,6 +4,7 @@ import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 # As the command line has it, before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -57,6 +58,20 @@ def forget_compiled_functions() -> Iterator[None]:
     if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(autouse=True)
+def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a whole command, to draw its pictures takes more than half: those for whom they are no
+    matter get empty ones. Tests of charts draw them."""
+    if request.path.parent.name == "cli" and not request.node.get_closest_marker("draws"):
+        monkeypatch.setattr("riecjax.reporting.charts.printed.printed", _blank)
+
+
+def _blank(_: object) -> Any:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(0.1, 0.1))
 
 
 @pytest.hookimpl(wrapper=True)

@@ -228,6 +228,7 @@ def test_check_names_the_refinement_that_answers_where_windows_cannot():
         rx.assess(DRAG, record, short, **QUICK, refine=None)
 
 
+@pytest.mark.slow
 def test_a_filtered_signal_is_not_judged_by_whiteness():
     record = drag_problem.record(0)
     record = rx.records.preparation.low_pass(record, {"x": 20.0, "dx": 20.0})

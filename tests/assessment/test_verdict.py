@@ -75,6 +75,7 @@ def test_findings_with_one_cause_are_one_cause(wrong):
     assert sum(finding.code == "window_sensitive" for finding in grouped) <= 1
 
 
+@pytest.mark.slow
 def test_what_voids_an_answer_is_its_reason_and_the_first_thing_to_do():
     """A record of 5 s steps, taken for seconds, drifts with window length as well."""
     doubtful = rx.Finding("time_unit_doubtful", "nothing states the unit of time", doubt=1.0)
@@ -88,6 +89,7 @@ def test_what_voids_an_answer_is_its_reason_and_the_first_thing_to_do():
     assert steps[0]["words"].startswith("State the unit of time")
 
 
+@pytest.mark.slow
 def test_sensors_that_contradict_each_other_put_all_that_reads_them_in_doubt():
     signals = motion(False)
     position = rx.Equation(
@@ -156,6 +158,7 @@ def test_new_window_lengths_replace_a_band(wrong):
         assert entry["command"] == "riecjax identify a.csv --alpha 0.1 --beta 0.5"
 
 
+@pytest.mark.slow
 def test_a_single_known_parameter_leaves_nothing_to_judge():
     signals = motion(False)
     verdict = assessed(signals, known={"m": 20.0, "c": 60.0}).verdict
@@ -192,6 +195,7 @@ def test_an_offset_of_the_force_is_named_with_the_option_that_finds_it():
     assert {one.level for one in verdict.parameters.values()} == {"good"}
 
 
+@pytest.mark.slow
 def test_recordings_that_disagree_are_the_reason_and_all_that_differs_is_named():
     whole = rx.Record(motion(False), STEP)
     one, other = whole.part(0, 3000), whole.part(3000, 6000)
@@ -208,6 +212,7 @@ def test_recordings_that_disagree_are_the_reason_and_all_that_differs_is_named()
     assert step.words == f"Let {', '.join(names[:-1])} and {names[-1]} differ between recordings"
 
 
+@pytest.mark.slow
 def test_what_is_good_is_not_to_be_recorded_for_longer(right):
     few = rx.Finding("few_blocks", "", parameters=("m", "c", "k"))
     verdict = dataclasses.replace(right, failures=[few]).verdict

@@ -11,7 +11,7 @@ import pytest
 import scipy.io
 from command_line import call, quarter_car_columns, rejected, write_csv
 
-from nightly import nightly_among
+from nightly import nightly, nightly_among
 
 Columns = dict[str, np.ndarray]
 SIGNALS = ("x1", "x2", "x3", "x4", "F_t", "dx3", "dx4")
@@ -99,6 +99,7 @@ def test_collinear_regressors_are_named(capsys):
     assert "Fv" not in message
 
 
+@pytest.mark.slow
 def test_silent_regressors_are_named(capsys):
     columns = axis_columns(quarter_car_columns())
     write_csv(Path("bad.csv"), {**columns, "q": np.zeros(400)})
@@ -106,6 +107,7 @@ def test_silent_regressors_are_named(capsys):
     assert "nothing in the record tells of Fv" in message
 
 
+@pytest.mark.slow
 def test_fewer_windows_than_parameters(capsys):
     write_csv(Path("bad.csv"), axis_columns(quarter_car_columns()))
     assert "cannot tell" in refused(capsys, 1, "bad.csv", "--windows", 3, model="emps")
@@ -367,6 +369,7 @@ def test_a_signal_whose_column_was_left_out_says_why(capsys, case):
     assert "--map" not in message
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("column_left_out")
 def test_a_signal_that_is_computed_because_its_column_was_left_out(capsys):
     columns = axis_columns(quarter_car_columns())
@@ -512,7 +515,7 @@ def run_process(*arguments: str) -> subprocess.CompletedProcess[str]:
     ("status", "arguments"),
     [
         (1, ["identify", "head.csv", "--model", "quarter-car", "--json"]),
-        (1, ["identify", "none.csv", "--model", "quarter-car", "--json"]),
+        *nightly([(1, ["identify", "none.csv", "--model", "quarter-car", "--json"])]),
         (2, ["identify", "good.csv", "--model", "quarter-car", "--refine", "foo"]),
     ],
 )

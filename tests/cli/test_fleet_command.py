@@ -49,6 +49,7 @@ def test_a_fleet_is_answered_in_a_sentence_with_tables_and_a_report(capsys, fold
     assert "riecjax: summing: 11 of 11" in said
 
 
+@pytest.mark.slow
 def test_spans_settings_and_json(capsys, folder, tmp_path):
     given = ("fleet", f"{folder}/vehicle=1/*", *MODEL, "--span", "2", "--set", "k=20")
     status, printed, said = call(

@@ -170,6 +170,7 @@ def test_windows_are_half_periods_of_a_band(from_file, tyre_file, case):
     assert choice["seen_best_hz"] == pytest.approx([0.5 / beta, 0.5 / alpha])
 
 
+@pytest.mark.slow
 def test_a_model_brings_the_band_of_its_windows(from_file, tyre_file):
     lengths = {}
     for name in ("plain", "slow", "tyre"):
@@ -273,6 +274,7 @@ def test_parameters_are_near_those_of_the_source_model(from_file):
     assert found["K_t"] == pytest.approx(180e3, rel=0.05)
 
 
+@pytest.mark.slow
 def test_same_seed_same_answer_other_seed_other_answer(from_file, tyre_file):
     options = ("--windows", 8000, "--no-sweep", "--seed")
     first, again, other = (
@@ -318,6 +320,7 @@ def test_set_moves_parameters_to_known(from_file, drive_record):
     agrees(document, estimate)
 
 
+@pytest.mark.slow
 def test_the_body_scales_with_the_mass_that_is_set(from_file):
     # M_s x4' = K_s x2 + ...: twice the mass, twice the forces.
     light, heavy = (
@@ -514,6 +517,7 @@ def test_map_and_scale(from_file, capsys, drive_file, tmp_path):
     assert halved == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.draws
 def test_out_folder(capsys, drive_file, tmp_path):
     out = tmp_path / "deep" / "results"
     arguments = ("identify", drive_file, "--model", "quarter-car", *PLAIN, "--out", out, "--json")

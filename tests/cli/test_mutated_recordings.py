@@ -135,6 +135,7 @@ def hostile(what: str) -> tuple[Case, Outcome]:
     return Case(what, "a.csv", b"", ()), Outcome("right", "", 0.0)
 
 
+@pytest.mark.slow
 def test_a_case_that_hangs_crashes_prints_or_takes_memory_is_found():
     with Watched(hostile, patience=3.0) as watched:
         assert "stuck for 3 s" in watched("loop").ended

@@ -114,6 +114,7 @@ def test_recordings_of_two_sampling_rates_lose_only_the_tests_of_the_residual(ca
     assert Path("r/report.html").exists()
 
 
+@pytest.mark.draws
 def test_held_out_part_is_simulated_from_the_users_own_equation(capsys):
     write_csv(Path("run.csv"), motion(offset=4.0))
     run = call(

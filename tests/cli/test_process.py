@@ -174,6 +174,7 @@ def test_a_killed_process_leaves_what_the_next_one_sweeps(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["drive.csv"]
 
 
+@pytest.mark.slow
 def test_names_that_are_text_in_no_encoding(tmp_path):
     model = "import riecjax as rx\nm = rx.Equation(rx.Term('k', 'x'), -rx.Term(1.0, 'u'))"
     rows = [f"{i / 100},{np.sin(i / 9)},{2 * np.sin(i / 9) + 0.1 * np.cos(i)}" for i in range(500)]

@@ -152,6 +152,7 @@ def test_a_horizon_needs_something_to_simulate(recording, capsys):
     assert found.document["refinement"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("prior_disagrees")
 def test_a_prior_counts_as_one_more_observation(recording, capsys):
     """Of two normal distributions: weighed by their inverse variances."""

@@ -50,6 +50,7 @@ def numbers(tree: object) -> list[float]:
     return [tree] if isinstance(tree, int | float) else []
 
 
+@pytest.mark.slow
 def test_standard_output_is_one_json_document(result):
     assert result.status == 0
     assert result.out.startswith("{\n")

@@ -48,6 +48,7 @@ def test_terms_are_found_once_what_comes_late_is_in_time(late):
     assert "mend that first" not in document["sentence"]
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("late_signal")
 def test_of_a_right_model_only_the_delay_is_found(late):
     """Hysteresis and a harder spring stand for it where it is not taken off."""
@@ -56,6 +57,7 @@ def test_of_a_right_model_only_the_delay_is_found(late):
     assert discovery_document(found)["sentence"].startswith("No term is missing")
 
 
+@pytest.mark.slow
 def test_without_a_delay_none_is_found():
     assert discover(DRAG.start, DRAG.record(0.05, 0, 3), **QUICK).delays == {}
 
@@ -115,6 +117,7 @@ def test_a_body_without_a_mode_is_given_none():
     assert found.names == ()
 
 
+@pytest.mark.slow
 def test_of_candidates_of_ones_own_nothing_else_is_found(late):
     found = discover(DRAG.start, late, [rx.Term("stiffness", "x")], **QUICK)
     assert found.names == ("stiffness",)

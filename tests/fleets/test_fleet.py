@@ -191,6 +191,7 @@ def test_what_goes_on_changing_is_told(folder, tmp_path):
     assert "1 recording went on changing while summed (1.parquet): run" in sentence(found)
 
 
+@pytest.mark.slow
 def test_sums_of_an_earlier_run_are_estimated_anew(by_vehicle):
     found, out = by_vehicle
     table = out / "summaries.parquet"

@@ -75,6 +75,7 @@ def test_the_optimum_is_scipys_and_spikes_hardly_move_it():
     assert np.all(np.asarray(found.standard_errors) < 0.8 * np.asarray(plain.standard_errors))
 
 
+@pytest.mark.slow
 def test_without_spikes_it_costs_a_fortieth_of_the_standard_errors():
     found, plain = (
         refine(oscillator(), record(1, 0.0), START, OutputError(loss=loss, **BY))

@@ -118,6 +118,7 @@ def test_summaries_are_merged_saved_scaled_selected_and_cut(tmp_path):
     np.testing.assert_array_equal(noise_of(cut), noise_of(other.recordings[0])[:, kept])
 
 
+@pytest.mark.slow
 def test_noise_none_is_least_squares_and_a_parameter_of_each_record_is_that_of_its_sums():
     records = [record(1500, 1), record(2200, 2)]
     summaries = [rx.summarise(EQUATION, r, BOXCAR, noise=STD).recordings[0] for r in records]

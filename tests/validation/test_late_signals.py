@@ -80,7 +80,7 @@ def delay_of(record, model=AXIS):
 
 
 @pytest.mark.raises_finding("late_signal")
-@pytest.mark.parametrize("delay", [0.5, *nightly([1.0, 3.3]), 11.0, -2.0])
+@pytest.mark.parametrize("delay", [0.5, *nightly([1.0, 3.3, 11.0]), -2.0])
 def test_a_delay_is_found_within_five_percent_of_a_sample(delay):
     one, (finding,) = delay_of(recorded(0, delay=delay))
     assert one.samples == pytest.approx(delay, abs=0.05)
@@ -201,6 +201,7 @@ def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
     assert at * STEP - 4.0 < float(seconds) < at * STEP
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("late_signal")
 def test_gaps_and_several_recordings_tell_of_the_same_delay():
     parts = []

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.discovery.problems import PROBLEMS, STROKE
 
 import riecjax as rx
-from nightly import by_day
+from nightly import by_day, nightly
 from riecjax.validation.residuals import ResidualTests, residual_tests
 
 HYSTERETIC = PROBLEMS["hysteresis"]
@@ -29,7 +29,7 @@ def test_a_missing_state_is_named_with_its_width(noise):
 
 
 @pytest.mark.parametrize("name", by_day(("duffing", "drag", "axis", "dead_zone"), "axis"))
-@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("noise", [*nightly([0.0]), 0.05])
 def test_friction_and_springs_that_are_missing_are_no_loops(name, noise):
     problem = PROBLEMS[name]
     tests = left(problem.start, problem.record(noise, 2, 5))

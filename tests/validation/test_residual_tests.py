@@ -388,6 +388,7 @@ def test_uneven_and_shared_errors_are_named():
         assert words in finding.message, finding.message
 
 
+@pytest.mark.slow
 def test_it_takes_gaps_several_records_and_pointwise_estimates():
     records = [duffing(0), duffing(1)]
     gap = jnp.arange(4000) % 900 == 50
