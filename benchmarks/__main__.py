@@ -8,7 +8,7 @@ import argparse
 import importlib
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 from benchmarks.writing import write_json
@@ -18,15 +18,18 @@ FOLDER = Path(__file__).parent
 SUITE = ("all_windows", "simulation", "estimation", "study", "bypassed")
 
 
-def measured(small: bool, only: list[str]) -> Iterator[dict]:
+def measured(small: bool, only: Iterable[str]) -> dict[str, list[dict]]:
+    """Results of the files of the suite, of all where none are named."""
     start_jax()
     from benchmarks import timing
 
-    size = timing.SMALL if small else timing.FULL
-    for name in only or SUITE:
-        for comparison in importlib.import_module(f"benchmarks.suite.{name}").run(size):
+    size, found = timing.SMALL if small else timing.FULL, {}
+    for file in only or SUITE:
+        found[file] = []
+        for comparison in importlib.import_module(f"benchmarks.suite.{file}").run(size):
             print(line(comparison._asdict()), flush=True)
-            yield comparison._asdict()
+            found[file].append(comparison._asdict())
+    return found
 
 
 def line(result: dict) -> str:
@@ -55,14 +58,17 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[], choices=SUITE, help="files")
     arguments = parser.parse_args()
     file = FOLDER / ("results_small.json" if arguments.small else "results.json")
-    results = list(measured(arguments.small, arguments.only))
+    by_file = measured(arguments.small, arguments.only)
+    results = [result for of_file in by_file.values() for result in of_file]
     recorded = json.loads(file.read_text()) if file.exists() else []
     if arguments.check:
         slower = fallen(results, recorded)
         # Another program on the machine slows one side only: what is really slower stays so.
         if slower:
             print("again, for " + "; ".join(slower))
-            slower = fallen(list(measured(arguments.small, arguments.only)), recorded)
+            suspects = [file for file, of_file in by_file.items() if fallen(of_file, recorded)]
+            again = measured(arguments.small, suspects)
+            slower = [each for of_file in again.values() for each in fallen(of_file, recorded)]
         sys.exit("\n".join(slower) or 0)
     names = {result["name"] for result in results}
     kept = [result for result in recorded if result["name"] not in names]
