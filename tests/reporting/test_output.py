@@ -102,6 +102,23 @@ def test_folder(capsys, tmp_path):
     assert str(out) in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("terminal", [True, False])
+def test_pictures_are_drawn_after_the_answer_where_somebody_waits(
+    capsys, tmp_path, monkeypatch, terminal
+):
+    said = []
+
+    def charts() -> dict[str, Chart]:
+        said.append(capsys.readouterr().out)
+        return {"one": CHART, "two": CHART}
+
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    emitted(tmp_path / "out", charts=charts)
+    assert said == ["the answer is 42\n" if terminal else ""]
+    wrote = f"wrote {tmp_path}/out/results.json, report.html and figures\n"
+    assert capsys.readouterr().out == ("" if terminal else "the answer is 42\n") + wrote
+
+
 def test_page_holds_text_warnings_provenance_and_the_same_picture(tmp_path):
     emitted(tmp_path / "out", charts=lambda: {"one": CHART})
     html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

@@ -2,7 +2,8 @@
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,28 +35,44 @@ def emit(
     others: Mapping[str, Writer] | None = None,
     beside: Sequence[str] = (),
 ) -> None:
-    """Write the folder first, if one is asked for, then print, the answer before warnings.
+    """Write the folder, if one is asked for, and print, the answer before warnings.
 
-    Warnings go to standard error: the document's, or only these. `others` write further files of
-    the folder, by name; `beside` names those that are in it already.
+    Who sits at a terminal reads while pictures are drawn; what a program gets comes last, so that
+    it finds the folder, which no pipe that closes early prevents. Warnings go to standard error:
+    the document's, or only these. `others` write further files of the folder, by name; `beside`
+    names those that are in it already.
 
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
     document = sealed(document)
+    told = document.get("warnings", []) if warnings is None else warnings
+
+    def say() -> None:
+        if as_json:
+            answer(json.dumps(document, indent=2, allow_nan=False))
+        else:
+            show(document, Console())
+        _warn(told)
+
+    is_watched = sys.stdout.isatty() and not as_json
+    if is_watched:
+        say()
     if out is not None:
         write_folder(out, document, charts(), page(document), others)
-    if as_json:
-        answer(json.dumps(document, indent=2, allow_nan=False))
-    else:
-        show(document, Console())
-    told = Console(stderr=True)
-    for warning in document.get("warnings", []) if warnings is None else warnings:
-        # One line each for scripts; whoever looks at a terminal sees whole words.
-        line = f"warning [{warning['code']}]: {warning['message']}"
-        told.print(line, markup=False, highlight=False, soft_wrap=not told.is_terminal)
+    if not is_watched:
+        say()
     if out is not None and not as_json:
         further = "".join(f", {name}" for name in (*(others or ()), *beside))
         click.echo(f"wrote {out}/{RESULTS}, {REPORT}{further} and figures")
+
+
+def _warn(warnings: Iterable[Mapping[str, Any]]) -> None:
+    """A line for each on standard error."""
+    told = Console(stderr=True)
+    for warning in warnings:
+        # One line each for scripts; whoever looks at a terminal sees whole words.
+        line = f"warning [{warning['code']}]: {warning['message']}"
+        told.print(line, markup=False, highlight=False, soft_wrap=not told.is_terminal)
 
 
 def write_folder(
