@@ -26,7 +26,7 @@ from benchmarks.fleet.drives import write_fleet
 from benchmarks.fleet.weeks import long, one_pass
 from benchmarks.table import FOLDER, filled_in
 from benchmarks.writing import write_json
-from riecjax.fleets.engine import cores
+from riecjax.fleets.engine import SETTINGS, cores
 from riecjax.fleets.planning import TOGETHER
 from riecjax.runtime import start_jax
 
@@ -63,16 +63,16 @@ def identified(folder: Path) -> float:
     return (time.perf_counter() - began) / done
 
 
-def identified_on_one_core(folder: Path) -> float:
-    """The same in a process that has one core, as a worker has."""
+def identified_as_a_worker_would(folder: Path) -> float:
+    """The same in a process with the settings of a worker."""
+    settings = SETTINGS["distributed.nanny.pre-spawn-environ"]
     code = (
         "import sys; from pathlib import Path; from benchmarks.fleet.__main__ import identified; "
         "print(identified(Path(sys.argv[1])))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(folder)],
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        preexec_fn=lambda: os.sched_setaffinity(0, {0}),
+        env={**os.environ, **{name: str(value) for name, value in settings.items()}},
         stdout=subprocess.PIPE,
         text=True,
         check=True,
@@ -82,9 +82,9 @@ def identified_on_one_core(folder: Path) -> float:
 
 def speed(folder: Path, work: Path) -> dict[str, Any]:
     """One worker and two, and the same recordings by `identify`, before and after one worker."""
-    before = identified_on_one_core(folder)
+    before = identified_as_a_worker_would(folder)
     runs = [run(folder, work / "out1", 1)]
-    one = (before + identified_on_one_core(folder)) / 2
+    one = (before + identified_as_a_worker_would(folder)) / 2
     runs.append(run(folder, work / "out2", 2))
     count = sum(1 for _ in folder.rglob("*.parquet"))
     table = work / "out2" / "summaries.parquet"
