@@ -74,6 +74,7 @@ def test_a_right_model_is_told_to_leave_it_out():
     assert refused.value.code == "mode_not_carried"
 
 
+@pytest.mark.slow
 def test_a_check_sees_the_mode_s_own_regressors(noisy):
     checked = rx.check(as_model(MODEL), noisy)
     shares = dict(zip(checked.excitations[0].parameters, checked.excitations[0].own_share))

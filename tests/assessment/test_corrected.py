@@ -47,7 +47,12 @@ def test_a_late_velocity_says_by_how_much_it_moves_each_parameter():
 
 @pytest.mark.parametrize(
     "code",
-    [pytest.param(c, marks=pytest.mark.raises_finding(c)) for c in ("stuck_sensor", "clipped")],
+    [
+        pytest.param("clipped", marks=pytest.mark.raises_finding("clipped")),
+        pytest.param(
+            "stuck_sensor", marks=[pytest.mark.raises_finding("stuck_sensor"), pytest.mark.slow]
+        ),
+    ],
 )
 def test_what_a_sensor_could_not_show_says_how_far_it_moves_each_parameter(code):
     record = recorded()

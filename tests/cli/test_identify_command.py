@@ -427,6 +427,7 @@ def test_a_mode_is_a_signal_and_perhaps_a_frequency(capsys, drive_file, wrong):
     assert "--add-mode" in result.err
 
 
+@pytest.mark.slow
 def test_table_on_a_terminal(capsys, drive_file):
     options = ("--set", "M_s=300", "--set", "M_us=30", "--no-sweep")
     result = call(capsys, "identify", drive_file, "--model", "quarter-car", *PLAIN, *options)

@@ -166,6 +166,7 @@ def test_an_exact_model_is_not_window_sensitive_under_noise(capsys):
     assert low < 80.0 < high
 
 
+@pytest.mark.slow
 def test_a_file_in_other_units_than_the_model_is_converted(capsys):
     data = motion()
     table = "\n".join(f"{t:.3f},{1000 * q:.9f},{F:.9f}" for t, q, F in zip(*data.values()))
@@ -194,6 +195,7 @@ def test_check_says_what_a_record_can_answer(capsys):
     assert document["warnings"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("unidentifiable")
 def test_check_refuses_a_step_with_an_offset_and_names_the_direction(capsys):
     rng = np.random.default_rng(0)
@@ -287,6 +289,7 @@ def test_the_report_holds_everything_that_was_found(capsys):
     assert stored["excitation"]["M"]["own_share"] > 0.3
 
 
+@pytest.mark.slow
 def test_times_are_seconds_from_the_first_sample_whatever_the_stamps(capsys):
     data = motion(offset=4.0)
     data["q"][[1400, 3000]] += 3.0

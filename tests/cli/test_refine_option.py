@@ -44,6 +44,7 @@ def recording(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_output_error_and_what_it_did_to_predictions(recording, capsys, tmp_path):
     out = tmp_path / "result"
     run = call(

@@ -58,6 +58,7 @@ def test_standard_output_is_one_json_document(result):
     assert "Traceback" not in result.err
 
 
+@pytest.mark.slow
 def test_few_roads_are_warned_of(result, document):
     assert [warning["code"] for warning in document["warnings"]] == ["few_roads"]
     assert "warning [few_roads]: only 2 roads" in result.err

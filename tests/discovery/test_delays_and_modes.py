@@ -84,6 +84,7 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     assert discovery_figures(found)["path"].rows
 
 
+@pytest.mark.slow
 def test_terms_that_are_told_from_zero_stay_beside_a_mode(tmp_path):
     problem = OTHERS["mode_and_spring"]
     found = discover(problem.start, problem.record(0.01, 2, 2), **QUICK)
@@ -97,6 +98,7 @@ def test_terms_that_are_told_from_zero_stay_beside_a_mode(tmp_path):
     assert ").with_modes(\n    rx.HiddenMode(" in source
 
 
+@pytest.mark.slow
 def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
     found = discover(BODY, carrying(), **QUICK)
     (tmp_path / "body.py").write_text(

@@ -190,6 +190,7 @@ def test_what_was_found_is_printed(found):
     assert "<table" in found._repr_html_()
 
 
+@pytest.mark.slow
 def test_of_a_right_model_the_sentence_says_that_nothing_is_missing(record):
     found = discover(find_model("drag-oscillator"), record, **QUICK)
     assert discovery_document(found)["sentence"].startswith("Nothing is missing: none of ")
@@ -277,6 +278,7 @@ def modulated() -> rx.Record:
     return rx.Record.from_samples(signals, time_step=0.01)
 
 
+@pytest.mark.slow
 def test_a_voltage_that_is_recorded_and_not_read_is_named(modulated):
     start = rx.Equation(
         rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),

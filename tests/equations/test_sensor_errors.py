@@ -43,6 +43,7 @@ def estimate(procedure, x, force, **settings):
     return {name: float(value) for name, value in found.items()}
 
 
+@pytest.mark.slow
 def test_the_zero_of_a_load_cell():
     x, force = motion()
     procedure = rx.staged(equation()).with_unknown_offset("F", "N")

@@ -40,6 +40,7 @@ def kept(clean):
     return rx.identify(JOINT, clean, intervals=rx.Sandwich(), at_rest="keep")
 
 
+@pytest.mark.slow
 def test_rest_left_out_leaves_no_error_where_rest_kept_does(masked, kept):
     assert np.abs(errors(masked)).max() < 2e-3
     assert np.abs(errors(kept)).max() > 0.1

@@ -70,6 +70,7 @@ def test_a_group_of_one_file_is_estimated_as_identify_does(folder):
             assert error == pytest.approx(float(errors[n]), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_group_of_some_is_estimated_as_identify_of_all(folder, by_vehicle):
     found, _ = by_vehicle
     every = [read_recording(f, model=MODEL) for f in sorted((folder / "vehicle=0").glob("*"))]

@@ -82,6 +82,7 @@ def test_a_spring_that_hardens_is_resolved_where_it_is_deflected(recording):
         assert float(refined[name]) == pytest.approx(true, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("coarse_steps")
 def test_steps_that_change_the_answer_are_a_finding_with_the_change(recording):
     refined = refine(duffing(), recording, HARD, OutputError(method=FixedStep(1)))

@@ -40,6 +40,7 @@ def linear_oscillator() -> Equation:
     )
 
 
+@pytest.mark.slow
 def test_an_exact_model_finds_the_same_at_every_length():
     sweep = window_sweep(drag_oscillator_equation(), oscillator(), CRITERION, key=KEY)
     assert sweep.parameters == ("m", "r", "r2", "k")

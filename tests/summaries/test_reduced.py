@@ -82,6 +82,7 @@ def test_of_more_recordings_than_there_is_room_neighbours_share_a_block(binned):
     np.testing.assert_allclose(np.asarray(one.stages[0][0].moments).sum(1), expected, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_triangular_factors_of_all_rows_are_joined(records):
     apart = summarise(MODEL, [with_accelerations(r) for r in records], DOLS())
     joined = apart.of_recordings([pooled(apart.recordings)])
