@@ -27,7 +27,8 @@ def refinement_of(*arguments, **settings):
     return found, found.refinement
 
 
-@pytest.mark.parametrize("noise", [pytest.param(0.001, marks=pytest.mark.slow), 0.05])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.001, 0.05])
 def test_of_a_right_model_the_refined_values_are_the_answer(noise):
     record = drag_problem.record(3, noise)
     found, refinement = refinement_of(DRAG, record)

@@ -34,6 +34,7 @@ def late() -> rx.Record:
     return OTHERS["late_force"].record(0.01, 1, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("late_signal")
 def test_terms_are_found_once_what_comes_late_is_in_time(late):
     found = discover(DRAG.start, late, **QUICK)

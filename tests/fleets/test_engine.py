@@ -39,6 +39,7 @@ def test_without_processes_tasks_are_done_here():
     assert list(runs.each(square, [(2,), (3,)])) == [((2,), 4), ((3,), 9)]
 
 
+@pytest.mark.slow
 def test_processes_that_end_cost_no_task_and_one_that_ends_all_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "LOST_WORKERS", 2)
     with Cluster(2) as runs:
