@@ -8,7 +8,7 @@ BIN := .venv/bin
 OUT := out
 
 .DELETE_ON_ERROR:
-.PHONY: run test nightly setup lint format docs notebooks bench bench-check calibrate clean
+.PHONY: run test nightly setup lint format docs notebooks bench bench-check bench-check-short bench-check-long calibrate clean
 
 run: .venv/installed
 	$(BIN)/riecjax reproduce --out $(OUT)/reproduce
@@ -48,8 +48,14 @@ bench: .venv/bench
 	$(BIN)/python -m benchmarks
 	$(BIN)/python -m benchmarks.table
 
-bench-check: .venv/bench
-	$(BIN)/python -m benchmarks --small --check
+# Each in one process, on a core of its own with `make -j 2`.
+bench-check: bench-check-short bench-check-long
+
+bench-check-short: .venv/bench
+	$(BIN)/python -m benchmarks --small --check --only all_windows simulation bypassed
+
+bench-check-long: .venv/bench
+	$(BIN)/python -m benchmarks --small --check --only estimation study
 
 .venv/bench: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,bench]'
