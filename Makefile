@@ -8,7 +8,7 @@ BIN := .venv/bin
 OUT := out
 
 .DELETE_ON_ERROR:
-.PHONY: run test nightly setup lint format docs notebooks bench bench-check bench-check-short bench-check-long calibrate clean
+.PHONY: run test nightly setup lint format docs notebooks bench bench-check bench-check-motion bench-check-estimates calibrate clean
 
 run: .venv/installed
 	$(BIN)/riecjax reproduce --out $(OUT)/reproduce
@@ -48,13 +48,14 @@ bench: .venv/bench
 	$(BIN)/python -m benchmarks
 	$(BIN)/python -m benchmarks.table
 
-# Each in one process, on a core of its own with `make -j 2`.
-bench-check: bench-check-short bench-check-long
+# With `make -j 2` what uses one core beside each other; all windows, which use both, alone after it.
+bench-check: bench-check-motion bench-check-estimates
+	$(BIN)/python -m benchmarks --small --check --only all_windows
 
-bench-check-short: .venv/bench
-	$(BIN)/python -m benchmarks --small --check --only all_windows simulation bypassed
+bench-check-motion: .venv/bench
+	$(BIN)/python -m benchmarks --small --check --only simulation bypassed
 
-bench-check-long: .venv/bench
+bench-check-estimates: .venv/bench
 	$(BIN)/python -m benchmarks --small --check --only estimation study
 
 .venv/bench: .venv/installed
