@@ -7,6 +7,7 @@ import pytest
 from benchmarks.fleet.drives import STEP, drives
 
 from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.windows import AllWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import estimate
@@ -102,6 +103,23 @@ def test_bytes_hold_all_and_are_the_same_for_the_same(binned):
     np.testing.assert_array_equal(theta(together(read)), theta(together(binned)))
     # Of symmetric matrices half is kept.
     assert len(written) < 0.75 * binned.byte_count
+
+
+def test_a_test_function_that_is_defined_anew_is_the_one_that_counts(records):
+    """As a cell of a notebook that is run once more does."""
+
+    def defined() -> type[Bump]:
+        class DefinedTwice(Bump):
+            pass
+
+        return DefinedTwice
+
+    first = defined()
+    criterion = RIEC(AllWindows(0.05, 0.5), first())
+    written = summarise(MODEL, records[0], criterion).to_bytes()
+    assert type(Summary.from_bytes(written).criterion.test_function) is first
+    second = defined()
+    assert type(Summary.from_bytes(written).criterion.test_function) is second
 
 
 def test_a_changed_bit_is_noticed(binned):

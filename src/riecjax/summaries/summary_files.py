@@ -21,7 +21,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
@@ -116,13 +115,8 @@ def _whole(half: np.ndarray, size: int) -> np.ndarray:
     return found
 
 
-# Looked up for every recording of a fleet, in which all are of a few sizes and criteria.
+# Looked up for every recording of a fleet, in which all are of a few sizes.
 _upper = functools.lru_cache(maxsize=64)(np.triu_indices)
-
-
-@functools.lru_cache(maxsize=64)
-def _criterion(text: str) -> AbstractCriterion:
-    return criterion_from_plain_data(json.loads(text))
 
 
 def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
@@ -296,7 +290,7 @@ def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
     units = tuple((name, unit) for name, unit in document["units"])
     return {
         "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
-        "criterion": _criterion(json.dumps(document["criterion"])),
+        "criterion": criterion_from_plain_data(document["criterion"]),
         "outline": Outline(tuple(stages), units, str(document["fingerprint"])),
         "edges": edges,
         "in_law": _pair(document["in_law"]),
