@@ -217,7 +217,6 @@ def _with_answer(
         sweep=_sweep(procedure, records, summary, asked.settings) if sweep else None,
         residuals=residuals,
         choice=choice,
-        seeds=trust.seeds(asked),
         validations=validations,
         refinement=refinement,
         failures=[

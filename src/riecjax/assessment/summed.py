@@ -62,7 +62,6 @@ def assess_sums(
         sweep=sweep,
         residuals=None,
         choice=None,
-        seeds=None,
         validations=(),
         refinement=None,
         failures=(),
