@@ -169,7 +169,7 @@ def check(
 
 
 def _constant(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
-    asked = (procedure, plan.sharing, summary.recordings, plan.given)
+    asked = (procedure, plan.sharing, summary, plan.given)
     yield from constant_targets(*asked)
     yield from wrong_zeros(*asked)
 

@@ -33,7 +33,7 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
     Of a model without any, and of sums that are linearised already, the Summary itself.
 
     **Returns:** a Summary of all windows together, each stage's of those it is solved from; without
-    averages and activity, which tell of no combination of columns.
+    the constant, which tells of no combination of columns.
     """
     if not procedure.has_hidden or summary.outline.is_of(_outline(procedure)):
         return summary
@@ -99,8 +99,6 @@ def _mixed(
     return EquationSums(
         of(together(sums.moments)),
         together(sums.count),
-        averages=None,
-        activity=None,
         survey=survey,
         factor=None,
         parameters=expanded.all_parameters,

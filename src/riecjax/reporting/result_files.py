@@ -39,7 +39,7 @@ from riecjax.uncertainty.intervals import Uncertainty
 NAME = "estimate"
 """Name of the JSON document among the arrays."""
 FORMAT = "riecjax.Estimate"
-SCHEMA = 1
+SCHEMA = 2
 """Of what the file of an estimate holds; another one is refused."""
 KINDS = (Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding)
 """What an estimate is made of, beside arrays, names, a criterion and a Summary."""

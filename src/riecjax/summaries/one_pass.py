@@ -34,10 +34,9 @@ from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
-from riecjax.linear_algebra import factor_of_gram, factor_of_rows, gram_suffices
+from riecjax.linear_algebra import gram_suffices
 from riecjax.records.filled import filled_up
 from riecjax.records.record import Record
-from riecjax.summaries.averages import hat_half
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.parts import (
@@ -53,10 +52,8 @@ from riecjax.summaries.parts import (
     of_rows,
 )
 from riecjax.summaries.stage_sums import sum_of_equations
-from riecjax.summaries.sums import Averages, EquationSums, RecordingSums, Survey
+from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
 
-AVERAGED = 1024
-"""Averaged rows of a recording, about."""
 SURVEYED = 2048
 """Rows of a recording that a survey looks at, about."""
 SHOWN = 2000
@@ -96,7 +93,6 @@ class _Layout(NamedTuple):
 class OnePass:
     """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][].
 
-    `averaged`, whether rows averaged by hats are kept: columns of high derivatives have none.
     `starts`, first of the starts that are summed and one beyond the last; all, unless others see
     to the rest: then see [`stretch_starts`][].
     """
@@ -109,16 +105,12 @@ class OnePass:
         key: Key[Array, ""] | None,
         bins: LengthBins | None,
         survey: bool,
-        averaged: bool = True,
         starts: tuple[int, int] | None = None,
     ):
         self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
-        self.record, self.survey, self.averaged = record, survey, averaged
+        self.record, self.survey = record, survey
         self.step, self.count = float(record.time_step), record.sample_count
         self.first, self.last = starts or (0, self.count)
-        self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
-        # Hats of four means to a side at the least.
-        self.thin = next((by for by in (16, 4) if self.half >= 4 * by), 1)
 
     # What overflows is for the fit to refuse.
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -166,10 +158,9 @@ class OnePass:
             self.count, self.record.time_step, self.criterion.test_function.length_multiple
         )
         band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
-        half, request = jnp.asarray(self.half), layout.request
         given = (self.procedure, self.criterion)
         parts = [
-            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, half, band, request))
+            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, band, layout.request))
             for part in self._parts(layout, reach)
         ]
         grouped = windows.block(self.count) // layout.block
@@ -205,8 +196,8 @@ class OnePass:
                     else None
                 )
 
-            names = {"moments": "moments", "count": "number", "noise": "noise"}
-            sums = {name: joined(of) for name, of in names.items()}
+            sums = {name: joined(name) for name in ("moments", "noise", "constant")}
+            sums["count"] = joined("number")
             equation = self.procedure.stages[i][j]
             return self._equation(equation, every, **sums, noise_of_source=of_sources())
 
@@ -233,8 +224,7 @@ class OnePass:
         n = self.count
         longest = windows.reach(n)
         if (block := windows.block(n)) < longest:
-            averaged, surveyed = self.averaged * AVERAGED // 2, self.survey * SURVEYED // 2
-            request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
+            request = Request(jnp.asarray(block), 2, self.survey * SURVEYED // 2)
             return _Layout(block, n, _filled(n) if fill else None, request)
         starts = max(PART, 4 * longest)
         filled = starts + reach + 2 * self.criterion.test_function.margin
@@ -244,9 +234,7 @@ class OnePass:
             starts = filled = _filled(n)
         blocks = -(-starts // longest)
         size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
-        averaged, surveyed = (max(k * longest // size, 1) for k in (AVERAGED, SURVEYED))
-        averaged, surveyed = averaged * self.averaged, surveyed * self.survey
-        request = Request(longest, blocks, self.thin, averaged, surveyed)
+        request = Request(longest, blocks, self.survey * max(SURVEYED * longest // size, 1))
         return _Layout(longest, starts, filled, request)
 
     def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
@@ -269,17 +257,11 @@ class OnePass:
         """Starts to a block, and sums over rows: samples, or windows that are drawn."""
         n = self.count
         block = self.criterion.block_samples(self.record)
-        request = Request(
-            jnp.asarray(block),
-            SHORT_BLOCKS_OF_ROWS,
-            self.thin,
-            AVERAGED // SHORT_BLOCKS_OF_ROWS,
-            int(self.survey),
-        )
+        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(self.survey))
         layout = _Layout(block, n, _filled(n) if fill else None, request)
         (part,) = self._parts(layout, 0)
         given = (self.procedure, self.criterion, part, self.key)
-        found = jax.tree.map(np.asarray, of_rows(*given, jnp.asarray(self.half), request))
+        found = jax.tree.map(np.asarray, of_rows(*given, request))
         stages = self._stages([found], block, 1)
         if not self._moments_suffice(stages):
             rows = all_rows(*given)
@@ -303,22 +285,8 @@ class OnePass:
         return True
 
     def _equation(self, equation: Equation, parts: list[PartSums], **sums: Any) -> EquationSums:
-        rows = np.concatenate([p.averaged.reshape(-1, p.averaged.shape[-1]) for p in parts])
-        # Some chunks tell of noise; their sum is brought to the number of all rows.
-        noise, valid = np.sum([p.noise.sum(0) for p in parts], axis=0), rows[:, 0] > 0
-        share = float(np.sum(rows[:, 0])) / noise[0, 0] if noise[0, 0] > 0 else 0.0
-        averages = None
-        if self.averaged:
-            averages = Averages(
-                factor_of_rows(rows[:, 1:], valid),
-                factor_of_gram(noise * share),
-                np.asarray(self.count / max(2 * self.half, 1)),
-            )
-        active = [jax.tree.map(lambda leaf: leaf.sum(0), p.activity) for p in parts]
         surveys = [p.survey for p in parts if p.survey is not None]
         return EquationSums(
-            averages=averages,
-            activity=jax.tree.map(lambda *leaves: np.sum(leaves, axis=0), *active),
             survey=_survey(surveys, float(self.record.skipped)) if surveys else None,
             factor=None,
             parameters=equation.parameters,

@@ -1,8 +1,8 @@
 """What one part of a recording says of each equation: the compiled half of the one pass.
 
 Every equation's columns are sampled once, chunk by chunk, and sums over blocks of starts are made
-of them: moments of all windows, rows averaged by hats, activity of terms, and, on request, a survey
-for checks and figures. How a recording is cut into parts is the other half's, `one_pass`.
+of them: moments of all windows, and, on request, a survey for checks and figures. How a recording
+is cut into parts is the other half's, `one_pass`.
 """
 
 # What the signals' noise adds to a row has no formula, since terms may be any expressions of the
@@ -12,7 +12,7 @@ for checks and figures. How a recording is cut into parts is the other half's, `
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation.kept_jit import kept_jit
-from riecjax.criteria.chunks import ROUND, StartBlocks, in_chunks
+from riecjax.criteria.chunks import StartBlocks, in_chunks
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.rows import Rows
@@ -33,7 +33,6 @@ from riecjax.equations.noisy_columns import NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Terms
 from riecjax.records.record import Record
-from riecjax.summaries.averages import activity, averaged_rows, thinned, underived
 from riecjax.summaries.stage_sums import moments_of_drawn
 
 PART = 2**17
@@ -44,8 +43,6 @@ NOISE = np.random.default_rng(0).standard_normal(2**16)
 """White noise of unit size, which is sent through the equations."""
 APART = 9973
 """Samples between where two signals begin to take their noise."""
-SELDOM = 8
-"""Chunks of a record of which one tells what noise adds to averaged rows."""
 Noise = Callable[[], Columns]
 """What noise adds to an equation's columns, evaluated only where it is asked for."""
 
@@ -64,15 +61,12 @@ class Request(NamedTuple):
     """What to sum, as far as it is compiled in.
 
     **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
-    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `averaged`, of
-    means of `thin` samples, none of expanded columns, and those that are `surveyed`, none unless a
-    survey is asked for.
+    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `surveyed`,
+    none unless a survey is asked for.
     """
 
     block: Int[Array, ""] | int
     blocks: int
-    thin: int
-    averaged: int
     surveyed: int
 
 
@@ -91,24 +85,23 @@ class Part(NamedTuple):
 class PartSums(NamedTuple):
     """What a part says of one equation, by blocks of starts.
 
-    **Fields:** `moments`, sums, numbers of windows and what noise adds to the sums, then by bins;
-    and by chunk what each source of noise adds, then by bins; `averaged` rows with a leading one,
-    zero where there is none, and `noise`, outer products of what noise adds to these; `activity`,
-    an `Activity` of each chunk; `survey`.
+    **Fields:** `moments`, of windows that reach ever further; `survey`.
     """
 
     moments: tuple["BlockSums", ...]
-    averaged: Float[Array, "blocks rows 2+p"]
-    noise: Float[Array, "blocks 2+p 2+p"]
-    activity: Any
     survey: "Surveyed | None"
 
 
 class BlockSums(NamedTuple):
-    """Sums over windows of some lengths, blocks first (of `of_source` chunks) and then bins."""
+    """Sums over windows of some lengths, blocks first (of `of_source` chunks) and then bins.
+
+    **Fields:** `moments`, `number` of windows, what `noise` adds to the moments, and each source of
+    it; `constant`, see `EquationSums`.
+    """
 
     moments: Array
     number: Array
+    constant: Array
     noise: Array | None
     of_source: Array | None
 
@@ -131,26 +124,23 @@ def of_all_windows(
     criterion: AbstractCriterion,
     part: Part,
     lengths: tuple[Lengths, ...],
-    half: Int[Array, ""],
     band: tuple[Int[Array, ""], Int[Array, ""]],
     request: Request,
 ) -> list[list[PartSums]]:
     """What blocks of starts of a part say of each equation of each stage, where windows are summed.
 
-    **Arguments:** `half` a hat's length in samples; `band`, shortest and longest lag of the law.
+    **Arguments:** `band`, shortest and longest lag of the law.
     """
 
     def equation_sums(
         equation: Equation, noisy: NoisyColumns, noise: Noise, record: Record, blocks: StartBlocks
     ) -> PartSums:
-        columns = noisy.columns
         moments = tuple(_in_blocks(criterion, noisy, record, which, blocks) for which in lengths)
-        sums = _part_sums(columns, noise, record, blocks, half, request, None, moments)
         if not request.surveyed:
-            return sums
+            return PartSums(moments, None)
         windows = _some_windows(criterion, blocks, band, request.surveyed)
-        survey = _surveyed(criterion, equation, columns, noise, windows, record, blocks)
-        return sums._replace(survey=survey)
+        survey = _surveyed(criterion, equation, noisy.columns, noise, windows, record, blocks)
+        return PartSums(moments, survey)
 
     return _in_chunks(procedure, criterion, part, equation_sums, lengths[-1].reach, request)
 
@@ -179,11 +169,25 @@ def _in_blocks(
         behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
         return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
 
-    found = criterion.moments_of(noisy.columns, lengths.lags, blocks, lengths.reach)
+    columns = with_constant(noisy.columns)
+    found, number = criterion.moments_of(columns, lengths.lags, blocks, lengths.reach)
     noise = criterion.noise_of(noisy, record.noise, lengths.lags, blocks, lengths.reach)
-    if noise is None:
-        return BlockSums(spread(found[0]), spread(found[1]), None, None)
-    return BlockSums(spread(found[0]), spread(found[1]), spread(noise.total), noise.of_source[None])
+    total, of_source = (None, None) if noise is None else (noise.total, noise.of_source[None])
+    moments, constant = without_constant(found)
+    sums = jax.tree.map(spread, BlockSums(moments, number, constant, total, None))
+    return sums._replace(of_source=of_source)
+
+
+def with_constant(columns: Columns) -> Columns:
+    """The same with a column behind that is 1 at every sample."""
+    ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
+    values = jnp.concatenate([columns.values, ones], axis=1)
+    return Columns(values, columns.present, columns.time_step, (*columns.parameters, ""))
+
+
+def without_constant(moments: Array) -> tuple[Array, Array]:
+    """Moments without their last column, a constant, and its products: with itself first."""
+    return moments[..., :-1, :-1], jnp.roll(moments[..., -1, :], 1, axis=-1)
 
 
 @kept_jit
@@ -192,7 +196,6 @@ def of_rows(
     criterion: AbstractCriterion,
     part: Part,
     key: Key[Array, ""] | None,
-    half: Int[Array, ""],
     request: Request,
 ) -> list[list[PartSums]]:
     """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
@@ -201,19 +204,19 @@ def of_rows(
     def equation_sums(
         equation: Equation, noisy: NoisyColumns, noise: Noise, record: Record, blocks: StartBlocks
     ) -> PartSums:
-        columns = noisy.columns
-        sums, added = moments_of_drawn(criterion, noisy, record, drawn, blocks)
-        of_noise = (None, None)
+        beside = noisy._replace(columns=with_constant(noisy.columns))
+        (found, number), added = moments_of_drawn(criterion, beside, record, drawn, blocks)
+        total, of_source = None, None
         if added is not None:
-            of_noise = added.total[:, None], added.of_source[None, None]
-        moments = (BlockSums(sums[0][:, None], sums[1][:, None], *of_noise),)
-        bare = None if criterion.smoothness else underived(equation)
-        sums = _part_sums(columns, noise, record, blocks, half, request, bare, moments)
+            total, of_source = (each[..., :-1, :-1] for each in (added.total, added.of_source))
+            total, of_source = total[:, None], of_source[None, None]
+        moments, constant = without_constant(found)
+        sums = BlockSums(moments[:, None], number[:, None], constant[:, None], total, of_source)
         if not request.surveyed:
-            return sums
+            return PartSums((sums,), None)
         every = WindowSet(drawn.start[None], drawn.stop[None])
-        survey = _surveyed(criterion, equation, columns, noise, every, record, blocks)
-        return sums._replace(survey=survey)
+        survey = _surveyed(criterion, equation, noisy.columns, noise, every, record, blocks)
+        return PartSums((sums,), survey)
 
     return _in_chunks(procedure, criterion, part, equation_sums, 0, request)
 
@@ -267,52 +270,6 @@ def _in_chunks(
         unpadded=part.held,
         first=part.first,
         number=request.blocks,
-    )
-
-
-def _part_sums(
-    columns: Columns,
-    noise: Noise,
-    record: Record,
-    blocks: StartBlocks,
-    half: Int[Array, ""],
-    request: Request,
-    bare: np.ndarray | None,
-    moments: tuple[BlockSums, ...],
-) -> PartSums:
-    thin, each = request.thin, request.averaged
-    size = 2 + len(columns.parameters)
-    nothing = jnp.zeros((blocks.number, size, size), columns.values.dtype)
-    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
-    centres = (start + (jnp.arange(each) * blocks.size // each)[None, :] + half).ravel()
-
-    def averaged(of: Columns) -> Float[Array, "blocks rows 2+p"]:
-        rows, valid = averaged_rows(
-            thinned(of, thin), (half + thin // 2) // thin, centres // thin, blocks.unpadded // thin
-        )
-        rows = jnp.pad(rows, ((0, 0), (1, 0)), constant_values=1.0)
-        rows = jnp.where(valid[:, None], rows, 0.0)
-        return rows.reshape(blocks.number, each, -1)
-
-    def noise_gram() -> Float[Array, "blocks 2+p 2+p"]:
-        added = averaged(noise())
-        return jnp.einsum("bri,brj->bij", added, added)
-
-    chunk = jnp.round(record.skipped / record.time_step / ROUND).astype(int)
-    added = nothing
-    if each:
-        added = jax.lax.cond(chunk % SELDOM == 0, noise_gram, lambda: nothing)
-    at = jnp.arange(columns.sample_count)
-    there = (at >= blocks.first) & (at < blocks.first + blocks.size * blocks.number)
-    there = there & (at < blocks.unpadded)
-    there = there if columns.present is None else there & columns.present
-    acts = activity(columns, there, bare)
-    return PartSums(
-        moments,
-        averaged(columns) if each else nothing[:, :0],
-        added,
-        jax.tree.map(lambda leaf: leaf[None], acts),
-        None,
     )
 
 

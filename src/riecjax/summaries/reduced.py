@@ -7,10 +7,8 @@ a hundredth of the memory, and compiled functions of one shape for a group of an
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-import jax
 import numpy as np
 
 from riecjax.leaves import Leaf
@@ -26,14 +24,14 @@ def together(summary: Summary) -> Summary:
 
     def of(equation: EquationSums) -> EquationSums:
         by_source = equation.noise_of_source
-        one = _each(equation, lambda sums: np.asarray(sums)[band].sum(0, keepdims=True))
+        one = equation.each(lambda sums: np.asarray(sums)[band].sum(0, keepdims=True))
         if by_source is None:
             return one
         by_source = np.asarray(by_source)[band].sum(0, keepdims=True)
         return dataclasses.replace(one, noise_of_source=by_source)
 
     return dataclasses.replace(
-        summary.of_recordings(_of_equations(one, of) for one in summary.recordings),
+        summary.of_recordings(one.of_equations(of) for one in summary.recordings),
         edges=None,
         in_law=(0, 1),
         band=(0, 1),
@@ -49,11 +47,11 @@ def in_blocks(recording: RecordingSums, most: int) -> RecordingSums:
     first = -(-np.arange(count) * held // count)
 
     def of(equation: EquationSums) -> EquationSums:
-        return _each(equation, lambda sums: np.add.reduceat(np.asarray(sums), first, axis=1))
+        return equation.each(lambda sums: np.add.reduceat(np.asarray(sums), first, axis=1))
 
     seconds = float(recording.blocks) * float(recording.block_seconds)
     return dataclasses.replace(
-        _of_equations(recording, of),
+        recording.of_equations(of),
         blocks=np.asarray(count),
         block_seconds=np.asarray(seconds / count),
     )
@@ -92,20 +90,6 @@ def pooled(recordings: Sequence[RecordingSums], each: int = 1) -> RecordingSums:
     return in_blocks(joined, ROOMS[-1])
 
 
-def _of_equations(
-    recording: RecordingSums, of: Callable[[EquationSums], EquationSums]
-) -> RecordingSums:
-    stages = tuple(tuple(map(of, stage)) for stage in recording.stages)
-    return dataclasses.replace(recording, stages=stages)
-
-
-def _each(equation: EquationSums, of: Callable[[Leaf], np.ndarray]) -> EquationSums:
-    """The same done to all sums by bins and blocks."""
-    noise = None if equation.noise is None else of(equation.noise)
-    moments, count = of(equation.moments), of(equation.count)
-    return dataclasses.replace(equation, moments=moments, count=count, noise=noise)
-
-
 def _noise(every: Sequence[Noise]) -> Noise:
     kernels: dict[str, dict[str, Leaf]] = {}
     freedom: dict[str, Leaf] = {}
@@ -129,36 +113,18 @@ def _pooled(
         if one.noise_of_source is not None:
             by_source[:, [sources.index(name) for name in names]] += np.asarray(one.noise_of_source)
     known = any(one.noise is not None for one in every)
+    constant = [one.constant for one in every]
+    constant = None if any(of is None for of in constant) else constant
     return EquationSums(
         moments=np.concatenate([one.moments for one in every], axis=1),
         count=np.concatenate([one.count for one in every], axis=1),
-        averages=_averages(every),
-        activity=_sum([one.activity for one in every]),
         survey=None,
         factor=_factor(every),
         parameters=every[0].parameters,
         noise=np.concatenate(noise, axis=1) if known else None,
         noise_of_source=by_source if known else None,
+        constant=None if constant is None else np.concatenate(constant, axis=1),
     )
-
-
-def _averages(every: Sequence[EquationSums]) -> Any:
-    """Factors of the rows of all, which are factors of the factors beneath one another."""
-    averages = [one.averages for one in every if one.averages is not None]
-    if len(averages) < len(every):
-        return None
-    return dataclasses.replace(
-        averages[0],
-        rows=joined_factor([one.rows for one in averages]),
-        noise=joined_factor([one.noise for one in averages]),
-        independent=np.asarray(sum(float(one.independent) for one in averages)),
-    )
-
-
-def _sum(every: Sequence[Any]) -> Any:
-    if any(one is None for one in every):
-        return None
-    return jax.tree.map(lambda *leaves: np.sum(leaves, axis=0), *every)
 
 
 def _factor(every: Sequence[EquationSums]) -> np.ndarray | None:

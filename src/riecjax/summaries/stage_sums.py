@@ -78,8 +78,6 @@ def traced_sums(
                 in_bins(e.count),
                 None,
                 None,
-                None,
-                None,
                 e.parameters,
                 *(map(in_bins, (noise.total, noise.of_source)) if noise else (None, None)),
             )

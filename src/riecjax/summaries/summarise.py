@@ -86,9 +86,7 @@ def summed(
         read = with_less_noise(in_motion(procedure, record), record, criterion)
         if traced:
             return traced_sums(read, record, criterion, key, own is not None)
-        averaged = not asked.procedure.has_hidden
-        one = OnePass(read, record, criterion, key, kept_apart, survey, averaged, starts)
-        return one.sums()
+        return OnePass(read, record, criterion, key, kept_apart, survey, starts).sums()
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)
