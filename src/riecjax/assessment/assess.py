@@ -24,8 +24,8 @@ from riecjax.estimation.check import (
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
-from riecjax.estimation.linearised import linearised
 from riecjax.estimation.mode_evidence import mode_evidence
+from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
@@ -34,8 +34,7 @@ from riecjax.models.model import as_model
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
-from riecjax.studies.drift import WindowSweep
-from riecjax.studies.sweep import sweep_edges, window_sweep
+from riecjax.studies.sweep import WindowSweep, sweep_edges, window_sweep
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import WRITE_CRITERION, ready

@@ -9,13 +9,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from riecjax.assessment.doubt import TRUSTED, Doubt, concerned
-from riecjax.criteria.smooth_test_functions import AbstractSmoothTestFunction
+from riecjax.criteria.test_functions import AbstractSmoothTestFunction
 from riecjax.equations.expressions import constant
 from riecjax.equations.hidden_modes import is_hidden_name
 from riecjax.equations.term import Term
 from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
 from riecjax.findings import Finding
-from riecjax.studies.drift import MOST, WindowSweep
+from riecjax.studies.sweep import MOST, WindowSweep
 from riecjax.validation.residuals import EquationResidual
 
 if TYPE_CHECKING:

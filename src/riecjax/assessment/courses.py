@@ -5,7 +5,7 @@ import numpy as np
 
 from riecjax.assessment.asked import Asked
 from riecjax.assessment.trust import seen, system_of
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.records.consistency import is_motion
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit

@@ -20,8 +20,7 @@ from riecjax.assessment.courses import course_shows, straight_inputs, surely_lik
 from riecjax.assessment.trust import horizons, seen, unseen, validated
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.records.noise_judgement import judged

@@ -10,8 +10,8 @@ from riecjax.errors import DataError
 from riecjax.estimation.check import Check, raise_if_refused
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate
-from riecjax.estimation.linearised import linearised
 from riecjax.estimation.mode_evidence import mode_evidence
+from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.leaves import on_host

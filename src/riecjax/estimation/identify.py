@@ -9,17 +9,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation.kept_jit import kept_jit
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, as_procedure
 from riecjax.errors import IdentifiabilityError, ModelError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.mode_windows import find_modes
 from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
-from riecjax.estimation.refusals import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
@@ -33,8 +32,7 @@ from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
 from riecjax.records.recording import as_recordings
-from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
 from riecjax.summaries.task import Task, signals_read, task

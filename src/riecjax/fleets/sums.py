@@ -12,8 +12,8 @@ from riecjax.fleets.pieces import Piece, recordings_of, rows_at_hand
 from riecjax.fleets.sources import at_hand
 from riecjax.records.recording import Recording
 from riecjax.runtime import release_memory
-from riecjax.summaries.reduced import in_blocks, together
 from riecjax.summaries.summarise import summed
+from riecjax.summaries.summary import in_blocks, together
 from riecjax.summaries.task import task
 
 DONE = "ok"

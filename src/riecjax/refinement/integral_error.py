@@ -46,8 +46,7 @@ from riecjax.refinement.objective import (
     Specification,
 )
 from riecjax.refinement.parametric import ByFunction
-from riecjax.summaries.blocks import ShortBlocks, short_blocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
 
 
 class IntegralMisfit(AbstractMisfit):

@@ -39,8 +39,7 @@ from riecjax.refinement.parametric import AbstractParametric
 from riecjax.refinement.recorded import Recorded, over_windows
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.system import AbstractSystem
-from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
 
 RIDGE = 1e-10
 """What keeps an initial state that no residual depends on from a division by zero; relative."""

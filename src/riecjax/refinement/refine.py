@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.errors import renamed, require
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import require_settings
 from riecjax.records.record import Records, as_records
 from riecjax.refinement.coordinates import Bounds, Constraints, Prior

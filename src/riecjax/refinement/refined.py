@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf
 from riecjax.refinement.optimum import RefinementStatus

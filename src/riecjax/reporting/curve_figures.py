@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.assessment.assessment import Assessment
-from riecjax.criteria.criterion import DOLS
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
 from riecjax.equations.term import Terms

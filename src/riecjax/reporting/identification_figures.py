@@ -7,7 +7,7 @@ import numpy as np
 
 from riecjax.assessment.assessment import Assessment, ValidationRun
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.linearised import linearised
+from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import values_of_record
 from riecjax.records.record import samples_with_nan
 from riecjax.reporting.charts.chart import (
@@ -29,7 +29,7 @@ from riecjax.reporting.charts.chart import (
 from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.hidden_modes import mode_map_figure
 from riecjax.reporting.residual_figures import residual_figures, window_choice_figures
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.sums import Survey
 from riecjax.validation.held_out import HeldOut
 

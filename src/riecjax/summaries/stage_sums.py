@@ -20,8 +20,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
-from riecjax.summaries.blocks import short_blocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, short_blocks
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Array, Key
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.length_bins import LengthBins
+from riecjax.criteria.laws import LengthBins
 from riecjax.equations.equation import Equation
 from riecjax.equations.in_motion import in_motion
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
