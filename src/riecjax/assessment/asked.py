@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxtyping import Array, Key
+from jaxtyping import Array, ArrayLike, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.procedure import Procedure
@@ -25,6 +25,15 @@ WORK_PER_ROW = Work(4e-6, 320.0)
 """Of a criterion that draws its windows, for each window and column."""
 CHECKING = 0.25
 """Share of that time that a check takes, which tests no residual and sweeps no length."""
+
+
+TINY = 1e-300
+"""In place of a size of zero, which nothing is a share of."""
+
+
+def size_of(value: ArrayLike) -> float:
+    """Size of a value, for shares of it."""
+    return max(abs(float(value)), TINY)
 
 
 class Asked(NamedTuple):
