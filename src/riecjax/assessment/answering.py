@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from jaxtyping import Array, Key
 
-from riecjax.assessment.asked import Asked, expect_assessing
+from riecjax.assessment.asked import Asked, require_memory_to_assess
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure
@@ -55,7 +55,9 @@ def check_answering(
     """
     described = as_model(model)
     procedure, recordings = described.build_procedure(), as_recordings(records)
-    expect_assessing(procedure, [each.record for each in recordings], criterion, checking=True)
+    require_memory_to_assess(
+        procedure, [each.record for each in recordings], criterion, checking=True
+    )
     settings = {"known": known, "per_record": per_record}
     summary = summarise(procedure, recordings, criterion, key=key, survey=True)
     checked = check(procedure, recordings, criterion, key=key, summary=summary, **settings)

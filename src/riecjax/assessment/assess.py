@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from riecjax.assessment.asked import Asked, expect_assessing
+from riecjax.assessment.asked import Asked, require_memory_to_assess
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited
 from riecjax.equations.equation import Equation
@@ -166,7 +166,7 @@ def _with_answer(
     on_estimate: Callable[[Estimate], None] | None,
 ) -> "Assessment":
     procedure, records, criterion = asked.procedure, asked.records, asked.criterion
-    expect_assessing(procedure, records, criterion)
+    require_memory_to_assess(procedure, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
     plan = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.

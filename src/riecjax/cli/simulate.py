@@ -7,11 +7,11 @@ import click
 
 from riecjax.cli.options import POSITIVE, json_option, seed_option, set_option
 from riecjax.cli.progress import Progress
+from riecjax.memory import require_memory
 from riecjax.runtime import start_jax
 from riecjax.standard_output import answer
-from riecjax.work import Work, expect
 
-WORK_PER_VALUE = Work(1e-6, 50.0)
+BYTES_PER_VALUE = 50.0
 """What one value of the recording takes, to be simulated and to be written as text."""
 
 
@@ -91,9 +91,8 @@ def command(
             seed=seed,
         )
         columns = 1 + len(inputs.arrays) + len(system.states) + len(system.outputs)
-        values = inputs.sample_count * columns
-        work = Work(*(values * each for each in WORK_PER_VALUE))
-        expect(f"simulating {inputs.sample_count} samples", work, "Shorten --duration.")
+        needed = inputs.sample_count * columns * BYTES_PER_VALUE
+        require_memory(f"simulating {inputs.sample_count} samples", needed, "Shorten --duration.")
         simulation = simulate(system, inputs).checked()
         record = simulation.record.select(*model.written) if model.written else simulation.record
         write_record(out, record)
