@@ -41,7 +41,7 @@ SHARED = (
     "standard_output",
     "tails",
     "whole_files",
-    "work",
+    "memory",
 )
 """Modules beside the stages that all may import, and that import none of the stages."""
 STUDY = ("paper", "models/quarter_car", "reporting/paper_charts")

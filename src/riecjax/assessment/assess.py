@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from jaxtyping import Array, Key
 
-from riecjax.assessment.asked import Asked, expect_assessing, size_of
+from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited
 from riecjax.equations.equation import Equation
@@ -149,7 +149,7 @@ def _answer(
     on_estimate: Callable[[Estimate], None] | None,
 ) -> "Assessment":
     procedure, records, criterion = asked.procedure, asked.records, asked.criterion
-    expect_assessing(procedure, records, criterion)
+    require_memory_to_assess(procedure, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
     plan = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
@@ -301,7 +301,9 @@ def check_answering(
     """
     described = as_model(model)
     procedure, recordings = described.build_procedure(), as_recordings(records)
-    expect_assessing(procedure, [each.record for each in recordings], criterion, checking=True)
+    require_memory_to_assess(
+        procedure, [each.record for each in recordings], criterion, checking=True
+    )
     settings = {"known": known, "per_record": per_record}
     summary = summarise(procedure, recordings, criterion, key=key, survey=True)
     checked = check(procedure, recordings, criterion, key=key, summary=summary, **settings)

@@ -35,20 +35,22 @@ from riecjax.refinement.output_misfit import OutputMisfit
 from riecjax.refinement.refine import refine_with_misfit
 from riecjax.refinement.refined import Refined
 from riecjax.refinement.shots import Tiles, WholeRecord
-from riecjax.refinement.work import estimated_seconds
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
-from riecjax.work import Work, expect, in_time
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
 STEPS_BY_ITSELF = 60
 """Steps that one may take which nobody asked for; right models need about ten."""
-LONGEST = 10.0
-"""Seconds of computing up to which nobody has to ask for a refinement."""
+MOST_WORK = 10_000_000
+"""Steps x states x tangents of an expansion up to which nobody has to ask for a refinement.
+
+Of ten operations for each state's derivative, as built-in models have (6 to 17), a search of twelve
+expansions takes ten seconds (`python -m benchmarks.refinement_gate --work`).
+"""
 SMALL_SHARE = 1e-2
 """Share of its signal below which a residual need not be the model's."""
 LEAST_NOISE = 1e-4
@@ -158,8 +160,6 @@ def _as_asked(
     """Over the estimate's windows if no others are asked for; its values are the answer."""
     if isinstance(by, IntegralError) and by.criterion is None:
         by = IntegralError(estimate.criterion)
-    if isinstance(by, OutputError):
-        expect("refining by simulation", Work(_seconds(asked, estimate, by)))
     refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
     return Refinement(refined, whiteness=_left(misfit, refined, asked.records))
 
@@ -205,8 +205,11 @@ def _by_itself(
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
         by = _objective(asked, estimate, horizon)
-        if (seconds := _seconds(asked, estimate, by)) > LONGEST:
-            return Refinement(declined=_too_long(seconds))
+        if (work := _work(asked, estimate, by)) > MOST_WORK:
+            return Refinement(
+                declined=f"a search would take {work:.2g} steps x states x tangents, more than "
+                f"{MOST_WORK:.0g}; {ASK}"
+            )
         found = _warranted(asked, estimate, by, known)
         if horizon is None and found.refined is not None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
@@ -219,10 +222,10 @@ def _by_itself(
         return Refinement(declined=f"no output error can be formed: {str(error).rstrip('.')}")
 
 
-def _seconds(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> float:
+def _work(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> int:
     own = tuple(asked.settings["per_record"])
     specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
-    return estimated_seconds(by.misfit(specified), specified)
+    return by.misfit(specified).work
 
 
 def _left_out(estimate: Estimate) -> str:
@@ -236,10 +239,6 @@ def _left_out(estimate: Estimate) -> str:
                 f"what the model leaves out; {ASK}"
             )
     return ""
-
-
-def _too_long(seconds: float) -> str:
-    return f"it would take about {in_time(seconds)}; {ASK}"
 
 
 def _warranted(

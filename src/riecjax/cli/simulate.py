@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from riecjax.records.record import Record
 from riecjax.cli.options import POSITIVE, json_option, seed_option, set_option
 from riecjax.cli.progress import Progress
 from riecjax.errors import DataError, MissingSignalError, ModelError
+from riecjax.memory import require_memory
 from riecjax.runtime import start_jax
 from riecjax.standard_output import answer
-from riecjax.work import Work, expect
+
+if TYPE_CHECKING:
+    from riecjax.records.record import Record
 
 KINDS = ("white-noise", "robson", "pothole")
 DEFAULT_RATE = 200.0
@@ -21,7 +22,7 @@ SAME_RATE = 1e-6
 """Share by which a rate may differ from a file's by rounding."""
 MOST_SAMPLES = 50_000_000
 DEFAULT_DURATION = {"white-noise": 40.0, "robson": 40.0, "pothole": 3.0}
-WORK_PER_VALUE = Work(1e-6, 50.0)
+BYTES_PER_VALUE = 50.0
 """What one value of the recording takes, to be simulated and to be written as text."""
 
 
@@ -100,9 +101,8 @@ def command(
             seed=seed,
         )
         columns = 1 + len(inputs.arrays) + len(system.states) + len(system.outputs)
-        values = inputs.sample_count * columns
-        work = Work(*(values * each for each in WORK_PER_VALUE))
-        expect(f"simulating {inputs.sample_count} samples", work, "Shorten --duration.")
+        needed = inputs.sample_count * columns * BYTES_PER_VALUE
+        require_memory(f"simulating {inputs.sample_count} samples", needed, "Shorten --duration.")
         simulation = simulate(system, inputs).checked()
         record = simulation.record.select(*model.written) if model.written else simulation.record
         write_record(out, record)

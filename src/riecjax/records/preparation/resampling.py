@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.memory import in_gigabytes, require_memory
 from riecjax.records.missing import gaps, hold
 from riecjax.records.noise import Noise
 from riecjax.records.noise_judgement import judged, noise_of_level
@@ -18,15 +19,14 @@ from riecjax.records.preparation.resampled_noise import (
     uneven_level,
 )
 from riecjax.records.record import Record
-from riecjax.work import Work, expect
 
 LARGEST_GRID = 50_000_000
 """Samples, over all channels, that a new grid may have before it is refused."""
 LARGEST_GROWN, MOST_TIMES = 3_000_000, 16
 """The same where it has more than so many times as many as were recorded, which say no more."""
-WORK_OF_IDENTIFYING = Work(4e-5, 170.0)
+BYTES_OF_IDENTIFYING = 170.0
 """What a sample of one channel takes in `riecjax identify`, as measured from 12,000 on."""
-WORK_PER_SAMPLE = Work(2e-6, 60.0)
+BYTES_PER_SAMPLE = 60.0
 """What a sample of one channel on its new grid takes."""
 LONGEST_STEP = 3.0
 """Usual steps of a channel past which samples are missing between two of its stamps."""
@@ -229,15 +229,14 @@ def _common_grid(channels: Mapping[str, _Channel], rate: float) -> np.ndarray:
 
 
 def _expect(samples: float, recorded: int, how: str, remedy: str) -> None:
-    """Say what so many samples of a new grid take, over all channels, or refuse them."""
+    """Refuse so many samples of a new grid, over all channels, that memory does not hold."""
     if samples > min(LARGEST_GRID, max(LARGEST_GROWN, MOST_TIMES * recorded)):
-        whole = Work(*(samples * each for each in WORK_OF_IDENTIFYING))
         raise DataError(
             f"{how} would make {samples:.3g} samples, over all signals, of {recorded} that were "
-            f"recorded and say as much; to identify from them takes {whole.words}. {remedy}"
+            f"recorded and say as much; to identify from them takes about "
+            f"{in_gigabytes(samples * BYTES_OF_IDENTIFYING)} of memory. {remedy}"
         )
-    work = Work(*(samples * each for each in WORK_PER_SAMPLE))
-    expect(f"resampling to {samples:.2g} samples", work, remedy)
+    require_memory(f"resampling to {samples:.2g} samples", samples * BYTES_PER_SAMPLE, remedy)
 
 
 def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
