@@ -214,7 +214,6 @@ def _answer(
         sweep=over_lengths,
         residuals=residuals,
         choice=choice,
-        seeds=trust.seeds(asked),
         validations=validations,
         refinement=refinement,
         failures=[*failed, *resting, *untested, *trust.validated_on_fitted(asked)],

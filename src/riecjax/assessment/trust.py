@@ -29,22 +29,12 @@ from riecjax.records.recording import Recording
 from riecjax.simulation.instability import growth
 from riecjax.simulation.system import AbstractSystem
 from riecjax.studies.choice import WindowChoice, window_choice
-from riecjax.studies.monte_carlo import SeedScatter, seed_scatter
 from riecjax.validation.drifting_inputs import drifting_inputs
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.held_out import validate_held_out
 from riecjax.validation.late_signals import late_signals
 from riecjax.validation.residuals import ResidualTests, residual_tests
 from riecjax.validation.silent_inputs import silent_inputs
-
-
-def seeds(asked: Asked) -> SeedScatter | None:
-    """Scatter over other draws of windows, where some are drawn."""
-    if not asked.criterion.needs_key or asked.key is None:
-        return None
-    return seed_scatter(
-        asked.procedure, asked.records, asked.criterion, key=asked.key, **asked.settings
-    )
 
 
 def what_is_left(

@@ -31,7 +31,6 @@ from riecjax.reporting.estimate import (
 )
 from riecjax.reporting.verdict import as_typed, print_verdict, verdict_entries
 from riecjax.studies.drift import WindowSweep
-from riecjax.studies.monte_carlo import SeedScatter
 
 
 def identification_document(result: Assessment, command: Sequence[str] = ()) -> Document:
@@ -54,7 +53,6 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
         "correlation": _correlation(estimate),
         "residual_tests": None if result.residuals is None else result.residuals.describe(),
         "window_choice": None if result.choice is None else result.choice.describe(),
-        "seed_scatter": None if result.seeds is None else _seed_entries(result.seeds),
         "window_sweep": None if result.sweep is None else _sweep_entries(result.sweep),
         "refinement": None if refinement is None else refinement_entries(refinement, identified),
         "validation": [
@@ -98,16 +96,6 @@ def _correlation(estimate: Estimate) -> dict[str, Any]:
     return {
         "parameters": list(estimate.parameters),
         "matrix": [[finite(float(value)) for value in row] for row in estimate.correlation],
-    }
-
-
-def _seed_entries(scatter: SeedScatter) -> dict[str, Any]:
-    return {
-        "means": "scatter of the sampling of windows, not the parameters' uncertainty",
-        "seeds": int(scatter.theta.shape[0]),
-        "spread": {
-            name: finite(float(value)) for name, value in zip(scatter.parameters, scatter.spread)
-        },
     }
 
 
@@ -187,13 +175,6 @@ def windows_in_words(document: Document) -> Iterator[str]:
         f"intervals: {intervals['method']}, {intervals['blocks']} blocks of "
         f"{intervals['block_seconds']:.3g} s"
     )
-    if document["seed_scatter"] is not None:
-        spread = document["seed_scatter"]["spread"]
-        moved = ", ".join(f"{name} by {number(value, 2)}" for name, value in spread.items())
-        yield (
-            f"another seed would draw other windows and move {moved} (of the sampling, not of "
-            f"the parameters)"
-        )
     criterion, choice = document["criterion"], document["window_choice"]
     if choice is not None:
         low, high = 0.5 / criterion["beta"], 0.5 / criterion["alpha"]
