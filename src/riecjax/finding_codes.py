@@ -139,13 +139,13 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} part by a jump",
         "the delay of a derivative, from part to part of the record",
-        "records.faults.delay_course:LOST",
+        "records.faults.derivative_pairs:LOST",
     ),
     "two_clocks": FindingCode(
         "sensors",
         "{signals} run by two clocks",
         "the delay of a derivative, from part to part of the record",
-        "records.faults.delay_course:CHANGE",
+        "records.faults.derivative_pairs:CHANGE",
     ),
     "silent_input": FindingCode(
         "sensors",
@@ -219,7 +219,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "the mains hum in {signals}",
         "lines of a grid in a signal's spectrum against what surrounds them",
-        "records.faults.hum:BY_CHANCE",
+        "records.preparation.hum:BY_CHANCE",
     ),
     "missing_samples": FindingCode(
         "sensors", "samples of {signals} are missing", "samples that are no number"
@@ -228,7 +228,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} is coarsely quantised",
         "the greatest common step of a signal's values against its size",
-        "records.faults.quantisation:COARSE",
+        "records.faults.signals:COARSE",
     ),
     "column_left_out": FindingCode(
         "sensors",

@@ -1,24 +1,77 @@
-"""Spikes replaced by what the samples around them say; what a sensor could not show left out."""
+"""Angles that begin anew with each turn, as encoders and resolvers show them.
+
+Samples at which a sensor showed what it could, and not what was: stuck, or at its limit.
+
+Spikes replaced by what the samples around them say; what a sensor could not show left out.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.answered import are_answered
-from riecjax.records.faults.held import held
-from riecjax.records.faults.outliers import DONE, Treatment, finding_of, too_many
-from riecjax.records.faults.sampled_signal import sampled_signal
-from riecjax.records.faults.spikes import Spikes, find_spikes
-from riecjax.records.faults.wrapped import unwrapped
+from riecjax.records.faults.clipping import limits
+from riecjax.records.faults.sampled_signal import SampledSignal, sampled_signal
+from riecjax.records.faults.saturation import limits_under_noise
+from riecjax.records.faults.spikes import (
+    DONE,
+    Spikes,
+    Treatment,
+    are_answered,
+    find_spikes,
+    finding_of,
+    too_many,
+)
+from riecjax.records.faults.stuck_sensor import stuck_runs
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.reading.selected import Selection
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import SHORTEST_PAUSE
+
+TURNS = (2 * np.pi, 360.0)
+"""A turn in radians and in degrees."""
+QUICKEST = 0.25
+"""Turns from sample to sample past which nothing tells which way it went."""
+MOST = 0.05
+"""Share of samples that begin a turn at most."""
+
+
+def unwrapped(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], int]:
+    """An angle that goes on from turn to turn, and how often it began anew; 0 if it never did.
+
+    It is one whose values fill a turn, and jump from one end of it to the other, and nowhere else.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    steps = np.diff(values[known])
+    sizes = np.abs(steps)
+    for turn in TURNS:
+        jumps = sizes > turn / 2
+        if not jumps.any() or np.mean(jumps) > MOST:
+            continue
+        usual = float(np.max(sizes[~jumps], initial=0.0))
+        reach = float(np.ptp(values[known]))
+        around = np.abs(sizes[jumps] - turn) <= 2 * usual
+        if usual < QUICKEST * turn and turn - 2 * usual <= reach <= turn + usual and around.all():
+            whole = values.copy()
+            whole[known] -= turn * np.cumsum(np.append(0, np.where(jumps, np.sign(steps), 0)))
+            return whole, int(jumps.sum())
+    return values, 0
+
+
+def held(signal: SampledSignal, others: Sequence[SampledSignal]) -> Bool[np.ndarray, " n"]:
+    """Samples of which `stuck_sensor` and `clipped` speak, limits that may be real among them."""
+    found = np.zeros(signal.values.size, bool)
+    for run in stuck_runs(signal, others):
+        start = signal.run_starts[run]
+        found[start : start + signal.run_lengths[run]] = True
+    for side in limits(signal) or limits_under_noise(signal):
+        sign = 1.0 if side.which == "maximum" else -1.0
+        found |= sign * (signal.values - side.extreme) >= -side.within
+    return found
 
 
 class Treated(NamedTuple):
