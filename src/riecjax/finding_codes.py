@@ -127,13 +127,13 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} are one signal",
         "what a straight line leaves of one signal by another",
-        "records.faults.copies:ROUNDED",
+        "records.faults.rows:ROUNDED",
     ),
     "duplicate_recording": FindingCode(
         "sensors",
         "a recording was given twice",
         "samples of recordings, wherever in them they lie",
-        "records.faults.duplicates:ALIKE",
+        "records.faults.rows:ALIKE",
     ),
     "lost_rows": FindingCode(
         "sensors",
@@ -188,7 +188,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "rows stand in the recording twice",
         "rows that are others to the bit",
-        "records.faults.repeated_rows:FEWEST",
+        "records.faults.rows:FEWEST",
     ),
     "wrong_zero": FindingCode(
         "sensors",

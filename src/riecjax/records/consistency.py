@@ -11,9 +11,9 @@ import numpy as np
 
 from riecjax.findings import Finding, option_for
 from riecjax.records.derived import line_taken_off
-from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.derivative_pairs import Pair, compare
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
+from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise import noise_level
 from riecjax.records.reading.unit_expressions import readings
 from riecjax.records.record import Record, samples_with_nan

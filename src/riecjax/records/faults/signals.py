@@ -1,8 +1,4 @@
-"""Samples that a record lacks.
-
-The steps of a converter, where they matter.
-
-Faults of sensors, converters and loggers, found in the samples alone.
+"""Faults of sensors, converters and loggers, found in the samples alone.
 
 No check fires on what machines do: axes at rest, relays and steps, encoders that show one value for
 a while, bumps in a road. The message says what to do about a fault.
@@ -14,18 +10,22 @@ import numpy as np
 
 from riecjax.findings import Finding
 from riecjax.records.faults.clipping import clipped
-from riecjax.records.faults.copies import copied_signals
+from riecjax.records.faults.rows import copied_signals
 from riecjax.records.faults.sampled_signal import (
     FEW_LEVELS,
     SampledSignal,
     percent,
     sampled_signal,
 )
-from riecjax.records.faults.saturation import saturated
 from riecjax.records.faults.spikes import outliers
 from riecjax.records.faults.stuck_sensor import stuck
 from riecjax.records.preparation.hum import hum
 from riecjax.records.record import Record
+
+COARSE = 0.01
+"""Share of a signal's rms past which its resolution matters."""
+FEWEST_SAMPLES = 50
+"""Present samples below which only missing and constant signals are reported."""
 
 
 def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterator[Finding]:
@@ -37,10 +37,18 @@ def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterato
             alike.setdefault(mask.tobytes(), []).append(signal)
     for group in alike.values():
         mask = np.isnan(group[0].values)
-        lost, first = _in_gaps(mask, group[0].time, float(record.time_step))
+        time, step = group[0].time, float(record.time_step)
+        edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+        starts, stops = edges[::2], edges[1::2]
+        # One sample, halfway, stands for all of a logger's pause.
+        inside = (starts > 0) & (stops < mask.size)
+        before, after = time[np.maximum(starts - 1, 0)], time[np.minimum(stops, mask.size - 1)]
+        passed = np.where(inside, np.round((after - before) / step) - 1, 0).astype(int)
+        lost = np.maximum(stops - starts, passed)
+        first = float(before[0] + step if starts[0] > 0 else time[0])
         count, present = int(lost.sum()), int((~mask).sum())
         longest = max((s.stop - s.start for s in record.segments([group[0].name])), default=0)
-        seconds = max(longest - 1, 0) * float(record.time_step)
+        seconds = max(longest - 1, 0) * step
         gaps = "gap" if lost.size == 1 else "gaps"
         names = tuple(signal.name for signal in group)
         yield Finding(
@@ -51,24 +59,6 @@ def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterato
             f"shorter than that.",
             names,
         )
-
-
-def _in_gaps(mask: np.ndarray, time: np.ndarray, step: float) -> tuple[np.ndarray, float]:
-    """How many samples each gap lacks, and the time of the first that is lacking.
-
-    One sample, halfway, stands for all of a logger's pause.
-    """
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
-    starts, stops = edges[::2], edges[1::2]
-    inside = (starts > 0) & (stops < mask.size)
-    before, after = time[np.maximum(starts - 1, 0)], time[np.minimum(stops, mask.size - 1)]
-    passed = np.where(inside, np.round((after - before) / step) - 1, 0).astype(int)
-    first = before[0] + step if starts[0] > 0 else time[0]
-    return np.maximum(stops - starts, passed), float(first)
-
-
-COARSE = 0.01
-"""Share of a signal's rms past which its resolution matters."""
 
 
 def quantised(signal: SampledSignal) -> Iterator[Finding]:
@@ -90,10 +80,6 @@ def quantised(signal: SampledSignal) -> Iterator[Finding]:
         f"from sample to sample (rms). Do not differentiate it without a low-pass, and prefer "
         f"longer windows or a finer range.",
     )
-
-
-FEWEST_SAMPLES = 50
-"""Present samples below which only missing and constant signals are reported."""
 
 
 # Values too large to be squared are for the fit to refuse; here they only compare as infinite.
@@ -132,7 +118,7 @@ def check_signals(
         elif signal.sample_count >= FEWEST_SAMPLES:
             rest = [s for key, s in {**signals, **others}.items() if key != name]
             if name not in computed:
-                findings += [*clipped(signal, rest)] or [*saturated(signal, rest)]
+                findings += clipped(signal, rest)
                 findings += stuck(signal, rest)
             findings += outliers(signal, rest)
             findings += quantised(signal)

@@ -1,22 +1,16 @@
-"""Angles that begin anew with each turn, as encoders and resolvers show them.
-
-Samples at which a sensor showed what it could, and not what was: stuck, or at its limit.
-
-Spikes replaced by what the samples around them say; what a sensor could not show left out.
-"""
+"""Spikes replaced by what the samples around them say; what a sensor could not show left out."""
 
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.faults.clipping import limits
-from riecjax.records.faults.sampled_signal import SampledSignal, sampled_signal
-from riecjax.records.faults.saturation import limits_under_noise
+from riecjax.records.faults.sampled_signal import sampled_signal
 from riecjax.records.faults.spikes import (
     DONE,
     Spikes,
@@ -60,18 +54,6 @@ def unwrapped(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"],
             whole[known] -= turn * np.cumsum(np.append(0, np.where(jumps, np.sign(steps), 0)))
             return whole, int(jumps.sum())
     return values, 0
-
-
-def held(signal: SampledSignal, others: Sequence[SampledSignal]) -> Bool[np.ndarray, " n"]:
-    """Samples of which `stuck_sensor` and `clipped` speak, limits that may be real among them."""
-    found = np.zeros(signal.values.size, bool)
-    for run in stuck_runs(signal, others):
-        start = signal.run_starts[run]
-        found[start : start + signal.run_lengths[run]] = True
-    for side in limits(signal) or limits_under_noise(signal):
-        sign = 1.0 if side.which == "maximum" else -1.0
-        found |= sign * (signal.values - side.extreme) >= -side.within
-    return found
 
 
 class Treated(NamedTuple):
@@ -122,13 +104,18 @@ def leave_out(record: Record, *signals: str) -> Record:
     columns = {}
     for name in signals:
         others = [signal for other, signal in every.items() if other != name]
-        places = held(every[name], others)
-        if places.any():
-            columns[name] = np.where(places, np.nan, every[name].values)
-            if np.isnan(columns[name]).all():
-                raise DataError(
-                    f"nothing would be left of '{name}': it is at its limit throughout."
-                )
+        signal, values = every[name], every[name].values.copy()
+        for run in stuck_runs(signal, others):
+            start = signal.run_starts[run]
+            values[start : start + signal.run_lengths[run]] = np.nan
+        # Limits that may be real among them.
+        for side in limits(signal):
+            sign = 1.0 if side.which == "maximum" else -1.0
+            values[sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
+        if np.isnan(values).all():
+            raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
+        if not np.array_equal(values, signal.values, equal_nan=True):
+            columns[name] = values
     return with_gaps(record, columns, noise=record.noise)
 
 
@@ -186,7 +173,17 @@ def _treated(
     if how == "keep":
         return treated
     for name in names:
-        treated[name] = _of_signal(columns[name], times[name], how)
+        values, time = columns[name], times[name]
+        steps = np.diff(time) if time.size > 1 else np.ones(1)
+        pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
+        # No polynomial reaches across a pause.
+        spikes = find_spikes(np.insert(values, pauses, np.nan))
+        if not spikes.places.size or too_many(spikes, values):
+            continue
+        places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
+        changed = values.copy()
+        changed[places] = spikes.repaired if how == "repair" else np.nan
+        treated[name] = Treated(changed, spikes._replace(places=places))
     without = {**columns, **{name: one.values for name, one in treated.items()}}
     for name, one in treated.items():
         if one.spikes is None:
@@ -199,18 +196,3 @@ def _treated(
         if are_answered(one.spikes.places, others):
             treated[name] = Treated(columns[name], one.spikes, acted=True)
     return treated
-
-
-def _of_signal(
-    values: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], how: Treatment
-) -> Treated:
-    steps = np.diff(time) if time.size > 1 else np.ones(1)
-    pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
-    # No polynomial reaches across a pause.
-    spikes = find_spikes(np.insert(values, pauses, np.nan))
-    if not spikes.places.size or too_many(spikes, values):
-        return Treated(values)
-    places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
-    changed = values.copy()
-    changed[places] = spikes.repaired if how == "repair" else np.nan
-    return Treated(changed, spikes._replace(places=places))
