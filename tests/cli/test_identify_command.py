@@ -13,8 +13,8 @@ import scipy.stats
 from command_line import call, quarter_car_columns, write_csv
 
 from nightly import by_day, nightly
-from riecjax.cli.drive import drive
 from riecjax.cli.main import run
+from riecjax.cli.simulate import drive
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.estimation.estimate import Estimate

@@ -30,14 +30,17 @@ from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
-from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.document import is_intact, sealed, versions
 from riecjax.reporting.identification import (
     identification_document,
     print_everything,
     print_identification,
 )
-from riecjax.reporting.identification_figures import identification_figures
+from riecjax.reporting.identification_figures import (
+    curves_figure,
+    identification_figures,
+    identified_curves,
+)
 from riecjax.reporting.output import _folder_beside, emit, write_folder
 from riecjax.reporting.page import Page, Section
 from riecjax.summaries.summarise import summarise

@@ -121,13 +121,13 @@ class Assessment(Drawn):
     validated_on: Sequence[Recording]
     checked: Check
     estimate: Estimate
-    sweep: WindowSweep | None
-    residuals: ResidualTests | None
-    choice: WindowChoice | None
-    validations: Sequence[ValidationRun]
-    refinement: Refinement | None
-    failures: Sequence[Finding]
-    key: Key[Array, ""] | None
+    sweep: WindowSweep | None = None
+    residuals: ResidualTests | None = None
+    choice: WindowChoice | None = None
+    validations: Sequence[ValidationRun] = ()
+    refinement: Refinement | None = None
+    failures: Sequence[Finding] = ()
+    key: Key[Array, ""] | None = None
     modes: Sequence[ModeEvidence] = ()
 
     @property

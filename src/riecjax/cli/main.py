@@ -11,9 +11,9 @@ import sys
 import click
 
 from riecjax.errors import RiecjaxError, printable
+from riecjax.memory import REMEDY
 from riecjax.runtime import collect_seldom
 from riecjax.standard_output import answer, for_answers_alone
-from riecjax.work import REMEDY
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
 COMMANDS = {

@@ -35,8 +35,7 @@ from riecjax.equations.term import Terms
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
-from riecjax.records.filled import filled_up
-from riecjax.records.record import Record
+from riecjax.records.record import Record, filled_up
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.stage_sums import moments_of_drawn, sum_of_equations

@@ -109,6 +109,8 @@ class Summary(Shown, eqx.Module):
         **Raises:** `ModelError` if there are none of these numbers, or none at all.
         """
         count = len(self.recordings)
+        for index in indices:
+            require("a recording's number", index, (int, np.integer), "summary.select(0)")
         if not indices or any(not -count <= i < count for i in indices):
             raise ModelError(f"recordings are numbered from 0 to {count - 1}; got {indices}.")
         return self.of_recordings(self.recordings[i] for i in indices)
@@ -120,8 +122,12 @@ class Summary(Shown, eqx.Module):
         remains is as one recording, shorter by them.
 
         **Raises:** `DataError` if fewer than two blocks remain; `ModelError` if there is no such
-        recording.
+        recording, and for a stretch that does not end after it starts.
         """
+        if not start < stop:
+            raise ModelError(
+                f"a stretch to leave out starts before it ends; got {start} to {stop} s."
+            )
         (one,) = self.select(recording).recordings
         edges = float(one.block_seconds) * np.arange(int(one.blocks) + 1)
         outside = (edges[1:] <= start) | (edges[:-1] >= stop)
