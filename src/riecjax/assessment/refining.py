@@ -18,7 +18,7 @@ from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
 from riecjax.assessment.beforehand import Beforehand, against_priors, within
 from riecjax.assessment.courses import course_shows, straight_inputs, surely_likelier
 from riecjax.assessment.trust import horizons, seen, unseen, validated
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.estimated_parameters import AbstractEstimate

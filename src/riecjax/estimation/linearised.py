@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.equations.hidden_modes import Expanded
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.hidden_modes import ModeStage, Values

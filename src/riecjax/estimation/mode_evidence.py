@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_modes import Expanded, ModeParameters, mode_frequency
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure

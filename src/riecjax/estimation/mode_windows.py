@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.equations.hidden_modes import (
     Expanded,
     HiddenMode,

@@ -9,7 +9,7 @@ import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
 from jaxtyping import Array, Bool, Float
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.records.noise_judgement import judged

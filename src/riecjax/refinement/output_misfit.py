@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled

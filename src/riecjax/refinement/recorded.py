@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.filled import filled_up, shared_length

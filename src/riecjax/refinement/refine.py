@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.errors import renamed, require
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.parameters import require_settings

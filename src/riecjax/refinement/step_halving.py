@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.refinement.objective import AbstractMisfit
 from riecjax.refinement.optimum import Optimum

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.leaves import Leaf
 from riecjax.simulation.system import AbstractSystem
 

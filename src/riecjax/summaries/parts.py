@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.criteria.chunks import ROUND, StartBlocks, in_chunks
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LagBins

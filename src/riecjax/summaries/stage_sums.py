@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.criterion import AbstractCriterion

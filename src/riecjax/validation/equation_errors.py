@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.columns import sampled_columns
