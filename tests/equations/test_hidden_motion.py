@@ -8,7 +8,7 @@ import scipy.signal
 import riecjax as rx
 from hidden_body import BODY, MODEL, STEP, TRUTH, motion
 from nightly import nightly
-from riecjax.equations.hidden_modes import Shape
+from riecjax.equations.hidden_elements import Shape
 from riecjax.equations.hidden_motion import followed, with_hidden_motion
 from riecjax.validation import equation_error
 

@@ -11,7 +11,7 @@ import pytest
 
 import riecjax as rx
 from hidden_body import BODY, MODEL, STEP, TRUTH, motion
-from riecjax.equations.hidden_modes import Expanded
+from riecjax.equations.hidden_elements import Expanded
 from riecjax.estimation import mode_evidence
 from riecjax.uncertainty.intervals import Sandwich
 

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.sticking import JOINT, TRUE, joint_motion, recorded
 
 import riecjax as rx
-from riecjax.equations.in_motion import InMotion, in_motion
+from riecjax.equations.dry_friction import InMotion, in_motion
 
 SEED = 1
 

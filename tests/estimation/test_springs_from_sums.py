@@ -7,7 +7,7 @@ import pytest
 
 import riecjax as rx
 from lagging_body import BODY, MODEL, STEP, TRUTH, motion, noisy
-from riecjax.equations.hidden_modes import Expanded
+from riecjax.equations.hidden_elements import Expanded
 from riecjax.equations.hidden_motion import with_hidden_motion
 from riecjax.models.model import as_model
 from riecjax.uncertainty.intervals import Sandwich

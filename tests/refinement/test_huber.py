@@ -9,8 +9,8 @@ from benchmarks.drag_problem import COUNT, RATE, START, TRUTH, force, oscillator
 from riecjax.errors import ModelError
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, stack_records
-from riecjax.refinement.huber import THRESHOLD
 from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_misfit import THRESHOLD
 from riecjax.refinement.refine import refine
 from riecjax.simulation.method import FixedStep
 

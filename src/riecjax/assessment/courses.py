@@ -11,7 +11,7 @@ from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.output_misfit import OutputMisfit
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.simulation.intersample import Course
 
 LIKELIER = float(np.log(100))

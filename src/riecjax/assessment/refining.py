@@ -31,8 +31,7 @@ from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.output_misfit import OutputMisfit
-from riecjax.refinement.refine import refine_with_misfit
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined, refine_with_misfit
 from riecjax.refinement.shots import Tiles, WholeRecord
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.linearisation import spread_points

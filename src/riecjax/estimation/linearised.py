@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.compilation import kept_jit
-from riecjax.equations.hidden_modes import Expanded
+from riecjax.equations.hidden_elements import Expanded
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.hidden_modes import ModeStage, Values
 from riecjax.estimation.mode_windows import find_modes

@@ -8,7 +8,7 @@ from rich.console import Console
 from riecjax.assessment.causes import joined
 from riecjax.discovery.discovery import Discovery
 from riecjax.discovery.search import Step
-from riecjax.equations.hidden_modes import HiddenMode, ModeParameters, accelerated
+from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
 from riecjax.findings import option_for
 from riecjax.reporting.document import (
     SCHEMA,

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from riecjax.assessment.assessment import Refinement
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.reporting.document import Document, finite, number
 from riecjax.reporting.estimate import parameter_entries
 
