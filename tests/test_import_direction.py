@@ -70,7 +70,7 @@ PUBLIC = {
 
 
 def belongs_to_the_study(module: Path) -> bool:
-    return module.as_posix().startswith(tuple(f"{folder}/" for folder in STUDY))
+    return module.as_posix().startswith(STUDY)
 
 
 def imported_names(tree: ast.AST, package: tuple[str, ...]) -> Iterator[str]:

@@ -12,7 +12,7 @@ from scipy import signal
 
 import riecjax as rx
 from riecjax.assessment import refining
-from riecjax.assessment.answering import check_answering
+from riecjax.assessment.assess import check_answering
 from riecjax.records.recording import as_recordings
 from riecjax.reporting.checking import check_document
 from riecjax.reporting.identification import identification_document

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxtyping import Array, Key
+from jaxtyping import Array, ArrayLike, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.procedure import Procedure
@@ -20,6 +20,15 @@ BYTES_PER_SAMPLE = 110.0
 what it leaves."""
 BYTES_PER_ROW = 320.0
 """Of a criterion that draws its windows, for each window and column."""
+
+
+TINY = 1e-300
+"""In place of a size of zero, which nothing is a share of."""
+
+
+def size_of(value: ArrayLike) -> float:
+    """Size of a value, for shares of it."""
+    return max(abs(float(value)), TINY)
 
 
 class Asked(NamedTuple):

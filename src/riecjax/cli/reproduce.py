@@ -56,12 +56,15 @@ def _tables(seed: int, count: int, as_json: bool, out: Path | None) -> None:
     import jax
 
     from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-    from riecjax.paper.claims.sections_2_to_5 import table_claims
+    from riecjax.paper.claims import table_claims
     from riecjax.paper.reproduction import run_road
     from riecjax.reporting.output import emit
     from riecjax.reporting.paper_charts import table_charts
-    from riecjax.reporting.reproduction import print_reproduction, reproduction_document
-    from riecjax.reporting.reproduction_page import reproduction_page
+    from riecjax.reporting.reproduction import (
+        print_reproduction,
+        reproduction_document,
+        reproduction_page,
+    )
     from riecjax.studies.monte_carlo import over_keys
 
     shapes = reconstructed()
@@ -92,8 +95,11 @@ def _study(seed: int, quick: bool, as_json: bool, out: Path | None) -> None:
     from riecjax.paper.variations import write_variations
     from riecjax.reporting.output import emit
     from riecjax.reporting.paper_charts import study_charts
-    from riecjax.reporting.reproduction import print_reproduction, reproduction_document
-    from riecjax.reporting.reproduction_page import reproduction_page
+    from riecjax.reporting.reproduction import (
+        print_reproduction,
+        reproduction_document,
+        reproduction_page,
+    )
 
     scale = QUICK if quick else FULL
     shapes = reconstructed()

@@ -30,8 +30,7 @@ from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.filled import filled_up, shared_length
-from riecjax.records.record import Record
+from riecjax.records.record import Record, filled_up, shared_length
 from riecjax.simulation.intersample import bends_of
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.method import AbstractMethod
