@@ -11,7 +11,7 @@ from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.equations.hidden_modes import Shape
+from riecjax.equations.hidden_elements import Shape
 from riecjax.equations.hidden_motion import followed, with_hidden_motion
 from riecjax.validation import equation_error
 

@@ -14,7 +14,7 @@ from tests.machines import MODE_TRUTH as TRUTH
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from riecjax.equations.hidden_modes import Expanded
+from riecjax.equations.hidden_elements import Expanded
 from riecjax.estimation import mode_evidence
 from riecjax.uncertainty.intervals import Sandwich
 

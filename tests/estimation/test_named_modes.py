@@ -11,7 +11,7 @@ from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.equations.hidden_modes import is_hidden_name
+from riecjax.equations.hidden_elements import is_hidden_name
 from riecjax.estimation import mode_evidence
 from riecjax.estimation.check import raise_if_not_carried
 from riecjax.estimation.hidden_modes import as_asked

@@ -7,7 +7,7 @@ import pytest
 from tests.machines import JOINT, JOINT_TRUTH, Shape, joint, joint_record
 
 import riecjax as rx
-from riecjax.equations.in_motion import InMotion, in_motion
+from riecjax.equations.dry_friction import InMotion, in_motion
 
 SEED = 1
 

@@ -10,7 +10,7 @@ from tests.machines import LAG_TRUTH as TRUTH
 from tests.machines import body_with_lag as motion
 
 import riecjax as rx
-from riecjax.equations.hidden_modes import Expanded
+from riecjax.equations.hidden_elements import Expanded
 from riecjax.equations.hidden_motion import with_hidden_motion
 from riecjax.models.model import as_model
 from riecjax.uncertainty.intervals import Sandwich

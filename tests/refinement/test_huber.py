@@ -14,8 +14,8 @@ from tests.machines import drag_signals as signals
 from riecjax.errors import ModelError
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, stack_records
-from riecjax.refinement.huber import THRESHOLD
 from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_misfit import THRESHOLD
 from riecjax.refinement.refine import refine
 from riecjax.simulation.method import FixedStep
 

@@ -41,7 +41,7 @@ from riecjax.criteria.noise_weights import (
 )
 from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
 from riecjax.criteria.windows import AllWindows, WindowSet, half_periods
-from riecjax.equations.columns import Columns
+from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError, require
 from riecjax.records.record import Record
 

@@ -14,7 +14,7 @@ from riecjax.errors import printable
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.records.recording import common_steps
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.reporting.charts.chart import BLUE, GREY, RUST, Axis, Chart, Level, Line, Panel
 from riecjax.reporting.checking import (
     excitation_entries,

@@ -21,7 +21,7 @@ from riecjax.leaves import is_concrete, on_host
 from riecjax.models.model import Model
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import excitation_entries, share_in_words
 from riecjax.reporting.discovery import (
     choice_in_words,

@@ -15,12 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from riecjax import compilation as module
 from riecjax import runtime
-from riecjax.compilation import kept_jit as module
-from riecjax.compilation import program_files, program_key
-from riecjax.compilation.kept_jit import kept_jit
-from riecjax.compilation.program_key import NoKey, key_of
-from riecjax.whole_files import write_sealed
+from riecjax.compilation import NoKey, kept_jit, key_of
 
 TRACED: list[str] = []
 
@@ -76,7 +73,7 @@ def curve(factor: float = 1.0) -> Curve:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where programs are kept; functions of this file count as known."""
-    monkeypatch.setattr(program_key, "_TOLD", {*program_key._TOLD, __name__.partition(".")[0]})
+    monkeypatch.setattr(module, "_TOLD", {*module._TOLD, __name__.partition(".")[0]})
     monkeypatch.setattr(module, "_programs", {})
     monkeypatch.setattr(runtime, "_programs_folder", tmp_path)
     TRACED.clear()
@@ -179,7 +176,7 @@ def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):
     monkeypatch.setattr(runtime, "_programs_folder", folder / "gone")
     assert_right(evaluate(curve(), X, 2))
     monkeypatch.setattr(runtime, "_programs_folder", folder)
-    monkeypatch.setattr(program_files, "CACHE_BYTES", 1)
+    monkeypatch.setattr(module, "CACHE_BYTES", 1)
     another_process()
     assert_right(evaluate(curve(), X, 2))
     assert_right(evaluate(curve(), X, 3), power=3)
@@ -197,36 +194,37 @@ def test_a_disk_that_is_full_keeps_no_part_of_a_program(folder, monkeypatch):
 
 def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):
     at_exit = []
-    monkeypatch.setattr(program_files.atexit, "register", lambda *call: at_exit.append(call))
-    monkeypatch.setattr(program_files, "_called", {})
-    program_files.load_ahead("identify", "sine")  # there is nothing yet
+    monkeypatch.setattr(module.atexit, "register", lambda *call: at_exit.append(call))
+    monkeypatch.setattr(module, "_called", {})
+    module.load_ahead("identify", "sine")  # there is nothing yet
     evaluate(curve(), X, 2)
     evaluate(curve(), X, 3)
     for note, *arguments in at_exit:
         note(*arguments)
 
     another_process()
-    program_files.load_ahead("identify", "cosine")
-    assert program_files._ahead == {}
-    program_files.load_ahead("identify", "sine")
-    assert len(program_files._ahead) == 2
+    module.load_ahead("identify", "cosine")
+    assert module._ahead == {}
+    module.load_ahead("identify", "sine")
+    assert len(module._ahead) == 2
     assert_right(evaluate(curve(), X, 3), power=3)
     assert_right(evaluate(curve(), X, 2))
     assert TRACED == []
-    assert program_files._ahead == {}
+    assert module._ahead == {}
 
     another_process()
     for file in folder.glob("*.program"):
         file.write_bytes(b"")
-    program_files.load_ahead("identify", "sine")
+    module.load_ahead("identify", "sine")
     assert_right(evaluate(curve(), X, 2))
     assert TRACED == ["evaluate"]
-    for file in folder.glob("*.calls"):
-        write_sealed(file, b'{"not": "keys", "../../etc": 1}')
-    another_process()
-    program_files._ahead.clear()
-    program_files.load_ahead("identify", "sine")
-    assert program_files._ahead == {}
+    (calls,) = folder.glob("*.calls")
+    for foreign in (b'{"not": "keys", "../../etc": 1}', b"[1, null]", b"7", b"\xff", b""):
+        calls.write_bytes(foreign)
+        another_process()
+        module._ahead.clear()
+        module.load_ahead("identify", "sine")
+        assert module._ahead == {}
 
 
 GAINS = {"low": 2.0}

@@ -14,18 +14,22 @@ derivative off. With r = v / width,
 h sign(v) has a slope everywhere, unlike sign(v): at a width of several standard deviations of the
 noise on v, the correction for curved columns (`noisy_columns`) leaves next to nothing. A wrong sign
 in the middle of a rest counts h, a correct one far from it counts 1.
+
+Signals at whose zero a function jumps, as dry friction does at a velocity's.
 """
 
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, Sampled, both_present
-from riecjax.equations.jumps import reversing_states
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
@@ -107,7 +111,7 @@ def in_motion(procedure: Procedure, record: Record) -> Procedure:
         return procedure
 
     def of(equation: Equation) -> Equation:
-        own = _jumping(equation, record, rests)
+        own = _jumping_at_rest(equation, record, rests)
         terms = _weighted(equation, own[0], rests[own[0]]) if len(own) == 1 else None
         if terms is None:
             return equation
@@ -128,11 +132,11 @@ def rests_of(procedure: Procedure, record: Record) -> dict[str, Rest]:
     found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}
     if not found:
         return {}
-    jumping = {n for e in procedure.equations for n in _jumping(e, record, found)}
+    jumping = {n for e in procedure.equations for n in _jumping_at_rest(e, record, found)}
     return {name: rest for name, rest in found.items() if name in jumping}
 
 
-def _jumping(equation: Equation, record: Record, among: dict[str, Rest]) -> tuple[str, ...]:
+def _jumping_at_rest(equation: Equation, record: Record, among: dict[str, Rest]) -> tuple[str, ...]:
     functions = [(t.of, t.basis if isinstance(t, Terms) else None) for t in equation.terms]
     return reversing_states(functions, tuple(sorted(among)), tuple(sorted(record.arrays)))
 
@@ -150,3 +154,56 @@ def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] |
         own = {"of": term.of, "derivative": left}
         found.append(InMotion(term=term, velocity=velocity, width=np.asarray(rest.width), **own))
     return found
+
+
+ASIDE, JUMP = 1e-9, 1e-4
+"""A velocity to either side of zero, and the share of itself that a function jumps by there."""
+
+Basis = Callable[[Array], Array]
+
+
+def reversing_states(
+    functions: Sequence[tuple[Expression, Basis | None]],
+    states: Sequence[str],
+    signals: Sequence[str],
+) -> tuple[str, ...]:
+    """States at whose zero a function jumps, as dry friction does of a velocity.
+
+    **Arguments:** expressions, and what bases make of them, of `signals`, the states among these.
+    """
+    found: set[str] = set()
+    for of, basis in functions:
+        if basis is not None:
+            found |= _jumping(of, basis, tuple(states), tuple(signals))
+        elif not isinstance(of, str):
+            found |= _jumping_alone(of, tuple(states), tuple(signals))
+    return tuple(state for state in states if state in found)
+
+
+@functools.lru_cache
+def _jumping_alone(of: Expression, states: tuple[str, ...], signals: tuple[str, ...]) -> set[str]:
+    return _jumping(of, None, states, signals)
+
+
+def _jumping(
+    of: Expression, basis: Basis | None, states: tuple[str, ...], signals: tuple[str, ...]
+) -> set[str]:
+    """The states at whose zero one function jumps (none of a function that is not concrete)."""
+    # Four samples for each state: next to its zero and well away, on both sides.
+    places = np.array([ASIDE, -ASIDE, 1.0, -1.0])
+    levels = np.random.default_rng(0).uniform(0.2, 0.9, (len(signals), 1))
+    at = dict(zip(signals, np.repeat(levels, len(states) * places.size, axis=1)))
+    for i, state in enumerate(states):
+        at[state][i * places.size : (i + 1) * places.size] = places
+    try:
+        with jax.ensure_compile_time_eval():
+            probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
+            samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
+            values = np.asarray(samples if basis is None else basis(samples))
+    except Exception:  # whatever is wrong with a user's function is said where it is used
+        return set()
+    if not values.shape or values.shape[-1] != len(states) * places.size:
+        return set()
+    above, below, far, other = np.moveaxis(values.reshape(-1, len(states), places.size), -1, 0)
+    jumps = np.abs(above - below) > JUMP * np.maximum(np.abs(far), np.abs(other))
+    return {state for state, jump in zip(states, np.atleast_1d(jumps.any(axis=0))) if jump}
