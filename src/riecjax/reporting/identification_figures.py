@@ -23,8 +23,11 @@ from riecjax.records.record import Record, samples_with_nan
 from riecjax.reporting.charts.chart import (
     BLACK,
     BLUE,
+    BOLD,
     GREY,
     RUST,
+    SMALL,
+    THIN,
     Axis,
     Chart,
     Dots,
@@ -47,7 +50,6 @@ from riecjax.validation.residuals import EquationResidual, ResidualTests
 from riecjax.validation.time_series import CrossCorrelation, ErrorSpectrum, unbroken
 
 MOST_POINTS = 4000
-MOST_COLUMNS = 3
 
 
 def identification_figures(result: Assessment) -> dict[str, Chart]:
@@ -99,13 +101,11 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
                 Axis(labelled(name, units.get(name))),
             )
         )
-    rows = in_rows(panels, MOST_COLUMNS)
     return Chart(
-        rows,
+        in_rows(panels),
         "Estimates from windows of one length after another. An exact model finds the same at "
         "every length; a drift says that the model leaves something out, or that short windows "
         "show the sensors' noise.",
-        (3.2 * len(rows[0]) + 0.6, 2.5 * len(rows) + 0.6),
         legend=True,
     )
 
@@ -113,7 +113,6 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
 def correlation_figure(estimate: Estimate) -> Chart:
     """Correlation matrix of the estimates."""
     names = estimate.parameters
-    side = 0.55 * len(names) + 1.2
     return single(
         [
             HeatMap(
@@ -131,7 +130,6 @@ def correlation_figure(estimate: Estimate) -> Chart:
         Axis(categories=names, reverse=True),
         "Correlation of the estimates: parameters near 1 or -1 are known better in combination "
         "than each by itself.",
-        size=(side + 1.6, side),
     )
 
 
@@ -148,8 +146,8 @@ def held_out_figure(held: HeldOut, about: str = "") -> Chart:
     rows = []
     for name in names:
         lines = [
-            Line(time, samples_with_nan(measured, name), "measured", GREY, width=1.8),
-            Line(time, samples_with_nan(held.record, name), "simulated", RUST, width=0.9),
+            Line(time, samples_with_nan(measured, name), "measured", GREY, width=BOLD),
+            Line(time, samples_with_nan(held.record, name), "simulated", RUST, width=THIN),
         ]
         fit = float(held.signals[name].fit)
         last = name == names[-1]
@@ -164,7 +162,6 @@ def held_out_figure(held: HeldOut, about: str = "") -> Chart:
         rows,
         f"{about}measured, and simulated by the identified model from the inputs alone. A fit of "
         "100 % is perfect, at 0 % the measured mean would do as well.",
-        (8, 1.8 * len(names) + 0.8),
         share_x=True,
         legend=True,
     )
@@ -181,7 +178,6 @@ class _Fit(NamedTuple):
 def _fit_figure(result: Assessment) -> Chart:
     """Each stage's rows, measured against explained, and what is left of them."""
     estimate, procedure = result.estimate, result.procedure
-    count = len(estimate.stages)
     fits = list(_fits(result))
     above, beneath = [], []
     for stage, name in zip(estimate.stages, estimate.stage_names):
@@ -196,7 +192,6 @@ def _fit_figure(result: Assessment) -> Chart:
         (above, beneath),
         "Each equation's rows: measured against explained, which an exact model puts on the line, "
         "and what is left over time.",
-        (3.6 * count + 0.8, 6.6),
     )
 
 
@@ -237,7 +232,7 @@ def _fit(
 def _fit_panel(explained: np.ndarray, measured: np.ndarray, name: str, unit: str) -> Panel:
     reach = 1.05 * max(np.abs(measured).max(), np.abs(explained).max(), 1e-300)
     return Panel(
-        [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, size=1.5, opacity=0.5)],
+        [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, size=SMALL, opacity=0.5)],
         Axis(f"explained by the model{unit}", low=-reach, high=reach),
         Axis(f"measured{unit}", low=-reach, high=reach),
         title=name,
@@ -246,7 +241,7 @@ def _fit_panel(explained: np.ndarray, measured: np.ndarray, name: str, unit: str
 
 def _residual_panel(time: np.ndarray, residual: np.ndarray, unit: str) -> Panel:
     return Panel(
-        [Level(0), Dots(time, residual, color=RUST, size=1.5, opacity=0.5)],
+        [Level(0), Dots(time, residual, color=RUST, size=SMALL, opacity=0.5)],
         Axis("time / s"),
         Axis(f"residual{unit}"),
     )
@@ -296,7 +291,6 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
         "Curves with their 95 % interval, over what the equation leaves for them sample by sample"
         f"{', and beneath them what they leave of that' if sampled else ''}. A curve that samples "
         "go round in loops depends on more than its variable.",
-        (4.2 * len(curves) + 0.6, 6.2 if sampled else 4.0),
         heights=(3, 2) if sampled else (),
         share_x=True,
     )
@@ -304,9 +298,9 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
 
 def _over_samples(curve: IdentifiedCurve) -> Panel:
     low, high = curve.y - 1.96 * curve.error, curve.y + 1.96 * curve.error
-    marks = [Line(curve.x, curve.y, "identified, 95 %", BLUE, width=1.8, low=low, high=high)]
+    marks = [Line(curve.x, curve.y, "identified, 95 %", BLUE, width=BOLD, low=low, high=high)]
     if curve.samples is not None:
-        marks.insert(0, Line(*curve.samples, "what the equation leaves for it", GREY, width=0.5))
+        marks.insert(0, Line(*curve.samples, "what the equation leaves for it", GREY, width=THIN))
     return Panel(marks, Axis(curve.of), Axis(labelled(curve.name, curve.unit)))
 
 
@@ -314,7 +308,7 @@ def _left_of_samples(curve: IdentifiedCurve) -> Panel | None:
     if curve.samples is None:
         return None
     x, y = curve.samples
-    left = Line(x, y - np.interp(x, curve.x, curve.y), color=RUST, width=0.5)
+    left = Line(x, y - np.interp(x, curve.x, curve.y), color=RUST, width=THIN)
     return Panel([Level(0), left], Axis(curve.of), Axis(labelled("residual", curve.unit)))
 
 
@@ -386,7 +380,7 @@ def spectra_figure(tests: ResidualTests) -> Chart:
         (replace(_spectra(each), title=f"{each.name}: {_share_in_words(each)}", columns=1),)
         for each in tests.equations
     ]
-    return Chart(rows, "What the equations leave over frequency.", (8, 2.2 * len(rows) + 0.6))
+    return Chart(rows, "What the equations leave over frequency.")
 
 
 def _share_in_words(residual: EquationResidual) -> str:
@@ -404,7 +398,6 @@ def _figure(residual: EquationResidual) -> Chart:
         f"What {residual.name} leaves, sample by sample: root mean square error {share}. Above, "
         "its beginning and its impulse; then its correlation with itself and with the signal that "
         "it follows most; and its spectrum, in which a mode that the model leaves out is a peak.",
-        (9, 8.6),
         heights=(1, 1, 1.3),
     )
 
@@ -417,8 +410,8 @@ def _excerpt(residual: EquationResidual, title: str) -> Panel:
     shown = slice(run.start, min(run.start + EXCERPT, run.stop))
     time = np.asarray(error.times)[shown]
     marks = [
-        Line(time, np.asarray(error.target)[shown], "target", GREY, width=1.6),
-        Line(time, np.asarray(error.error)[shown], "error", RUST, width=0.9),
+        Line(time, np.asarray(error.target)[shown], "target", GREY, width=BOLD),
+        Line(time, np.asarray(error.error)[shown], "error", RUST, width=THIN),
     ]
     label = labelled("target and error", residual.unit)
     return Panel(marks, Axis("time / s"), Axis(label), title=title)
@@ -428,7 +421,7 @@ def _impulse(residual: EquationResidual) -> Panel:
     error, unit = residual.error, f"{residual.unit} s" if residual.unit else ""
     impulse = np.where(np.asarray(error.present), np.asarray(error.impulse), np.nan)
     return Panel(
-        [Level(0), Line(np.asarray(error.times), impulse, color=RUST, width=0.8)],
+        [Level(0), Line(np.asarray(error.times), impulse, color=RUST, width=THIN)],
         Axis("time / s"),
         Axis(labelled("impulse of the error", unit)),
     )
@@ -475,7 +468,7 @@ def _spectra(residual: EquationResidual) -> Panel:
 
 def _target_and_error(spectrum: ErrorSpectrum) -> tuple[Line, Line]:
     frequency = spectrum.frequency[1:]
-    target = Line(frequency, _positive(spectrum.target), "target", GREY, width=1.8)
+    target = Line(frequency, _positive(spectrum.target), "target", GREY, width=BOLD)
     return target, Line(frequency, _positive(spectrum.error), "error", RUST)
 
 
@@ -511,7 +504,7 @@ def window_choice_figures(choice: WindowChoice) -> dict[str, Chart]:
         "them. Right: the error against the signal in windows of every length, with the lengths in "
         "use and those under which no equation is far above its least."
     )
-    return {"window_choice": Chart(rows, caption, (10.5, 2.9 * len(rows) + 0.6))}
+    return {"window_choice": Chart(rows, caption)}
 
 
 def _gain(equation: EquationWindows, *, legend: bool) -> Panel:
@@ -540,7 +533,7 @@ def _share(choice: WindowChoice, equation: EquationWindows, *, legend: bool) -> 
             label=f"in use, {choice.alpha:.3g} to {choice.beta:.3g} s",
             hatched=True,
         ),
-        Line(choice.length, np.where(share > 0, 100 * share, np.nan), color=RUST, width=1.6),
+        Line(choice.length, np.where(share > 0, 100 * share, np.nan), color=RUST, width=BOLD),
     ]
     lengths = Axis("window length / s", log=True, low=choice.length[0], high=choice.length[-1])
     down = Axis("error / % of the signal", log=True)
