@@ -1,6 +1,6 @@
 """Results of a check before a fit: JSON document and tables on a terminal."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
