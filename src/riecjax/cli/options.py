@@ -684,7 +684,7 @@ class RecordingOptions:
 
         **Raises:** `DataError` naming the file, or a recording that was given twice.
         """
-        from riecjax.records.faults.duplicates import refuse_duplicates
+        from riecjax.records.faults.rows import refuse_duplicates
         from riecjax.records.recording import read_parts
 
         recordings = [

@@ -35,8 +35,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import factor_of_gram, factor_of_rows, gram_suffices
-from riecjax.records.filled import filled_up
-from riecjax.records.record import Record
+from riecjax.records.record import Record, filled_up
 from riecjax.summaries.averages import hat_half
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations
