@@ -8,16 +8,15 @@ from tests.machines import STANDARD
 from tests.machines import drag_fleet as drives
 
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
+from riecjax.criteria.test_functions import Bump
 from riecjax.criteria.windows import AllWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import estimate
 from riecjax.models.catalogue import find_model
 from riecjax.records.record import Record
 from riecjax.summaries.one_pass import stretch_starts
-from riecjax.summaries.reduced import in_blocks, pooled, together
 from riecjax.summaries.summarise import summarise, summed
-from riecjax.summaries.summary import Summary
+from riecjax.summaries.summary import Summary, in_blocks, pooled, together
 from riecjax.summaries.task import task
 
 MODEL = find_model("drag-oscillator")
