@@ -4,7 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
-from benchmarks.fleet.drives import STEP, drives
+from tests.machines import STANDARD
+from tests.machines import drag_fleet as drives
 
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Bump
@@ -125,11 +126,11 @@ def test_stretches_with_what_their_windows_reach_sum_to_one_pass():
 
     def sums(low: int, high: int, starts: tuple[int, int] | None = None) -> Summary:
         part = {name: values[low:high] for name, values in signals.items()}
-        record = Record.from_samples(part, time_step=STEP)
+        record = Record.from_samples(part, time_step=STANDARD.step)
         asked = task(MODEL, record, CRITERION, None, noise)
         return summed(asked, bins=3, starts=starts)
 
-    whole, size = sums(0, n), stretch_starts(CRITERION, STEP, 10)
+    whole, size = sums(0, n), stretch_starts(CRITERION, STANDARD.step, 10)
     assert size == 2**17
     ends = [0, size, n]
     parts = []
@@ -146,4 +147,4 @@ def test_stretches_with_what_their_windows_reach_sum_to_one_pass():
 
 def test_only_all_windows_are_summed_in_stretches():
     with pytest.raises(ModelError, match="all windows"):
-        stretch_starts(DOLS(), STEP, 10)
+        stretch_starts(DOLS(), STANDARD.step, 10)

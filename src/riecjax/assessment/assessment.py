@@ -15,7 +15,7 @@ from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.shows import Drawn, opened
 from riecjax.studies.choice import WindowChoice
 from riecjax.studies.sweep import WindowSweep

@@ -24,9 +24,14 @@ from riecjax.criteria.laws import LagBins, each_bin
 from riecjax.criteria.noise_moments import NoiseMoments, in_closed_form, noise_moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import AbstractWindows, AllWindows, Count, RandomWindows, WindowSet
-from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
-from riecjax.equations.noisy_columns import NoisyColumns, noisy_columns, without_noise
+from riecjax.equations.noisy_columns import (
+    Columns,
+    NoisyColumns,
+    noisy_columns,
+    sampled_columns,
+    without_noise,
+)
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.noise import Noise

@@ -38,8 +38,7 @@ from jaxtyping import Array, Bool, Float
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins, sum_over_bins, sum_over_lengths
 from riecjax.criteria.quadrature import interval_weights
-from riecjax.equations.columns import Columns
-from riecjax.equations.noisy_columns import Movement, NoisyColumns, is_white
+from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
 from riecjax.records.noise import Noise
 

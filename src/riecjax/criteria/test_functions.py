@@ -46,7 +46,7 @@ from riecjax.criteria.noise_moments import (
 )
 from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
 from riecjax.criteria.windows import AllWindows, WindowSet, half_periods
-from riecjax.equations.columns import Columns
+from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.series_springs import is_stiffness_name
+from riecjax.equations.hidden_elements import is_stiffness_name
 from riecjax.errors import ModelError
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from riecjax.compilation.kept_jit import kept_jit
-from riecjax.equations.hidden_modes import is_mode_name
-from riecjax.equations.series_springs import is_stiffness_name
+from riecjax.compilation import kept_jit
+from riecjax.equations.hidden_elements import is_mode_name, is_stiffness_name
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import combination, weighing
 from riecjax.estimation.noise_level import largest_share

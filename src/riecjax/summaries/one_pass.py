@@ -20,16 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.criteria.chunks import StartBlocks, in_chunks
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion, Rows
 from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
 from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
-from riecjax.equations.columns import Columns, sampled_columns
+from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.expressions import evaluate
-from riecjax.equations.in_motion import InMotion
-from riecjax.equations.noisy_columns import NoisyColumns
+from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Terms
 from riecjax.errors import ModelError
