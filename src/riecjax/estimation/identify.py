@@ -1,7 +1,7 @@
 """Estimate a model's parameters, from records (`identify`) or from their sums (`estimate`)."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -26,7 +26,6 @@ from riecjax.estimation.stages import (
     solve_stages,
     stages_over_records,
 )
-from riecjax.findings import Finding
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.noise_judgement import GivenNoise
@@ -35,7 +34,7 @@ from riecjax.records.recording import as_recordings
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
-from riecjax.summaries.task import Task, signals_read, task
+from riecjax.summaries.task import signals_read, task
 from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
@@ -102,16 +101,17 @@ def identify(
         return _estimated(procedure, other, plan, intervals)
 
     resting = at_rest_findings(asked.procedure, asked.records, found, otherwise)
-    doubts = (*_doubts(asked, records), *resting)
+    # What recordings say of signals that are read; bare records say nothing.
+    doubts = [
+        finding
+        for one in as_recordings(records)
+        if one.findings
+        for finding in one.concerning(
+            signals_read(asked.procedure, one.record, asked.criterion)
+        ).findings
+    ]
+    doubts = (*doubts, *resting)
     return dataclasses.replace(found, doubts=doubts) if doubts else found
-
-
-def _doubts(asked: Task, records: Records) -> Iterator[Finding]:
-    """What recordings say of signals that are read; bare records say nothing."""
-    for one in as_recordings(records):
-        if one.findings:
-            read = signals_read(asked.procedure, one.record, asked.criterion)
-            yield from one.concerning(read).findings
 
 
 @renamed(own="per_record")

@@ -164,7 +164,11 @@ class Summary(Shown, eqx.Module):
             )
         band = bins.nearest(alpha, beta)
         asked = (float(alpha), float(beta))
-        snapped = any(self._lags(band, one) != self._lags_of(asked, one) for one in self.recordings)
+
+        def lags_asked(one: RecordingSums) -> tuple[int, ...]:
+            return tuple(max(round(x / self._lag_seconds(one)), 1) for x in asked)
+
+        snapped = any(self._lags(band, one) != lags_asked(one) for one in self.recordings)
         return dataclasses.replace(
             self,
             # Lengths that round to the same samples are the same windows: those asked for.
@@ -188,11 +192,6 @@ class Summary(Shown, eqx.Module):
         assert self.bins is not None
         first, last = self.bins.lags(self._lag_seconds(one), np.iinfo(np.int32).max)
         return int(first[band[0]]), int(last[band[1] - 1])
-
-    def _lags_of(self, lengths: tuple[float, float], one: RecordingSums) -> tuple[int, int]:
-        """Shortest and longest lag of a criterion with windows of these lengths in seconds."""
-        shortest, longest = (max(round(x / self._lag_seconds(one)), 1) for x in lengths)
-        return shortest, longest
 
     @property
     def short_blocks(self) -> ShortBlocks:
