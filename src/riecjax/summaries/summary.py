@@ -474,8 +474,7 @@ def _pooled(
         if one.noise_of_source is not None:
             by_source[:, [sources.index(name) for name in names]] += np.asarray(one.noise_of_source)
     known = any(one.noise is not None for one in every)
-    constant = [one.constant for one in every]
-    constant = None if any(of is None for of in constant) else constant
+    constant = [one.constant for one in every if one.constant is not None]
     return EquationSums(
         moments=np.concatenate([one.moments for one in every], axis=1),
         count=np.concatenate([one.count for one in every], axis=1),
@@ -484,7 +483,7 @@ def _pooled(
         parameters=every[0].parameters,
         noise=np.concatenate(noise, axis=1) if known else None,
         noise_of_source=by_source if known else None,
-        constant=None if constant is None else np.concatenate(constant, axis=1),
+        constant=np.concatenate(constant, axis=1) if len(constant) == len(every) else None,
     )
 
 
