@@ -13,8 +13,7 @@ from jaxtyping import Array
 from nightly import nightly
 from riecjax import runtime
 from riecjax.compilation import kept_jit
-from riecjax.records.filled import shared_length
-from riecjax.records.record import Record
+from riecjax.records.record import Record, shared_length
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
 from riecjax.refinement.shots import AbstractShooting, Tiles, WholeRecord

@@ -17,8 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from riecjax.compilation.kept_jit import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.filled import filled_up, shared_length
-from riecjax.records.record import Record
+from riecjax.records.record import Record, filled_up, shared_length
 from riecjax.refinement.shots import Shots
 from riecjax.simulation.intersample import bends_of
 from riecjax.simulation.linearisation import spread_points

@@ -20,8 +20,7 @@ from jaxtyping import Array, Bool, Int, Key
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.filled import shared_length
-from riecjax.records.record import Record
+from riecjax.records.record import Record, shared_length
 
 SHORTEST = 2
 """Samples of a window below which it tells nothing."""

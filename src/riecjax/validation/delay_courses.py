@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.records.faults.delay_course import Course, changing
+from riecjax.records.faults.derivative_pairs import Course, changing
 from riecjax.validation.least_left import Search, Solved, between, energy, solve, total
 
 PARTS = 16

@@ -21,7 +21,7 @@ from riecjax.equations.hidden_modes import accelerated
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, option_for
-from riecjax.records.faults.delay_course import Course
+from riecjax.records.faults.derivative_pairs import Course
 from riecjax.records.preparation.filtering import SLOPE, lead
 from riecjax.records.record import Record
 from riecjax.summaries.task import signals_read

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benchmarks.drag_problem import signals
 
-from riecjax.records.faults.repeated_rows import Repetition, repetitions, without_repetitions
+from riecjax.records.faults.rows import Repetition, repetitions, without_repetitions
 from riecjax.records.record import Record
 
 
