@@ -2,13 +2,30 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, NamedTuple, TypedDict
 
 from riecjax.errors import DataError, require
 from riecjax.records.faults.outliers import Treatment
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.preparation.steps import Preparation
-from riecjax.records.reading.selected import Selection
+
+
+class Selection(NamedTuple):
+    """Which of a file's channels a user wants as signals, and how they are converted.
+
+    **Fields:** `rename`, signal to column; `scale`, column or signal to factor; `units`, signal to
+    unit; `derive`, signal to formula; `time_step` in s; `resample` in Hz; `noise`, on the signals
+    as measured; `outliers`, what becomes of spikes, before anything else is made of a signal.
+    """
+
+    rename: Mapping[str, str] = {}
+    scale: Mapping[str, float] = {}
+    units: Mapping[str, str] = {}
+    derive: Mapping[str, str] = {}
+    time_step: float | None = None
+    resample: float | None = None
+    noise: GivenNoise = "auto"
+    outliers: Treatment = "keep"
 
 
 class ReadingSettings(TypedDict, total=False):

@@ -7,7 +7,7 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.models.catalogue import find_model
-from riecjax.records.reading.time_columns import find_time
+from riecjax.records.reading.times import find_time
 from riecjax.records.recording import read_recording
 from riecjax.records.time_base import time_base
 

@@ -6,7 +6,7 @@ import pytest
 import riecjax as rx
 from riecjax.errors import DataError
 from riecjax.models.model import Model, Quantity
-from riecjax.records.reading.unit_expressions import readings, same
+from riecjax.records.reading.units import readings, same
 
 POUND_FORCE, INCH, DEGREE = 4.4482216152605, 0.0254, np.pi / 180
 SPELLED = {

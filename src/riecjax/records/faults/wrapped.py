@@ -1,4 +1,4 @@
-"""Angles that begin anew with each turn, as encoders and resolvers show them."""
+"""Angles that begin anew with each turn, and signed registers that were read as unsigned."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +9,8 @@ QUICKEST = 0.25
 """Turns from sample to sample past which nothing tells which way it went."""
 MOST = 0.05
 """Share of samples that begin a turn at most."""
+REGISTERS = (16, 32)
+"""Bits of registers of signed numbers."""
 
 
 def unwrapped(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], int]:
@@ -30,4 +32,27 @@ def unwrapped(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"],
             whole = values.copy()
             whole[known] -= turn * np.cumsum(np.append(0, np.where(jumps, np.sign(steps), 0)))
             return whole, int(jumps.sum())
+    return values, 0
+
+
+def signed(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], int]:
+    """A register of signed numbers that was read as unsigned put right, and its bits; 0 if none.
+
+    Below zero it counts down from 2^bits: it holds whole numbers, and leaps from one end of that
+    range to the other where the signed number passes zero by no more than it steps elsewhere.
+    """
+    known = values[~np.isnan(values)]
+    for bits in REGISTERS:
+        count = 2.0**bits
+        if known.size < 2 or not (known.max() > count / 2 and (known >= 0).all()):
+            continue
+        if known.max() >= count or (known != np.floor(known)).any():
+            continue
+        below = values >= count / 2
+        whole = np.where(below, values - count, values)
+        leaps = np.abs(np.diff(known)) > count / 2
+        steps = np.abs(np.diff(whole[~np.isnan(values)]))
+        usual = np.max(steps[~leaps], initial=0.0)
+        if leaps.any() and usual < count / 4 and np.max(steps[leaps]) <= 2 * usual:
+            return whole, bits
     return values, 0

@@ -16,7 +16,6 @@ from riecjax.records.faults.sampled_signal import sampled_signal
 from riecjax.records.faults.spikes import Spikes, find_spikes
 from riecjax.records.faults.wrapped import unwrapped
 from riecjax.records.preparation.filtering import with_gaps
-from riecjax.records.reading.selected import Selection
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -82,23 +81,25 @@ def leave_out(record: Record, *signals: str) -> Record:
 def treat_all(
     columns: Mapping[str, Float[np.ndarray, " n"]],
     times: Mapping[str, Float[np.ndarray, " n"]],
-    selection: Selection,
     units: Mapping[str, str],
+    step: float | None,
+    how: Treatment,
+    formulas: Mapping[str, str],
 ) -> tuple[dict[str, np.ndarray], list[str], list[Finding]]:
     """Columns of a file without their spikes, what was done in words, and what is amiss with them.
 
     Angles that begin anew with each turn go on, or each would be a spike or a jump. A finding
     concerns what is computed from a column too.
 
-    **Arguments:** `times` of those that have stamps, the others are at the selection's time step.
+    **Arguments:** `times` of those that have stamps, the others are at time `step`; `how`, what
+    becomes of spikes; `formulas` of signals that are computed of columns.
 
     **Raises:** `DataError` for another treatment.
     """
     turns = {name: unwrapped(column) for name, column in columns.items()}
     columns = {name: column for name, (column, _) in turns.items()}
-    step = selection.time_step or 1.0
-    even = {name: step * np.arange(column.size) for name, column in columns.items()}
-    every, how, findings = {**even, **times}, selection.outliers, []
+    even = {name: (step or 1.0) * np.arange(column.size) for name, column in columns.items()}
+    every, findings = {**even, **times}, []
     words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
     treated = _treated(tuple(columns), columns, every, how)
     for name, one in treated.items():
@@ -110,7 +111,7 @@ def treat_all(
             continue
         done = "repaired" if how == "repair" else "marked as missing"
         words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
-        used = [k for k, f in selection.derive.items() if name in re.findall(r"\w+", f)]
+        used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
         unit = units.get(name, "")
         found = finding_of(name, one.spikes, columns[name], time - time[0], unit, how)
         findings.append(found._replace(signals=(name, *used)))

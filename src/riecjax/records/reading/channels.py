@@ -13,13 +13,15 @@ from typing import IO
 import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.records.reading.time_stamps import of_texts
+from riecjax.records.reading.times import TIME_COLUMNS, of_texts
 from riecjax.records.reading.units import split_unit
 
 LARGEST_FILE = 4 * 2**30
 """Bytes a file may hold, unpacked, before it is refused."""
 MOST_COLUMNS = 10_000
 """Columns a file may hold before it is refused."""
+NUMBERED = "column {}"
+"""What a column without a name is called, by its number from 1."""
 HIGHEST_PACKING = 1100
 """Bytes that one byte of a deflated file can hold (1032), with its headers."""
 
@@ -82,14 +84,8 @@ def first_sentence(error: BaseException) -> str:
     return said if said and not isinstance(error, KeyError) else f"{type(error).__name__} {said}"
 
 
-TIME_COLUMNS = ("t", "time", "Time", "time_s", "t_s", "TIME", "timestamp", "Timestamp", "T")
-"""Column names taken as time, in this order of preference; `--map t=COLUMN` names another."""
-BY_ATTRIBUTE = ", as counts with an attribute "
-"""What stands between the unit of counts and an attribute that may be their factor."""
 WIDEST_MATRIX = 1000
 """Columns of a matrix past which it is a picture and not a set of channels."""
-MOST_LISTED = 30
-"""Names in a message past which the rest is counted."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +117,6 @@ class Channels:
         """A column's name without its unit, and the unit that the file or the name states."""
         name, unit = split_unit(column, self.nested)
         return name, self.units.get(column) or unit
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names for a message, the first thirty of them."""
-    every = list(names)
-    more = len(every) - MOST_LISTED
-    return ", ".join(every[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def check_names(names: Iterable[str]) -> None:

@@ -18,7 +18,7 @@ from riecjax.records.reading.channels import (
     with_units_beside,
     without_common_group,
 )
-from riecjax.records.reading.time_stamps import of_texts
+from riecjax.records.reading.times import of_texts
 
 
 def read_json_lines(file: Path) -> Channels:

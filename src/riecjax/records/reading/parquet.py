@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from riecjax.records.reading.channels import (
-    TIME_COLUMNS,
     Channels,
     check_column_count,
     check_names,
@@ -16,7 +15,7 @@ from riecjax.records.reading.channels import (
 )
 from riecjax.records.reading.child_process import read_apart
 from riecjax.records.reading.numerals import compute, floats
-from riecjax.records.reading.time_stamps import of_text_column, unwrapped
+from riecjax.records.reading.times import TIME_COLUMNS, of_text_column, unwrapped
 from riecjax.work import Work, expect
 
 BESIDE = 6
