@@ -12,8 +12,8 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.smooth_test_functions import Bump
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
-from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError

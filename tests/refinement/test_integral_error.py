@@ -18,8 +18,7 @@ from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
-from riecjax.refinement.balance import AbstractBalance, as_balances
-from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.integral_error import AbstractBalance, IntegralError, as_balances
 from riecjax.refinement.parametric import ByFunction
 from riecjax.refinement.refine import refine
 from riecjax.uncertainty.intervals import BlockBootstrap

@@ -8,8 +8,8 @@ import pytest
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows
-from riecjax.equations.columns import Columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.noisy_columns import Columns
 from riecjax.equations.procedure import as_procedure
 from riecjax.equations.term import Term
 from riecjax.estimation.excitation import excitation_of

@@ -26,9 +26,14 @@ from riecjax.criteria.noise_moments import NoiseMoments, in_closed_form, noise_m
 from riecjax.criteria.rows import Rows
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import AbstractWindows, AllWindows, Count, RandomWindows, WindowSet
-from riecjax.equations.columns import Columns, sampled_columns
 from riecjax.equations.equation import Equation
-from riecjax.equations.noisy_columns import NoisyColumns, noisy_columns, without_noise
+from riecjax.equations.noisy_columns import (
+    Columns,
+    NoisyColumns,
+    noisy_columns,
+    sampled_columns,
+    without_noise,
+)
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.noise import Noise
@@ -187,7 +192,7 @@ class AbstractCriterion(eqx.Module):
         return noise_moments(
             noisy,
             noise,
-            lambda: each_bin(weighed, lags._replace(edges=None)),
+            lambda: each_bin(weighed, lags),
             lambda columns: self.moments_of(columns, lags, blocks, reach)[0],
         )
 
@@ -371,7 +376,7 @@ class RIEC(AbstractCriterion):
         windows, n = self.windows.every, record.sample_count
         lags, reach = self.law(record), windows.reach(n)
         if apart:
-            lags = jax.tree.map(lambda leaf: leaf[:, None], lags._replace(edges=None))
+            lags = jax.tree.map(lambda leaf: leaf[:, None], lags)
 
         def flipped(sums: Any) -> Any:
             return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), sums) if apart else sums

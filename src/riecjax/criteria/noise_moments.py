@@ -22,8 +22,7 @@ from jaxtyping import Array, Float
 
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.noise_weights import NoiseWeights
-from riecjax.equations.columns import Columns
-from riecjax.equations.noisy_columns import Movement, NoisyColumns, is_white
+from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.records.noise import Noise
 
 PROBES = 8

@@ -39,7 +39,7 @@ from riecjax.criteria.noise_weights import NoiseWeights, noise_weights_of_length
 from riecjax.criteria.quadrature import unpadded_mean
 from riecjax.criteria.test_functions import AbstractTestFunction, Integrals, valid_windows
 from riecjax.criteria.windows import AllWindows, WindowSet, half_periods
-from riecjax.equations.columns import Columns
+from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
@@ -136,7 +136,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         def law_moments(law: LagBins) -> Moments:
             return moments_of_rows(rows_of_length, law.first, law.weight, blocks)
 
-        return each_bin(law_moments, lags._replace(edges=None))
+        return each_bin(law_moments, lags)
 
     def noise_weights(
         self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks

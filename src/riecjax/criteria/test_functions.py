@@ -41,7 +41,7 @@ from riecjax.criteria.noise_weights import (
 )
 from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
 from riecjax.criteria.windows import AllWindows, WindowSet, half_periods
-from riecjax.equations.columns import Columns
+from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError, require
 from riecjax.records.record import Record
 
@@ -130,7 +130,7 @@ class AbstractTestFunction(eqx.Module):
 
         A lag of k samples has n - k starts; a bin's lags have n - k on average at its middle.
         """
-        first, last, weight, _ = self.lags(windows, record)
+        first, last, weight = self.lags(windows, record)
         # In real numbers: windows may be more than 32-bit integers hold.
         first, last = (np.asarray(edge, float) for edge in (first, last))
         starts = record.sample_count - self.length_multiple * (first + last) / 2

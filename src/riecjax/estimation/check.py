@@ -20,7 +20,7 @@ from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.estimation.parameters import ParameterPlan, plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
-from riecjax.records.faults.duplicates import duplicates
+from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records

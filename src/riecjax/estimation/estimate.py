@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.series_springs import is_stiffness_name
+from riecjax.equations.hidden_elements import is_stiffness_name
 from riecjax.estimation.estimated_parameters import AbstractEstimate
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding

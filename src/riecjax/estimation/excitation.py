@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.estimation.estimate import combination, weighing
 from riecjax.estimation.noise_level import largest_share
 from riecjax.estimation.parameters import ParameterPlan

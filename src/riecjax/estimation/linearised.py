@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.compilation.kept_jit import kept_jit
-from riecjax.equations.hidden_modes import Expanded
+from riecjax.compilation import kept_jit
+from riecjax.equations.hidden_elements import Expanded
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.hidden_modes import ModeStage, Values
 from riecjax.estimation.mode_windows import find_modes

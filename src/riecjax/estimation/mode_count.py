@@ -6,7 +6,7 @@ from typing import NamedTuple
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_modes import HiddenMode, ModeParameters
+from riecjax.equations.hidden_elements import HiddenMode, ModeParameters
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.estimate import Estimate

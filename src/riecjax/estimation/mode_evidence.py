@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_modes import Expanded, ModeParameters, mode_frequency
+from riecjax.equations.hidden_elements import Expanded, ModeParameters, mode_frequency
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate

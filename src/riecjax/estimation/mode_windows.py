@@ -13,15 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.compilation.kept_jit import kept_jit
-from riecjax.equations.hidden_modes import (
+from riecjax.compilation import kept_jit
+from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
     HiddenParameters,
     ModeParameters,
+    SpringParameters,
 )
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.series_springs import SpringParameters
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.hidden_modes import ModeStage, Values, as_asked, search
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from riecjax.equations.hidden_modes import is_mode_name
-from riecjax.equations.series_springs import is_stiffness_name
+from riecjax.equations.hidden_elements import is_mode_name, is_stiffness_name
 
 
 def excite_or_hold(names: Sequence[str], hold: str = "") -> str:

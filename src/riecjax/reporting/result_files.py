@@ -24,7 +24,7 @@ from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
 from riecjax.refinement.optimum import RefinementStatus
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.reporting.document import SCHEMA as RESULTS_SCHEMA
 from riecjax.reporting.document import Document, is_intact
 from riecjax.reporting.tables import View

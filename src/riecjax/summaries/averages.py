@@ -19,8 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.quadrature import running_sum
-from riecjax.equations.columns import Columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.noisy_columns import Columns
 from riecjax.leaves import Leaf, namespace
 from riecjax.summaries.sums import Activity
 

@@ -35,8 +35,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import factor_of_gram, factor_of_rows, gram_suffices
-from riecjax.records.filled import filled_up
-from riecjax.records.record import Record
+from riecjax.records.record import Record, filled_up
 from riecjax.summaries.averages import hat_half
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations
@@ -327,7 +326,7 @@ class OnePass:
 
 
 def _each(law: LagBins, index: slice | None) -> LagBins:
-    """Some bins of a law without its edges; of `None`, all of it as one bin."""
+    """Some bins of a law; of `None`, all of it as one bin."""
     return LagBins(law.first[index], law.last[index], law.weight[index])
 
 

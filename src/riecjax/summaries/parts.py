@@ -19,17 +19,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.criteria.chunks import ROUND, StartBlocks, in_chunks
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.rows import Rows
 from riecjax.criteria.windows import WindowSet
-from riecjax.equations.columns import Columns, sampled_columns
+from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
-from riecjax.equations.in_motion import InMotion
-from riecjax.equations.noisy_columns import NoisyColumns
+from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Terms
 from riecjax.records.record import Record

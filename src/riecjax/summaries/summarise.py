@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.length_bins import LengthBins
+from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
-from riecjax.equations.in_motion import in_motion
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace

@@ -11,9 +11,8 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.derived import sensitivities, with_derived
-from riecjax.records.faults.wrapped import signed
 from riecjax.records.noise_judgement import given_noise, judged
-from riecjax.records.preparation.repair import treat_all
+from riecjax.records.preparation.repair import signed, treat_all
 from riecjax.records.reading import times as clocks
 from riecjax.records.reading.channels import NUMBERED, Channels
 from riecjax.records.reading.times import TIME_COLUMNS, TimeColumn, find_time, listed, seconds_in
@@ -214,7 +213,9 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, l
     column |= rename
     values, units, registers = {}, {}, []
     for name, source in column.items():
-        values[name], bits = signed(channels.columns[source])
+        values[name], bits = channels.columns[source], 0
+        if not clocks.is_word_of_time(source):
+            values[name], bits = signed(values[name])
         if bits:
             registers.append(f"{name}: signed numbers of {bits} bits, read as unsigned, put right")
         behind = clocks.unit_of_time(source) if name == "t" else unit_behind(source)

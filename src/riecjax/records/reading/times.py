@@ -14,7 +14,6 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.records.reading.numerals import compute, numbers, stripped
 from riecjax.records.reading.units import DAY, HOUR, MINUTE, SECONDS, split_unit
-from riecjax.work import in_time
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _ZONE = r"(?:Z|z|(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|UTC|GMT|[A-Z]{3,4})"
@@ -440,8 +439,15 @@ def _other_unit(name: str, seconds: np.ndarray, shortest: float | None) -> str:
         return ""
     for unit, factor in SUBUNITS.items():
         if step * factor <= (shortest or SLOWEST):
-            return _IN_ANOTHER_UNIT.format(name, step, in_time(float(since[-1])), unit, factor)
+            return _IN_ANOTHER_UNIT.format(name, step, _in_time(float(since[-1])), unit, factor)
     return ""
+
+
+def _in_time(seconds: float) -> str:
+    """Seconds in two digits, in the unit that suits."""
+    sizes = {"days": DAY, "h": HOUR, "min": MINUTE, "s": 0.0}
+    unit = next(unit for unit, size in sizes.items() if seconds >= 2 * size)
+    return f"{float(f'{seconds / (sizes[unit] or 1.0):.2g}'):g} {unit}"
 
 
 def is_word_of_time(name: str) -> bool:

@@ -1,8 +1,8 @@
 """Units: how names and rows say them, what they are in SI, and what models read instead.
 
-However it is spelled, `m/s^2`, `m s-2`, `N·mm`, `ft-lb`, `U/min`, a unit is a factor times powers of
-SI's base units. Not pint: importing it and building its registry takes 0.23 s, an eighth of a second
-run of `identify`; and it takes `g` for grams and knows no `U/min`.
+However it is spelled, `m/s^2`, `m s-2`, `N·mm`, `ft-lb`, `U/min`, a unit is a factor times powers
+of SI's base units. Not pint: importing it and building its registry takes 0.23 s, an eighth of a
+second run of `identify`; and it takes `g` for grams and knows no `U/min`.
 """
 
 import functools
@@ -28,7 +28,7 @@ PREFIXED = {
     "W": (1.0, "J/s"), "V": (1.0, "W/A"), "C": (1.0, "A s"), "F": (1.0, "C/V"),
     "S": (1.0, "A/V"), "Ohm": (1.0, "V/A"), "Wb": (1.0, "V s"), "H": (1.0, "Wb/A"),
     "T": (1.0, "Wb/m^2"), "Hz": (1.0, "1/s"), "rpm": (TURN / 60, "rad/s"),
-    "l": (1e-3, "m^3"), "L": (1e-3, "m^3"),
+    "l": (1e-3, "m^3"), "L": (1e-3, "m^3"), "Gal": (0.01, "m/s^2"),
 }  # fmt: skip
 """Units that take a prefix: factor, and unit that is multiplied by it."""
 PLAIN = {
@@ -38,7 +38,7 @@ PLAIN = {
     "ips": (0.0254, "m/s"), "deg": (TURN / 360, "rad"), "gon": (TURN / 400, "rad"),
     "arcmin": (TURN / 21600, "rad"), "arcsec": (TURN / 1296000, "rad"), "rev": (TURN, "rad"),
     "dps": (TURN / 360, "rad/s"), "rps": (TURN, "rad/s"), "kgf": (GRAVITY, "N"),
-    "gf": (1e-3 * GRAVITY, "N"), "tf": (1e3 * GRAVITY, "N"), "Gal": (0.01, "m/s^2"), "dyn": (1e-5, "N"), "ozf": (POUND_FORCE / 16, "N"),
+    "gf": (1e-3 * GRAVITY, "N"), "tf": (1e3 * GRAVITY, "N"), "dyn": (1e-5, "N"), "ozf": (POUND_FORCE / 16, "N"),
     "kip": (1e3 * POUND_FORCE, "N"), "Nmm": (1e-3, "N m"), "Ncm": (0.01, "N m"),
     "psi": (POUND_FORCE / 0.0254**2, "Pa"), "ksi": (1e3 * POUND_FORCE / 0.0254**2, "Pa"),
     "atm": (101325.0, "Pa"), "torr": (101325 / 760, "Pa"), "mmHg": (133.322387415, "Pa"),
