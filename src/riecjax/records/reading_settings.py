@@ -114,6 +114,8 @@ MAPPINGS = (
     "clocks",
     "lags",
 )
+TEXTS = ("rename", "units", "derive", "derivatives")
+"""Those mappings whose values are names, units or formulas."""
 NAMES = ("offsets", "drifts", "columns", "notches", "left_out")
 
 
@@ -133,6 +135,12 @@ def sorted_settings(
     for name in (n for n in NAMES if n in given):
         require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
         given[name] = tuple(given[name])
+    for name in (n for n in (*MAPPINGS, *NAMES) if n in given):
+        pairs = given[name].items() if name in MAPPINGS else ((each, "") for each in given[name])
+        for signal, value in pairs:
+            require(f"a name in {name}", signal, str, "names as text, 'x'", DataError)
+            if name in TEXTS:
+                require(f"{name} of '{signal}'", value, str, "it as text, 'x'", DataError)
 
     if not isinstance(given.get("align", ""), str):
         given["align"] = tuple(given["align"])

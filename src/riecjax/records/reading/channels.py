@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.util
+import math
 import re
 import warnings
 import zipfile
@@ -13,6 +14,7 @@ from typing import IO
 import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError
+from riecjax.memory import require_memory
 from riecjax.records.reading.times import TIME_COLUMNS, of_texts
 from riecjax.records.reading.units import split_unit
 
@@ -273,6 +275,14 @@ def read_npz(file: Path) -> Channels:
         check_column_count(len(members))
         check_unpacked(sum(member.file_size for member in members), file.stat().st_size)
         check_names(member.filename.removesuffix(".npy") for member in members)
+        made = 0
+        for member in members:
+            with archive.open(member) as stream:
+                shape, _, dtype = _header(stream)
+            is_table = sum(side > 1 for side in shape) <= 2
+            made += 8 * math.prod(shape) * max(len(dtype.names or ()), 1) * is_table
+        check_unpacked(made)
+        require_memory("reading its arrays", 2 * made, "Read a part of the file.")
         arrays: dict[str, np.ndarray] = {}
         left_out = {}
         for member in members:
@@ -297,6 +307,18 @@ def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:
 
     **Raises:** `ValueError` if it does not fit.
     """
+    shape, fortran, dtype = _header(stream)
+    if dtype.hasobject:
+        return None
+    count = math.prod(shape)
+    if min(shape, default=1) < 0 or count * dtype.itemsize > size:
+        raise ValueError("an array is larger than its file.")
+    flat = np.frombuffer(stream.read(), dtype=dtype, count=count)
+    return flat.reshape(shape, order="F" if fortran else "C")
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether it runs along columns, and type of the array that follows."""
     version = np.lib.format.read_magic(stream)
     header = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -304,13 +326,4 @@ def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:
     }.get(version)
     if header is None:
         raise ValueError(f"arrays of version {version} are not read.")
-    shape, fortran, dtype = header(stream)
-    if dtype.hasobject:
-        return None
-    count = 1
-    for side in shape:
-        count *= side
-    if min(shape, default=1) < 0 or count * dtype.itemsize > size:
-        raise ValueError("an array is larger than its file.")
-    flat = np.frombuffer(stream.read(), dtype=dtype, count=count)
-    return flat.reshape(shape, order="F" if fortran else "C")
+    return header(stream)

@@ -20,6 +20,9 @@ from riecjax.records.reading.channels import (
 )
 from riecjax.records.reading.times import of_texts
 
+SPARSEST, FEWEST_CHECKED = 100, 10**6
+"""Places of a table for each value at most, where it has more places than the second number."""
+
 
 def read_json_lines(file: Path) -> Channels:
     """Read JSON lines: an object for each sample; blank lines count for nothing.
@@ -153,19 +156,24 @@ def gathered(table: str, rows: Iterable[Any]) -> dict[str, list[Any]]:
 
     **Arguments:** `rows`, of dictionaries and lists in each other, or of single values.
     """
-    columns: dict[str, list[Any]] = {}
-    count = 0
+    columns: dict[str, dict[int, Any]] = {}
+    count = filled = 0
     for row in rows:
         for name, value in _fields(table, row):
-            column = columns.setdefault(name, [])
-            if len(column) > count:
+            column = columns.setdefault(name, {})
+            if count in column:
                 raise DataError(f"two fields are called '{name}'.")
-            column.extend([None] * (count - len(column)))
-            column.append(value)
+            column[count] = value
+            filled += 1
         count += 1
         check_column_count(len(columns))
     check_unpacked(8 * count * len(columns))
-    return {name: [*column, *[None] * (count - len(column))] for name, column in columns.items()}
+    if filled < count * len(columns) / SPARSEST and count * len(columns) > FEWEST_CHECKED:
+        raise DataError(
+            f"its {count} rows have {len(columns)} names and only {filled} values; give a field the"
+            " same name in each row."
+        )
+    return {name: list(map(column.get, range(count))) for name, column in columns.items()}
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -54,7 +54,10 @@ def read_channels(
     **Raises:** `DataError` if the file cannot be read.
     """
     file = Path(path)
-    reader = _reader(file)
+    try:
+        reader = _reader(file)
+    except OSError as error:  # of a name that is too long
+        raise DataError(printable(f"cannot read '{file.name[:60]}': {error.strerror}.")) from None
     dialect = _dialect(file, delimiter, decimal, columns)
     each = MEMORY_PER_BYTE_OF_SHEETS if file.suffix.lower() in SHEETS else MEMORY_PER_BYTE
     require_memory(f"reading {file.name}", each * size_of(file), "Read a part of the file.")
