@@ -132,16 +132,13 @@ def sorted_settings(
     for name in (n for n in MAPPINGS if n in given):
         given[name] = given[name] or {}
         require(name, given[name], Mapping, f"{name}={{'x': ...}}, by the signal's name", DataError)
-    for name in (n for n in NAMES if n in given):
-        require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
-        given[name] = tuple(given[name])
-    for name in (n for n in (*MAPPINGS, *NAMES) if n in given):
-        pairs = given[name].items() if name in MAPPINGS else ((each, "") for each in given[name])
-        for signal, value in pairs:
+        for signal, value in given[name].items():
             require(f"a name in {name}", signal, str, "names as text, 'x'", DataError)
             if name in TEXTS:
                 require(f"{name} of '{signal}'", value, str, "it as text, 'x'", DataError)
-
+    for name in (n for n in NAMES if n in given):
+        require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
+        given[name] = tuple(given[name])
     if not isinstance(given.get("align", ""), str):
         given["align"] = tuple(given["align"])
 
