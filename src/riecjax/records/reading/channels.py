@@ -178,17 +178,13 @@ def _real(array: np.ndarray) -> tuple[np.ndarray | None, bool]:
 
 def seconds_of(stamps: np.ndarray) -> np.ndarray:
     """NumPy's date-times as seconds from the first, and durations in seconds; NaN for NaT."""
-    unit, ticks = np.datetime_data(stamps.dtype)
-    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-    if unit not in per_second:
+    if np.datetime_data(stamps.dtype)[0] not in ("s", "ms", "us", "ns"):
         stamps = stamps.astype(f"{stamps.dtype.kind}8[us]")
-        unit, ticks = "us", 1
     missing = np.isnat(stamps)
-    counts = stamps.astype("int64")
     # Counted from the first before they become floats, which hold only 16 digits.
-    first = counts[~missing][0] if stamps.dtype.kind == "M" and not missing.all() else 0
-    since = (counts - first) * float(ticks) / per_second[unit]
-    return np.where(missing, np.nan, since)
+    if stamps.dtype.kind == "M":
+        stamps = stamps - (stamps[~missing][0] if not missing.all() else stamps[:1])
+    return np.where(missing, np.nan, stamps / np.timedelta64(1, "s"))
 
 
 def with_units_beside(channels: Channels, texts: Mapping[str, str]) -> Channels:

@@ -1,9 +1,9 @@
 """Tables in text files as data loggers write them: encoding, dialect, header, columns."""
 
 import codecs
+import contextlib
 import csv
 import io
-import itertools
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -42,6 +42,10 @@ from riecjax.records.reading.units import (
     split_unit,
 )
 
+QUOTED = 2**12
+"""Bytes at the start of a file that tell its encoding, and whether whole rows are quoted."""
+MOSTLY = 0.9
+"""Share of numbers in a column from which a text in it is an error, not a sign of a text column."""
 OTHER_FORMATS = {
     b"PK\x03\x04": "an Excel workbook or another zip archive",
     b"\x1f\x8b": "packed by gzip",
@@ -71,7 +75,15 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
         if content.startswith(start):
             raise DataError(f"it is {kind}, whatever its name says; unpack, rename or export it.")
     notes: list[str] = []
-    wide = _wide(content)
+    marks = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32",
+             codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}  # fmt: skip
+    wide = next((name for mark, name in marks.items() if content.startswith(mark)), "")
+    # Without a mark: digits and delimiters have a zero as every other byte.
+    halves = {"utf-16-le": content[1:QUOTED:2], "utf-16-be": content[:QUOTED:2]}
+    letters = {"utf-16-le": halves["utf-16-be"], "utf-16-be": halves["utf-16-le"]}
+    for name, zeros in halves.items():
+        if len(zeros) > 1 and zeros.count(0) > MOSTLY * len(zeros) and 0 not in letters[name]:
+            wide = wide or name
     if wide:
         called = wide[:6].upper()
         try:
@@ -86,9 +98,13 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
     place = content.find(b"\0")
     if place >= 0:
         raise DataError(f"not a text file in UTF-8: byte {place} is 0, as in binary files.")
-    if not _is_utf8(content):
+    try:
+        content.decode()
+    except UnicodeDecodeError:
         if _CONTROLS.search(content[:_CHUNK]):
-            raise DataError("not a text file in UTF-8: it holds binary control characters.")
+            raise DataError(
+                "not a text file in UTF-8: it holds binary control characters."
+            ) from None
         content = content.decode("latin-1").encode()
         notes.append("read as Latin-1, not being UTF-8")
     if b"\r" in content:
@@ -102,37 +118,6 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
     return content, notes
 
 
-def _wide(content: bytes) -> str | None:
-    """The encoding of two or four bytes a letter that a text is in."""
-    if content.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
-        return "utf-32"
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    # Without a mark: digits and delimiters have a zero as every other byte.
-    head = content[:4096]
-    half = len(head) // 2
-    if half < 2:
-        return None
-    if head[1::2].count(0) > 0.9 * half and 0 not in head[::2]:
-        return "utf-16-le"
-    if head[::2].count(0) > 0.9 * half and 0 not in head[1::2]:
-        return "utf-16-be"
-    return None
-
-
-def _is_utf8(content: bytes) -> bool:
-    decoder = codecs.getincrementaldecoder("utf-8")()
-    try:
-        for start in range(0, len(content), _CHUNK):
-            decoder.decode(content[start : start + _CHUNK])
-        decoder.decode(b"", final=True)
-    except UnicodeDecodeError:
-        return False
-    return True
-
-
-QUOTED = 2**12
-"""Bytes at the start of a file that tell whether its rows are quoted as a whole."""
 FEWEST_MEASURED = 5
 """Rows on which it is decided that units stand behind numbers."""
 MOST_HEADINGS, MOST_BREAKS = 40, 6
@@ -207,9 +192,9 @@ def _without_units(content: bytes) -> tuple[bytes, list[str]]:
     return re.sub(pattern, b"", content), [unit if is_known(unit) else "" for unit in units[0]]
 
 
-DELIMITERS = (",", ";", "\t", "|", " ")
-"""In order of preference; a blank stands for any white space."""
 NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
+SIGNS = tuple(NAMES)[:-1]
+"""Delimiters in order of preference; a blank, the last one, stands for any white space."""
 MISFIT = 0.3
 """Badness past which a layout is taken only where there is no better one, with names or without."""
 ROWS = frozenset(("signal", "signals", "name", "names", "channel", "channels"))
@@ -282,11 +267,31 @@ def layout(
 
     **Raises:** `DataError` where there is none, or where two are equally good.
     """
-    _refuse_too_wide(lines)
-    found = [_layout(lines, dialect) for dialect in _dialects(lines, delimiter, decimal)]
-    layouts = [one for one in found if one is not None and _plausible(one, lines, delimiter)]
+    for line in lines:
+        if len(line) > MOST_COLUMNS:
+            check_column_count(max(len(line.split()), *(line.count(d) + 1 for d in SIGNS)))
+    text = "\n".join(lines)
+    layouts = []
+    for sign in [decimal] if decimal else [".", ","]:
+        for mark in [delimiter] if delimiter else [d for d in NAMES if d == " " or d in text]:
+            # A comma can be both only where quotes tell the two apart.
+            table = _layout(lines, Dialect(mark, sign)) if sign != mark or '"' in text else None
+            # One column only where its name holds no delimiter: else the file has more columns.
+            alone = table and table.width == 1 and not delimiter and table.header >= 0
+            if table and not (alone and any(d in lines[table.header] for d in SIGNS)):
+                layouts.append(table)
     if not layouts:
-        raise _no_numbers(lines)
+        filled = [place for place, line in enumerate(lines) if line.strip()]
+        if not filled:
+            raise DataError("the file is empty; the first row must name the columns.")
+        if len(filled) == 1:
+            raise DataError("there are no samples below the column names.")
+        place = filled[min(len(filled) - 1, len(filled) // 2)]
+        raise DataError(
+            f"no line holds numbers between delimiters; line {place + 1} is {lines[place][:60]!r}."
+            " Take off brackets and labels, name delimiter and decimal sign (on the command line:"
+            " --delimiter, --decimal), or export the file otherwise."
+        )
     best = min(
         layouts,
         key=lambda one: (one.badness > MISFIT, not one.named, round(one.badness, 3), -one.width),
@@ -321,40 +326,6 @@ def layout(
     return best
 
 
-def _no_numbers(lines: list[str]) -> DataError:
-    """The error of lines without one that holds numbers."""
-    filled = [place for place, line in enumerate(lines) if line.strip()]
-    if not filled:
-        return DataError("the file is empty; the first row must name the columns.")
-    if len(filled) == 1:
-        return DataError("there are no samples below the column names.")
-    place = filled[min(len(filled) - 1, len(filled) // 2)]
-    return DataError(
-        f"no line holds numbers between delimiters; line {place + 1} is {lines[place][:60]!r}. Take"
-        " off brackets and labels, name delimiter and decimal sign (on the command line:"
-        " --delimiter, --decimal), or export the file otherwise."
-    )
-
-
-def _dialects(lines: list[str], delimiter: str | None, decimal: str | None) -> list[Dialect]:
-    text = "\n".join(lines)
-    delimiters = [delimiter] if delimiter else [d for d in DELIMITERS if d == " " or d in text]
-    # A comma can be both only where quotes tell the two apart.
-    return [
-        Dialect(d, c)
-        for c in ([decimal] if decimal else [".", ","])
-        for d in delimiters
-        if c != d or '"' in text
-    ]
-
-
-def _plausible(found: Layout, lines: list[str], delimiter: str | None) -> bool:
-    """One column only where its name holds no delimiter: else the file has more columns."""
-    if found.width > 1 or delimiter or found.header < 0:
-        return True
-    return not any(sign in lines[found.header] for sign in DELIMITERS[:-1])
-
-
 def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
     rows = {
         place: dialect.fields(line)
@@ -378,13 +349,21 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
         header, names, units = _commented_header(lines, dialect, first, len(pattern))
     else:
         names = rows[header]
-    names = _trimmed(names, pattern, dialect)
+    names = _without_empty_end(names)
+    width = len(pattern)
+    if len(names) == width + 1 > 2:
+        # What the row is, before its names, or a column of remarks that stayed empty.
+        before, behind = names[0].lower() in ROWS, names[-1].lower() in REMARKS
+        names = names[1:] if before else names[:-1] if behind else names
+    names = _joined(names, dialect, width)
+    if names and set(pattern[len(names) :]) == {"M"}:
+        names = [*names, *[""] * (width - len(names))]
     # Rows of numbers above the first that fits are none to skip: the dialect is another one.
     data = [k for place, k in kinds.items() if place >= start or ("D" in k and "T" not in k)]
     ragged = sum(len(kind) != len(pattern) for kind in data) / len(data)
     texts = sum(map(_texts, data)) / max(sum(map(len, data)), 1)
     filled = len(pattern.rstrip("M"))
-    return Layout(dialect, names, units, start, len(pattern), filled, header, ragged + texts)
+    return Layout(dialect, names, units, start, width, filled, header, ragged + texts)
 
 
 def _texts(kind: str) -> int:
@@ -414,10 +393,21 @@ def _header(
 ) -> tuple[int | None, list[str], int]:
     """Line of the names, the units by position, and the line where data begins."""
     preceding = [place for place in reversed(rows) if place < first]
+    width = len(pattern)
+    filled = {place: len(_without_empty_end(rows[place])) for place in preceding}
     # A word alone, such as DATA or [data], heads a table and names no column of several.
-    while len(pattern) > 1 and len(preceding) > 1 and _is_heading(rows[preceding[0]]):
+    while width > 1 and len(preceding) > 1 and filled[preceding[0]] == 1:
+        if is_known(bare_unit(rows[preceding[0]][0])):
+            break
         del rows[preceding.pop(0)]
-    above = list(itertools.takewhile(lambda place: _as_wide(rows[place], pattern), preceding))
+    above = []
+    for place in preceding:
+        # A delimiter at the end of a row makes no column.
+        ends = pattern[filled[place] :]
+        if width in (filled[place], len(rows[place])) or (ends and set(ends) == {"M"}):
+            above.append(place)
+        else:
+            break
     # Where no row above is as wide, the last one tells how many names there are instead.
     above = above or preceding[:1]
     # A row that is partly numbers below a row of names is data that went wrong, not a header.
@@ -425,41 +415,22 @@ def _header(
     fallback = [place for place in above if "T" in kinds[place]]
     if not texts and not fallback:
         return None, [], first
-    if _is_below_units(texts, rows):
+    # Below a row of units there may be one of sensors, or of how values were taken.
+    units = [_is_unit_row(rows[place]) for place in texts[:2]]
+    if len(texts) > 2 and units == [False, True]:
         above = [place for place in above if place < texts[0]]
         del rows[texts.pop(0)]
     last = (texts or fallback)[0]
+    named, stated = last, None
     between = [place for place in above if place > last]
-    if between and _is_unit_row(rows[between[-1]]):
-        return last, [bare_unit(field) for field in rows[between[-1]]], _after(rows, between[-1])
     # Above units, names may be numbers, as of channels 1 and 2.
     upper = next((place for place in fallback if place < last), None)
-    if upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
-        return upper, [bare_unit(field) for field in rows[last]], _after(rows, last)
-    return last, [], _after(rows, last)
-
-
-def _is_below_units(texts: list[int], rows: dict[int, list[str]]) -> bool:
-    """Whether the last row of words stands below one of units: of sensors, or how values were
-    taken."""
-    if len(texts) < 3 or _is_unit_row(rows[texts[0]]):
-        return False
-    return _is_unit_row(rows[texts[1]])
-
-
-def _is_heading(fields: list[str]) -> bool:
-    return len(_without_empty_end(fields)) == 1 and not is_known(bare_unit(fields[0]))
-
-
-def _as_wide(fields: list[str], pattern: str) -> bool:
-    """Whether a row has a field for each column; a delimiter at the end of a row makes none."""
-    filled = len(_without_empty_end(fields))
-    width = len(pattern)
-    return width in (filled, len(fields)) or (filled < width and set(pattern[filled:]) == {"M"})
-
-
-def _after(rows: dict[int, list[str]], place: int) -> int:
-    return min(other for other in rows if other > place)
+    if between and _is_unit_row(rows[between[-1]]):
+        stated = between[-1]
+    elif upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
+        named, stated = upper, last
+    start = min(place for place in rows if place > (last if stated is None else stated))
+    return named, list(map(bare_unit, rows[stated])) if stated is not None else [], start
 
 
 def _is_unit_row(fields: list[str]) -> bool:
@@ -504,36 +475,12 @@ def _joined(names: list[str], dialect: Dialect, width: int) -> list[str]:
     return [name.replace("\0", " ") for name in joined.split(" ")]
 
 
-def _trimmed(names: list[str], pattern: str, dialect: Dialect) -> list[str]:
-    """Names for `pattern`: a delimiter at the end of a row makes no column."""
-    names = _without_empty_end(names)
-    width = len(pattern)
-    if len(names) == width + 1 > 2:
-        # What the row is, before its names, or a column of remarks that stayed empty.
-        first, last = (names[place].lower() in WORDS for place, WORDS in ((0, ROWS), (-1, REMARKS)))
-        names = names[1:] if first else names[:-1] if last else names
-    names = _joined(names, dialect, width)
-    if names and len(names) < width and set(pattern[len(names) :]) == {"M"}:
-        names = [*names, *[""] * (width - len(names))]
-    return names
-
-
-def _refuse_too_wide(lines: list[str]) -> None:
-    for line in lines:
-        if len(line) > MOST_COLUMNS:
-            widest = max(len(line.split()), *(line.count(sign) + 1 for sign in DELIMITERS[:-1]))
-            if widest > MOST_COLUMNS:
-                raise DataError(f"has {widest} columns; at most {MOST_COLUMNS} are read.")
-
-
 SAMPLE = 2**16
 """Bytes at the start of a file on which its dialect is decided."""
 LONGEST_LINE = 2**22
 """Bytes of a line past which a file is no table."""
 FEWEST_LINES, MOST_LINES = 6, 400
 """Lines on which the dialect is decided."""
-MOSTLY = 0.9
-"""Share of numbers in a column from which a text in it is an error, not a sign of a text column."""
 
 
 class Table(NamedTuple):
@@ -678,18 +625,13 @@ def _parse(table: Table) -> Any:
             ),
         )
     except pa.ArrowInvalid as error:
-        raise DataError(_ragged_row(table) or first_sentence(error)) from None
-
-
-def _ragged_row(table: Table) -> str:
-    """In words, the first row that has not one value for each column."""
-    try:
-        for line, fields in table.rows():
-            if len(fields) != table.layout.width:
-                return f"line {line} has {len(fields)} values for {table.layout.width} columns."
-    except csv.Error as error:
-        return first_sentence(error)
-    return ""
+        said = first_sentence(error)
+        with contextlib.suppress(csv.Error):
+            for line, fields in table.rows():
+                if len(fields) != width:
+                    said = f"line {line} has {len(fields)} values for {width} columns."
+                    break
+        raise DataError(said) from None
 
 
 def _columns(
@@ -699,7 +641,10 @@ def _columns(
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
     texts = {name: stripped(parsed.column(place)) for place, name in enumerate(names) if name}
-    _refuse_nameless(parsed, names)
+    for place, name in enumerate(names):
+        if not name and stripped(parsed.column(place)).null_count < parsed.num_rows:
+            filled = sum(map(bool, names))
+            raise DataError(f"{filled} column names but {len(names)} columns of numbers.")
     if table.layout.dialect.decimal == "," and not table.decimal_given:
         _refuse_thousands(table, texts)
     columns: dict[str, np.ndarray] = {}
@@ -719,7 +664,12 @@ def _columns(
             )
         else:
             columns[name] = values
-    return _without_blank_end(columns), left_out, stamped
+    # Spreadsheets leave empty rows at the end.
+    is_filled = np.any([~np.isnan(values) for values in columns.values()] or [[True]], axis=0)
+    if is_filled.any():
+        stop = np.flatnonzero(is_filled)[-1] + 1
+        columns = {name: values[:stop] for name, values in columns.items()}
+    return columns, left_out, stamped
 
 
 def _all_valid(table: Table, valid: Any, text: Any) -> bool:
@@ -734,13 +684,6 @@ def _all_valid(table: Table, valid: Any, text: Any) -> bool:
             " line, correct it, or leave the field empty."
         )
     return False
-
-
-def _refuse_nameless(parsed: Any, names: list[str]) -> None:
-    for place, name in enumerate(names):
-        if not name and stripped(parsed.column(place)).null_count < parsed.num_rows:
-            filled = sum(bool(each) for each in names)
-            raise DataError(f"{filled} column names but {len(names)} columns of numbers.")
 
 
 def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
@@ -762,15 +705,6 @@ def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
             f"line {table.line_of(row)}: {text[row].as_py()!r} has a decimal comma or"
             " commas between thousands; pass decimal=',' or decimal='.'."
         )
-
-
-def _without_blank_end(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Without the empty rows at the end that spreadsheets leave."""
-    if not columns:
-        return columns
-    filled = np.flatnonzero(np.any([~np.isnan(values) for values in columns.values()], axis=0))
-    stop = filled[-1] + 1 if filled.size else None
-    return {name: values[:stop] for name, values in columns.items()}
 
 
 def _units(names: list[str], row: list[str]) -> dict[str, str]:

@@ -115,7 +115,7 @@ def _numbers(column: Any) -> np.ndarray:
     kind = column.type
     if not (types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind)):
         return floats(pc.cast(column, pa.float64(), safe=False))
-    ticks = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
+    ticks = np.timedelta64(1, "s") / np.timedelta64(1, kind.unit)
     if types.is_time32(kind):
         column = pc.cast(column, pa.int32())
     counts = pc.cast(column, pa.int64())
