@@ -139,6 +139,8 @@ def sorted_settings(
     for name in (n for n in NAMES if n in given):
         require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
         given[name] = tuple(given[name])
+        for signal in given[name] if name != "notches" else ():
+            require(f"a name in {name}", signal, str, "names as text, 'x'", DataError)
     if not isinstance(given.get("align", ""), str):
         given["align"] = tuple(given["align"])
 

@@ -103,7 +103,7 @@ def write_bag(path: Path, columns: Columns, storage: StoragePlugin = StoragePlug
         for name, values in columns.items():
             topic = out.add_connection(f"/{name}", kind, typestore=STORE)
             for t, x in zip(columns["t"], values):
-                out.write(topic, round(1e9 * (t + 1e9)), STORE.serialize_cdr(number(x), kind))
+                out.write(topic, 10**18 + round(1e9 * t), STORE.serialize_cdr(number(x), kind))
     next(folder.glob(f"*{path.suffix}")).rename(path)
 
 

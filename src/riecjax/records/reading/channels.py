@@ -63,18 +63,24 @@ def check_extra(module: str, kind: str, extra: str) -> None:
 
 
 @contextlib.contextmanager
-def foreign_reader(kind: str) -> Iterator[None]:
+def foreign_reader(kind: str, is_trusted: bool = True) -> Iterator[None]:
     """Run a library on a file that may be damaged: any error becomes one `DataError`.
 
-    Libraries raise whatever a damaged file leads them to. `MemoryError` passes: it need not be the
-    file's fault.
+    Libraries raise whatever a damaged file leads them to. `MemoryError` passes, as it need not be
+    the file's fault, unless the library is not trusted: one that asks for whatever size stands in a
+    damaged file before it finds that the file ends.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
-    except (RiecjaxError, MemoryError):
+    except RiecjaxError:
         raise
+    except MemoryError:
+        if is_trusted:
+            raise
+        said = f"not a readable {kind} file: it declares more than memory holds."
+        raise DataError(said) from None
     except Exception as error:
         raise DataError(f"not a readable {kind} file: {first_sentence(error)}") from None
 

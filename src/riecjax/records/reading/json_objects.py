@@ -65,23 +65,20 @@ def _as_rows(document: Any) -> Any:
     if isinstance(document, dict) and {"columns", "data"} <= document.keys():
         names, rows = document["columns"], document["data"]
         return [dict(zip(names, row, strict=True)) for row in rows]
-    if isinstance(document, dict) and all(_is_series(one) for one in document.values()):
+    # Single values by their row, as pandas writes a column.
+    if isinstance(document, dict) and all(
+        isinstance(series, dict)
+        and len(series) > 2
+        and not any(isinstance(value, dict | list) for value in series.values())
+        and list(series) == list(map(str, range(len(series))))
+        for series in document.values()
+    ):
         return {name: list(series.values()) for name, series in document.items()}
     if isinstance(document, list) and len(document) > 2 and isinstance(document[0], list):
         names, *rows = document
         if all(isinstance(name, str) for name in names) and not isinstance(rows[0][0], list):
             return [dict(zip(names, row, strict=True)) for row in rows]
     return document
-
-
-def _is_series(value: Any) -> bool:
-    """Whether an object holds single values by their row, as pandas writes a column."""
-    return (
-        isinstance(value, dict)
-        and len(value) > 2
-        and not any(isinstance(inner, dict | list) for inner in value.values())
-        and all(key == str(place) for place, key in enumerate(value))
-    )
 
 
 def _texts(name: str, value: Any) -> Iterator[tuple[str, str]]:
@@ -112,7 +109,14 @@ def _objects(lines: Iterable[bytes], notes: list[str]) -> Iterator[dict[str, Any
 def _arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
     """Arrays of a document by their name."""
     if isinstance(value, list):
-        if value and all(_holds_arrays(inner, len(value)) for inner in value):
+        # An object is a recording and no row where its arrays are longer than there are objects.
+        if value and all(
+            any(
+                isinstance(array, list) and len(array) > len(value)
+                for array in (inner.values() if isinstance(inner, dict) else ())
+            )
+            for inner in value
+        ):
             for place, inner in enumerate(value):
                 yield from _arrays(f"{name or 'part'}({place + 1})", inner)
             return
@@ -122,12 +126,6 @@ def _arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
     elif isinstance(value, dict):
         for key, inner in value.items():
             yield from _arrays(f"{name}.{key}" if name else key, inner)
-
-
-def _holds_arrays(value: Any, count: int) -> bool:
-    """Whether one of `count` objects is a recording and no row: its arrays are longer."""
-    inner = value.values() if isinstance(value, dict) else ()
-    return any(isinstance(array, list) and len(array) > count for array in inner)
 
 
 def _channels(tables: Mapping[str, Iterable[Any]], texts: Mapping[str, str] = {}) -> Channels:

@@ -1,9 +1,9 @@
 """From the channels of a file to a record: which are signals, which is time, in which units."""
 
-import contextlib
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -78,8 +78,16 @@ def record_from_channels(
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
     rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
     signals, registers = _renamed(channels, rename)
-    signals = _united(signals, channels, selection)
-    units_read = read or {}
+    units_read, stated = read or {}, dict(signals.units)
+    # What the user says goes before what the file states.
+    for name, unit in selection.units.items():
+        if name in selection.derive:
+            continue
+        if name in selection.scale:
+            raise DataError(f"'{name}' is given both a scale and a unit; leave out one of them.")
+        require_known_unit(name, unit)
+        stated |= dict.fromkeys(_signals_called(name, signals, channels), unit)
+    signals = signals._replace(units=stated)
     for name, column in rename.items():
         if name not in signals.units and not {name, column} & {*selection.scale}:
             require_sure_unit(name, column, units_read.get(name, ""))
@@ -98,72 +106,47 @@ def record_from_channels(
     else:
         notes = time.notes if time else ()
         times = _times(signals, channels, time)
-        signals = _with_times(signals, times, rename)
-        if not signals.values:
-            raise DataError(
-                f"a record needs at least one signal besides its time{_first_reason(channels)}."
-            )
-    matter = _mattering(signals, selection, units_read)
-    asked = matter if read or read is None else {*rename, *selection.units, *selection.scale}
-    signals = _converted(signals, units_read, asked)
-    matter &= signals.values.keys()
-    notes = (*notes, *registers)
-    with _naming(signals.column.get(time.name, time.name) if time else ""):
-        if selection.resample is not None:
-            signals, words, findings = _treated(signals, times, selection, matter)
-            record = _resampled(signals, times, selection, matter)
-            notes = (*notes, *words)
-            return Selected(record, signals.converted, notes, "", (*findings,), signals.left_out)
-        values, axis = _on_one_axis(signals.values, times, matter)
-        axes = {} if axis is None else dict.fromkeys(values, axis)
-        signals = signals._replace(values=values)
-        signals, words, findings = _treated(signals, axes, selection, matter)
-        values = signals.values
-        computed = _finite(with_derived(values, axis, selection.derive), selection)
-        record = Record.from_samples(
-            computed,
-            time=axis,
-            time_step=selection.time_step,
-            units=_with_labels(signals, selection),
-        )
-    judged_on = computed if axis is None else {"t": axis, **computed}
-    record = _with_noise(record, selection, judged_on)
-    doubt = time.doubt if times and time else ""
-    notes = (*notes, *words)
-    return Selected(record, signals.converted, notes, doubt, (*findings,), signals.left_out)
-
-
-@contextlib.contextmanager
-def _naming(column: str) -> Iterator[None]:
-    """Name the column of time in errors about its stamps."""
-    try:
-        yield
-    except StampError as error:
-        if not column:
-            raise
-        raise DataError(f"column '{column}': {error}") from None
-
-
-def _treated(
-    signals: _Signals,
-    times: Mapping[str, np.ndarray],
-    selection: Selection,
-    matter: Collection[str],
-) -> tuple[_Signals, list[str], list[Finding]]:
-    """Signals of which those that matter have no spikes, what was done, and what is amiss."""
-    columns = {name: values for name, values in signals.values.items() if name in matter}
+        for name in rename:
+            if name not in times and name != "t":
+                size = max((stamps.size for stamps in times.values()), default=0)
+                raise DataError(
+                    f"column '{rename[name]}' has another length than the time, {size} samples."
+                )
+        signals = signals._replace(values={name: signals.values[name] for name in times})
+    # What is read, by the model or by what the user asks for; all where none is.
+    words = re.findall(r"\w+", " ".join(selection.derive.values()))
+    asked = {*units_read, *rename, *selection.scale, *selection.units, *words}
+    asked &= signals.values.keys()
+    signals = _converted(signals, units_read, asked or (signals.values if read is None else ()))
+    if not signals.values:
+        why = _first_reason(replace(channels, left_out=channels.left_out | signals.left_out))
+        raise DataError(f"a record needs at least one signal besides its time{why}.")
+    matter = asked or {*signals.values}
     step, how, formulas = selection.time_step, selection.outliers, selection.derive
-    treated, words, findings = treat_all(columns, times, signals.units, step, how, formulas)
-    return signals._replace(values={**signals.values, **treated}), words, findings
-
-
-def _mattering(signals: _Signals, selection: Selection, read: Collection[str]) -> set[str]:
-    """Signals that are read, by the model or by what the user asks for; all where none is."""
-    formulas = " ".join(selection.derive.values())
-    words = {*re.findall(r"\w+", formulas)}
-    asked = {*selection.rename, *selection.scale, *selection.units, *words}
-    wanted = {*read, *asked} & {*signals.values}
-    return wanted or {*signals.values}
+    columns, axis, axes = signals.values, None, times
+    try:
+        if selection.resample is None:
+            columns, axis = _on_one_axis(columns, times, matter)
+            axes = {} if axis is None else dict.fromkeys(columns, axis)
+        of_matter = {name: values for name, values in columns.items() if name in matter}
+        treated, words, findings = treat_all(of_matter, axes, signals.units, step, how, formulas)
+        signals = signals._replace(values={**columns, **treated})
+        if selection.resample is not None:
+            record = _resampled(signals, times, selection, matter)
+        else:
+            computed = _finite(with_derived(signals.values, axis, formulas), selection)
+            units = _with_labels(signals, selection)
+            record = Record.from_samples(computed, time=axis, time_step=step, units=units)
+            judged_on = computed if axis is None else {"t": axis, **computed}
+            record = _with_noise(record, selection, judged_on)
+    except StampError as error:
+        if not time:
+            raise
+        column = signals.column.get(time.name, time.name)
+        raise DataError(f"column '{column}': {error}") from None
+    doubt = time.doubt if times and time and selection.resample is None else ""
+    notes = (*notes, *registers, *words)
+    return Selected(record, signals.converted, notes, doubt, (*findings,), signals.left_out)
 
 
 def column_named(channels: Channels, name: str) -> str:
@@ -224,19 +207,6 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, l
         if name not in rename and np.isnan(values[name]).all():
             del values[name]
     return _Signals(values, column, units), registers
-
-
-def _united(signals: _Signals, channels: Channels, selection: Selection) -> _Signals:
-    """Signals with the units that the user says, before those that the file states."""
-    units = dict(signals.units)
-    for name, unit in selection.units.items():
-        if name in selection.derive:
-            continue
-        if name in selection.scale:
-            raise DataError(f"'{name}' is given both a scale and a unit; leave out one of them.")
-        require_known_unit(name, unit)
-        units |= dict.fromkeys(_signals_called(name, signals, channels), unit)
-    return signals._replace(units=units)
 
 
 def _with_labels(signals: _Signals, selection: Selection) -> dict[str, str]:
@@ -351,19 +321,6 @@ def _evenly_timed(
                 f"column '{rename[name]}' has another length than the others, {usual} samples."
             )
     return signals._replace(values=alike)
-
-
-def _with_times(
-    signals: _Signals, times: Mapping[str, np.ndarray], rename: Mapping[str, str]
-) -> _Signals:
-    """The signals that have a time; those asked for by name must."""
-    for name in rename:
-        if name not in times and name != "t":
-            size = max((time.size for time in times.values()), default=0)
-            raise DataError(
-                f"column '{rename[name]}' has another length than the time, {size} samples."
-            )
-    return signals._replace(values={name: signals.values[name] for name in times})
 
 
 def _on_one_axis(

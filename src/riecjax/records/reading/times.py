@@ -254,8 +254,9 @@ EPOCHS = (*((factor, UNIX) for factor in SUBUNITS.values()), (TICK, 1601), (TICK
 """Seconds in a count, and the year since which it counts; the last two are of Windows and .NET."""
 RECENT = (1e9, 4e9)
 """Seconds since 1970 of the stamps that are taken for those of an epoch: of 2001 to 2096."""
-COUNTER = 2**32
-"""Where counters of 32 bits, of milliseconds or microseconds, begin anew."""
+COUNTER, ENDS = 2**32, 0.99
+"""Where counters of 32 bits, of milliseconds or microseconds, begin anew, and the share of it by
+which they then fall at least."""
 UNSAID = frozenset(("", "column", "x", "xvalue", "xaxis", "index", "unnamed", "abscissa"))
 """What a first column is called that says nothing against being time."""
 SERIAL_DAYS = ((2e4, 8e4), (6.9e5, 8e5))
@@ -323,7 +324,13 @@ def find_time(
     found = min(rising, key=_preference, default=None)
     notes = []
     first = next(iter(values), "")
-    if found is None and nameless and first and _is_unnamed_time(first, values, units):
+    is_time = False
+    if found is None and nameless and first:
+        in_time = first in units and seconds_in(units[first]) is not None
+        is_time = (
+            _rises(values[first]) if in_time else first not in units and _is_even(values[first])
+        )
+    if is_time:
         found = first
         notes.append(f"time is column '{found}', the first, which rises")
     elif found is not None and len(called) > 1:
@@ -348,7 +355,11 @@ def _timed(
 ) -> TimeColumn:
     factor, why = _seconds_each(name, values[name], units)
     said = (f"time '{name}': {why}",) if why else ()
-    counts = _carried_on(values[name])
+    counts = values[name]
+    known = counts[~np.isnan(counts)]
+    # Past the end of a counter of 32 bits.
+    if known.size > 1 and known.max() < COUNTER and (np.diff(known) < -ENDS * COUNTER).any():
+        counts = unwrapped(counts, COUNTER)
     # The 15 digits that spreadsheets write of a date are 9 microseconds of a day.
     since = np.round((counts - counts[0]) * DAY, 5) if factor == DAY else counts * factor
     stated = why or unit_of_time(name, units)
@@ -365,13 +376,6 @@ _GUESSED = (
     "rises evenly. If it is not: rename the column of time to t (on the command line: --map "
     "t=COLUMN), or give the seconds between samples (--time-step)."
 )
-
-
-def _carried_on(counts: np.ndarray) -> np.ndarray:
-    """Counts past the end of a counter of 32 bits."""
-    known = counts[~np.isnan(counts)]
-    wraps = known.size > 1 and known.max() < COUNTER and (np.diff(known) < -0.99 * COUNTER).any()
-    return unwrapped(counts, COUNTER) if wraps else counts
 
 
 def unit_of_time(name: str, units: Mapping[str, str] = {}) -> str:
@@ -462,12 +466,6 @@ def is_called_time(name: str, units: Mapping[str, str]) -> bool:
     # `T [degC]` is a temperature, and `t (mm)` a thickness.
     unit = units.get(name) or split_unit(name)[1]
     return unit is None or seconds_in(unit) is not None
-
-
-def _is_unnamed_time(name: str, values: Mapping[str, np.ndarray], units: Mapping[str, str]) -> bool:
-    if name not in units:
-        return _is_even(values[name])
-    return seconds_in(units[name]) is not None and _rises(values[name])
 
 
 def _bare(name: str) -> str:
