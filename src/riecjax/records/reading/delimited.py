@@ -629,7 +629,10 @@ def _parse(table: Table) -> Any:
         with contextlib.suppress(csv.Error):
             for line, fields in table.rows():
                 if len(fields) != width:
-                    said = f"line {line} has {len(fields)} values for {width} columns."
+                    said = (
+                        f"line {line} has {len(fields)} values for {width} columns; take off that"
+                        " line, or correct it."
+                    )
                     break
         raise DataError(said) from None
 
