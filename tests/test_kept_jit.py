@@ -110,10 +110,6 @@ def test_a_process_holds_no_more_than_so_many(folder, monkeypatch):
     assert set(module._programs) == before
 
 
-def test_without_a_folder_it_is_filter_jit():
-    TRACED.clear()
-    assert_right(evaluate(curve(), X, power=2))
-    assert TRACED == ["evaluate"]
 
 
 def test_the_next_process_traces_nothing(folder):
@@ -183,13 +179,6 @@ def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):
     assert len(list(folder.iterdir())) == 1
 
 
-def test_a_disk_that_is_full_keeps_no_part_of_a_program(folder, monkeypatch):
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "replace", full)
-    assert_right(evaluate(curve(), X, 2))
-    assert list(folder.iterdir()) == []
 
 
 def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):

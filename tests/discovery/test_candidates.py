@@ -56,13 +56,6 @@ def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_iner
     }
 
 
-def test_what_needs_a_velocity_is_offered_where_there_is_one():
-    assert set(units_of(candidates(MASS, "x", "u"))) == {
-        *("viscous", "stiffness", "quadratic_stiffness", "cubic_stiffness", "quintic_stiffness"),
-        *("dead_zone", "saturation", "offset", "drift"),
-    }
-
-
 def test_motions_of_the_quarter_car_by_its_equations_and_units():
     model = rx.find_model("quarter-car")
     units = {q.name: q.unit for q in model.signals}
@@ -90,15 +83,6 @@ def test_widths_lie_within_the_motion_and_grow():
         if isinstance(one, Shaped):
             assert np.all(np.diff(one.widths) > 0)
             assert 0 < one.widths[0] < one.widths[-1] < 3
-
-
-def test_widths_grow_of_a_signal_that_hardly_moves():
-    still = rx.Record.from_samples(
-        {"x": np.zeros(500), "dx": np.zeros(500), "u": np.ones(500)}, time_step=0.01
-    )
-    for one in default_candidates([MASS], ["equation"], [still], {}):
-        if isinstance(one, Shaped):
-            assert np.all(np.diff(one.widths) > 0)
 
 
 @pytest.mark.parametrize("number", [0, 2, 5])

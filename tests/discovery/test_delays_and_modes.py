@@ -62,11 +62,6 @@ def test_of_a_right_model_only_the_delay_is_found(late):
     assert discovery_document(found)["sentence"].startswith("No term is missing")
 
 
-@pytest.mark.slow
-def test_without_a_delay_none_is_found():
-    assert discover(DRAG.start, DRAG.record(0.05, 0, 3), **QUICK).delays == {}
-
-
 @pytest.mark.parametrize("noise", [*nightly([0.0]), 0.02])
 def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     found = discover(BODY, carrying(noise), **QUICK)
@@ -90,20 +85,6 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
 
 
 @pytest.mark.slow
-def test_terms_that_are_told_from_zero_stay_beside_a_mode(tmp_path):
-    problem = OTHERS["mode_and_spring"]
-    found = discover(problem.start, problem.record(0.01, 2, 2), **QUICK)
-    assert {*found.names} == problem.missing
-    truth = {"m": 2.0, "c": 4.0, "k": 800.0, "cubic_stiffness": 2e6, "M_mode": 0.5}
-    for name, value in truth.items():
-        assert float(found.estimate[name]) == pytest.approx(value, rel=0.05)
-    (steps,) = found.paths.values()
-    assert [step.added for step in steps] == ["", "cubic_stiffness", "mode"]
-    source = model_source(found, "duffing", tmp_path)
-    assert ").with_modes(\n    rx.HiddenMode(" in source
-
-
-@pytest.mark.slow
 def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
     found = discover(BODY, carrying(), **QUICK)
     (tmp_path / "body.py").write_text(
@@ -122,13 +103,6 @@ def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
 def test_a_body_without_a_mode_is_given_none():
     found = discover(BODY, rx.Record(motion(False), STEP), **QUICK)
     assert found.names == ()
-
-
-@pytest.mark.slow
-def test_of_candidates_of_ones_own_nothing_else_is_found(late):
-    found = discover(DRAG.start, late, [rx.Term("stiffness", "x")], **QUICK)
-    assert found.names == ("stiffness",)
-    assert found.delays == {}
 
 
 @pytest.mark.raises_finding("late_signal")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_folds import folds_of
 
-from riecjax.discovery.search import MOST, RATE, Offer, Search, again
+from riecjax.discovery.search import RATE, Offer, Search, again
 
 LETTERS = "abcdefgh"
 
@@ -84,21 +84,6 @@ def test_columns_that_enter_together_are_found_together():
     both = [Offer("law", ("b", "c"), "law"), *offers("d", "e", "f")]
     found = Search(folds, ("a",), both)
     assert names(found.found()) == {"law"}
-
-
-def test_what_repeats_a_kept_column_is_not_offered():
-    given = columns(10)
-    given[:, 3] = 2 * given[:, 0]
-    assert "d" not in names(search(given[:, 0], given).offers)
-
-
-def test_a_search_ends_though_every_column_helps():
-    given = np.random.default_rng(11).standard_normal((2000, 8))
-    folds = folds_of(np.column_stack([given.sum(1), given]), 20)
-    twice = offers(*LETTERS)
-    found = Search(folds, (), twice).found()
-    assert names(found) == {*LETTERS}
-    assert len(found) <= MOST
 
 
 def test_the_path_goes_down_and_ends_at_what_noise_makes():

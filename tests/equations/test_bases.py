@@ -20,17 +20,6 @@ def test_roof_functions_sum_to_one_everywhere(points):
 
 
 @pytest.mark.parametrize("points", POINTS)
-def test_roof_functions_weighted_by_their_break_points_give_x_everywhere(points):
-    x = inside_and_outside(points)
-    np.testing.assert_allclose(np.array(points) @ roof(points)(x), x, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("points", POINTS)
-def test_each_roof_function_is_one_at_its_break_point_and_zero_at_the_others(points):
-    np.testing.assert_array_equal(roof(points)(jnp.array(points)), np.eye(len(points)))
-
-
-@pytest.mark.parametrize("points", POINTS)
 def test_roof_functions_equal_numpy_interpolation_of_unit_vectors_inside(points):
     x = np.linspace(points[0], points[-1], 333)
     expected = [np.interp(x, points, unit) for unit in np.eye(len(points))]
@@ -50,16 +39,6 @@ def test_interpolate_equals_the_sum_of_roof_functions(points):
     x = inside_and_outside(points)
     summed = np.asarray(values) @ np.asarray(roof(points)(x))
     np.testing.assert_allclose(roof(points).interpolate(values, x), summed, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("shape", [(), (7,), (2, 3)])
-def test_interpolate_takes_any_shape(shape):
-    x = jnp.linspace(-1, 1, int(np.prod(shape, initial=1))).reshape(shape)
-    values = jnp.array([1.0, 2.0, 4.0])
-    result = roof([-1.0, 0.0, 1.0]).interpolate(values, x)
-    assert result.shape == shape
-    expected = np.interp(np.ravel(x), [-1, 0, 1], values).reshape(shape)
-    np.testing.assert_allclose(result, expected, rtol=1e-14)
 
 
 def test_break_points_may_be_traced_and_differentiated():

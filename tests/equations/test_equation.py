@@ -1,4 +1,3 @@
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -25,13 +24,6 @@ def test_parameters_come_in_order_of_first_appearance_and_once():
     assert equation.parameters == ("m", "F_1", "F_2")
 
 
-def test_units_belong_to_coefficients():
-    equation = Equation(
-        Term("m", "x", unit="kg"), Terms("c", Polynomial((1, 3)), of="x", unit="N"), Term(1.0, "u")
-    )
-    assert equation.units == {"m": "kg", "c_1": "N", "c_3": "N"}
-
-
 def test_columns_are_signed_sums_and_known_terms_change_sides():
     equation = Equation(
         Term(3.0, "u"),
@@ -48,21 +40,6 @@ def test_columns_are_signed_sums_and_known_terms_change_sides():
     assert rows.parameters == ("k", "c_1", "c_2")
 
 
-def test_without_known_terms_the_target_is_zero():
-    rows = DOLS().rows(Equation(Term("a", "x"), Term("b", "y")), RECORD)
-    np.testing.assert_array_equal(rows.target, np.zeros(20))
-
-
-def test_twice_negated_is_the_same_term():
-    for term in (Term("a", "x"), Term(2.0, "x"), Terms("c", Polynomial((1,)), of="x")):
-        np.testing.assert_array_equal(
-            term.__neg__().__neg__().samples(RECORD, 0).values, term.samples(RECORD, 0).values
-        )
-        np.testing.assert_array_equal(
-            (-term).samples(RECORD, 0).values, -term.samples(RECORD, 0).values
-        )
-
-
 @pytest.mark.parametrize("name", ["k\x1b[31m", "k\n"])
 def test_names_that_steer_a_terminal_are_refused(name):
     with pytest.raises(ModelError, match="must be printable"):
@@ -74,17 +51,6 @@ def test_a_derivative_is_read_from_the_signal_that_measures_it(derivative, signa
     term = Term("m", "x", derivative=derivative, measured=("dx", "ddx"))
     rows = DOLS().rows(Equation(term), RECORD)
     np.testing.assert_array_equal(rows.regressors[:, 0], SAMPLES[signal])
-
-
-def test_has_target_only_with_a_term_without_a_name():
-    assert Equation(Term(1.0, "u"), Term("k", "x")).has_target
-    assert not Equation(Term("m", "ddx", known=3.0), Term("k", "x")).has_target
-
-
-def test_known_values_of_terms_are_collected():
-    equation = Equation(Term("m", "ddx", known=3.0), -Term("k", "x"))
-    assert {name: float(value) for name, value in equation.known.items()} == {"m": 3.0}
-    assert equation.parameters == ("m", "k")
 
 
 def test_an_equation_without_a_named_coefficient_is_refused():
@@ -125,8 +91,3 @@ def test_a_missing_signal_is_explained_with_a_remedy(term, words):
     assert "\n" not in str(caught.value)
     for word in words:
         assert word in str(caught.value)
-
-
-def test_a_numeric_coefficient_may_be_an_array():
-    term = Term(jnp.array(2.5), "x", sign=-2.0)
-    np.testing.assert_allclose(term.samples(RECORD, 0).values[0], -5 * SAMPLES["x"])

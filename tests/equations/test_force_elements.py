@@ -38,15 +38,6 @@ def test_derivatives_tell_where_units_do_not(of, why):
         body.with_series_springs(rx.SeriesSpring(of))
 
 
-def test_a_first_derivative_alone_may_be_either_until_its_unit_says():
-    mass = rx.Term("m", "v", derivative=1)
-    with pytest.raises(rx.ModelError, match=r"says so by its unit: unit='N s/m'.*no equation has"):
-        equation(mass).with_series_springs(rx.SeriesSpring("m"))
-    for unit in ("N s/m", "kN s/m"):
-        damper = equation(rx.Term("c", "x", derivative=1, unit=unit), rx.Term("k", "x", unit="N/m"))
-        assert damper.with_series_springs(rx.SeriesSpring("c")).springs
-
-
 def test_dampers_are_taken_however_they_are_written():
     taken = [
         rx.Term("c", "v"),

@@ -1,4 +1,3 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,12 +12,6 @@ from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 
 VELOCITY = jnp.array([-2.0, -0.5, 0.0, 0.5, 2.0])
-
-
-def test_symmetric_friction_is_velocity_and_its_sign():
-    basis = friction()
-    assert basis.labels == ("viscous", "coulomb")
-    np.testing.assert_array_equal(basis(VELOCITY), [VELOCITY, [-1, -1, 0, 1, 1]])
 
 
 def test_asymmetric_friction_splits_by_direction_and_sums_to_the_symmetric_one():
@@ -36,11 +29,6 @@ def test_stribeck_friction_falls_by_e_at_its_speed():
     assert basis.labels[-1] == "stribeck"
     np.testing.assert_allclose(basis(VELOCITY)[-1, 3], np.exp(-1))
     np.testing.assert_allclose(basis(VELOCITY)[-1, 1], -np.exp(-1))
-
-
-def test_a_smooth_sign_has_a_finite_slope_at_standstill():
-    slope = jax.grad(lambda v: friction(smooth=0.1)(v[None])[1, 0])(jnp.array(0.0))
-    assert float(slope) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize("settings", [dict(stribeck=0.0), dict(smooth=-1.0)])
@@ -62,11 +50,6 @@ def test_friction_of_a_known_machine_is_found_again():
     estimate = identify(equation, record, DOLS())
     np.testing.assert_allclose(estimate.theta, [4.0, 9.0, 2.0, 1.5], rtol=1e-9)
     assert equation.units == {"M": "kg", "f_viscous": "N s/m", "f_coulomb": "N", "f_stribeck": "N"}
-
-
-def test_units_must_match_the_functions():
-    with pytest.raises(ModelError, match="2 units for 3 functions"):
-        Terms("f", friction(stribeck=0.05), "v", unit=("N s/m", "N"))
 
 
 def test_expressions_compute_what_they_say_and_compare_by_it():

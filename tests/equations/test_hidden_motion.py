@@ -6,10 +6,10 @@ import pytest
 import scipy.signal
 
 import riecjax as rx
-from hidden_body import BODY, MODEL, STEP, TRUTH, motion
+from hidden_body import BODY, STEP, TRUTH, motion
 from nightly import nightly
 from riecjax.equations.hidden_elements import Shape
-from riecjax.equations.hidden_motion import followed, with_hidden_motion
+from riecjax.equations.hidden_motion import followed
 from riecjax.validation import equation_error
 
 TIMES = STEP * np.arange(2000)
@@ -74,11 +74,3 @@ def test_a_position_s_derivatives_move_along():
     (left,) = equation_error(model, rx.Record(moved, STEP), values)
     assert left.span == 1
     assert float(left.relative_rms) < 0.01
-
-
-def test_nothing_changes_without_modes():
-    record = rx.Record(motion(False, 50), STEP)
-    procedure = rx.staged(BODY)
-    assert with_hidden_motion(procedure, record, {}) == (procedure, record)
-    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
-    assert with_hidden_motion(MODEL, record, values)[0].modes == ()

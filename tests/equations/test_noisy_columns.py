@@ -57,11 +57,6 @@ def test_polynomials_and_their_products_are_corrected_exactly():
     np.testing.assert_allclose(left, 0.0, atol=1e-10)
 
 
-def test_quintics_have_their_mean():
-    columns, *_, true = of_functions(lambda z: z**5)
-    np.testing.assert_allclose(columns, true, atol=1e-11)
-
-
 def test_a_known_term_and_derivatives_move_where_they_stand():
     found = columns_of(
         rx.Term("m", "z", derivative=1), -rx.Term(2.0, "u"), std={"z": 0.1, "u": 3.0}, u=AT

@@ -102,14 +102,6 @@ def test_what_cannot_be_told_apart(case):
         change(signal)
 
 
-def test_a_gain_that_leaves_nothing_known():
-    x, force = motion()
-    with pytest.raises(
-        ModelError, match=r"all of them zero would fit\. Fix one of m, c, k, gain_F"
-    ):
-        estimate(rx.staged(equation()).with_unknown_gain("F"), x, force)
-
-
 @pytest.mark.slow
 def test_the_equations_are_simulated_as_the_sensors_show(tmp_path, capsys):
     """From the command line: the recording is predicted with its offset, by the equations."""

@@ -18,11 +18,6 @@ def test_a_dead_zone_is_what_saturation_leaves():
     assert np.allclose(DeadZone(0.4)(X) + Saturation(0.4)(X), X[None])
 
 
-def test_stribecks_friction_falls_off_with_speed():
-    found = np.asarray(Stribeck(0.5)(X))[0]
-    assert np.allclose(found, np.sign(X) * np.exp(-((X / 0.5) ** 2)))
-
-
 @pytest.mark.parametrize("law", [DeadZone, Saturation, Stribeck])
 def test_widths_are_positive_and_compile_nothing_anew(law):
     with pytest.raises(ModelError, match="a width must be positive; got -1"):
@@ -53,15 +48,3 @@ def test_odd_and_even_powers(power, of_odd, of_even):
     assert np.allclose(odd("v", power)(signals), of_odd(x))
     assert np.allclose(even("v", power)(signals), of_even(x))
     assert odd("v", power) == odd("v", power) != even("v", power)
-
-
-def test_powers_are_called_as_one_writes_them():
-    assert [odd("v", p).__name__ for p in range(5)] == [
-        "sign(v)",
-        "v",
-        "v |v|",
-        "v^3",
-        "v |v|^3",
-    ]
-    assert [even("v", p).__name__ for p in (1, 2, 3)] == ["|v|", "v^2", "|v|^3"]
-    assert odd("v", 2).source == 'odd("v", 2)'

@@ -10,7 +10,6 @@ import pytest
 from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows
-from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car.identification import (
     FORCES,
     INNER,
@@ -108,16 +107,6 @@ def test_refined_on_a_road_predicts_another_road_better_than_riec_and_dols(
     assert error < 0.9 * validation_error(from_white_noise["DOLS"][variant])
 
 
-@pytest.mark.slow
-def test_free_break_points_predict_another_road_better_than_riec(from_white_noise):
-    begun = from_white_noise["RIEC"]["B_id"]
-    start = {name: begun[name] for name in PARAMETERS if name != "K_t"}
-    freed = refined_on_a_road({**start, **INNER_PLACES}, {"K_t": begun["K_t"]})
-    assert validation_error(freed) < 0.96 * validation_error(begun)
-    assert -0.3 < freed["v_2"] < -0.1
-    assert 0.1 < freed["v_3"] < 0.3
-
-
 @pytest.mark.parametrize(
     ("balance", "mass"), [(body_balance(), "M_s"), *nightly([(wheel_balance(), "M_us")])]
 )
@@ -156,18 +145,3 @@ def test_an_outer_break_point_may_slide_along_its_segment():
     np.testing.assert_allclose(
         slid.roof.interpolate(slid.F, speeds), here.roof.interpolate(here.F, speeds), rtol=1e-12
     )
-
-
-@pytest.mark.slow
-def test_the_source_model_is_found_from_sensors_from_a_start_that_is_half_off():
-    model = built_in_model("quarter-car-source")
-    truth = {"M_e": 100.0, "K_c": 500e3, "K_m": 400e3, "B_m": 4000.0}
-    channels = ("x2", "x3", "x4", "F_t")
-    seen = simulate(model.build_system({}), white_noise(1000), method=FixedStep(24)).checked()
-    record = seen.record.select("v_r", *channels)
-    start = {name: value * (1.5, 0.5)[i % 2] for i, (name, value) in enumerate(truth.items())}
-    by = BY(channels=channels, initial_states=STATES["seven states"], method=FixedStep(8))
-    refined = refine(model, record, start, by)
-    assert bool(refined.converged)
-    for name, value in truth.items():
-        np.testing.assert_allclose(refined[name], value, rtol=0.01)

@@ -27,28 +27,6 @@ def body(damper: rx.Term | rx.Terms) -> rx.Equation:
 LINEAR = body(rx.Term("c", "v", unit="N s/m"))
 
 
-def test_a_stiff_spring_is_none():
-    plain = rx.equation_system(LINEAR, VALUES, rates={"x": "v"})
-    stiff = rx.equation_system(
-        rx.staged(LINEAR).with_series_springs(rx.SeriesSpring("c")),
-        {**VALUES, "K_series": 1e5},
-        rates={"x": "v"},
-    )
-    record = rx.Record({"u": np.sin(np.arange(200) * 0.05)}, 0.005)
-    fine = rx.FixedStep(40)
-    one, other = (rx.simulate(s, record, method=fine).record["v"] for s in (plain, stiff))
-    np.testing.assert_allclose(one, other, atol=1e-3 * np.max(np.abs(one)))
-
-
-def test_two_springs_have_names_of_their_own():
-    second = rx.Equation(*LINEAR.terms, rx.Term("d", "w", unit="N s/m"), name="both")
-    procedure = rx.staged(second).with_series_springs(rx.SeriesSpring("c"), rx.SeriesSpring("d"))
-    assert procedure.parameters == ("m", "c", "k", "d", "K_series", "K_series_2")
-    made = rx.equation_system(procedure, {**VALUES, "d": 3.0, "K_series_2": 50.0}, rates={"x": "v"})
-    assert made.state_names == ("v", "x", "series_force", "series_2_force")
-    assert made.input_names == ("u", "w")
-
-
 def test_what_cannot_be_asked():
     procedure = rx.staged(LINEAR)
     with pytest.raises(rx.ModelError, match=r"no equation has a coefficient 'b'.*m, c, k"):
@@ -74,20 +52,6 @@ def test_what_cannot_be_asked():
     sprung = procedure.with_series_springs(rx.SeriesSpring("c"))
     with pytest.raises(rx.ModelError, match="c, a spring in series, is zero"):
         rx.equation_system(sprung, {**VALUES, "c": 0.0}, rates={"x": "v"})
-
-
-def test_the_quarter_car_with_its_spring_is_simulated_by_its_equations():
-    model = rx.find_model("quarter-car").with_series_springs(rx.SeriesSpring("F_1"))
-    assert model.parameters[-1].name == "K_series"
-    assert model.parameters[-1].unit == "N/m"
-    values = {q.name: jnp.asarray(1.0) for q in model.parameters}
-    values |= {f"F_{i}": jnp.asarray(v) for i, v in enumerate((-8.0, -3.0, 3.0, 8.0), 1)}
-    record = rx.Record({name: np.zeros(9) for name in ("v_r", "x1", "x2")}, 0.1)
-    made = model.identified_system(values, record)
-    assert "series_force" in made.state_names
-    assert made.input_names == ("v_r",)
-    with pytest.raises(rx.ModelError, match="no springs in series"):
-        model.build_system({})
 
 
 def test_the_quarter_car_with_spring_and_mode_moves_over_a_road_as_its_matrix_says():

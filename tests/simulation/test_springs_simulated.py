@@ -1,7 +1,5 @@
 """Force elements with a spring in series, against matrices written by hand and SciPy."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -88,38 +86,6 @@ def test_a_map_moves_as_scipy_says():
         np.testing.assert_allclose(found[name], truth[name], atol=1e-3 * size)
     # The map goes on beyond its last points.
     assert float(np.max(truth["series_force"])) > MAP["F_5"]
-
-
-def test_a_mode_and_a_spring_are_simulated_together():
-    mode = {"M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
-    model = MODEL.with_modes(rx.HiddenMode("v"))
-    made = rx.equation_system(model, {**TRUTH, **mode}, rates={"x": "v"})
-    assert made.state_names == ("v", "x", "mode_deflection", "mode_velocity", "series_force")
-    heavy, stiff, loss = mode.values()
-    found = np.sort_complex(np.linalg.eigvals(np.asarray(linearise(made)[0])))
-    expected = np.sort_complex(np.linalg.eigvals(state_matrix((heavy, stiff, loss))))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-
-
-def test_slope_by_a_force_of_the_map_is_that_of_a_difference():
-    record = recorded(0.5).select("F", "u")
-
-    def last(force):
-        system = rx.equation_system(wheel(), {**WHEEL, "F_4": force}, rates=RATES)
-        return rx.simulate(system, record).record["v"][-1]
-
-    slope = jax.jacfwd(last)(jnp.asarray(400.0))
-    rise = (last(400.1) - last(399.9)) / 0.2
-    assert abs(float(rise)) > 1e-6
-    np.testing.assert_allclose(slope, rise, rtol=1e-4)
-
-
-def test_a_map_that_falls_is_simulated_with_a_least_slope():
-    falling = {**WHEEL, "F_4": -100.0, "F_5": -100.0}
-    record = recorded(0.5).select("F", "u")
-    run = rx.simulate(rx.equation_system(wheel(), falling, rates=RATES), record)
-    assert bool(run.successful)
-    assert np.all(np.isfinite(np.asarray(run.record["v"])))
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from riecjax.assessment.trust import what_is_left
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import as_procedure
 from riecjax.equations.term import Term
-from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.summaries.task import ready
@@ -70,9 +69,3 @@ def test_a_force_of_white_noise_is_none_nor_is_free_motion():
 def test_of_several_recordings_the_silent_one_is_named():
     signals = driven(1) | {"F": np.full(SAMPLES, 0.3)}
     assert codes(driven(0), signals) == [("silent_input", ("F",))]
-
-
-def test_an_input_of_zeros_is_refused_by_name():
-    signals = driven(0) | {"F": np.zeros(SAMPLES)}
-    with pytest.raises(IdentifiabilityError, match=r"zero throughout \(F\)"):
-        identify(AXIS, Record.from_samples(signals, time_step=STEP))
