@@ -110,8 +110,6 @@ def test_a_process_holds_no_more_than_so_many(folder, monkeypatch):
     assert set(module._programs) == before
 
 
-
-
 def test_the_next_process_traces_nothing(folder):
     assert_right(evaluate(curve(), X, power=2))
     another_process()
@@ -177,8 +175,6 @@ def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):
     assert_right(evaluate(curve(), X, 2))
     assert_right(evaluate(curve(), X, 3), power=3)
     assert len(list(folder.iterdir())) == 1
-
-
 
 
 def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):

@@ -4,9 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.criterion import DOLS, RIEC, Rows
 from riecjax.criteria.quadrature import running_integral
-from riecjax.criteria.rows import Rows
 from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import RandomWindows, WindowSet
 from riecjax.equations.bases import Polynomial

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import faster_than

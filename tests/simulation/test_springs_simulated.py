@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.machines import LAG_MODEL as MODEL
+from tests.machines import LAG_TRUTH as TRUTH
+from tests.machines import body_matrix
 
 import riecjax as rx
-from lagging_body import MODEL, TRUTH, state_matrix
 from riecjax.equations.expressions import difference
 from riecjax.equations.procedure import Procedure
 from riecjax.simulation.linearisation import linearise
@@ -67,7 +69,7 @@ def test_a_linear_element_lags_as_its_matrix_says(sign):
     model = rx.staged(equation).with_series_springs(rx.SeriesSpring("c"))
     made = rx.equation_system(model, TRUTH, rates={"x": "v"})
     assert made.state_names == ("v", "x", "series_force")
-    expected = state_matrix()[np.ix_([1, 0, 2], [1, 0, 2])]
+    expected = body_matrix(TRUTH["c"], series=TRUTH["K_series"])[np.ix_([1, 0, 2], [1, 0, 2])]
     state, inputs = linearise(made)
     np.testing.assert_allclose(state, expected, atol=1e-9)
     np.testing.assert_allclose(inputs, [[1 / TRUTH["m"]], [0], [0]], atol=1e-12)

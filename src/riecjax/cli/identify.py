@@ -29,9 +29,7 @@ from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
-    from riecjax.assessment.assessment import Assessment
     from riecjax.equations.procedure import AtRest
-    from riecjax.findings import Finding
 
 
 @click.command(
@@ -144,16 +142,7 @@ def command(
             on_estimate=progress.show_estimate,
             progress=progress.refining,
         )
-    _emit(assessment, changed, as_json, out, verbose)
-
-
-def _emit(
-    assessment: "Assessment",
-    changed: "list[Finding]",
-    as_json: bool,
-    out: Path | None,
-    verbose: bool,
-) -> None:
+    # Not earlier: what reports are made with takes a second to import.
     from riecjax.reporting.identification import (
         identification_document,
         print_everything,
