@@ -5,7 +5,7 @@
 # speed is where friction falls off near standstill, and so among the slowest.
 
 import contextlib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -40,6 +40,10 @@ FRICTION = (
     ("quadratic_drag", 2, True, "quadratic drag"),
     ("cubic_drag", 3, True, "cubic drag"),
 )
+MEMORIES = (
+    ("dahl", Dahl, "hysteresis, as Dahl's friction"),
+    ("bouc_wen", BoucWen, "hysteresis, as of Bouc and Wen"),
+)
 STIFFNESS = (
     ("quadratic_stiffness", 2, False, "stiffness that differs by side"),
     ("cubic_stiffness", 3, True, "stiffness that hardens or softens"),
@@ -58,7 +62,15 @@ def default_candidates(
     """
     found: list[AnyCandidate] = []
     recorded = set.intersection(*({*record.arrays} for record in records))
-    unread = _unread(equations, records[0], recorded)
+    # Signals that are recorded, and that no equation reads or knows as a derivative.
+    known = {name for e in equations for pair in e.derivatives for name in pair}
+    for equation in equations:
+        signals = records[0].signals
+        for term in equation.terms:
+            with contextlib.suppress(RiecjaxError):
+                read_expression(term.of, signals)
+        known |= {*signals.read}
+    unread = [name for name in records[0].arrays if name in recorded and name not in known]
     for name, equation in zip(names, equations, strict=True):
         motions, others = motions_and_unread(equation, records[0], recorded, units, unread)
         found += _of_unread(others, motions, equation.unit, units, name)
@@ -78,7 +90,12 @@ def default_candidates(
                 (Elapsed(state_name("drift")),),
             )
         )
-    return _told_apart(found)
+    # Those of several equations by the equation's name, where two are called the same.
+    called = [one.name for one in found]
+    return [
+        renamed(one, f"{one.name}_{one.equation}") if called.count(one.name) > 1 else one
+        for one in found
+    ]
 
 
 def _of_motion(
@@ -102,7 +119,10 @@ def _of_motion(
         widths = np.quantile(size[np.isfinite(size)], quantiles)
         least = 1e-3 * float(widths[-1]) or 1.0
         widths = np.maximum.accumulate(np.maximum(widths, least * np.arange(1, widths.size + 1)))
-        build = partial(_shaped_term, kind, of, coefficient)
+
+        def build(name: str, width: float) -> AbstractTerm:
+            return Terms(name, kind(width), of, unit=coefficient)
+
         return Shaped(name + after, build, widths, of, of_unit, meaning, equation)
 
     if v or x:
@@ -112,7 +132,12 @@ def _of_motion(
     if v:
         for name, p, is_odd, meaning in FRICTION:
             yield one(name, power(v, speed, p, is_odd), meaning)
-        yield from _with_memory(motion, force, records, equation, after)
+        # Hysteresis, whose widths are shares of a usual stroke.
+        usual = usual_widths(v, records)
+        for name, kind, meaning in MEMORIES:
+            remember = partial(_remembering, kind, v)
+            of_state = partial(_of_state, force)
+            yield Shaped(name + after, of_state, usual, v, unit, meaning, equation, remember)
         yield shaped(Stribeck, "stribeck", v, speed, "Stribeck friction", force, SPEEDS)
         damping = per(force, speed)
         limited = "friction that saturates"
@@ -132,27 +157,6 @@ def _of_motion(
         yield one("product", partial(Term, of=product(x, v), unit=both), "damping by position")
 
 
-def _with_memory(
-    motion: Motion, force: str, records: Sequence[Record], equation: str, after: str
-) -> Iterator[Shaped]:
-    """Hysteresis, whose widths are shares of a usual stroke."""
-    widths = usual_widths(motion.velocity, records)
-    for name, kind, meaning in (
-        ("dahl", Dahl, "hysteresis, as Dahl's friction"),
-        ("bouc_wen", BoucWen, "hysteresis, as of Bouc and Wen"),
-    ):
-        yield Shaped(
-            name + after,
-            partial(_of_state, force),
-            widths,
-            motion.velocity,
-            motion.unit,
-            meaning,
-            equation,
-            partial(_remembering, kind, motion.velocity),
-        )
-
-
 def _of_state(unit: str, name: str, width: float) -> AbstractTerm:
     return Term(name, state_name(name), unit=unit)
 
@@ -166,18 +170,6 @@ def _remembering(
 def state_name(name: str) -> str:
     """What the state of a law with a memory is called as a signal."""
     return f"{name}_state"
-
-
-def _unread(equations: Sequence[Equation], record: Record, recorded: Collection[str]) -> list[str]:
-    """Signals that are recorded, and that no equation reads or knows as a derivative."""
-    known = {name for e in equations for pair in e.derivatives for name in pair}
-    for equation in equations:
-        signals = record.signals
-        for term in equation.terms:
-            with contextlib.suppress(RiecjaxError):
-                read_expression(term.of, signals)
-        known |= {*signals.read}
-    return [name for name in record.arrays if name in recorded and name not in known]
 
 
 def _of_unread(
@@ -213,20 +205,3 @@ def _of_unread(
                     f"dry friction that {name} changes",
                     equation,
                 )
-
-
-def _shaped_term(
-    kind: Callable[[float], AbstractShape], of: str, unit: str, name: str, width: float
-) -> AbstractTerm:
-    return Terms(name, kind(width), of, unit=unit)
-
-
-def _told_apart(candidates: Sequence[AnyCandidate]) -> list[AnyCandidate]:
-    """Those of several equations by the equation's name, where two are called the same."""
-    names = [one.name for one in candidates]
-    found: list[AnyCandidate] = []
-    for one in candidates:
-        if names.count(one.name) > 1:
-            one = renamed(one, f"{one.name}_{one.equation}")
-        found.append(one)
-    return found

@@ -44,7 +44,9 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     body = [f"MODEL = rx.find_model({start})"]
     if found.chosen or found.mode is None:
         others = {name: value for name, value in values.items() if name not in of_mode}
-        meanings = _mapping("meanings", _meanings(found))
+        of_terms = [one.candidate for one in found.chosen]
+        named = {name: one.meaning for one in of_terms for name in one.columns}
+        meanings = _mapping("meanings", named)
         body[-1] += ".with_terms("
         body += [*_terms_source(found, added), *_mapping("values", others), *meanings, ")"]
     if found.mode is not None:
@@ -69,10 +71,6 @@ def _terms_source(found: Discovery, added: Mapping[str, Sequence[str]]) -> list[
     remembered = dict.fromkeys(m for one in found.chosen for m in one.candidate.memories)
     states = [f"        {_memory_source(memory)}," for memory in remembered]
     return [*body, "    },", *(["    memories=[", *states, "    ],"] if states else [])]
-
-
-def _meanings(found: Discovery) -> dict[str, str]:
-    return {name: one.candidate.meaning for one in found.chosen for name in one.candidate.columns}
 
 
 def _path(reference: str, folder: Path) -> str:

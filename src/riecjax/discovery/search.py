@@ -449,15 +449,10 @@ def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN
         for name, value in zip(names, drawn.fitted(names)):
             values.setdefault(place_of.get(name, (name, 0)), []).append(float(value))
     errors = {place: float(np.std(each)) for place, each in values.items() if len(each) > 1}
-    held = {
-        name: errors.get(place_of.get(name, (name, 0)), np.nan) for name in _held(search, chosen)
-    }
+    kept = (*search.kept, *(name for offer in chosen for name in offer.columns))
+    held = {name: errors.get(place_of.get(name, (name, 0)), np.nan) for name in kept}
     shares = {offer.family: families[offer.family] / times for offer in chosen} if times else {}
     return Again(shares, held)
-
-
-def _held(search: Search, chosen: Sequence[Offer]) -> tuple[str, ...]:
-    return (*search.kept, *(name for offer in chosen for name in offer.columns))
 
 
 def _among(search: Search, chosen: Sequence[Offer]) -> list[Offer]:

@@ -115,7 +115,7 @@ def in_motion(procedure: Procedure, record: Record) -> Procedure:
         terms = _weighted(equation, own[0], rests[own[0]]) if len(own) == 1 else None
         if terms is None:
             return equation
-        return Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
+        return equation.of_terms(*terms)
 
     stages = tuple(tuple(map(of, stage)) for stage in procedure.stages)
     unchanged = all(a is b for s, t in zip(stages, procedure.stages) for a, b in zip(s, t))

@@ -1,7 +1,6 @@
 """An equation of motion, linear in its parameters."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -81,6 +80,10 @@ class Equation(Shown, eqx.Module):
         for word in (name, unit, *self.parameters, *self.units.values()):
             if not word.isprintable():
                 raise ModelError(f"names and units are shown, and must be printable; got {word!r}.")
+
+    def of_terms(self, *terms: AbstractTerm) -> "Equation":
+        """Other terms under this equation's name, unit and mask."""
+        return Equation(*terms, name=self.name, unit=self.unit, where=self.where)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -167,16 +170,11 @@ def with_terms(equation: Equation, terms: Sequence[AbstractTerm]) -> Equation:
     every = sorted(
         equation.terms, key=lambda term: (-getattr(term, "derivative", 0), not term.parameters)
     )
-    turned = any(
-        is_concrete(sign) and float(np.asarray(sign)) < 0 for sign in map(_sign, every[:1])
-    )
+    first = every[0]
+    sign = getattr(first, "number" if isinstance(first, Term) else "sign", 1.0)
+    turned = is_concrete(sign) and float(np.asarray(sign)) < 0
     signed = [-term for term in terms] if turned else terms
     return eqx.tree_at(lambda e: e.terms, equation, (*equation.terms, *signed))
-
-
-def _sign(term: AbstractTerm) -> Any:
-    """The number before a term."""
-    return getattr(term, "number" if isinstance(term, Term) else "sign", 1.0)
 
 
 def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:

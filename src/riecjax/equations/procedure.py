@@ -292,7 +292,14 @@ class Procedure(Shown, eqx.Module):
         for stage, names in zip(self.stages, self.stage_parameters):
             unknown = tuple(name for name in names if name not in found)
             label = " + ".join(equation.name for equation in stage)
-            if unknown and not all(_anchored(stage, found)):
+            # A known term sets an equation's scale, if through parameters that it shares.
+            reached, size = set(found), -1
+            while len(reached) > size:
+                size = len(reached)
+                for equation in stage:
+                    if equation.has_target or set(equation.parameters) & reached:
+                        reached |= set(equation.parameters)
+            if unknown and not all(reached & set(equation.parameters) for equation in stage):
                 own = [name for name in unknown if not is_hidden_name(name)]
                 raise ModelError(
                     f"{label}: every coefficient is unknown, so all of them zero would fit. "
@@ -301,17 +308,6 @@ class Procedure(Shown, eqx.Module):
             plan.append((label, unknown))
             found |= set(unknown)
         return plan
-
-
-def _anchored(stage: tuple[Equation, ...], found: set[str]) -> list[bool]:
-    """For each equation, whether a known term sets its scale, if through shared parameters."""
-    reached, size = set(found), -1
-    while len(reached) > size:
-        size = len(reached)
-        for equation in stage:
-            if equation.has_target or set(equation.parameters) & reached:
-                reached |= set(equation.parameters)
-    return [bool(set(equation.parameters) & reached) for equation in stage]
 
 
 class HasProcedure(Protocol):

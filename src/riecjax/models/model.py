@@ -328,6 +328,8 @@ class Model(Shown):
 
     def _built(self, values: Mapping[str, Any]) -> AbstractSystem:
         """The model's own system with these values, carrying its modes."""
+        import jax.numpy as jnp
+
         from riecjax.simulation.attached_modes import WithModes
 
         assert self.system is not None
@@ -336,7 +338,8 @@ class Model(Shown):
         added = self._attachments or ()
         own = {name for one in added for name in one.states.parameters}
         inner = _resolve(self.system)({n: v for n, v in values.items() if n not in own})
-        return WithModes(inner, tuple(one.attached(values) for one in added))
+        read = own | {one.body_mass for one in added if isinstance(one.body_mass, str)}
+        return WithModes(inner, added, {name: jnp.asarray(values[name]) for name in sorted(read)})
 
 
 def _with_defaults(

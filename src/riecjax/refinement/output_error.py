@@ -122,7 +122,17 @@ class OutputError(AbstractObjective):
         for record in specified.records:
             for name in system.input_names:
                 _ = record.signals[name]
-        _require_sigma(self.sigma or {}, channels)
+        for name, value in (self.sigma or {}).items():
+            if name not in channels:
+                raise ModelError(
+                    f"sigma is given for '{name}', which is not compared; compared are: "
+                    f"{', '.join(channels)}."
+                )
+            if not is_number(value) or (is_concrete(value) and not 0 < float(value) < np.inf):
+                raise ModelError(
+                    f"sigma of {name} is {value!r}: a standard deviation is a positive number, in "
+                    f"the unit of {name}."
+                )
         given = self.initial_states if isinstance(self.initial_states, Mapping) else {}
         estimated = _estimated(system, specified.records, self.initial_states)
         joined = not estimated
@@ -215,20 +225,6 @@ def _computed(record: Record, names: Sequence[str]) -> set[str]:
     sources = {n: {sensor(source) for source in record.noise.kernels.get(n, {})} for n in names}
     sensed = {n for n in names if n in sources[n]}
     return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
-
-
-def _require_sigma(sigma: Mapping[str, Any], channels: tuple[str, ...]) -> None:
-    if unknown := [name for name in sigma if name not in channels]:
-        raise ModelError(
-            f"sigma is given for '{unknown[0]}', which is not compared; compared are: "
-            f"{', '.join(channels)}."
-        )
-    for name, value in sigma.items():
-        if not is_number(value) or (is_concrete(value) and not 0 < float(value) < np.inf):
-            raise ModelError(
-                f"sigma of {name} is {value!r}: a standard deviation is a positive number, in the "
-                f"unit of {name}."
-            )
 
 
 def _estimated(

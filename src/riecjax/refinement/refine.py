@@ -101,9 +101,7 @@ class Refined(AbstractEstimate):
 
     def _findings(self) -> list[Finding]:
         return [
-            *self._not_converged(),
-            *self._coarse_steps(),
-            *self._bounds(),
+            *self._of_search(),
             *self._undetermined(),
             *self.negative_values(),
             *self.few_blocks(),
@@ -112,13 +110,11 @@ class Refined(AbstractEstimate):
             *self.disagreement(),
         ]
 
-    def _not_converged(self) -> Iterator[Finding]:
+    def _of_search(self) -> Iterator[Finding]:
         if not bool(self.converged):
             yield Finding(
                 "refinement_not_converged", f"the refinement did not converge: {self.reason}"
             )
-
-    def _coarse_steps(self) -> Iterator[Finding]:
         shares = self.step_change / self.standard_errors
         changes = {
             name: f"{name} by {float(change):.3g} ({abs(float(share)):.2g} standard errors)"
@@ -136,8 +132,6 @@ class Refined(AbstractEstimate):
                 f"Adaptive with an implicit solver, a force that jumps as sign(v) a width.",
                 parameters=tuple(changes),
             )
-
-    def _bounds(self) -> Iterator[Finding]:
         if names := [n for n, reached in zip(self.parameters, self.at_bound) if bool(reached)]:
             yield Finding(
                 "at_bound",
@@ -252,7 +246,15 @@ def refine_with_misfit(
     """As [`refine`][], with the misfit of the last search, which knows what is left."""
     recordings = as_records(records)
     require_settings(key, known, per_record)
-    _require_kinds(model, start, by, intervals, solver)
+    require("start", start, (AbstractEstimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
+    require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
+    require("intervals", intervals or Sandwich(), AbstractIntervals, "intervals=rx.Sandwich()")
+    if solver is not None:
+        write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
+        require("the solver", solver, Solver, write)
+    if isinstance(model, type):
+        write = f"{model.__name__}(...), with a value for each of its fields"
+        require("the model", model, (), write)
     objective = (by or OutputError()).suited(model)
     held, own = dict(known or {}), tuple(per_record)
     specified = objective.specify(model, recordings, start, held, own, key)
@@ -264,19 +266,6 @@ def refine_with_misfit(
     )
     settings = (specified.sharing, intervals or Sandwich(), solver, max_steps, progress)
     return _refined(objective, specified, constraints, settings)
-
-
-def _require_kinds(model: Any, start: Any, by: Any, intervals: Any, solver: Any) -> None:
-    require("start", start, (AbstractEstimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
-    require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
-    require("intervals", intervals or Sandwich(), AbstractIntervals, "intervals=rx.Sandwich()")
-    if solver is not None:
-        write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
-        require("the solver", solver, Solver, write)
-    if isinstance(model, type):
-        require(
-            "the model", model, (), f"{model.__name__}(...), with a value for each of its fields"
-        )
 
 
 def _refined(

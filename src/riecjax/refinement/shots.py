@@ -367,14 +367,6 @@ def _levels(system: AbstractSystem, record: Record, samples: Array) -> Float[Arr
     return jnp.stack(inputs, axis=-1) if inputs else none
 
 
-def _bends(
-    system: AbstractSystem, record: Record, samples: Array, smooth: tuple[bool, ...]
-) -> Float[Array, "windows longest inputs"]:
-    """Of the whole record: a window's neighbours tell what its inputs do at its ends."""
-    everywhere = _levels(system, record, jnp.arange(record.sample_count))
-    return bends_of(everywhere, record.present(system.input_names), smooth)[samples]
-
-
 def _recorded(
     system: AbstractSystem,
     record: Record,
@@ -401,9 +393,14 @@ def _recorded(
     # As many as where the record is filled up, which under jit it is not.
     shared = shared_length(record.sample_count)
     short = -(-shared // SHORT_BLOCKS_OF_ROWS)
+    bends = None
+    if smooth is not None:
+        # Of the whole record: a window's neighbours tell what its inputs do at its ends.
+        everywhere = _levels(system, record, jnp.arange(record.sample_count))
+        bends = bends_of(everywhere, record.present(system.input_names), smooth)[shots.samples]
     return Recorded(
         _levels(system, record, shots.samples),
-        None if smooth is None else _bends(system, record, shots.samples, smooth),
+        bends,
         jnp.stack([record[name][position] for name in channels], axis=-1),
         jnp.stack(present, axis=-1) & counts[:, :, None],
         initial,

@@ -21,18 +21,12 @@ from riecjax.simulation.hidden_elements import ModeStates, carried_states
 from riecjax.simulation.system import AbstractSystem, Quantities
 
 
-class AttachedMode(eqx.Module):
-    """A mode on a body.
+class Attachment(NamedTuple):
+    """How a mode of a procedure is attached: its states, and the body's mass, named or known, by
+    which the body's acceleration is the force on it divided."""
 
-    **Fields:** `body_mass`, by which the body's acceleration is the force on it divided; `mass`,
-    `stiffness` and `damping` of the mode; `states`, their names and that of the body's velocity.
-    """
-
-    body_mass: Leaf
-    mass: Leaf
-    stiffness: Leaf
-    damping: Leaf
-    states: ModeStates = eqx.field(static=True)
+    states: ModeStates
+    body_mass: str | float
 
 
 class WithModes(AbstractSystem):
@@ -41,11 +35,12 @@ class WithModes(AbstractSystem):
     Exact where a body's acceleration is coupled to no other. Outputs are those of the system
     without modes: forces that depend on its states, not accelerations.
 
-    **Fields:** `inner`, the system; `modes`.
+    **Fields:** `inner`, the system; `modes`; `values` of these and of their bodies' masses.
     """
 
     inner: AbstractSystem
-    modes: tuple[AttachedMode, ...]
+    modes: tuple[Attachment, ...] = eqx.field(static=True)
+    values: dict[str, Leaf]
 
     @property
     def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -87,11 +82,10 @@ class WithModes(AbstractSystem):
         flow = self.inner.derivative(state[:count], inputs)
         signals = dict(zip(self.state_names, state))
         rates = []
-        for mode in self.modes:
-            names = mode.states
-            values = dict(zip(names.parameters, (mode.mass, mode.stiffness, mode.damping)))
-            own = names.rates(signals, values)
-            taken = mode.mass * own[names.velocity] / mode.body_mass
+        for names, body_mass in self.modes:
+            own = names.rates(signals, self.values)
+            body = self.values[body_mass] if isinstance(body_mass, str) else body_mass
+            taken = self.values[names.parameters.mass] * own[names.velocity] / body
             flow = flow.at[self.inner.state_names.index(names.body)].add(-taken)
             rates += [own[names.deflection], own[names.velocity]]
         return jnp.concatenate([flow, jnp.stack(rates)])
@@ -101,19 +95,6 @@ class WithModes(AbstractSystem):
     ) -> Mapping[str, Float[Array, ""]]:
         """The system's."""
         return self.inner.output(state[: len(self.inner.states)], inputs)
-
-
-class Attachment(NamedTuple):
-    """How a mode of a procedure is attached: its states, and the body's mass, named or known."""
-
-    states: ModeStates
-    body_mass: str | float
-
-    def attached(self, values: Mapping[str, Leaf]) -> AttachedMode:
-        """The mode with these values."""
-        body = values[self.body_mass] if isinstance(self.body_mass, str) else self.body_mass
-        mass, stiffness, damping = (jnp.asarray(values[n]) for n in self.states.parameters)
-        return AttachedMode(jnp.asarray(body), mass, stiffness, damping, self.states)
 
 
 def attachments(procedure: Procedure, inner: AbstractSystem) -> tuple[Attachment, ...] | None:

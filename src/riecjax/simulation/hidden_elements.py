@@ -18,6 +18,7 @@ through (v_i, F_i) the map through (F_i, v_i). The law must rise; where values t
 an answer do not, a least slope stands in for them.
 """
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -101,20 +102,15 @@ def with_forces(
         for mode, own in zip(modes, states):
             if (inertia := mode.inertia(equation)) is not None:
                 terms += own.force(inertia_sign(inertia))
-        carrying.append(
-            Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
-            if len(terms) > len(equation.terms)
-            else equation
-        )
+        is_carrying = len(terms) > len(equation.terms)
+        carrying.append(equation.of_terms(*terms) if is_carrying else equation)
     return tuple(carrying), states
 
 
 def carried_states(modes: Iterable[ModeStates]) -> dict[str, str]:
     """States of modes to what they start from: the body's velocity, or nothing."""
-    found: dict[str, str] = {}
-    for mode in modes:
-        found |= {mode.deflection: "", mode.velocity: mode.body}
-    return found
+    pairs = (((mode.deflection, ""), (mode.velocity, mode.body)) for mode in modes)
+    return dict(itertools.chain.from_iterable(pairs))
 
 
 LEAST_SLOPE = 0.01
@@ -138,7 +134,14 @@ class SpringElement(eqx.Module):
     ) -> Float[Array, " 1"]:
         """Time derivative of the force."""
         own = jnp.stack([values[name] for name in self.element.parameters])
-        return values[self.stiffness] * (velocity - self._inner(own, force))
+        if isinstance(self.element, Term):
+            inner = force / own[0]
+        else:
+            assert isinstance(self.element, Terms)
+            assert isinstance(self.element.basis, RoofFunctions)
+            points = self.element.basis.break_points
+            inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
+        return values[self.stiffness] * (velocity - inner)
 
     def static(
         self, velocity: Float[Array, " n"], values: Mapping[str, Array]
@@ -151,14 +154,6 @@ class SpringElement(eqx.Module):
         assert isinstance(self.element.basis, RoofFunctions)
         forces = _rising(own, self.element.basis.break_points)
         return self.element.basis.interpolate(forces, velocity)
-
-    def _inner(self, values: Float[Array, " p"], force: Float[Array, " 1"]) -> Float[Array, " 1"]:
-        if isinstance(self.element, Term):
-            return force / values[0]
-        assert isinstance(self.element, Terms)
-        assert isinstance(self.element.basis, RoofFunctions)
-        points = self.element.basis.break_points
-        return RoofFunctions(_rising(values, points)).interpolate(points, force)
 
 
 def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
@@ -183,9 +178,7 @@ def with_springs(
         for term in equation.terms:
             name = next((f.state for f, s in zip(found, springs) if s.of in term.parameters), None)
             terms.append(term if name is None else Term(element_sign(term), name))
-        replaced.append(
-            Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
-        )
+        replaced.append(equation.of_terms(*terms))
     return tuple(replaced), found
 
 

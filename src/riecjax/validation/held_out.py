@@ -9,7 +9,7 @@ Stretches of a recording along which a model can be simulated from a state that 
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ from riecjax.records.record import Record
 from riecjax.shows import Drawn
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
-from riecjax.simulation.system import AbstractSystem, Quantities, state_sources
+from riecjax.simulation.system import AbstractSystem, state_sources
 from riecjax.validation.goodness_of_fit import (
     PREDICTS_ROUGHLY,
     PREDICTS_WELL,
@@ -184,18 +184,21 @@ def validate_held_out(
     system.require_states(given)
     recorded = [name for name in system.state_names if name in measured.arrays]
     compared = _compared(system, measured, signals)
-    sources = _sources(system, measured) | dict.fromkeys(given, "given")
-    driven, inputs = _driven(system, measured)
+    sources = state_sources(system, measured)
+    sources |= {name: "carried" for name in system.carried if sources[name] == "zero"}
+    sources |= dict.fromkeys(given, "given")
+    # A free motion has no inputs: some signal only says how many samples there are.
+    inputs = measured.select(*(system.input_names or list(measured.arrays)[:1]))
     runs: list[_Run] = []
     for start, stop in unbroken_stretches(system, measured, recorded, sources, horizon):
         # What the caller gives holds at the start; further on the record knows better.
         held = {n: v for n, v in given.items() if not runs or n not in recorded}
         first = _initial_state(system, measured, start, sources, held)
-        simulation = _simulate(driven, inputs, start, stop, method, first)
+        simulation = _simulate(system, inputs, start, stop, method, first)
         runs.append(
             _Run(start, stop, simulation, min(int(simulation.samples_reached), stop - start))
         )
-    record, simulated = _joined(driven, measured, runs)
+    record, simulated = _joined(system, measured, runs)
     fits = {name: _fit(record, measured, name, simulated) for name in compared}
     reason = _reason(runs)
     judged = tuple(signals or [name for name in compared if name in recorded] or compared)
@@ -249,11 +252,6 @@ def _compared(
     return tuple(signals)
 
 
-def _sources(system: AbstractSystem, measured: Record) -> dict[str, str]:
-    sources = state_sources(system, measured)
-    return sources | {name: "carried" for name in system.carried if sources[name] == "zero"}
-
-
 def _initial_state(
     system: AbstractSystem,
     measured: Record,
@@ -276,35 +274,6 @@ def _initial_state(
     there |= {name: value[None] for name, value in values.items()}
     levels = system.carried_levels(there)
     return {name: level[0] for name, level in levels.items()} | values
-
-
-class _Undriven(AbstractSystem):
-    """A system without inputs, along a record that only says how many samples there are."""
-
-    inner: AbstractSystem
-
-    inputs: ClassVar[Quantities] = (("", ""),)
-
-    @property
-    def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.inner.states
-
-    @property
-    def outputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.inner.outputs
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        return self.inner.derivative(state, inputs[:0])
-
-    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
-        return self.inner.output(state, inputs[:0])
-
-
-def _driven(system: AbstractSystem, measured: Record) -> tuple[AbstractSystem, Record]:
-    """The system with at least one input, and the record of its inputs."""
-    if system.input_names:
-        return system, measured.select(*system.input_names)
-    return _Undriven(system), Record({"": jnp.zeros(measured.sample_count)}, measured.time_step)
 
 
 def _simulate(
@@ -345,7 +314,7 @@ def _joined(
     lacking = {} if simulated.all() else {name: jnp.asarray(~simulated) for name in made}
     signals = {name: jnp.asarray(values) for name, values in arrays.items()}
     record = measured.with_signals(signals, units, lacking)
-    return record.select(*(n for n in system.input_names if n), *made), simulated
+    return record.select(*system.input_names, *made), simulated
 
 
 def _reason(runs: Sequence[_Run]) -> str:

@@ -314,7 +314,13 @@ def late_cause(
     **Raises:** as [`signal_delays`][].
     """
     delays = signal_delays(procedure, records, estimate)
-    causes = [one for one in delays if one.significant and one.explains and _matters(one, estimate)]
+    errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
+
+    def matters(one: SignalDelay) -> bool:
+        moved = ((abs(share * float(estimate[n])), errors[n]) for n, share in one.moved.items())
+        return any(change > MOVES * error for change, error in moved)
+
+    causes = [one for one in delays if one.significant and one.explains and matters(one)]
     # One equation blames either of its signals; all together, the one that they read.
     return max(causes, key=lambda one: one.left_as_recorded**2 - one.left**2, default=None)
 
@@ -394,14 +400,6 @@ def _uneven(one: SignalDelay, record: Record) -> Finding:
         doubts={name: abs(share) for name, share in one.moved.items()},
         remedy=remedy,
         step=step,
-    )
-
-
-def _matters(one: SignalDelay, estimate: Estimate) -> bool:
-    errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
-    return any(
-        abs(share * float(estimate[name])) > MOVES * errors[name]
-        for name, share in one.moved.items()
     )
 
 

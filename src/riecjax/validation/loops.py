@@ -119,7 +119,11 @@ def _regressors(
     """What is taken out first, and each that may explain the rest, as signals of each record."""
     v = _each(records, motion.velocity)
     # Without a recorded position a spring would pass for a state that goes with the displacement.
-    x = _each(records, motion.position) if motion.position else [_way(motion, r) for r in records]
+    if motion.position:
+        x = _each(records, motion.position)
+    else:
+        ways = [np.cumsum(pieces_of_way(motion.velocity, record)) for record in records]
+        x = [scipy.signal.detrend(np.concatenate([[0.0], way])) for way in ways]
     for signals in (v, x):
         every = np.concatenate(signals)
         knots = np.linspace(every.min(), every.max(), KNOTS)
@@ -173,12 +177,6 @@ def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
         v = np.concatenate([[1.0], -scale * (theta @ (scale * moment))])
         total += float(v @ held[np.ix_(at, at)] @ v)
     return total
-
-
-def _way(motion: Motion, record: Record) -> Float[np.ndarray, " n"]:
-    """The way that was covered, without its trend."""
-    way = np.concatenate([[0.0], np.cumsum(pieces_of_way(motion.velocity, record))])
-    return scipy.signal.detrend(way)
 
 
 def _each(records: Sequence[Record], name: str) -> Series:
