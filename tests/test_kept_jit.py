@@ -132,17 +132,6 @@ def test_whatever_a_trace_can_see_makes_another_program(folder):
     assert len(TRACED) == 5
 
 
-def test_derivatives_and_batches_are_of_the_function_itself(folder):
-    def level(x: Any) -> jax.Array:
-        return jnp.sum(evaluate(curve(), x, 2).values)
-
-    step = 1e-6 * np.eye(5)
-    numeric = [(level(X + h) - level(X - h)) / 2e-6 for h in step]
-    np.testing.assert_allclose(jax.grad(level)(jnp.asarray(X)), numeric, rtol=1e-6)
-    batch = jax.vmap(level)(jnp.stack([X, 2 * X]))
-    np.testing.assert_allclose(batch, [level(X), level(2 * X)], rtol=1e-12)
-
-
 @pytest.mark.parametrize("damage", ["flipped", "cut", "empty", "foreign"])
 def test_a_damaged_file_is_made_anew(folder, damage):
     evaluate(curve(), X, 2)
@@ -157,13 +146,6 @@ def test_a_damaged_file_is_made_anew(folder, damage):
     another_process()
     assert_right(evaluate(curve(), X, 2))
     assert TRACED == []
-
-
-def test_what_calls_python_back_is_not_kept(folder):
-    np.testing.assert_array_equal(reported(jnp.zeros(2), heard), 1.0)
-    assert list(folder.iterdir()) == []
-    another_process()
-    np.testing.assert_array_equal(reported(jnp.zeros(2), heard), 1.0)
 
 
 def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):

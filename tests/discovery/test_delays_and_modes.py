@@ -117,10 +117,3 @@ def test_a_velocity_that_is_late_is_not_the_forces_fault():
     assert ("late_signal", ("dx",)) in [(one.code, one.signals) for one in found.findings]
     sentence = discovery_document(found)["sentence"]
     assert "mend that first (--shift dx=0.0" in sentence
-
-
-def test_a_signal_that_is_absent_is_told_by_what_was_recorded():
-    record = DRAG.record(0.01, 4, drive=1).select("x", "dx")
-    with pytest.raises(rx.DataError, match="'u'") as error:
-        discover(DRAG.start, record, **QUICK)
-    assert "state" not in str(error.value)

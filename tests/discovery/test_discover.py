@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.machines import EIGHT_TONES, PROBLEMS, WIDTH, tones
+from tests.machines import PROBLEMS, WIDTH
 
 import riecjax as rx
 from nightly import by_day, nightly
@@ -116,6 +116,19 @@ def test_known_parameters_stay_known(record):
     assert "m" not in found.estimate.parameters
 
 
+def test_a_known_value_of_the_model_sets_its_scale(record):
+    start = rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),
+        -rx.Term("one", "u", known=1.0),
+        name="drag",
+        unit="N",
+    )
+    found = discover(start, record, **QUICK)
+    assert {*found.names} == DRAG.missing
+    assert float(found.estimate["m"]) == pytest.approx(TRUTH["m"], rel=0.02)
+    assert "one" not in found.estimate.parameters
+
+
 def test_candidates_of_ones_own_are_all_that_is_offered(record):
     own = [
         rx.Term("k", "x", unit="N/m"),
@@ -157,14 +170,6 @@ def test_hidden_elements_are_refused(record):
     model = find_model("drag-oscillator").with_modes(rx.HiddenMode(on="x"))
     with pytest.raises(rx.ModelError, match="without hidden modes and springs"):
         discover(model, record, **QUICK)
-
-
-def test_what_was_found_is_printed(found):
-    said = str(found)
-    assert "stiffness (linear stiffness), quadratic_drag (quadratic drag) and viscous" in said
-    assert "nearly all of it noise" in said
-    assert "m x'' + stiffness x + quadratic_drag dx |dx| + viscous x' = u" in said
-    assert "<table" in found._repr_html_()
 
 
 def test_the_model_file_holds_what_was_found(tmp_path):
@@ -236,36 +241,3 @@ def test_the_file_of_a_hysteretic_model_is_identified_and_simulated(tmp_path):
     run = rx.simulate(read.build_system({}), record.select("u"), method=rx.FixedStep(4))
     clean = problem.signals()["x"]
     assert np.std(np.asarray(run.record["x"]) - clean) < 0.05 * clean.std()
-
-
-def driven(force, seed: int = 0) -> rx.Record:
-    """A mass under a force of time, position and velocity, with tones, and 1 % of noise."""
-    import scipy.integrate
-
-    times = DRAG.shape.times
-    run = scipy.integrate.solve_ivp(
-        lambda t, s: [s[1], float(tones(t, EIGHT_TONES, 20.0, seed) - force(t, *s)) / 1.5],
-        (0, times[-1]),
-        [0.0, 0.0],
-        t_eval=times,
-        rtol=1e-8,
-        atol=1e-10,
-        max_step=0.02,
-    )
-    rng = np.random.default_rng(seed)
-    signals = {"x": run.y[0], "dx": run.y[1]}
-    signals = {
-        name: of + 0.01 * of.std() * rng.standard_normal(of.size) for name, of in signals.items()
-    }
-    signals["u"] = tones(times, EIGHT_TONES, 20.0, seed)
-    return rx.Record.from_samples(signals, time_step=0.01)
-
-
-@pytest.mark.slow
-def test_a_spring_with_stops_has_one_name_however_it_is_reached():
-    """A spring of 40 N/m that is four times as stiff beyond 0.3 m."""
-    record = driven(lambda t, x, v: 0.8 * v + 40 * x + 120 * (x - np.clip(x, -0.3, 0.3)))
-    for start in (DRAG.start, rx.Equation(*DRAG.start.terms, rx.Term("k", "x"), name="mass")):
-        found = discover(start, record, **QUICK)
-        assert {*found.names} | {"stiffness"} == {"viscous", "stiffness", "dead_zone"}
-        assert float(found.estimate["dead_zone_stiffness"]) == pytest.approx(120, rel=0.05)

@@ -84,11 +84,3 @@ def test_chance_is_uniform_of_columns_that_explain_nothing(decay):
     assert np.mean(np.less(chances, 0.001)) < 0.005
     if not decay:
         assert scipy.stats.kstest(chances, "uniform").pvalue > 1e-3
-
-
-def test_a_fold_that_is_drawn_twice_weighs_twice_and_is_left_out_as_a_whole():
-    rows = np.random.default_rng(4).standard_normal((100, 3))
-    whole = folds_of(rows, 5)
-    found = whole.drawn([3, 0, 0])
-    assert found.number == 2
-    assert np.array_equal(found.samples, [2 * whole.samples[0], whole.samples[3]])

@@ -63,11 +63,6 @@ def test_expressions_compute_what_they_say_and_compare_by_it():
     assert hash(faster_than("a", 1.5)) == hash(faster_than("a", 1.5))
 
 
-def test_a_constant_reads_no_signal_and_so_no_gap():
-    record = Record.from_samples({"a": [1.0, np.nan, 3], "b": [4.0, 5, 6]}, time_step=1.0)
-    assert Term("c", constant).samples(record, 0).present is None
-
-
 def test_a_number_made_of_a_signal_is_a_slip():
     record = Record.from_samples({"a": [1.0, 2.0, 3.0]}, time_step=1.0)
     with pytest.raises(ModelError, match="one number for each of the 3 samples"):

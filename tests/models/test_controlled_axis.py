@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from riecjax.errors import DataError, ModelError
 from riecjax.models.emps import Axis, ControlledAxis, simulate_sampled_control
 from riecjax.records.record import Record
-from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 
 VALUES = {
@@ -137,28 +136,6 @@ def test_sampled_record_obeys_the_controller_and_the_equation_of_motion():
     np.testing.assert_allclose(
         95.0 * np.asarray(record["ddq"])[moving], (force - friction)[moving], atol=1e-9
     )
-
-
-def test_continuous_form_in_motion_depends_neither_on_the_width_nor_on_the_steps():
-    inputs = ramp_and_hold()
-
-    def simulated(smoothing: float, steps: int) -> Record:
-        system = ControlledAxis(axis(), smoothing=smoothing)
-        return simulate(system, inputs, method=FixedStep(steps)).record
-
-    narrow = simulated(2e-6, 64)
-
-    def change(name: str, part: slice, smoothing: float, steps: int) -> float:
-        difference = simulated(smoothing, steps)[name] - narrow[name]
-        return float(jnp.linalg.norm(difference[part]) / jnp.linalg.norm(narrow[name]))
-
-    default = float(ControlledAxis(axis()).smoothing)
-    moving, always = slice(0, 750), slice(0, None)
-    for smoothing, steps in ((default, 8), (default, 32), (5 * default, 8)):
-        assert change("force", moving, smoothing, steps) < 1e-3
-        assert change("q", always, smoothing, steps) < 5e-5
-    # Sticking is another matter: the docstring says that the force fades.
-    assert change("force", always, default, 8) > 1e-3
 
 
 def test_unknown_states_delays_and_missing_references_are_refused():

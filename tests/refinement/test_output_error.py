@@ -239,26 +239,11 @@ def test_a_prior_pulls_as_one_more_observation(noisy, whole):
     np.testing.assert_allclose(refined.standard_errors[place], error[place], rtol=0.1)
 
 
-@pytest.mark.raises_finding("refinement_not_converged")
-def test_too_few_steps_are_a_status(noisy):
-    refined = refine(oscillator(), noisy, START, max_steps=2)
-    assert not bool(refined.converged)
-    assert refined.status == RefinementStatus.out_of_steps
-    assert refined.findings()[0].code == "refinement_not_converged"
-    assert "max_steps" in refined.reason
-
-
 def test_a_start_without_a_finite_residual_is_a_status(noisy):
     """A mass of zero has no acceleration."""
     refined = refine(oscillator(), noisy, START | {"m": 0.0})
     assert refined.status == RefinementStatus.not_finite
     assert refined.findings()[0].code == "refinement_not_converged"
-
-
-def test_starts_that_are_known_are_held(noisy):
-    refined = refine(oscillator(), noisy, START, OutputError(initial_states={"x": 0.0, "dx": 0.0}))
-    assert refined.initial_states.shape == (1, 0)
-    assert float(refined["k"]) == pytest.approx(20.0, rel=0.01)
 
 
 @pytest.mark.parametrize(

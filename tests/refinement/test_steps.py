@@ -1,7 +1,7 @@
 """Steps of the simulation behind a refinement: chosen along the record, and judged by halving."""
 
 import itertools
-from typing import ClassVar
+from typing import NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.signal
-from jaxtyping import Array
 
 from riecjax.errors import ModelError
 from riecjax.models.oscillators import Duffing
 from riecjax.records.record import Record
+from riecjax.refinement import step_halving
 from riecjax.refinement.objective import AbstractMisfit
+from riecjax.refinement.optimum import Optimum, Reached, RefinementStatus
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
-from riecjax.refinement.step_halving import StepHalving, with_finer_steps
+from riecjax.refinement.step_halving import StepHalving, halve_steps, with_finer_steps
 from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep
-from riecjax.simulation.system import AbstractSystem
 
 RATE = 100
 HARD = {"d": 2.0, "k1": 100.0, "k3": 3e6}
@@ -125,6 +125,35 @@ class Stepped(AbstractMisfit):
         return Stepped(steps=self.steps * factor)
 
 
+class Covered(NamedTuple):
+    covariance: np.ndarray
+
+
+def test_what_diverged_is_halved_without_a_warning(monkeypatch):
+    """Sums of squares that overflow are infinite, and infinite over infinite is no number."""
+    infinite = np.full((2, 2), np.inf)
+    sums = infinite, infinite[0], np.array(100.0)
+    monkeypatch.setattr(step_halving, "_normal_equations", lambda *_: sums)
+    theta, none = np.array([1.0, 2.0]), np.zeros(2)
+    lost = Reached(theta, np.zeros((1, 0)), none, RefinementStatus.not_finite, np.array(3))
+    at = Optimum(
+        lost,
+        np.array(False),
+        Covered(infinite),
+        none,
+        none,
+        none > 0,
+        np.array(1),
+        np.array(1.0),
+        infinite[0],
+        np.zeros((2, 2)),
+    )
+    halving = halve_steps(Stepped(), at, theta)
+    assert not np.isfinite(halving.change).any()
+    assert not halving.coarse.any()
+    assert halving._replace(allowed=infinite[0]).excess(infinite[0]) == np.inf
+
+
 def halved(change, coarse=True) -> StepHalving:
     allowed = np.array([0.1, np.inf])
     return StepHalving(np.array([change, 1e9]), allowed, np.array([coarse, False]))
@@ -160,40 +189,3 @@ def test_every_method_has_a_finer_one_or_none():
     finer = Adaptive(3.2e-5, 3.2e-8, max_steps=50).finer(2)
     assert (finer.rtol, finer.atol, finer.max_steps) == pytest.approx((1e-6, 1e-9, 100))
     assert AbstractMethod().finer(2) is None
-
-
-class Lagged(AbstractSystem):
-    """A slow state behind a fast one: stiff where the pole is far out."""
-
-    k: Array
-    pole: Array
-    states: ClassVar = (("x", ""), ("y", ""))
-    inputs: ClassVar = (("u", ""),)
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        x, y = state
-        return jnp.stack([inputs[0] - self.k * y, self.pole * (x - y)])
-
-
-def lagged(pole: float) -> Record:
-    """100 samples by SciPy's closed form for inputs that are linear between samples; k is 3."""
-    t = np.arange(100) / RATE
-    u = np.sin(5 * t) + 0.5 * np.sin(23 * t)
-    matrices = ([[0, -3.0], [pole, -pole]], [[1.0], [0]], np.eye(2), np.zeros((2, 1)))
-    _, states, _ = scipy.signal.lsim(matrices, u, t)
-    return Record.from_samples({"u": u, "x": states[:, 0], "y": states[:, 1]}, time_step=1 / RATE)
-
-
-@pytest.fixture(scope="module")
-def stiff():
-    return Lagged(jnp.asarray(2.0), jnp.asarray(1e3))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pole", [1e3, 1e5])
-def test_an_implicit_solver_refines_a_stiff_model(stiff, pole):
-    by = OutputError(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()), intersample="lines")
-    refined = refine(stiff, lagged(pole), {"k": 2.0}, by, known={"pole": pole})
-    assert bool(refined.converged)
-    assert float(refined["k"]) == pytest.approx(3.0, rel=1e-4)
-    assert not refined.coarse.any()

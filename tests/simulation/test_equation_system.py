@@ -163,23 +163,6 @@ def test_two_coupled_masses_move_as_scipy_says():
     np.testing.assert_allclose(found["acc_a"], acceleration, atol=1e-5)
 
 
-@pytest.mark.slow
-def test_gradients_by_values_and_start_equal_finite_differences():
-    inputs = drive("u", 100).with_signals({"w": jnp.ones(100)})
-
-    def final(m1, k, b0):
-        system = equation_system(coupled(), {**VALUES, "m1": m1, "k": k})
-        record = simulate(system, inputs, initial_state={"b": b0}).record
-        return record["a"][-1] + record["b"][50]
-
-    at, h = (1.0, 40.0, 0.2), 1e-5
-    found = jax.grad(final, argnums=(0, 1, 2))(*at)
-    for i, slope in enumerate(found):
-        ahead = [x + h * (i == j) for j, x in enumerate(at)]
-        back = [x - h * (i == j) for j, x in enumerate(at)]
-        np.testing.assert_allclose(slope, (final(*ahead) - final(*back)) / (2 * h), rtol=1e-6)
-
-
 CALLS: list[int] = []
 
 

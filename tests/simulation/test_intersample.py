@@ -194,21 +194,6 @@ def test_commands_stay_straight_lines(name):
     np.testing.assert_allclose(smooth, lines, atol=1e-13)
 
 
-def test_a_batch_under_jit_is_its_members_and_differentiates():
-    inputs = jnp.asarray(RNG.normal(size=(3, 30)))
-
-    def last(u):
-        run = simulate(Area(), Record({"u": u}, 0.1), intersample="smooth")
-        return run.record["x"][-1]
-
-    batch = jax.jit(jax.vmap(last))(inputs)
-    np.testing.assert_allclose(batch, [last(u) for u in inputs], rtol=1e-12)
-    _, tangent = jax.jvp(last, (inputs[0],), (inputs[1],))
-    # The median picks the same samples nearby: it is linear there.
-    ahead, behind = (last(inputs[0] + h * inputs[1]) for h in (1e-7, -1e-7))
-    np.testing.assert_allclose(tangent, (ahead - behind) / 2e-7, rtol=1e-6)
-
-
 class Standing(AbstractMethod):
     """A method of one's own, which knows nothing of bends."""
 

@@ -151,17 +151,6 @@ def test_checked_raises_one_line_that_says_when_and_what_to_do(method):
     assert_says_when_and_what_to_do(str(raised.value))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("differentiate", [jax.grad, jax.jacfwd], ids=["reverse", "forward"])
-def test_derivative_by_a_parameter_equals_finite_differences(differentiate):
-    def energy(k3):
-        return jnp.sum(simulate(duffing(k3), force(1)).record["y"] ** 2)
-
-    h = 1e-2
-    slope = (energy(2000.0 + h) - energy(2000.0 - h)) / (2 * h)
-    np.testing.assert_allclose(differentiate(energy)(2000.0), slope, rtol=1e-6)
-
-
 def test_derivative_by_the_initial_state_and_the_input_equals_finite_differences():
     def final(y0, gain):
         inputs = force(1)

@@ -13,7 +13,6 @@ from riecjax.records.record import Record
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import Sandwich
 from riecjax.validation.late_signals import advanced, late_signals, signal_delays
-from riecjax.validation.residuals import residual_tests
 
 STEP, SAMPLES = 0.005, 6000
 TRUTH = {"m": 2.0, "c": 9.0, "k": 400.0}
@@ -124,15 +123,6 @@ def test_what_a_model_leaves_out_is_not_called_a_delay(wrong):
         one, found = delay_of(recorded(seed, **wrong))
         assert not one.explains
         assert not found
-
-
-@pytest.mark.raises_finding("late_signal")
-@pytest.mark.no_finding("unmodelled_mode", "residual_follows_signal")
-def test_what_a_late_force_leaves_is_not_blamed_on_the_model():
-    records, estimate = fitted(recorded(2, delay=1.0))
-    faults = list(late_signals(AXIS, records, estimate))
-    tests = residual_tests(AXIS, records, estimate, faults=faults)
-    assert [finding.code for finding in tests.findings()] == ["late_signal"]
 
 
 @pytest.mark.raises_finding("low_passed")
