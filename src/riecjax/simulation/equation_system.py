@@ -112,18 +112,35 @@ def read_structure(
     )
     forces = tuple(one.state for one in elements)
     structure = Structure(motions, tuple(rates.items()), determined, (), (), modes, forces)
-    _check_count(label, equations, structure.unknowns)
-    settled = {*structure.states, *structure.unknowns}
+    unknowns = structure.unknowns
+    if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
+        raise ModelError(
+            f"{label} cannot be simulated: two equations determine {', '.join(sorted(repeated))}."
+        )
+    if len(equations) != len(unknowns):
+        remedy = (
+            "Leave out those that follow from the others."
+            if len(equations) > len(unknowns)
+            else "Add equations, or name those signals that are measured as inputs (inputs=...)."
+        )
+        raise ModelError(
+            f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
+            f"unknown(s) ({', '.join(unknowns)}). {remedy}"
+        )
+    settled = {*structure.states, *unknowns}
     terms = [(equation.name, term) for equation in equations for term in equation.terms]
-    read = _expressions([*terms, *((label, one.element) for one in elements)], motions)
+    read: list[Expression] = []
+    for name, term in (*terms, *((label, one.element) for one in elements)):
+        if not isinstance(term, Term | Terms):
+            raise ModelError(
+                f"{name} cannot be simulated: {type(term).__name__} is a term of an unknown kind."
+            )
+        of = term.of
+        read.append(derivative_name(of, term, motions) if isinstance(of, str) else of)
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
     _check_derivatives(label, equations, structure)
-    functions = [
-        (term.of, term.basis if isinstance(term, Terms) else None)
-        for equation in equations
-        for term in equation.terms
-    ]
+    functions = [(t.of, t.basis if isinstance(t, Terms) else None) for _, t in terms]
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
     return structure._replace(reversing=reversing_states(functions, structure.states, signals))
 
@@ -234,40 +251,6 @@ def _determined(
         f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no signal "
         f"with a number for coefficient that it could determine."
     )
-
-
-def _check_count(label: str, equations: tuple[Equation, ...], unknowns: tuple[str, ...]) -> None:
-    if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
-        raise ModelError(
-            f"{label} cannot be simulated: two equations determine {', '.join(sorted(repeated))}."
-        )
-    if len(equations) == len(unknowns):
-        return
-    remedy = (
-        "Leave out those that follow from the others."
-        if len(equations) > len(unknowns)
-        else "Add equations, or name those signals that are measured as inputs (inputs=...)."
-    )
-    raise ModelError(
-        f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} unknown(s) "
-        f"({', '.join(unknowns)}). {remedy}"
-    )
-
-
-def _expressions(
-    terms: Sequence[tuple[str, AbstractTerm]], motions: tuple[Motion, ...]
-) -> list[Expression]:
-    """What terms read, each with the name of its equation."""
-    found: list[Expression] = []
-    for name, term in terms:
-        if not isinstance(term, Term | Terms):
-            raise ModelError(
-                f"{name} cannot be simulated: {type(term).__name__} is a term of an unknown kind."
-            )
-        found.append(
-            derivative_name(term.of, term, motions) if isinstance(term.of, str) else term.of
-        )
-    return found
 
 
 class _Listening(Signals):
@@ -561,7 +544,14 @@ def equation_system(
     procedure = as_procedure(model)
     equations = tuple(equation for stage in procedure.stages for equation in stage)
     label = " + ".join(equation.name for equation in equations)
-    numbers = _numbers(label, procedure, values)
+    known: dict[str, Any] = {**procedure.known, **values}
+    names = procedure.parameters
+    if missing := [name for name in names if name not in known]:
+        raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
+    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
+    for name, number in numbers.items():
+        if number.shape != ():
+            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
     equations, elements = with_springs(equations, procedure.springs)
     equations, modes = with_forces(equations, procedure.modes)
     rates = {**{one.state: one for one in procedure.memories}, **(rates or {})}
@@ -573,20 +563,6 @@ def equation_system(
     if is_concrete(equations, numbers):
         _check_solvable(label, system)
     return system
-
-
-def _numbers(
-    label: str, procedure: Procedure, values: Mapping[str, Array | float]
-) -> dict[str, Array]:
-    known: dict[str, Any] = {**procedure.known, **values}
-    names = procedure.parameters
-    if missing := [name for name in names if name not in known]:
-        raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
-    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
-    for name, number in numbers.items():
-        if number.shape != ():
-            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    return numbers
 
 
 def _check_solvable(label: str, system: EquationSystem) -> None:

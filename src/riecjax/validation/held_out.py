@@ -199,8 +199,18 @@ def validate_held_out(
             _Run(start, stop, simulation, min(int(simulation.samples_reached), stop - start))
         )
     record, simulated = _joined(system, measured, runs)
-    fits = {name: _fit(record, measured, name, simulated) for name in compared}
-    reason = _reason(runs)
+    fits: dict[str, SignalFit] = {}
+    for name in compared:
+        there = measured.present((name,))
+        both = jnp.asarray(simulated) if there is None else there & jnp.asarray(simulated)
+        fits[name] = signal_fit(record[name], measured[name], both)
+    reason = ""
+    for run in runs:
+        if run.reached < run.stop - run.start and not reason:
+            try:
+                run.simulation.checked()
+            except SimulationError as error:
+                reason = str(error)
     judged = tuple(signals or [name for name in compared if name in recorded] or compared)
     drifting = _drifting(system, measured, record, simulated, fits)
     grades = {fits[name].grade for name in judged} - {"unknown"}
@@ -221,12 +231,6 @@ def validate_held_out(
         horizon,
         measured.select(*compared),
     )
-
-
-def _fit(record: Record, measured: Record, name: str, simulated: np.ndarray) -> SignalFit:
-    present = measured.present((name,))
-    both = jnp.asarray(simulated) if present is None else present & jnp.asarray(simulated)
-    return signal_fit(record[name], measured[name], both)
 
 
 def _compared(
@@ -315,16 +319,6 @@ def _joined(
     signals = {name: jnp.asarray(values) for name, values in arrays.items()}
     record = measured.with_signals(signals, units, lacking)
     return record.select(*system.input_names, *made), simulated
-
-
-def _reason(runs: Sequence[_Run]) -> str:
-    for run in runs:
-        if run.reached < run.stop - run.start:
-            try:
-                run.simulation.checked()
-            except SimulationError as error:
-                return str(error)
-    return ""
 
 
 def _drifting(

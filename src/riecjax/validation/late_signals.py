@@ -325,12 +325,32 @@ def late_cause(
     return max(causes, key=lambda one: one.left_as_recorded**2 - one.left**2, default=None)
 
 
+class _Told(NamedTuple):
+    """A delay in words: its code, what it is, what to do about it, and how."""
+
+    code: str
+    what: str
+    mend: str
+    remedy: tuple[str, ...]
+    step: str
+
+
 def finding_of(one: SignalDelay, record: Record) -> Finding:
     """What is told of a delay, seen in a record and others."""
-    return _finding(one) if one.course.kind == "steady" else _uneven(one, record)
+    told = _steady(one) if one.course.kind == "steady" else _uneven(one, record)
+    return Finding(
+        told.code,
+        f"{told.what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
+        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %{told.mend}",
+        one.signals,
+        tuple(one.moved),
+        doubts={name: abs(share) for name, share in one.moved.items()},
+        remedy=told.remedy,
+        step=told.step,
+    )
 
 
-def _finding(one: SignalDelay) -> Finding:
+def _steady(one: SignalDelay) -> _Told:
     names, late = " and ".join(one.signals), one.seconds > 0
     most = max(one.moved, key=lambda name: abs(one.moved[name]))
     size = (
@@ -356,20 +376,11 @@ def _finding(one: SignalDelay) -> Finding:
         )
         mend = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
         step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
-    return Finding(
-        "low_passed" if named else "late_signal",
-        f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
-        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %, and {most} changes by "
-        f"{100 * one.moved[most]:+.2g} %. {mend}",
-        one.signals,
-        tuple(one.moved),
-        doubts={name: abs(share) for name, share in one.moved.items()},
-        remedy=remedy,
-        step=step,
-    )
+    moves = f", and {most} changes by {100 * one.moved[most]:+.2g} %. {mend}"
+    return _Told("low_passed" if named else "late_signal", what, moves, remedy, step)
 
 
-def _uneven(one: SignalDelay, record: Record) -> Finding:
+def _uneven(one: SignalDelay, record: Record) -> _Told:
     names, course, time = " and ".join(one.signals), one.course, np.asarray(record.elapsed)
     lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
     if course.kind == "clocks":
@@ -390,17 +401,8 @@ def _uneven(one: SignalDelay, record: Record) -> Finding:
             f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
             f"{'all others have' if course.change > 0 else 'it has'} lost rows there"
         )
-    return Finding(
-        code,
-        f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
-        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %. {step}"
-        f"{f' ({shlex.join(remedy)})' if remedy else ''}.",
-        one.signals,
-        tuple(one.moved),
-        doubts={name: abs(share) for name, share in one.moved.items()},
-        remedy=remedy,
-        step=step,
-    )
+    how = f" ({shlex.join(remedy)})" if remedy else ""
+    return _Told(code, what, f". {step}{how}.", remedy, step)
 
 
 def _clocks(procedure: Procedure, read: set[str]) -> list[tuple[str, ...]]:

@@ -9,7 +9,7 @@ chance does not explain it and it is large enough to matter.
 """
 
 import itertools
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -322,30 +322,22 @@ def residual_tests(
         residual = _residual(name, of_equation, recordings, windows, lags)
         is_notable = residual.averaged_size >= NOTABLE_SIZE
         count = round(residual.averaged / float(recordings[0].time_step))
+        loop = None
+        if is_notable:  # hysteresis, or a signal of no name that changes a force
+            units = {name: unit for record in recordings for name, unit in record.units}
+            common = [n for n in first.arrays if all(n in each.arrays for each in recordings)]
+            unread = [name for name in common if name not in named]
+            motions, unread = motions_and_unread(equation, first, {*common}, units, unread)
+            loop = loop_of(of_equation, recordings, motions, unread, count)
         residual = residual._replace(
             **_lacking(procedure, equation),
-            loop=_loop(equation, of_equation, recordings, named, count) if is_notable else None,
+            loop=loop,
             parameters=equation.parameters,
             names=tuple(sorted(named)),
             explained=not faulty.isdisjoint(read),
         )
         found.append(residual)
     return ResidualTests(tuple(found), tuple(faults))
-
-
-def _loop(
-    equation: Equation,
-    errors: list[EquationError],
-    records: list[Record],
-    named: Container[str],
-    count: int,
-) -> Loop | None:
-    """Of an error that is worth it: hysteresis, or a signal of no name that changes a force."""
-    units = {name: unit for record in records for name, unit in record.units}
-    common = [name for name in records[0].arrays if all(name in one.arrays for one in records)]
-    unread = [name for name in common if name not in named]
-    motions, unread = motions_and_unread(equation, records[0], {*common}, units, unread)
-    return loop_of(errors, records, motions, unread, count)
 
 
 def _lacking(procedure: Procedure, equation: Equation) -> dict[str, tuple[str, ...]]:
