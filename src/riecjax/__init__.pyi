@@ -63,8 +63,8 @@ from .records.recording import read_record as read_record
 from .records.recording import read_recording as read_recording
 from .records.recording import read_recordings as read_recordings
 from .records.writing import write_record as write_record
-from .refinement.coordinates import Prior as Prior
 from .refinement.integral_error import IntegralError as IntegralError
+from .refinement.optimum import Prior as Prior
 from .refinement.output_error import OutputError as OutputError
 from .refinement.refine import Refined as Refined
 from .refinement.refine import refine as refine

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.discovery.candidate import Shaped
-from riecjax.discovery.catalogue import default_candidates
+from riecjax.discovery.candidate import Shaped, default_candidates
 from riecjax.equations.motions import Motion, motions_of
 
 RNG = np.random.default_rng(0)

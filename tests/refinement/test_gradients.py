@@ -16,8 +16,8 @@ from riecjax.models.emps import Axis, ControlledAxis
 from riecjax.models.oscillators import drag_oscillator_equation
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.records.record import Record
-from riecjax.refinement.coordinates import Coordinates
 from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.optimum import Coordinates
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
 from riecjax.simulation.method import FixedStep

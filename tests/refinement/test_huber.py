@@ -13,8 +13,7 @@ from tests.machines import drag_signals as signals
 
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, stack_records
-from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.output_misfit import THRESHOLD
+from riecjax.refinement.output_error import THRESHOLD, OutputError
 from riecjax.refinement.refine import refine
 from riecjax.simulation.method import FixedStep
 

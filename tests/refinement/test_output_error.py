@@ -18,11 +18,9 @@ from riecjax.errors import DataError, MissingSignalError, ModelError
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
-from riecjax.refinement.coordinates import Prior
-from riecjax.refinement.optimum import RefinementStatus
-from riecjax.refinement.output_error import OutputError, _computed
+from riecjax.refinement.optimum import Prior, RefinementStatus
+from riecjax.refinement.output_error import OutputError, RandomShots, Tiles, _computed
 from riecjax.refinement.refine import refine
-from riecjax.refinement.shots import RandomShots, Tiles
 
 COUNT, RATE = DRAG.shape
 

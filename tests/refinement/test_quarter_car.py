@@ -16,8 +16,8 @@ from riecjax.models.quarter_car.identification import (
     wheel_balance,
 )
 from riecjax.records.record import Record
-from riecjax.refinement.arrowhead import LevenbergMarquardt
 from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.optimum import LevenbergMarquardt
 from riecjax.refinement.refine import refine
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep

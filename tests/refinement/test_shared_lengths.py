@@ -15,9 +15,8 @@ from tests.machines import drag_record as record
 from nightly import nightly
 from riecjax import compilation, runtime
 from riecjax.records.record import Record, shared_length
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_error import AbstractShooting, OutputError, Tiles, WholeRecord
 from riecjax.refinement.refine import refine
-from riecjax.refinement.shots import AbstractShooting, Tiles, WholeRecord
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem
 

@@ -14,12 +14,10 @@ import scipy.signal
 from riecjax.errors import ModelError
 from riecjax.models.oscillators import Duffing
 from riecjax.records.record import Record
-from riecjax.refinement import step_halving
 from riecjax.refinement.objective import AbstractMisfit
 from riecjax.refinement.optimum import Optimum, Reached, RefinementStatus
 from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import refine
-from riecjax.refinement.step_halving import StepHalving, halve_steps, with_finer_steps
+from riecjax.refinement.refine import StepHalving, halve_steps, refine, with_finer_steps
 from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep
 
 RATE = 100
@@ -133,7 +131,7 @@ def test_what_diverged_is_halved_without_a_warning(monkeypatch):
     """Sums of squares that overflow are infinite, and infinite over infinite is no number."""
     infinite = np.full((2, 2), np.inf)
     sums = infinite, infinite[0], np.array(100.0)
-    monkeypatch.setattr(step_halving, "_normal_equations", lambda *_: sums)
+    monkeypatch.setattr("riecjax.refinement.refine._normal_equations", lambda *_: sums)
     theta, none = np.array([1.0, 2.0]), np.zeros(2)
     lost = Reached(theta, np.zeros((1, 0)), none, RefinementStatus.not_finite, np.array(3))
     at = Optimum(

@@ -15,9 +15,8 @@ from tests.machines import drag_record as record
 from tests.machines import drag_signals as signals
 
 from riecjax.records.record import Record, stack_records
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.refinement.refine import refine
-from riecjax.refinement.shots import Tiles
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem
 from riecjax.uncertainty.intervals import Naive, Sandwich

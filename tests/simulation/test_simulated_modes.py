@@ -11,8 +11,7 @@ from riecjax.equations.expressions import difference
 from riecjax.equations.procedure import Procedure
 from riecjax.models.model import Model, Quantity, as_model
 from riecjax.refinement.parametric import ByCoefficients, ByFunction
-from riecjax.simulation.attached_modes import WithModes
-from riecjax.simulation.equation_system import EquationSystem
+from riecjax.simulation.equation_system import EquationSystem, WithModes
 from riecjax.simulation.linearisation import linearise
 
 VALUES = {"m": 2.0, "c": 0.7, "k": 90.0, "M_mode": 0.5, "K_mode": 60.0, "B_mode": 0.8}

@@ -7,7 +7,7 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.records.record import Record
-from riecjax.validation.goodness_of_fit import (
+from riecjax.validation.held_out import (
     nrmse_fit,
     percentage_error,
     validate,

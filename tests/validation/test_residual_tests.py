@@ -23,14 +23,14 @@ from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
 from riecjax.uncertainty.intervals import Naive
 from riecjax.validation.equation_errors import EquationError
-from riecjax.validation.residuals import residual_tests
-from riecjax.validation.time_series import (
+from riecjax.validation.residuals import (
     autocorrelation,
     bartlett_variance,
     cross_correlation,
     error_spectrum,
+    residual_tests,
+    window_errors,
 )
-from riecjax.validation.window_errors import window_errors
 
 CRITERION = RIEC(AllWindows(0.05, 0.5))
 fit = partial(identify, intervals=Naive())

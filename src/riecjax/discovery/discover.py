@@ -10,8 +10,7 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
-from riecjax.discovery.absent_mode import Identified, with_mode
-from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates
+from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates, default_candidates
 from riecjax.discovery.candidate_sums import (
     Sums,
     by_equation,
@@ -20,8 +19,7 @@ from riecjax.discovery.candidate_sums import (
     without_taken,
     without_twins,
 )
-from riecjax.discovery.catalogue import default_candidates
-from riecjax.discovery.discovery import Chosen, Discovery, Rejected
+from riecjax.discovery.discovery import Chosen, Discovery, Identified, Rejected, with_mode
 from riecjax.discovery.search import AGAIN, LEAST, SHARE, Again, Offer, Search, Step, again
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories

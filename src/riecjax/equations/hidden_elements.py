@@ -18,7 +18,7 @@ D is 1 at rest, so that the equation keeps its unit, and for a stiff mode it is 
 was: M then joins the body's mass.
 
 A spring in series with a linear element is a hidden element of the same form (see
-`series_springs`): c a becomes c N / D a with N = 1 and D = 1 + tau s, where a mode adds M N / D a.
+below): c a becomes c N / D a with N = 1 and D = 1 + tau s, where a mode adds M N / D a.
 
 Springs in series with force elements, which an equation leaves out.
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from riecjax.equations.term import AbstractTerm
     from riecjax.records.record import Record
     from riecjax.refinement.parametric import AbstractParametric
-    from riecjax.simulation.attached_modes import Attachment
+    from riecjax.simulation.equation_system import Attachment
     from riecjax.simulation.system import AbstractSystem
 
 
@@ -157,7 +157,7 @@ class Model(Shown):
         as these sensors show them. To be called before hidden elements are added.
 
         **Raises:** `ModelError` where an offset or gain is no coefficient, or cannot be told apart
-        from one; see [`riecjax.equations.sensor_errors`][].
+        from one; see [`riecjax.equations.procedure`][].
         """
         units = {signal.name: signal.unit for signal in self.signals}
         procedure = self.build_procedure()
@@ -319,7 +319,7 @@ class Model(Shown):
         """How modes are attached to the model's own system, if they can be."""
         import jax.numpy as jnp
 
-        from riecjax.simulation.attached_modes import attachments
+        from riecjax.simulation.equation_system import attachments
 
         values = {q.name: 1.0 if q.default is None else q.default for q in self.parameters}
         assert self.system is not None
@@ -330,7 +330,7 @@ class Model(Shown):
         """The model's own system with these values, carrying its modes."""
         import jax.numpy as jnp
 
-        from riecjax.simulation.attached_modes import WithModes
+        from riecjax.simulation.equation_system import WithModes
 
         assert self.system is not None
         if not self._carries:

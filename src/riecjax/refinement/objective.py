@@ -3,7 +3,7 @@
 A refinement varies parameters theta and, where a model is simulated, the initial states s of each
 window. Whatever it compares, it is minimised through the same few quantities: the residuals r in
 units of their errors, and their derivatives, as moments [r r_theta r_s]^T [r r_theta r_s] of short
-pieces of time. Summed over a window they give a Gauss-Newton step (see `arrowhead`); summed over
+pieces of time. Summed over a window they give a Gauss-Newton step (see `optimum`); summed over
 blocks of time, the scores whose scatter is the uncertainty of theta. They are of the size of the
 unknowns, however long the record.
 """

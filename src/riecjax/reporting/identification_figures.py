@@ -46,8 +46,13 @@ from riecjax.reporting.identification import mode_map_figure
 from riecjax.studies.choice import WindowChoice
 from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residuals import EquationResidual, ResidualTests
-from riecjax.validation.time_series import CrossCorrelation, ErrorSpectrum, unbroken
+from riecjax.validation.residuals import (
+    CrossCorrelation,
+    EquationResidual,
+    ErrorSpectrum,
+    ResidualTests,
+    unbroken,
+)
 
 MOST_POINTS = 4000
 """Samples or windows of a panel that are drawn."""

@@ -21,7 +21,7 @@ from riecjax.records.derived import line_taken_off
 from riecjax.records.noise import noise_level
 from riecjax.records.record import Record
 from riecjax.validation.equation_errors import EquationError, errors_over_records
-from riecjax.validation.window_errors import window_errors
+from riecjax.validation.residuals import window_errors
 
 PARTS = 20
 """Parts of a record whose mean errors are compared."""

@@ -27,8 +27,8 @@ from jaxtyping import Array, Bool, Float
 from riecjax import tails
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.output_misfit import OutputMisfit
-from riecjax.validation.time_series import autocorrelation
+from riecjax.refinement.output_error import OutputMisfit
+from riecjax.validation.residuals import autocorrelation
 
 LAGS = 20
 LEVEL = 0.01
