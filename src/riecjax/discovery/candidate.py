@@ -269,9 +269,16 @@ def _of_motion(
         # Hysteresis, whose widths are shares of a usual stroke.
         usual = usual_widths(v, records)
         for name, kind, meaning in MEMORIES:
-            remember = partial(_remembering, kind, v)
-            of_state = partial(_of_state, force)
-            yield Shaped(name + after, of_state, usual, v, unit, meaning, equation, remember)
+            yield Shaped(
+                name + after,
+                lambda name, _: Term(name, state_name(name), unit=force),
+                usual,
+                v,
+                unit,
+                meaning,
+                equation,
+                lambda name, width, kind=kind: kind(state_name(name), v, width),
+            )
         yield shaped(Stribeck, "stribeck", v, speed, "Stribeck friction", force, SPEEDS)
         damping = per(force, speed)
         limited = "friction that saturates"
@@ -289,16 +296,6 @@ def _of_motion(
     if x and v:
         both = per(per(force, unit), speed)
         yield one("product", partial(Term, of=product(x, v), unit=both), "damping by position")
-
-
-def _of_state(unit: str, name: str, width: float) -> AbstractTerm:
-    return Term(name, state_name(name), unit=unit)
-
-
-def _remembering(
-    kind: Callable[[str, str, float], Memory], velocity: str, name: str, width: float
-) -> Memory:
-    return kind(state_name(name), velocity, width)
 
 
 def state_name(name: str) -> str:

@@ -12,7 +12,6 @@ from riecjax.discovery.discovery import Discovery
 from riecjax.equations.bases import AbstractShape
 from riecjax.equations.expressions import source_of
 from riecjax.equations.hidden_elements import is_mode_name
-from riecjax.equations.memories import Memory
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError
 
@@ -69,7 +68,11 @@ def _terms_source(found: Discovery, added: Mapping[str, Sequence[str]]) -> list[
             "        ],",
         ]
     remembered = dict.fromkeys(m for one in found.chosen for m in one.candidate.memories)
-    states = [f"        {_memory_source(memory)}," for memory in remembered]
+    states = []
+    for memory in remembered:
+        given = ((field, getattr(memory, field.name)) for field in fields(memory))
+        words = ", ".join(_quoted(value) for field, value in given if value != field.default)
+        states.append(f"        rx.equations.{type(memory).__name__}({words}),")
     return [*body, "    },", *(["    memories=[", *states, "    ],"] if states else [])]
 
 
@@ -96,15 +99,6 @@ def _quoted(value: object) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(_quoted, value))}{',' * (len(value) == 1)})"
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
-
-
-def _memory_source(memory: Memory) -> str:
-    words = [
-        _quoted(value)
-        for field in fields(memory)
-        if (value := getattr(memory, field.name)) != field.default
-    ]
-    return f"rx.equations.{type(memory).__name__}({', '.join(words)})"
 
 
 def _term_source(term: AbstractTerm) -> str | None:

@@ -279,18 +279,16 @@ class Search:
         for offer in self._free(chosen):
             after = self.left([*chosen, offer])
             gain = self._gain(before, after)
-            if gain > most and not (sure and self._is_doubtful(chosen, offer, before, after)):
+            if not gain > most:
+                continue
+            if not sure or (
+                self._is_worth(before, after) and self.chance([*chosen, offer], offer) < RATE
+            ):
                 best, most = offer, gain
         if best is None:
             return None
         grown = self._simpler([*chosen, best])
         return grown if self._is_worth(before, self.left(grown)) else None
-
-    def _is_doubtful(
-        self, chosen: list[Offer], offer: Offer, before: Left | None, after: Left | None
-    ) -> bool:
-        worth = self._is_worth(before, after)
-        return not worth or self.chance([*chosen, offer], offer) >= RATE
 
     def _simpler(self, chosen: list[Offer]) -> list[Offer]:
         """With a law without a width instead of the last one, where it predicts about as well and

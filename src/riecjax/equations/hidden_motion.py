@@ -1,9 +1,9 @@
 """The motion of hidden masses, and behind springs, from that of the bodies beside them.
 
 A mass on a spring and a damper moves by w = (1 + q s) / D v, D = 1 + q s + p s^2, where v is its
-body's motion (see `hidden_elements`). With w among the signals, an equation with modes is one without:
-each mode adds the term M w'. A linear element behind a spring is its coefficient times what passes
-1 / (1 + tau s). So whatever reads an equation sample by sample need not know of them.
+body's motion (see `hidden_elements`). With w among the signals, an equation with modes is one
+without: each mode adds the term M w'. A linear element behind a spring is its coefficient times
+what passes 1 / (1 + tau s). So whatever reads an equation sample by sample need not know of them.
 """
 
 from collections.abc import Mapping

@@ -111,13 +111,31 @@ def read_structure(
     [`equation_system`][].
     """
     motions = _motions(label, equations, inputs, rates)
-    determined = tuple(
-        _determined(label, equation, motions, rates)
-        for equation in equations
-        if not _is_dynamic(equation, motions)
-    )
+    leading = {motion.names[-1] for motion in motions}
+
+    def is_dynamic(term: AbstractTerm) -> bool:
+        if isinstance(term.of, str):
+            return derivative_name(term.of, term, motions) in leading
+        return bool(term.derivative or leading & set(signals_read(term.of)))
+
+    # A static equation determines its first plain signal with a number for coefficient.
+    moving = {name for motion in motions for name in motion.names} | set(rates)
+    determined = []
+    for equation in equations:
+        if any(map(is_dynamic, equation.terms)):
+            continue
+        known = (t.of for t in equation.terms if not (t.parameters or t.derivative))
+        plain = (of for of in known if isinstance(of, str))
+        free = next((of for of in plain if of not in moving), None)
+        if free is None:
+            raise ModelError(
+                f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no "
+                f"signal with a number for coefficient that it could determine."
+            )
+        determined.append(free)
     forces = tuple(one.state for one in elements)
-    structure = Structure(motions, tuple(rates.items()), determined, (), (), modes, forces)
+    given = tuple(rates.items())
+    structure = Structure(motions, given, tuple(determined), (), (), modes, forces)
     unknowns = structure.unknowns
     if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
         raise ModelError(
@@ -231,32 +249,6 @@ def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]
             f"it (measured=...)."
         )
     return measured[term.derivative - 1]
-
-
-def _is_dynamic(equation: Equation, motions: tuple[Motion, ...]) -> bool:
-    leading = {motion.names[-1] for motion in motions}
-    for term in equation.terms:
-        if isinstance(term.of, str):
-            if derivative_name(term.of, term, motions) in leading:
-                return True
-        elif term.derivative or leading & set(signals_read(term.of)):
-            return True
-    return False
-
-
-def _determined(
-    label: str, equation: Equation, motions: tuple[Motion, ...], rates: Mapping[str, Expression]
-) -> str:
-    """The signal that a static equation determines."""
-    settled = {name for motion in motions for name in motion.names} | set(rates)
-    for term in equation.terms:
-        free = not term.parameters and isinstance(term.of, str) and not term.derivative
-        if free and term.of not in settled:
-            return str(term.of)
-    raise ModelError(
-        f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no signal "
-        f"with a number for coefficient that it could determine."
-    )
 
 
 class _Listening(Signals):

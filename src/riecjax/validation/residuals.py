@@ -808,8 +808,13 @@ class EquationResidual(NamedTuple):
 
     def findings(self) -> list[Finding]:
         """`unmodelled_mode`, `hysteresis`, `residual_follows_signal`, `uneven_errors`."""
-        of_model = (self._mode(), self._looping(), self._following())
-        made = () if self.explained else itertools.chain(*of_model)
+        made: list[Finding] = []
+        if not self.explained:
+            made += self._mode()
+            if self.loop is not None and self.loop.size >= NOTABLE_SIZE:
+                loop = self.loop.finding(float(self.error.time_step))
+                made.append(loop._replace(message=f"{self.name}: {loop.message}"))
+            made += self._following()
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
 
@@ -845,11 +850,6 @@ class EquationResidual(NamedTuple):
             f"{late} (on the command line: --add-spring {self.dampers[0]}; "
             f"rx.SeriesSpring('{self.dampers[0]}'))"
         )
-
-    def _looping(self) -> Iterator[Finding]:
-        if self.loop is not None and self.loop.size >= NOTABLE_SIZE:
-            found = self.loop.finding(float(self.error.time_step))
-            yield found._replace(message=f"{self.name}: {found.message}")
 
     def _following(self) -> Iterator[Finding]:
         if not self.follows or (self.loop is not None and self.loop.by):
