@@ -1,11 +1,11 @@
-"""Which candidates there are for a model, by what it calls its signals and their units."""
+"""Candidates, their widths and units."""
 
 import numpy as np
 import pytest
 
 import riecjax as rx
 from riecjax.discovery.candidate import Shaped, default_candidates
-from riecjax.equations.motions import Motion, motions_of
+from riecjax.equations.motions import Motion, motions_of, per
 
 RNG = np.random.default_rng(0)
 MASS = rx.Equation(
@@ -93,3 +93,25 @@ def test_closer_widths_keep_the_one_that_they_are_around(number):
     assert closer.widths.size == one.widths.size
     assert np.all(np.diff(closer.widths) > 0)
     assert np.ptp(closer.widths) < np.ptp(one.widths)
+
+
+@pytest.mark.parametrize(
+    ("unit", "of", "power", "found"),
+    [
+        ("N", "m/s", 1, "N s/m"),
+        ("N", "m/s", 2, "N s^2/m^2"),
+        ("N", "m", 3, "N/m^3"),
+        ("N m", "rad/s", 1, "N m s/rad"),
+        ("rad/s^2", "rad/s", 1, "1/s"),
+        ("rad/s^2", "rad/s", 2, "1/rad"),
+        ("N/m", "m/s", 1, "N s/m^2"),
+        ("N", "N", 1, ""),
+        ("V/(m s)", "m", 1, "V/(m^2 s)"),
+        ("N", "", 1, ""),
+        ("N", "", 0, "N"),
+        ("", "m", 1, ""),
+        ("m/s", "1/s", 1, "m"),
+    ],
+)
+def test_units_of_coefficients(unit, of, power, found):
+    assert per(unit, of, power) == found

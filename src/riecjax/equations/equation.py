@@ -78,7 +78,7 @@ class Equation(Shown, eqx.Module):
         if not self.parameters:
             raise ModelError(f"{name}: an equation needs at least one named coefficient.")
         for word in (name, unit, *self.parameters, *self.units.values()):
-            if not word.isprintable():
+            if not (isinstance(word, str) and word.isprintable()):
                 raise ModelError(f"names and units are shown, and must be printable; got {word!r}.")
 
     def of_terms(self, *terms: AbstractTerm) -> "Equation":
