@@ -50,6 +50,12 @@ def test_names_that_steer_a_terminal_are_refused(name):
         Equation(Term(name, "x"), -Term(1.0, "u"))
 
 
+@pytest.mark.parametrize("given", [{"name": 5}, {"unit": None}, {"name": ["k"]}])
+def test_names_that_are_no_text_are_refused(given):
+    with pytest.raises(ModelError, match="must be printable"):
+        Equation(Term("k", "x"), -Term(1.0, "u"), **given)
+
+
 @pytest.mark.parametrize(("derivative", "signal"), [(0, "x"), (1, "dx"), (2, "ddx")])
 def test_a_derivative_is_read_from_the_signal_that_measures_it(derivative, signal):
     term = Term("m", "x", derivative=derivative, measured=("dx", "ddx"))
