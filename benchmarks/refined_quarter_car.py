@@ -63,9 +63,9 @@ from riecjax.paper.reproduction import (
 )
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.objective import ByFunction
 from riecjax.refinement.optimum import LevenbergMarquardt
 from riecjax.refinement.output_error import OutputError, Tiles
-from riecjax.refinement.parametric import ByFunction
 from riecjax.refinement.refine import Refined, refine
 from riecjax.simulation.inputs import band_limited_noise, robson_road
 from riecjax.simulation.method import FixedStep

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 from riecjax.discovery.discovery import Discovery
-from riecjax.equations.bases import AbstractShape
+from riecjax.equations.term import AbstractShape
 from riecjax.models.emps import Axis, SteppedAxis
 from riecjax.models.model import as_model
 from riecjax.records.preparation import upsample

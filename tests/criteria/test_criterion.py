@@ -8,10 +8,9 @@ from riecjax.criteria.criterion import DOLS, RIEC, Rows
 from riecjax.criteria.quadrature import running_integral
 from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import RandomWindows, WindowSet
-from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Polynomial, Term, Terms
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 

@@ -6,10 +6,23 @@ import numpy as np
 import pytest
 
 from riecjax.criteria.criterion import DOLS
-from riecjax.equations.bases import DeadZone, Polynomial, Saturation, Stribeck, friction, roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant, difference, even, faster_than, odd, product
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import (
+    DeadZone,
+    Polynomial,
+    Saturation,
+    Stribeck,
+    Term,
+    Terms,
+    constant,
+    difference,
+    even,
+    faster_than,
+    friction,
+    odd,
+    product,
+    roof,
+)
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record

@@ -6,9 +6,8 @@ from tests.machines import BODY
 
 import riecjax as rx
 from riecjax.criteria.criterion import DOLS
-from riecjax.equations.bases import Polynomial, roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Polynomial, Term, Terms, roof
 from riecjax.errors import DataError, ModelError
 from riecjax.records.record import Record
 

@@ -8,10 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from nightly import by_day, nightly
-from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import simultaneous, staged
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import RoofFunctions, Term, Terms
 from riecjax.errors import ModelError
 from riecjax.models.emps import (
     emps_asymmetric_equation,

@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import riecjax as rx
-from riecjax.equations.expressions import difference
 from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import difference
 from riecjax.models.model import Model, Quantity, as_model
-from riecjax.refinement.parametric import ByCoefficients, ByFunction
+from riecjax.refinement.objective import ByCoefficients, ByFunction
 from riecjax.simulation.equation_system import EquationSystem, WithModes
 from riecjax.simulation.linearisation import linearise
 

@@ -9,9 +9,9 @@ from tests.machines import LAG_TRUTH as TRUTH
 from tests.machines import body_matrix
 
 import riecjax as rx
-from riecjax.equations.expressions import difference
 from riecjax.equations.procedure import Procedure
-from riecjax.refinement.parametric import ByCoefficients
+from riecjax.equations.term import difference
+from riecjax.refinement.objective import ByCoefficients
 from riecjax.simulation.linearisation import linearise
 
 POINTS = (-1.0, -0.3, 0.0, 0.3, 1.0)

@@ -7,9 +7,8 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.term import Term
+from riecjax.equations.term import Term, constant
 from riecjax.errors import DataError
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import DragOscillator, drag_oscillator_equation

@@ -13,12 +13,24 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.equations.bases import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, constant, even, odd, product, read_expression
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
 from riecjax.equations.motions import Motion, motions_and_unread, per
-from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.term import (
+    AbstractShape,
+    AbstractTerm,
+    DeadZone,
+    Expression,
+    Saturation,
+    Stribeck,
+    Term,
+    Terms,
+    constant,
+    even,
+    odd,
+    product,
+    read_expression,
+)
 from riecjax.errors import ModelError, RiecjaxError, require
 from riecjax.models.catalogue import object_of_file
 from riecjax.records.record import Record

@@ -11,16 +11,23 @@ import numpy as np
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates, default_candidates
-from riecjax.discovery.candidate_sums import (
+from riecjax.discovery.discovery import Chosen, Discovery, Identified, Rejected, with_mode
+from riecjax.discovery.search import (
+    AGAIN,
+    LEAST,
+    SHARE,
+    Again,
+    Offer,
+    Search,
+    Step,
     Sums,
+    again,
     by_equation,
     extended,
     members,
     without_taken,
     without_twins,
 )
-from riecjax.discovery.discovery import Chosen, Discovery, Identified, Rejected, with_mode
-from riecjax.discovery.search import AGAIN, LEAST, SHARE, Again, Offer, Search, Step, again
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.motions import reading_velocities

@@ -29,9 +29,8 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, Sampled, both_present
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.term import AbstractTerm, Expression, Sampled, Term, Terms, both_present
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
 from riecjax.records.record import Record

@@ -8,14 +8,15 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from riecjax.compilation import kept_jit
-from riecjax.equations.expressions import (
+from riecjax.equations.term import (
+    AbstractTerm,
     Expression,
     Sampled,
+    Term,
     both_present,
     evaluate,
     read_expression,
 )
-from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record

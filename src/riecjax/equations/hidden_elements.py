@@ -42,10 +42,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
-from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.term import AbstractBasis, AbstractTerm, Term, Terms, constant
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
 

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import evaluate
 from riecjax.equations.hidden_elements import (
     Lag,
     ModeParameters,
@@ -24,7 +23,7 @@ from riecjax.equations.hidden_elements import (
     inertia_sign,
 )
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Term
+from riecjax.equations.term import AbstractTerm, Term, evaluate
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 

@@ -10,11 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import odd
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Polynomial, Term, Terms, odd
 from riecjax.records.record import Record, samples_with_nan
 
 POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")

@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation, with_terms
-from riecjax.equations.expressions import Expression, constant, read_expression
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
@@ -35,7 +34,7 @@ from riecjax.equations.hidden_elements import (
     why_no_element,
 )
 from riecjax.equations.memories import Memory
-from riecjax.equations.term import AbstractTerm, Term
+from riecjax.equations.term import AbstractTerm, Expression, Term, constant, read_expression
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.faults.relations import Relation

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from riecjax.equations.procedure import HasProcedure, Procedure
     from riecjax.equations.term import AbstractTerm
     from riecjax.records.record import Record
-    from riecjax.refinement.parametric import AbstractParametric
+    from riecjax.refinement.objective import AbstractParametric
     from riecjax.simulation.equation_system import Attachment
     from riecjax.simulation.system import AbstractSystem
 
@@ -277,7 +277,7 @@ class Model(Shown):
 
         **Raises:** `ModelError` if the equations cannot be simulated.
         """
-        from riecjax.refinement.parametric import ByCoefficients, ByFunction
+        from riecjax.refinement.objective import ByCoefficients, ByFunction
 
         parameters = self.simulation_parameters
         names = {parameter.name for parameter in parameters}

@@ -69,11 +69,12 @@ from riecjax.records.record import Record, filled_up, shared_length
 from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,
+    AbstractParametric,
     Expansion,
     Parameters,
     Specification,
+    as_parametric_system,
 )
-from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
 from riecjax.simulation.intersample import Intersample, bends_of, require_intersample, smooth_inputs
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep

@@ -13,8 +13,7 @@ from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment, ValidationRun
 from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import evaluate
-from riecjax.equations.term import Terms
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.mode_windows import linearised
