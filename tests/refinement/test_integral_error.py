@@ -12,7 +12,6 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import simultaneous
 from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
@@ -122,23 +121,6 @@ def test_of_a_linear_equation_it_is_its_identification(record, criterion, unit):
     np.testing.assert_allclose(refined.covariance, estimate.covariance, rtol=1e-3)
     assert refined.quantity_units == (unit,)
     assert float(refined.rms[0]) == pytest.approx(float(estimate.stages[0].residual_rms), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_several_equations_are_their_simultaneous_identification(record):
-    other = Equation(
-        Term("M", "q", derivative=2, measured=("dq", "ddq")),
-        Term("k", "q"),
-        -Term(0.9, "F"),
-        name="other",
-    )
-    criterion = RIEC(AllWindows(0.05, 0.5))
-    estimate = identify(simultaneous(LINEAR, other), record, criterion)
-    refined = refine(
-        (LINEAR, other), record, {"M": 1.0, "c": 1.0, "k": 1.0}, IntegralError(criterion)
-    )
-    np.testing.assert_allclose(refined.theta, estimate.theta, rtol=1e-7)
-    assert refined.quantities == ("linear", "other")
 
 
 @pytest.mark.parametrize(

@@ -239,30 +239,6 @@ def test_quarter_car_procedure_with_kinematics_is_the_hand_written_system(proced
         np.testing.assert_allclose(found[name], expected[name], atol=1e-10 * scale, err_msg=name)
 
 
-def moved_base(**measured):
-    return Equation(
-        Term("m", "y", derivative=2),
-        Term("c", "y", derivative=1),
-        -Term("c", "r", derivative=1, **measured),
-        Term("k", "y"),
-        -Term("k", "r"),
-        name="moved base",
-    )
-
-
-def test_a_base_that_is_moved_is_an_input_with_its_velocity():
-    values = {"m": 2.0, "c": 0.3, "k": 50.0}
-    with pytest.raises(ModelError, match=r"1 equation.* for 2 unknown.*inputs="):
-        equation_system(moved_base(measured=("vr",)), values)
-    system = equation_system(moved_base(measured=("vr",)), values, inputs=["r"])
-    assert set(system.input_names) == {"r", "vr"}
-    x, u = jnp.array([0.1, -0.4]), dict(r=0.2, vr=0.7)
-    found = system.derivative(x, jnp.array([u[name] for name in system.input_names]))
-    np.testing.assert_allclose(found, [-0.4, (0.3 * 1.1 + 50 * 0.1) / 2], rtol=1e-14)
-    with pytest.raises(ModelError, match="measured"):
-        equation_system(moved_base(), values, inputs=["r"])
-
-
 def momentum(signals):
     return signals["m_dot"] * signals["v"]
 

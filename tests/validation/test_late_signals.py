@@ -1,6 +1,5 @@
 """Delays of a force whose motion is known in closed form: of sums of sines it follows exactly."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -164,29 +163,6 @@ def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
     # Before the loss all were in time, however short that part is.
     assert option == "--to"
     assert at * STEP - 4.0 < float(seconds) < at * STEP
-
-
-def _stretch(signals):
-    return signals["x"] - signals["y"]
-
-
-@pytest.mark.raises_finding("late_signal")
-def test_of_several_inputs_the_late_one_is_named():
-    body = AXIS.equations[0].terms
-    model = as_procedure(Equation(*body[:2], Term("k", _stretch), body[3]))
-    record = recorded(0)
-    rng = np.random.default_rng(9)
-    w, phase = 2 * np.pi * rng.uniform(0.3, 9, 60), rng.uniform(0, 6.3, 60)
-    time = STEP * np.arange(SAMPLES + 4)
-    ground = 0.1 * float(np.std(record["x"])) * np.sin(w * time[:, None] + phase).sum(1)
-    force = np.asarray(record["F"]) - TRUTH["k"] * ground[4:]
-    signals = {"y": jnp.asarray(ground[:-4]), "F": jnp.asarray(force)}
-    records, estimate = fitted(record.with_signals(signals), model)
-    found = {one.signals: one for one in signal_delays(model, records, estimate)}
-    assert set(found) == {("F",), ("y",)}
-    assert found["y",].samples == pytest.approx(4, abs=0.1)
-    (finding,) = late_signals(model, records, estimate)
-    assert finding.signals == ("y",)
 
 
 @pytest.mark.raises_finding("late_signal")
