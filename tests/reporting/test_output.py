@@ -17,10 +17,9 @@ from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import RandomWindows
-from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import staged
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Term, Terms, roof
 from riecjax.errors import DataError
 from riecjax.estimation.check import Check
 from riecjax.estimation.identify import estimate, identify

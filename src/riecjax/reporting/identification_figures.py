@@ -13,8 +13,7 @@ from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment, ValidationRun
 from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import evaluate
-from riecjax.equations.term import Terms
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.mode_windows import linearised
@@ -46,8 +45,13 @@ from riecjax.reporting.identification import mode_map_figure
 from riecjax.studies.choice import WindowChoice
 from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residuals import EquationResidual, ResidualTests
-from riecjax.validation.time_series import CrossCorrelation, ErrorSpectrum, unbroken
+from riecjax.validation.residuals import (
+    CrossCorrelation,
+    EquationResidual,
+    ErrorSpectrum,
+    ResidualTests,
+    unbroken,
+)
 
 MOST_POINTS = 4000
 """Samples or windows of a panel that are drawn."""
