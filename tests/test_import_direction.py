@@ -41,7 +41,7 @@ SHARED = (
     "standard_output",
     "tails",
     "whole_files",
-    "work",
+    "memory",
 )
 """Modules beside the stages that all may import, and that import none of the stages."""
 STUDY = ("paper", "models/quarter_car", "reporting/paper_charts")
@@ -70,7 +70,7 @@ PUBLIC = {
 
 
 def belongs_to_the_study(module: Path) -> bool:
-    return module.as_posix().startswith(tuple(f"{folder}/" for folder in STUDY))
+    return module.as_posix().startswith(STUDY)
 
 
 def imported_names(tree: ast.AST, package: tuple[str, ...]) -> Iterator[str]:

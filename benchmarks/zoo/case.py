@@ -137,7 +137,7 @@ def mapped(rename: Mapping[str, str]) -> list[str]:
 def read(file: Path, options: Sequence[str], model: str = "drag-oscillator") -> list[Record]:
     """Records of a file by the options of `riecjax identify`, before velocities are formed."""
     from riecjax.cli.identify import command
-    from riecjax.cli.recordings import RecordingOptions
+    from riecjax.cli.options import RecordingOptions
     from riecjax.models.catalogue import find_model
     from riecjax.runtime import start_jax
 

@@ -95,7 +95,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "the recordings and the prior of {parameters} disagree",
         "the prior against the estimate without it",
-        "assessment.beforehand:STRANGE",
+        "assessment.refining:STRANGE",
     ),
     "outside_bound": FindingCode(
         "sensors", "{parameters} lies outside its bounds", "the linear estimate against bounds"

@@ -14,8 +14,12 @@ from nightly import nightly
 from riecjax.discovery.discover import discover
 from riecjax.discovery.model_file import model_source
 from riecjax.models.catalogue import find_model
-from riecjax.reporting.discovery import discovery_document, print_discovery
-from riecjax.reporting.discovery_page import discovery_figures, discovery_page
+from riecjax.reporting.discovery import (
+    discovery_document,
+    discovery_figures,
+    discovery_page,
+    print_discovery,
+)
 
 QUICK = {"intervals": rx.Naive(), "resamples": 0}
 DRAG = PROBLEMS["drag"]

@@ -37,7 +37,11 @@ def test_every_notebook_is_in_the_navigation():
 
 
 @pytest.mark.parametrize(
-    "page", ["index.md", *nightly(["writing_a_model.md", "sensor_noise.md", "results.md"])]
+    "page",
+    [
+        "index.md",
+        *nightly(["writing_a_model.md", "hidden_modes.md", "sensor_noise.md", "results.md"]),
+    ],
 )
 def test_code_of_a_page_runs(page, capsys):
     text = (DOCS / page).read_text(encoding="utf-8")

@@ -2,19 +2,22 @@
 
 import click
 
-from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.job import JobCommand, job_option
 from riecjax.cli.options import (
+    CriterionOptions,
     HiddenOptions,
+    RecordingOptions,
+    are_small,
+    criterion_options,
     hidden_options,
     json_option,
     model_option,
     per_record_option,
+    record_options,
     seed_option,
     set_option,
 )
 from riecjax.cli.progress import Progress
-from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.runtime import start_jax
 
 
@@ -53,7 +56,7 @@ def command(
     load_ahead("check", model_name)
     import jax
 
-    from riecjax.assessment.answering import check_answering
+    from riecjax.assessment.assess import check_answering
     from riecjax.reporting.checking import check_document, print_check
     from riecjax.reporting.output import emit
     from riecjax.reporting.page import Page

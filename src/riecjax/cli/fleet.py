@@ -6,19 +6,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
     POSITIVE,
+    RECORD_OPTIONS,
+    CriterionOptions,
     HiddenOptions,
+    RecordingOptions,
     at_rest_option,
     collecting,
+    criterion_options,
     hidden_options,
     json_option,
     model_option,
     seed_option,
     set_option,
 )
-from riecjax.cli.recordings import RECORD_OPTIONS, RecordingOptions
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
@@ -133,9 +135,7 @@ def command(
 
 def _emit(found: "Fleet", as_json: bool, out: Path, seconds: float) -> None:
     from riecjax.fleets.kept import ESTIMATES, SUMMARIES
-    from riecjax.reporting.fleet import fleet_document, print_fleet
-    from riecjax.reporting.fleet_figures import fleet_figures
-    from riecjax.reporting.fleet_page import fleet_page
+    from riecjax.reporting.fleet import fleet_document, fleet_figures, fleet_page, print_fleet
     from riecjax.reporting.output import emit
 
     emit(

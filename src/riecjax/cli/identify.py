@@ -5,23 +5,27 @@ from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.job import JobCommand, changed_files, digests, input_files, job_of, job_option
 from riecjax.cli.options import (
     SHARE,
+    CriterionOptions,
     HiddenOptions,
+    RecordingOptions,
+    RefinementOptions,
+    are_small,
     at_rest_option,
+    criterion_options,
     hidden_options,
     json_option,
     model_option,
     out_option,
     per_record_option,
+    record_options,
+    refinement_options,
     seed_option,
     set_option,
 )
 from riecjax.cli.progress import Progress
-from riecjax.cli.recordings import RecordingOptions, are_small, record_options
-from riecjax.cli.refinement import RefinementOptions, refinement_options
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:

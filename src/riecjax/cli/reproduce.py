@@ -3,17 +3,14 @@
 import os
 import shutil
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from riecjax.cli.options import json_option, out_option, seed_option
-from riecjax.cli.progress import announce
 from riecjax.runtime import start_jax
 from riecjax.whole_files import stamp
-from riecjax.work import Work, expect, listening
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,8 +18,6 @@ if TYPE_CHECKING:
     from riecjax.paper.study import Progress as Report
 
 DEFAULT_ROADS = 32
-STARTING, PER_ROAD, PER_VARIATION = 12.0, 0.05, 0.02
-"""Seconds that a study takes before its first road, and for what follows, on two cores."""
 PARTS = "variations.parts"
 """Folder of what is finished of an interrupted study, inside the one of --out."""
 
@@ -61,17 +56,19 @@ def _tables(seed: int, count: int, as_json: bool, out: Path | None) -> None:
     import jax
 
     from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-    from riecjax.paper.claims.sections_2_to_5 import table_claims
+    from riecjax.paper.claims import table_claims
     from riecjax.paper.reproduction import run_road
     from riecjax.reporting.output import emit
     from riecjax.reporting.paper_charts import table_charts
-    from riecjax.reporting.reproduction import print_reproduction, reproduction_document
-    from riecjax.reporting.reproduction_page import reproduction_page
+    from riecjax.reporting.reproduction import (
+        print_reproduction,
+        reproduction_document,
+        reproduction_page,
+    )
     from riecjax.studies.monte_carlo import over_keys
 
     shapes = reconstructed()
     with _progress() as report:
-        expect(f"the study of {count} roads", Work(STARTING + count * PER_ROAD))
         roads = over_keys(
             run_road,
             jax.random.key(seed),
@@ -98,16 +95,16 @@ def _study(seed: int, quick: bool, as_json: bool, out: Path | None) -> None:
     from riecjax.paper.variations import write_variations
     from riecjax.reporting.output import emit
     from riecjax.reporting.paper_charts import study_charts
-    from riecjax.reporting.reproduction import print_reproduction, reproduction_document
-    from riecjax.reporting.reproduction_page import reproduction_page
+    from riecjax.reporting.reproduction import (
+        print_reproduction,
+        reproduction_document,
+        reproduction_page,
+    )
 
     scale = QUICK if quick else FULL
     shapes = reconstructed()
     parts = None if out is None else out / PARTS
     with _progress() as report:
-        varied = scale.studied * len(scale.bandwidths) * scale.draws
-        seconds = STARTING + scale.roads * PER_ROAD + varied * PER_VARIATION
-        expect("the whole study", Work(seconds))
         study = run_study(scale, jax.random.key(seed), shapes, folder=parts, progress=report)
         report("statements", 0, 1)
         claims = evaluate_claims(study)
@@ -132,11 +129,7 @@ def _progress() -> "Iterator[Report]":
     from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
-    with (
-        listening(partial(announce, console)),
-        Progress(console=console, transient=True) as progress,
-    ):
+    with Progress(console=Console(stderr=True), transient=True) as progress:
         tasks = {}
 
         def report(what: str, done: int, total: int) -> None:

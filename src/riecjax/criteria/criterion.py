@@ -187,7 +187,7 @@ class AbstractCriterion(eqx.Module):
         return noise_moments(
             noisy,
             noise,
-            lambda: each_bin(weighed, lags._replace(edges=None)),
+            lambda: each_bin(weighed, lags),
             lambda columns: self.moments_of(columns, lags, blocks, reach)[0],
         )
 
@@ -371,7 +371,7 @@ class RIEC(AbstractCriterion):
         windows, n = self.windows.every, record.sample_count
         lags, reach = self.law(record), windows.reach(n)
         if apart:
-            lags = jax.tree.map(lambda leaf: leaf[:, None], lags._replace(edges=None))
+            lags = jax.tree.map(lambda leaf: leaf[:, None], lags)
 
         def flipped(sums: Any) -> Any:
             return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), sums) if apart else sums

@@ -83,7 +83,7 @@ def points_of_windows(
         counts = Points(jnp.where(begins, start, 0), middle, by_half, jnp.where(here, end, 0))
         return jax.tree.map(lambda leaf: bin_.weight * leaf, counts)
 
-    return sum_over_bins(lags._replace(edges=None), of_bin)
+    return sum_over_bins(lags, of_bin)
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:

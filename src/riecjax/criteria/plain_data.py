@@ -25,7 +25,7 @@ TEST_FUNCTIONS: dict[str, type[AbstractTestFunction]] = {
     kind.name: kind for kind in (Boxcar, Hat, Bump)
 }
 """The test functions that a user can ask for by name. The command line offers those that
-`cli/criteria.py` lists too, which reads no class before it must."""
+`cli/options.py` lists too, which reads no class before it must."""
 FAMILIES = (AbstractCriterion, AbstractWindows, AbstractLaw, AbstractTestFunction)
 """What a criterion is made of."""
 RESERVED = ("class", "from")

@@ -136,7 +136,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         def law_moments(law: LagBins) -> Moments:
             return moments_of_rows(rows_of_length, law.first, law.weight, blocks)
 
-        return each_bin(law_moments, lags._replace(edges=None))
+        return each_bin(law_moments, lags)
 
     def noise_weights(
         self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks

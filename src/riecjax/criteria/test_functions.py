@@ -130,7 +130,7 @@ class AbstractTestFunction(eqx.Module):
 
         A lag of k samples has n - k starts; a bin's lags have n - k on average at its middle.
         """
-        first, last, weight, _ = self.lags(windows, record)
+        first, last, weight = self.lags(windows, record)
         # In real numbers: windows may be more than 32-bit integers hold.
         first, last = (np.asarray(edge, float) for edge in (first, last))
         starts = record.sample_count - self.length_multiple * (first + last) / 2

@@ -19,6 +19,7 @@ that includes what is not known of initial states.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -89,6 +90,17 @@ class OutputMisfit(AbstractMisfit):
     def initial_state_names(self) -> tuple[str, ...]:
         """Names of the states whose initial values are estimated."""
         return tuple(self.state_names[i] for i in self.estimated)
+
+    @property
+    def work(self) -> int:
+        """Steps x states x tangents of an expansion, which a search takes about twelve of.
+
+        Every step of every simulation is taken with a tangent for each parameter and initial state.
+        """
+        fixed = self.method if isinstance(self.method, FixedStep) else FixedStep()
+        samples = sum(math.prod(part.levels.shape[:2]) for part in self.recorded)
+        tangents = 1 + len(self.names) + len(self.estimated)
+        return samples * fixed.steps_per_sample * len(self.state_names) * tangents
 
     def first_initial(self) -> Float[Array, "windows s"]:
         """As recorded."""

@@ -1,8 +1,9 @@
 """Results of a check before a fit: JSON document and tables on a terminal."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -10,9 +11,9 @@ from rich.text import Text
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.errors import printable
 from riecjax.estimation.check import Check
+from riecjax.records.noise_judgement import judged
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
-from riecjax.reporting.noise import noise_entries, noise_in_words
 from riecjax.reporting.tables import print_table
 
 
@@ -137,3 +138,38 @@ def _answer(document: Document) -> str:
 def share_in_words(share: float | None, digits: int) -> str:
     """A share in percent; `?` where none is known, as of the noise in a function of signals."""
     return "?" if share is None else f"{number(100 * share, digits)} %"
+
+
+LEAST_SHOWN = 1e-4
+"""Share of a signal's standard deviation below which noise is not worth a line."""
+
+
+def noise_entries(recordings: Sequence[Recording], signals: Iterable[str]) -> dict[str, Any]:
+    """Of each signal, its noise's standard deviation (r.m.s. over recordings), and which share of
+    its own that is."""
+    entries = {}
+    for name in signals:
+        having = [r.record.select(name) for r in recordings if name in r.record.signals]
+        if not having:
+            continue
+        noise = np.sqrt(np.mean([np.mean(judged(one).noise.std(name) ** 2) for one in having]))
+        size = np.sqrt(np.mean([np.var(np.asarray(one[name])) for one in having]))
+        entries[name] = {
+            "std": finite(float(noise)),
+            "unit": dict(having[0].units).get(name, ""),
+            "share": finite(float(noise / size)) if size > 0 else None,
+        }
+    return entries
+
+
+def noise_in_words(entries: Document) -> str:
+    """One line on all signals that have some."""
+    shown = [
+        f"{name} {number(100 * entry['share'], 2)} %"
+        for name, entry in entries.items()
+        if entry["share"] is not None and entry["share"] >= LEAST_SHOWN
+    ]
+    if not shown:
+        return f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"
+    noun = "their standard deviations" if len(shown) > 1 else "its standard deviation"
+    return f"noise: {', '.join(shown)} of {noun}"

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.charts.layout import Spaces
+from riecjax.reporting.charts.interactive import Spaces, interactive
 from riecjax.reporting.document import Document
 
 SCREEN_INCH = 100

@@ -31,14 +31,14 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of, needed
-from riecjax.reporting.hidden_modes import mode_map_figure
+from riecjax.reporting.identification import mode_map_figure
 from riecjax.reporting.identification_figures import (
     held_out_figure,
     identification_figures,
+    spectra_figure,
     sweep_figure,
 )
 from riecjax.reporting.identification_page import write_report
-from riecjax.reporting.residual_figures import spectra_figure
 from riecjax.reporting.tables import with_error
 from riecjax.studies.drift import WindowSweep
 from riecjax.validation.held_out import HeldOut

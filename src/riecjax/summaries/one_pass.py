@@ -326,7 +326,7 @@ class OnePass:
 
 
 def _each(law: LagBins, index: slice | None) -> LagBins:
-    """Some bins of a law without its edges; of `None`, all of it as one bin."""
+    """Some bins of a law; of `None`, all of it as one bin."""
     return LagBins(law.first[index], law.last[index], law.weight[index])
 
 

@@ -26,11 +26,11 @@ import scipy.special
 from jaxtyping import Float
 
 from riecjax.errors import DataError
+from riecjax.memory import in_gigabytes, require_memory
 from riecjax.records.noise import DIFFERENCE_ORDER, STRETCH, STRETCHES, Noise, shortened, usual_size
 from riecjax.records.noise_judgement import judged, noise_of_level
 from riecjax.records.preparation.filtering import longest_stretch
 from riecjax.records.record import Record, gaps, hold
-from riecjax.work import Work, expect
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""
@@ -213,9 +213,9 @@ LARGEST_GRID = 50_000_000
 """Samples, over all channels, that a new grid may have before it is refused."""
 LARGEST_GROWN, MOST_TIMES = 3_000_000, 16
 """The same where it has more than so many times as many as were recorded, which say no more."""
-WORK_OF_IDENTIFYING = Work(4e-5, 170.0)
+BYTES_OF_IDENTIFYING = 170.0
 """What a sample of one channel takes in `riecjax identify`, as measured from 12,000 on."""
-WORK_PER_SAMPLE = Work(2e-6, 60.0)
+BYTES_PER_SAMPLE = 60.0
 """What a sample of one channel on its new grid takes."""
 LONGEST_STEP = 3.0
 """Usual steps of a channel past which samples are missing between two of its stamps."""
@@ -418,15 +418,14 @@ def _common_grid(channels: Mapping[str, _Channel], rate: float) -> np.ndarray:
 
 
 def _expect(samples: float, recorded: int, how: str, remedy: str) -> None:
-    """Say what so many samples of a new grid take, over all channels, or refuse them."""
+    """Refuse so many samples of a new grid, over all channels, that memory does not hold."""
     if samples > min(LARGEST_GRID, max(LARGEST_GROWN, MOST_TIMES * recorded)):
-        whole = Work(*(samples * each for each in WORK_OF_IDENTIFYING))
         raise DataError(
             f"{how} would make {samples:.3g} samples, over all signals, of {recorded} that were "
-            f"recorded and say as much; to identify from them takes {whole.words}. {remedy}"
+            f"recorded and say as much; to identify from them takes about "
+            f"{in_gigabytes(samples * BYTES_OF_IDENTIFYING)} of memory. {remedy}"
         )
-    work = Work(*(samples * each for each in WORK_PER_SAMPLE))
-    expect(f"resampling to {samples:.2g} samples", work, remedy)
+    require_memory(f"resampling to {samples:.2g} samples", samples * BYTES_PER_SAMPLE, remedy)
 
 
 def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
