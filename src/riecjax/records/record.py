@@ -91,7 +91,7 @@ class Record(Drawn, eqx.Module):
     ):
         require("what a record is made of", arrays, Mapping, WRITE_RECORD, DataError)
         dtype = jnp.result_type(float)
-        self.arrays = {name: jnp.asarray(values, dtype) for name, values in arrays.items()}
+        self.arrays = {name: _owned(_numbers(name, v), dtype) for name, v in arrays.items()}
         # Of a batch of records, signals and time steps have the batch's axes in front.
         axes = max((values.ndim for values in self.arrays.values()), default=1) - 1
         self.time_step = jnp.asarray(_checked_step(time_step, axes), dtype)
@@ -99,11 +99,9 @@ class Record(Drawn, eqx.Module):
         pairs = units.items() if isinstance(units, Mapping) else units
         self.units = tuple(sorted((name, unit) for name, unit in pairs if name in arrays))
         self.missing = {
-            name: jnp.asarray(mask, bool)
-            for name, mask in (missing or {}).items()
-            if name in arrays
+            name: _owned(mask, bool) for name, mask in (missing or {}).items() if name in arrays
         }
-        self.stamps = None if stamps is None else jnp.asarray(stamps, dtype)
+        self.stamps = None if stamps is None else _owned(stamps, dtype)
         self.skipped = jnp.asarray(skipped, dtype)
         self.noise = (noise or Noise()).of(*self.arrays)
 
@@ -388,11 +386,37 @@ def stack_records(records: list[Record]) -> Record:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *records)
 
 
-def _samples(name: str, values: ArrayLike) -> np.ndarray:
+def _owned(values: Any, dtype: Any) -> Array:
+    """An array that no one else writes to: JAX may take up memory of NumPy's as it is."""
+    return jnp.asarray(values, dtype) if isinstance(values, jax.Array) else jnp.array(values, dtype)
+
+
+def _numbers(name: str, values: Any) -> Any:
+    """Samples that are real numbers, as an array of NumPy or JAX.
+
+    **Raises:** `DataError` for anything else: text, times, complex numbers.
+    """
     try:
-        samples = np.asarray(values, dtype=float)
+        samples = values if isinstance(values, jax.Array) else np.asarray(values)
+        if samples.dtype.kind == "c":
+            raise DataError(
+                f"signal '{name}' holds complex numbers, and a record real ones. Give its real or "
+                f"imaginary part, or both as two signals."
+            )
+        if samples.dtype.kind == "O":
+            samples = samples.astype(float)
     except (TypeError, ValueError):
         raise DataError(f"signal '{name}' is not a list of numbers.") from None
+    if samples.dtype.kind in "USMm":
+        raise DataError(
+            f"signal '{name}' is not a list of numbers but of {samples.dtype.name}; convert it "
+            f"first."
+        )
+    return samples
+
+
+def _samples(name: str, values: ArrayLike) -> np.ndarray:
+    samples = np.asarray(_numbers(name, values), float)
     if samples.ndim != 1:
         raise DataError(
             f"signal '{name}' must be one column of samples; it has shape {samples.shape}."

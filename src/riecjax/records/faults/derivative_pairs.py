@@ -30,8 +30,8 @@ it cannot tell, nor what both have in common, as a delay of both against the for
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -41,6 +41,7 @@ from riecjax.records.faults.relations import Relation
 from riecjax.records.noise import noise_level
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.remembered import remembered
+from riecjax.records.time_base import SHORTEST_PAUSE
 
 EDGE = 100
 """Samples, at most, over which a taper rises: smooth enough for sums to be integrals."""
@@ -152,7 +153,15 @@ def fit_pair(
     if start is not None:
         theta[:] = start.delay + start.lag, start.gain, start.offset, start.drift
     elif not lagged:
-        whole = _whole_delay(pieces, rough)
+        # From the peak of the longest piece's correlation; 0 where the correlation there is near
+        # the peak: what is so near needs no start nearer.
+        longest = max(pieces, key=lambda p: p.x.size)
+        size, bins = longest.x.size, _bins([longest], 0.0, longest.x.size, rough)
+        correlation = np.fft.irfft(np.append(bins.rate * bins.motion.conj() / bins.noise, 0.0))
+        lags = np.arange(-(size // 8), size // 8 + 1)
+        penalised = correlation[lags] * (1 - np.abs(lags) / size)
+        if penalised[size // 8] <= NEAR * np.max(penalised):
+            whole = int(lags[np.argmax(penalised)])
     for iteration in range(steps):
         first = afresh and iteration < ROUGH_ITERATIONS
         if abs(theta[0]) > 1 and not lagged:
@@ -295,33 +304,6 @@ def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray)
     return _Bins._make([*(column[order] for column in joined), levels, shared])
 
 
-def _whole_delay(pieces: Sequence[Piece], levels: np.ndarray) -> int:
-    """Samples by which the longest piece's v is late, from the peak of its correlation.
-
-    0 where the correlation there is near the peak: what is so near needs no start nearer.
-    """
-    longest = max(pieces, key=lambda p: p.x.size)
-    bins = _bins([longest], 0.0, longest.x.size, levels)
-    correlation = np.fft.irfft(np.append(bins.rate * bins.motion.conj() / bins.noise, 0.0))
-    reach = longest.x.size // 8
-    lags = np.arange(-reach, reach + 1)
-    penalised = correlation[lags] * (1 - np.abs(lags) / longest.x.size)
-    best = int(lags[np.argmax(penalised)])
-    return 0 if penalised[reach] > NEAR * np.max(penalised) else best
-
-
-def apparent_gain(pieces: Sequence[Piece]) -> float:
-    """Size of v over that of what it should be, with its sign, to begin with; 1 unless far off."""
-    _, rough = _levels(pieces)
-    bins = _bins(pieces, 0.0, pieces[0].x.size, rough)
-    weight = np.where(bins.lowest, 0.0, 1 / bins.noise_of_motion)
-    both = float(np.real(weight @ (bins.rate * bins.motion.conj())))
-    motion, rate = (float(weight @ np.abs(one) ** 2) for one in (bins.motion, bins.rate))
-    gain = both / motion
-    far = both**2 > NEAR**2 * motion * rate and not 0.5 < gain < 2
-    return gain if far else 1.0
-
-
 def _smoothed(omega: np.ndarray, power: np.ndarray) -> np.ndarray:
     """Mean over neighbours in frequency."""
     at = np.arange(omega.size)
@@ -409,9 +391,20 @@ def delay_course(
         return Course(), spread
     # Too far apart for one step from the same start.
     alone = [fit_pair(part, count) for part in parts] if alone is None else alone
-    again = _pooled([fit for fit in alone if fit is not None])
+    # What is left of one part is known too roughly: that of all parts, by frequency, is for each.
+    left = [fit.left for fit in alone if fit is not None]
+    omega = np.concatenate([one.omega for one in left])
+    order = np.argsort(omega, kind="stable")
+    power = np.concatenate([one.power for one in left])[order]
+    groups = max(omega.size // SHORTEST_PIECE, 1)
+    means = [
+        np.array([some.mean() for some in np.array_split(column, groups)])
+        for column in (omega[order], power)
+    ]
     fits = [
-        None if fit is None else fit_pair(part, count, start=fit, known=again(fit), steps=2)
+        None
+        if fit is None
+        else fit_pair(part, count, start=fit, known=Left(fit.left.levels, *means), steps=2)
         for fit, part in zip(alone, parts)
     ]
     delays = _delays(fits, edges)
@@ -445,19 +438,6 @@ def _delays(fits: Sequence[PairFit | None], edges: Sequence[int]) -> Float[np.nd
         if fit is not None and 0 < fit.errors[0] < np.inf
     ]
     return np.array(told, float).reshape(-1, 4).T
-
-
-def _pooled(fits: Sequence[PairFit]) -> Callable[[PairFit], Left]:
-    """What is left of all parts, for each of them: of one alone it is known too roughly."""
-    omega = np.concatenate([fit.left.omega for fit in fits])
-    order = np.argsort(omega, kind="stable")
-    power = np.concatenate([fit.left.power for fit in fits])[order]
-    groups = max(omega.size // 64, 1)
-    means = [
-        np.array([some.mean() for some in np.array_split(column, groups)])
-        for column in (omega[order], power)
-    ]
-    return lambda fit: Left(fit.left.levels, *means)
 
 
 def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tuple[Course, float]:
@@ -631,12 +611,15 @@ def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
     return compare(record, Relation(signal, ((derivative, 1.0),)))
 
 
-def _compared(record: Record, relation: Relation) -> tuple[Any, ...]:
-    signals = (samples_with_nan(record, name) for name in relation.names)
-    return relation, *signals, np.asarray(record.elapsed), float(record.time_step)
-
-
-@remembered(32, _compared)
+@remembered(
+    32,
+    lambda record, relation: (
+        relation,
+        *(samples_with_nan(record, name) for name in relation.names),
+        np.asarray(record.elapsed),
+        float(record.time_step),
+    ),
+)
 @np.errstate(all="ignore")
 def compare(record: Record, relation: Relation) -> Pair | None:
     """The same of any relation: each of its signals is fitted to what the others say it should be.
@@ -646,14 +629,17 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     x = samples_with_nan(record, relation.signal)
     terms = {name: samples_with_nan(record, name) for name in relation.terms}
     step, count = float(record.time_step), x.size
-    if len(terms) > 1 and any(_is_rough(v) for v in terms.values()):
+    # What is too fast has an integral that depends on what it does between samples.
+    rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in terms.values())
+    if len(terms) > 1 and any(rough):
         return None
     centre = np.nanmedian(x) if not np.isnan(x).all() else 0.0
     scale = float(np.nanquantile(np.abs(x - centre), 0.9)) if np.isfinite(centre) else 0.0
     if not (np.isfinite(scale) and scale > 0):
         return None
     x, terms = (x - centre) / scale, {n: v / scale * step for n, v in terms.items()}
-    breaks = _pauses(record)
+    # Samples that follow a pause.
+    breaks = np.flatnonzero(np.diff(np.asarray(record.elapsed)) > SHORTEST_PAUSE * step) + 1
     every = (_held(relation, name, x, terms, breaks) for name in relation.suspects)
     held = {one.suspect: one for one in every if one is not None}
     if not held:
@@ -725,7 +711,13 @@ def _held(
     several = len(relation.suspects) > 1
     pieces = list(_pieces(x, v, u, 0, count, breaks, MOST_SAMPLES // (1 + several)))
     if several and pieces:
-        size = apparent_gain(pieces)
+        # Size of v over that of what it should be, with its sign, to begin with; 1 unless far off.
+        bins = _bins(pieces, 0.0, pieces[0].x.size, _levels(pieces)[1])
+        weight = np.where(bins.lowest, 0.0, 1 / bins.noise_of_motion)
+        both = float(np.real(weight @ (bins.rate * bins.motion.conj())))
+        motion, rate = (float(weight @ np.abs(one) ** 2) for one in (bins.motion, bins.rate))
+        size = both / motion
+        size = size if both**2 > NEAR**2 * motion * rate and not 0.5 < size < 2 else 1.0
         v, pieces = v / size, [p._replace(v=p.v / size) for p in pieces]
     every = [p.v if p.u is None else p.v - p.u for p in pieces]
     rms = float(np.sqrt(np.mean(np.concatenate(every) ** 2))) if every else 0.0
@@ -781,17 +773,6 @@ def _excess(held: dict[str, _Held], fits: dict[str, PairFit]) -> dict[str, float
         counted |= np.interp(omega, fit.left.omega, fit.counted) > 0.5
     logs = np.sum(np.log(powers), axis=1, where=counted)
     return dict(zip(fits, (logs - logs.min()).tolist()))
-
-
-def _is_rough(values: np.ndarray) -> bool:
-    """Whether a signal is so fast that its integral depends on what it does between samples."""
-    return bool(np.nanmean(np.diff(values) ** 2) > ROUGH * np.nanvar(values))
-
-
-def _pauses(record: Record) -> Float[np.ndarray, " pauses"]:
-    """Samples that follow a pause."""
-    steps = np.diff(np.asarray(record.elapsed))
-    return np.flatnonzero(steps > 1.5 * float(record.time_step)) + 1
 
 
 def _pieces(
