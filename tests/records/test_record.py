@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.records.preparation import low_pass, upsample
 from riecjax.records.record import Record, stack_records
 
 
@@ -183,28 +182,3 @@ def test_a_clock_that_jitters_is_not_even():
     jitter = np.random.default_rng(0).uniform(-0.1, 0.1, 300) / 600
     with pytest.raises(DataError, match="evenly spaced"):
         Record.from_samples({"x": ramp(300)}, time=ramp(300) / 600 + jitter)
-
-
-@pytest.mark.parametrize("pause", [0.0, 5.0])
-def test_elapsed_time_goes_on_through_every_step(pause):
-    time = np.arange(1600) / 10
-    time[800:] += pause
-    record = Record.from_samples({"a": time, "b": time}, time=1.7e9 + time)
-    steps = [
-        lambda r: r,
-        lambda r: r.part(20, r.sample_count - 7),
-        lambda r: r.every(3),
-        lambda r: r.select("b", "a"),
-        lambda r: r.with_signals({"c": r["a"]}),
-        lambda r: r.stretch(jnp.asarray(12), 1500),
-        lambda r: low_pass(r, {"b": 1.0}),
-        lambda r: upsample(r, 2),
-    ]
-    for step in steps:
-        made = step(record.part(20, 1593))
-        there = ~np.asarray(made.missing.get("a", np.zeros(made.sample_count, bool)))
-        # The signal is the time itself; up-sampling rounds where a straight line ends.
-        np.testing.assert_allclose(
-            np.asarray(made.elapsed)[there], np.asarray(made["a"])[there], atol=2e-3
-        )
-        assert made.elapsed[0] == made.skipped >= 2 - 1e-6

@@ -1,7 +1,5 @@
-"""Whether a recorded derivative fits its signal: wrong units, signs and channels show here.
-
-Findings of what is amiss between a signal and its derivative, and what puts it right.
-"""
+"""Whether a recorded derivative fits its signal, and what puts it right if not: wrong units, signs
+and channels show in increments, what is less than that in a fit over frequencies."""
 
 import shlex
 from collections.abc import Iterable, Iterator
@@ -11,7 +9,7 @@ import numpy as np
 
 from riecjax.findings import Finding, option_for
 from riecjax.records.derived import line_taken_off
-from riecjax.records.faults.derivative_pairs import GROSS, Pair, compare
+from riecjax.records.faults.derivative_pairs import GROSS, PPM, Pair, compare
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise import noise_level
@@ -81,7 +79,6 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
 
 # Values too large to be squared are for the fit to refuse.
 @remembered(
-    32,
     lambda record, *names: (
         *names,
         *(samples_with_nan(record, name) for name in names),
@@ -218,7 +215,7 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
     # Which other signals may be the wrong one.
     or_else = f" Or {' or '.join(pair.alike)} is, which explains it as well." if pair.alike else ""
     # The usual frequency, from how much better a gain is known than a delay.
-    turn = fit.errors[1] / max(fit.errors[0], 1e-300)
+    turn = fit.errors[1] / max(fit.errors[0], np.finfo(float).tiny)
     if pair.course.kind != "steady":
         yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0), or_else)
     if pair.is_late:
@@ -317,7 +314,7 @@ def _uneven(record: Record, pair: Pair, doubt: float, or_else: str) -> Finding:
     names, mine, others = _sides(pair, True)
     both = (*names, *(name for name in pair.relation.names if name not in names))
     if course.kind == "clocks":
-        per = 1e6 * step / float(time[-1] - time[0])
+        per = step / PPM / float(time[-1] - time[0])
         rate, start = per * course.change, float(time[0])
         remedy = course.by_one_clock(names, rate, step, start)
         reverse = course._replace(first=-course.first)

@@ -1,13 +1,8 @@
-"""Missing samples of columns of numbers: masks of them, and what stands in their place.
-
-A recording: uniformly sampled, named signals.
-
-Records filled up behind their end, so that those of many lengths share compiled functions.
-"""
+"""A recording: uniformly sampled, named signals."""
 
 import functools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
 import equinox as eqx
@@ -23,26 +18,6 @@ from riecjax.records.noise import Noise
 from riecjax.records.signals import Signals
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
-
-
-def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Masks, shape `(n,)`, True where a column is NaN; only of columns that hold a NaN."""
-    masks = {name: np.isnan(values) for name, values in columns.items()}
-    return {name: mask for name, mask in masks.items() if mask.any()}
-
-
-def hold(values: np.ndarray) -> np.ndarray:
-    """NaN replaced by the last value before it, at the start by the first after, else by 0.
-
-    Shapes `(n,)`.
-    """
-    present = ~np.isnan(values)
-    if present.all():
-        return values
-    if not present.any():
-        return np.zeros(values.size)
-    last = np.maximum.accumulate(np.where(present, np.arange(values.size), -1))
-    return values[np.where(last < 0, np.argmax(present), last)]
 
 
 class Record(Drawn, eqx.Module):
@@ -254,7 +229,7 @@ class Record(Drawn, eqx.Module):
             raise DataError(
                 f"samples {start} to {stop} do not lie in a record of {self.sample_count} samples."
             )
-        return self._sliced(slice(start, stop), 1)
+        return self._rows(lambda values: values[..., start:stop], start)
 
     def stretch(self, first: Int[Array, ""], count: int) -> "Record":
         """`count` samples from `first` on, which may be traced; both must lie in the record."""
@@ -262,17 +237,7 @@ class Record(Drawn, eqx.Module):
         def cut(values: Array) -> Array:
             return jax.lax.dynamic_slice_in_dim(values, first, count, axis=-1)
 
-        stamps = None if self.stamps is None else cut(self.stamps)
-        return Record(
-            {name: cut(values) for name, values in self.arrays.items()},
-            self.time_step,
-            self.start_time + first * self.time_step if stamps is None else stamps[0],
-            self.units,
-            {name: cut(mask) for name, mask in self.missing.items()},
-            stamps,
-            self.elapsed[first],
-            self.noise,
-        )
+        return self._rows(cut, first)
 
     def every(self, count: int) -> "Record":
         """Every `count`-th sample, without filtering first.
@@ -283,7 +248,13 @@ class Record(Drawn, eqx.Module):
             raise DataError(
                 f"cannot take every {count}th of {self.sample_count} samples: too few would remain."
             )
-        return self._sliced(slice(None, None, count), count)
+
+        # Thinning must not lose a gap between two samples that stay: a gap then widens to one.
+        def thin(mask: Array) -> Array:
+            padded = jnp.pad(mask, [(0, 0)] * (mask.ndim - 1) + [(0, -mask.shape[-1] % count)])
+            return padded.reshape(*mask.shape[:-1], -1, count).any(-1)
+
+        return self._rows(lambda values: values[..., ::count], 0, count, thin)
 
     def segments(self, names: Iterable[str] | None = None) -> list[slice]:
         """Unbroken stretches, in which none of these signals (or of all) lacks a sample.
@@ -296,26 +267,24 @@ class Record(Drawn, eqx.Module):
         edges = np.flatnonzero(np.diff(np.pad(np.asarray(present).astype(np.int8), 1)))
         return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
 
-    def _sliced(self, samples: slice, count: int) -> "Record":
-        # Thinning must not lose a gap between two samples that stay: a gap then widens to one.
-        def thin(mask: Array) -> Array:
-            if count == 1:
-                return mask[..., samples]
-            padded = jnp.pad(mask, [(0, 0)] * (mask.ndim - 1) + [(0, -mask.shape[-1] % count)])
-            return padded.reshape(*mask.shape[:-1], -1, count).any(-1)
-
+    def _rows(
+        self,
+        cut: Callable[[Array], Array],
+        first: int | Int[Array, ""],
+        count: int = 1,
+        thin: Callable[[Array], Array] | None = None,
+    ) -> "Record":
+        """What `cut` leaves, from the row `first` on, so many steps apart; `thin` of masks."""
+        stamps = None if self.stamps is None else cut(self.stamps)
+        earlier = first * self.time_step
         return Record(
-            {name: values[..., samples] for name, values in self.arrays.items()},
+            {name: cut(values) for name, values in self.arrays.items()},
             self.time_step * count,
-            self.start_time + (samples.start or 0) * self.time_step
-            if self.stamps is None
-            else self.stamps[..., samples.start or 0],
+            self.start_time + earlier if stamps is None else stamps[..., 0],
             self.units,
-            {name: thin(mask) for name, mask in self.missing.items()},
-            None if self.stamps is None else self.stamps[..., samples],
-            self.skipped + (samples.start or 0) * self.time_step
-            if self.stamps is None
-            else self.elapsed[samples.start or 0],
+            {name: (thin or cut)(mask) for name, mask in self.missing.items()},
+            stamps,
+            self.skipped + earlier if stamps is None else self.elapsed[first],
             self.noise.thinned(count),
         )
 
@@ -446,6 +415,26 @@ def samples_with_nan(record: Record, name: str) -> np.ndarray:
     return values
 
 
+def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Masks, shape `(n,)`, True where a column is NaN; only of columns that hold a NaN."""
+    masks = {name: np.isnan(values) for name, values in columns.items()}
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+def hold(values: np.ndarray) -> np.ndarray:
+    """NaN replaced by the last value before it, at the start by the first after, else by 0.
+
+    Shapes `(n,)`.
+    """
+    present = ~np.isnan(values)
+    if present.all():
+        return values
+    if not present.any():
+        return np.zeros(values.size)
+    last = np.maximum.accumulate(np.where(present, np.arange(values.size), -1))
+    return values[np.where(last < 0, np.argmax(present), last)]
+
+
 TO_A_DOUBLING = 4
 """Lengths that [`shared_length`][] has between one power of two and the next."""
 
@@ -453,6 +442,7 @@ TO_A_DOUBLING = 4
 def shared_length(samples: int) -> int:
     """How many samples a record is filled up to, to be simulated: a quarter more at most.
 
+    So records of many lengths share compiled functions.
     What is simulated behind its end takes its time; to sum takes little, so that what is only
     summed is filled up further.
     """

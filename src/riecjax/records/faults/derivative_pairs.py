@@ -1,4 +1,9 @@
-"""How a recorded derivative follows its signal: delay, gain, lag, offset and drift, with errors.
+"""What is amiss between a signal and its recorded derivative, in time, size and zero.
+
+A pair shows differences alone: whether v is late or x early, whether v has an offset or x drifts,
+it cannot tell, nor what both have in common, as a delay of both against the force. How v follows x,
+in delay, gain, lag, offset and drift, has errors, and the delay may change along the record,
+steadily or by a step.
 
 Let x = p + e_x and v = G p'(t - tau) + b + d t + e_v, with white noise e_x and e_v. For a taper w
 that vanishes at both ends of a stretch, integration by parts gives at every frequency
@@ -20,13 +25,6 @@ Of a derivative that is a sum of signals, x' = v - u with known u, D has int w(t
 omega t) dt besides: what v is held against is x' + u, none of which is differentiated either.
 
 Time is in samples; v and u are in units of x per sample.
-
-How the delay between two signals changes along a record: steadily, by a step, or not.
-
-What is amiss between a signal and its recorded derivative, in time, size and zero.
-
-A pair shows differences alone: whether v is late or x early, whether v has an offset or x drifts,
-it cannot tell, nor what both have in common, as a delay of both against the force.
 """
 
 import itertools
@@ -230,7 +228,7 @@ def _step(
     covariance = np.linalg.pinv(normal / np.outer(scale, scale), 1e-12) / np.outer(scale, scale)
     step = covariance @ right
     # Phases are straight over an eighth of a turn of the usual frequency.
-    usual = np.sqrt(normal[1, 1] / max(normal[0, 0], 1e-300)) * abs(theta[1])
+    usual = np.sqrt(normal[1, 1] / max(normal[0, 0], np.finfo(float).tiny)) * abs(theta[1])
     step[0] = np.clip(step[0], -0.8 * usual, 0.8 * usual)
     # The noise of the motion goes with the gain, and through the filter.
     size = (1 + (bins.omega * theta[0]) ** 2) ** -np.sign(theta[0]) if lagged else 1.0
@@ -255,13 +253,9 @@ def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
     at, last = np.arange(n) + shift - MARGIN, n - 1 - 2 * MARGIN
     u = np.clip(np.minimum(at, last - at) / edge, 0, 1)
     side = np.where(2 * at < last, 1, -1) / edge
-    return np.array(
-        [
-            u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3),
-            140 * u**3 * (1 - u) ** 3 * side,
-            420 * u**2 * (1 - u) ** 2 * (1 - 2 * u) / edge**2,
-        ]
-    )
+    slope = np.polynomial.Polynomial([0, 1, -1]) ** 3
+    slope /= slope.integ()(1)
+    return np.array([slope.integ()(u), slope(u) * side, slope.deriv()(u) * side**2])
 
 
 def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray) -> _Bins:
@@ -325,6 +319,7 @@ FINEST = 0.01
 """Samples to which the delay of a part is known at best."""
 LOST = 0.5
 """Samples of a sudden change past which rows were lost."""
+PPM = 1e-6
 SURE = 4.0
 """Standard errors past which a difference is no chance."""
 
@@ -359,7 +354,7 @@ class Course(NamedTuple):
         Clocks are set from the recording's first sample on, `start` seconds before what was
         looked at.
         """
-        first = self.first * step - 1e-6 * ppm * start
+        first = self.first * step - PPM * ppm * start
         shifted = late if abs(first) > CHANGE * step else ()
         return (
             *option_for("--shift", shifted, f"{first:.4g}"),
@@ -603,16 +598,7 @@ class Pair(NamedTuple):
         return self.fit.drift * self.scale / self.step if sure else 0.0
 
 
-def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
-    """Fit a recorded derivative to its signal; `None` if the record does not tell. Not under jit.
-
-    **Raises:** `DataError` for a signal that the record lacks.
-    """
-    return compare(record, Relation(signal, ((derivative, 1.0),)))
-
-
 @remembered(
-    32,
     lambda record, relation: (
         relation,
         *(samples_with_nan(record, name) for name in relation.names),
@@ -622,9 +608,13 @@ def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
 )
 @np.errstate(all="ignore")
 def compare(record: Record, relation: Relation) -> Pair | None:
-    """The same of any relation: each of its signals is fitted to what the others say it should be.
+    """Fit each signal of a relation to what the others say it should be; `None` if the record does
+    not tell.
 
-    What is left tells which of them is wrong: with that one put right, nothing but noise.
+    What is left tells which of them is wrong: with that one put right, nothing but noise. Not under
+    jit.
+
+    **Raises:** `DataError` for a signal that the record lacks.
     """
     x = samples_with_nan(record, relation.signal)
     terms = {name: samples_with_nan(record, name) for name in relation.terms}
@@ -803,11 +793,12 @@ def _pieces(
 def _filled(values: np.ndarray) -> np.ndarray:
     """Spikes and short gaps replaced by local cubics."""
     found = values.copy()
-    if values.size > 9:
-        around = np.lib.stride_tricks.sliding_window_view(values, 9)
-        off = np.abs(values[4:-4] - np.median(around[:, 2:7], axis=1))
-        near = around[:, [0, 1, 2, 6, 7, 8]]
-        spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=1)) + 4
+    half = 4
+    if values.size > 2 * half + 1:
+        around = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1)
+        off = np.abs(values[half:-half] - np.median(around[:, 2:-2], axis=1))
+        near = np.delete(around, half + np.arange(-1, 2), axis=1)
+        spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=1)) + half
         if spikes.size <= MOST_SPIKES * values.size:
             found[spikes] = np.nan
     missing = np.isnan(found)

@@ -35,7 +35,7 @@ from riecjax.records.faults.sampled_signal import (
     levels_of,
     resolution_of,
 )
-from riecjax.records.noise import DIFFERENCE_ORDER
+from riecjax.records.noise import DIFFERENCE_ORDER, NORMAL
 from riecjax.records.remembered import remembered
 
 SUSPECT = 4.5
@@ -55,8 +55,6 @@ ROUNDS, FIRST = 8, 3
 """Times that weights are found anew, the first of them for the least sum of absolute values."""
 RIDGE = 1e-9
 """What keeps a fit through fewer samples than coefficients from a division by zero."""
-NORMAL = 0.6745
-"""Median size of a standard normal variable."""
 SPIKE = 6.0
 """Standard deviations that a spike is off the polynomial at the least."""
 MOST_SUSPECTS = 0.8
@@ -134,7 +132,7 @@ class Spikes(NamedTuple):
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
-@remembered(64, lambda values: (np.asarray(values, float),))
+@remembered(lambda values: (np.asarray(values, float),))
 @np.errstate(all="ignore")
 def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
@@ -512,7 +510,10 @@ def _by_chance(
         return 0.0
     beyond = usual.size - np.searchsorted(usual, at_spikes)
     total = -float(np.sum(np.log((1 + beyond) / (1 + usual.size))))
-    terms = [k * math.log(max(total, 1e-300)) - math.lgamma(k + 1) for k in range(at_spikes.size)]
+    terms = [
+        k * math.log(max(total, np.finfo(float).tiny)) - math.lgamma(k + 1)
+        for k in range(at_spikes.size)
+    ]
     return sum(math.exp(term - total) for term in terms)
 
 

@@ -504,5 +504,5 @@ def _check_rate(rate: float) -> None:
 
 
 def _check_factor(factor: int) -> None:
-    if factor < 1 or int(factor) != factor:
+    if not 1 <= factor < np.inf or int(factor) != factor:
         raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")

@@ -110,8 +110,8 @@ class Preparation:
             steps.append(Step(words, partial(_with, upsample, self.upsample)))
         steps += [_derivative(name, of) for name, of in self.derivatives.items()]
         if self.every > 1:
-            ending = {1: "st", 2: "nd", 3: "rd"}.get(self.every % 10, "th")
-            ending = "th" if self.every % 100 in (11, 12, 13) else ending
+            tens, ones = divmod(self.every % 100, 10)
+            ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"
             steps.append(Step(f"every {self.every}{ending} sample", lambda r: r.every(self.every)))
         return steps
 
