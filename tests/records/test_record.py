@@ -70,6 +70,14 @@ def signals_with(value, at):
         (dict(signals={"x": ramp()}, time_step=np.nan), ["positive", "got nan"]),
         (dict(signals={"x": ramp()[:, None]}, time_step=1.0), ["one column", "(5, 1)"]),
         (dict(signals={"x": ["a", "b"]}, time_step=1.0), ["'x'", "not a list of numbers"]),
+        (dict(signals={"x": ["1", "2"]}, time_step=1.0), ["'x'", "not a list of numbers"]),
+        (dict(signals={"x": [object()] * 2}, time_step=1.0), ["'x'", "not a list of numbers"]),
+        (dict(signals={"x": [[1, 2], [3]]}, time_step=1.0), ["'x'", "not a list of numbers"]),
+        (
+            dict(signals={"x": np.arange(2).astype("datetime64[s]")}, time_step=1.0),
+            ["'x'", "of datetime64[s]", "convert it"],
+        ),
+        (dict(signals={"x": 1j * ramp()}, time_step=1.0), ["'x'", "complex", "real or imaginary"]),
     ],
 )
 def test_bad_data_is_refused_in_one_line_that_says_where(arguments, words):
@@ -79,6 +87,26 @@ def test_bad_data_is_refused_in_one_line_that_says_where(arguments, words):
     assert "\n" not in message
     for word in words:
         assert word in message
+
+
+@pytest.mark.parametrize("values", [1j * ramp(), jnp.asarray(1j * ramp()), ["a", "b"]])
+def test_a_record_of_arrays_refuses_what_are_no_real_numbers(values):
+    with pytest.raises(DataError, match="signal 'x' (holds complex numbers|is not a list)"):
+        Record({"x": values}, 1.0)
+
+
+@pytest.mark.parametrize("count", [100, 4096])
+@pytest.mark.parametrize(
+    "make", [lambda x: Record({"x": x}, 1.0), lambda x: Record.from_samples({"x": x}, time_step=1)]
+)
+def test_a_record_does_not_change_with_the_array_it_was_made_of(make, count):
+    # On an address that JAX would take over as it is.
+    room = np.zeros(8 * count + 64, np.uint8)
+    values = room[-room.ctypes.data % 64 :][: 8 * count].view(float)
+    values[:] = np.arange(count)
+    record = make(values)
+    values *= 7
+    np.testing.assert_array_equal(record["x"], np.arange(count))
 
 
 def test_a_missing_signal_is_answered_with_those_that_exist_and_a_remedy():

@@ -51,7 +51,7 @@ def command(
     """
     criteria.require_sense()
     start_jax(once=are_small(recordings.files), keep_compiled=True)
-    from riecjax.compilation.program_files import load_ahead
+    from riecjax.compilation import load_ahead
 
     load_ahead("check", model_name)
     import jax
@@ -59,7 +59,6 @@ def command(
     from riecjax.assessment.assess import check_answering
     from riecjax.reporting.checking import check_document, print_check
     from riecjax.reporting.output import emit
-    from riecjax.reporting.page import Page
 
     model = hidden.added_to(model_name)
     with Progress():
@@ -72,8 +71,6 @@ def command(
         as_json=as_json,
         out=None,
         show=print_check,
-        charts=dict,
-        page=lambda _: Page("", "", ()),
     )
     if not found.answerable:
         click.get_current_context().exit(1)

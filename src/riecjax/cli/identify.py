@@ -29,9 +29,7 @@ from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
-    from riecjax.assessment.assessment import Assessment
     from riecjax.equations.procedure import AtRest
-    from riecjax.findings import Finding
 
 
 @click.command(
@@ -109,7 +107,7 @@ def command(
     criteria.require_sense()
     refining.require_sense(validates=hold_out is not None or bool(validation_files))
     start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
-    from riecjax.compilation.program_files import load_ahead
+    from riecjax.compilation import load_ahead
 
     changed = changed_files(click.get_current_context())
     load_ahead("identify", model_name)
@@ -144,16 +142,7 @@ def command(
             on_estimate=progress.show_estimate,
             progress=progress.refining,
         )
-    _emit(assessment, changed, as_json, out, verbose)
-
-
-def _emit(
-    assessment: "Assessment",
-    changed: "list[Finding]",
-    as_json: bool,
-    out: Path | None,
-    verbose: bool,
-) -> None:
+    # Not earlier: what reports are made with takes a second to import.
     from riecjax.reporting.identification import (
         identification_document,
         print_everything,

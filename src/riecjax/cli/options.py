@@ -1,10 +1,10 @@
 """Options that several commands share, and their parsing."""
 
+import contextlib
 import dataclasses
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,28 +19,76 @@ if TYPE_CHECKING:
     from riecjax.refinement.objective import AbstractObjective
 
 
-class Assignment(click.ParamType):
-    """`NAME=VALUE` with a value of the given kind."""
+class Parsed(click.ParamType):
+    """What a function makes of a text, whose `ValueError` says what is wrong with it.
 
-    def __init__(self, kind: type[float] | type[str], metavar: str):
-        self.kind = kind
-        self.name = metavar
+    `kind` is that of the value, as a job file writes it.
+    """
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, Any]:
-        name, equals, text = str(value).partition("=")
-        if not (name.strip() and equals and text.strip()):
-            self.fail(f"'{value}' is not of the form {self.name}.", param, ctx)
-        if self.kind is str:
-            return name.strip(), text.strip()
+    def __init__(self, name: str, parse: Callable[[str], Any], kind: type = str):
+        self.name, self.parse, self.kind = name, parse, kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         try:
+            return self.parse(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+def _number(name: str, condition: Callable[[float], bool], words: str) -> Parsed:
+    """A number that satisfies a condition, which `words` name after the number in a refusal."""
+
+    def parse(text: str) -> float:
+        with _refusing(f"'{text}' is not a number."):
             number = float(text)
-        except ValueError:
-            self.fail(f"'{text}' in '{value}' is not a number.", param, ctx)
+        if not condition(number):
+            raise ValueError(f"'{text}' must {words}.")
+        return number
+
+    return Parsed(name, parse, float)
+
+
+@contextlib.contextmanager
+def _refusing(message: str) -> Iterator[None]:
+    """Say this of a text that is no number."""
+    try:
+        yield
+    except ValueError:
+        raise ValueError(message) from None
+
+
+POSITIVE = _number(
+    "number",
+    lambda number: math.isfinite(number) and number > 0,
+    "be a finite number greater than zero",
+)
+FINITE = _number("number", math.isfinite, "be a finite number")
+SHARE = _number("share", lambda number: 0 < number < 1, "lie between 0 and 1")
+
+
+def _pair(text: str, form: str, hint: str = "") -> tuple[str, str]:
+    """What stands before and behind an equals sign, neither of them empty."""
+    name, there, value = (part.strip() for part in text.partition("="))
+    if not (name and there and value):
+        raise ValueError(f"'{text}' is not of the form {form}{hint}.")
+    return name, value
+
+
+def _assignment(form: str, kind: type) -> Parsed:
+    """`NAME=VALUE` with a value of this kind."""
+
+    def parse(text: str) -> tuple[str, Any]:
+        name, value = _pair(text, form)
+        if kind is str:
+            return name, value
+        said = text.partition("=")[2]
+        with _refusing(f"'{said}' in '{text}' is not a number."):
+            number = float(value)
         if not math.isfinite(number):
-            self.fail(f"'{text}' in '{value}' is not a finite number.", param, ctx)
-        return name.strip(), number
+            raise ValueError(f"'{said}' in '{text}' is not a finite number.")
+        return name, number
+
+    return Parsed(form, parse, kind)
 
 
 def pairs_to_dict(
@@ -61,7 +109,7 @@ def assignments(
     return click.option(
         option,
         target,
-        type=Assignment(kind, metavar),
+        type=_assignment(metavar, kind),
         metavar=metavar,
         multiple=True,
         callback=pairs_to_dict,
@@ -69,39 +117,38 @@ def assignments(
     )
 
 
-class HiddenModeOf(click.ParamType):
-    """`SIGNAL` or `SIGNAL=HZ`, as a signal and a frequency or `None`."""
+def names_of(options: Sequence[Callable[..., Any]]) -> list[str]:
+    """Names under which the values of these options arrive."""
 
-    name = "SIGNAL[=HZ]"
+    def command() -> None: ...
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, float | None]:
-        name, equals, text = str(value).partition("=")
-        if not name.strip() or (equals and not text.strip()):
-            self.fail(f"'{value}' is not of the form {self.name}.", param, ctx)
-        return name.strip(), POSITIVE.convert(text, param, ctx) if equals else None
+    for option in options:
+        option(command)
+    return [param.name for param in getattr(command, "__click_params__")]  # noqa: B009
 
 
-@dataclasses.dataclass(frozen=True)
-class HiddenOptions:
-    """What a model leaves out, as asked for."""
+def collecting(
+    options: Sequence[Callable[..., Any]], kind: Callable[..., Any], name: str
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A decorator that adds options to a command and hands them over as one argument.
 
-    modes: tuple[tuple[str, float | None], ...]
-    springs: tuple[str, ...]
-    offsets_of: tuple[str, ...]
-    gains_of: tuple[str, ...]
+    **Arguments:** `kind`, which is made of their values by name; `name` of the argument.
+    """
+    names = names_of(options)
 
-    def added_to(self, name: str) -> "Model":
-        """The model of this name, with these modes, springs, and errors of sensors."""
-        from riecjax.equations.hidden_modes import HiddenMode
-        from riecjax.equations.series_springs import SeriesSpring
-        from riecjax.models.catalogue import find_model
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        def collected(**arguments: Any) -> Any:
+            own = {each: arguments.pop(each) for each in names}
+            return command(**{name: kind(**own)}, **arguments)
 
-        offsets, gains = (tuple(dict.fromkeys(of)) for of in (self.offsets_of, self.gains_of))
-        model = find_model(name).with_sensor_errors(offsets, gains)
-        model = model.with_modes(*(HiddenMode(*each) for each in self.modes))
-        return model.with_series_springs(*map(SeriesSpring, self.springs))
+        collected.__doc__ = command.__doc__
+        # Options that stand on the command itself are listed after these.
+        collected.__click_params__ = getattr(command, "__click_params__", [])  # type: ignore[attr-defined]
+        for option in reversed(options):
+            collected = option(collected)
+        return collected
+
+    return decorate
 
 
 model_option = click.option(
@@ -117,37 +164,6 @@ at_rest_option = click.option(
 )
 set_option = assignments(
     "--set", float, "NAME=VALUE", "Hold a parameter at a known value (SI units).", "known"
-)
-mode_option = click.option(
-    "--add-mode",
-    "modes",
-    type=HiddenModeOf(),
-    metavar="SIGNAL[=HZ]",
-    multiple=True,
-    help="Find an oscillator that the model leaves out, on the body with this velocity, everywhere "
-    "or near a frequency. Repeatable.",
-)
-spring_option = click.option(
-    "--add-spring",
-    "springs",
-    metavar="TERM",
-    multiple=True,
-    help="Find a spring that the model leaves out, in series with the damper of this linear "
-    "coefficient. Repeatable.",
-)
-offset_option = click.option(
-    "--unknown-offset",
-    "offsets_of",
-    metavar="SIGNAL",
-    multiple=True,
-    help="Estimate the zero of this signal's sensor as well. Repeatable.",
-)
-gain_option = click.option(
-    "--unknown-gain",
-    "gains_of",
-    metavar="SIGNAL",
-    multiple=True,
-    help="Estimate the factor by which this signal's readings are to be multiplied. Repeatable.",
 )
 seed_option = click.option(
     "--seed",
@@ -200,61 +216,70 @@ out_option = click.option(
 )
 
 
-class Number(click.ParamType):
-    """A number that satisfies a condition, which `words` name after the number in a refusal."""
+@dataclasses.dataclass(frozen=True)
+class HiddenOptions:
+    """What a model leaves out, as asked for."""
 
-    def __init__(self, name: str, condition: Callable[[float], bool], words: str):
-        self.name = name
-        self.condition = condition
-        self.words = words
+    modes: tuple[tuple[str, float | None], ...]
+    springs: tuple[str, ...]
+    offsets_of: tuple[str, ...]
+    gains_of: tuple[str, ...]
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        try:
-            number = float(value)
-        except ValueError:
-            self.fail(f"'{value}' is not a number.", param, ctx)
-        if not self.condition(number):
-            self.fail(f"'{value}' must {self.words}.", param, ctx)
-        return number
+    def added_to(self, name: str) -> "Model":
+        """The model of this name, with these modes, springs, and errors of sensors."""
+        from riecjax.equations.hidden_elements import HiddenMode, SeriesSpring
+        from riecjax.models.catalogue import find_model
 
-
-POSITIVE = Number(
-    "number",
-    lambda number: math.isfinite(number) and number > 0,
-    "be a finite number greater than zero",
-)
-FINITE = Number("number", math.isfinite, "be a finite number")
-SHARE = Number("share", lambda number: 0 < number < 1, "lie between 0 and 1")
+        offsets, gains = (tuple(dict.fromkeys(of)) for of in (self.offsets_of, self.gains_of))
+        model = find_model(name).with_sensor_errors(offsets, gains)
+        model = model.with_modes(*(HiddenMode(*each) for each in self.modes))
+        return model.with_series_springs(*map(SeriesSpring, self.springs))
 
 
-def collecting(
-    options: Sequence[Callable[..., Any]], kind: type[Any], name: str
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """A decorator that adds options to a command and hands them over as one argument.
-
-    **Arguments:** `kind`, a dataclass with a field for each option; `name` of the argument.
-    """
-    fields = [field.name for field in dataclasses.fields(kind)]
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        def collected(**arguments: Any) -> Any:
-            own = {field: arguments.pop(field) for field in fields}
-            return command(**{name: kind(**own)}, **arguments)
-
-        collected.__doc__ = command.__doc__
-        # Options that stand on the command itself are listed after these.
-        collected.__click_params__ = getattr(command, "__click_params__", [])  # type: ignore[attr-defined]
-        for option in reversed(options):
-            collected = option(collected)
-        return collected
-
-    return decorate
+def _hidden_mode(text: str) -> tuple[str, float | None]:
+    name, equals, frequency = text.partition("=")
+    if not name.strip() or (equals and not frequency.strip()):
+        raise ValueError(f"'{text}' is not of the form SIGNAL[=HZ].")
+    return name.strip(), POSITIVE.parse(frequency) if equals else None
 
 
 hidden_options = collecting(
-    (mode_option, spring_option, offset_option, gain_option), HiddenOptions, "hidden"
+    (
+        click.option(
+            "--add-mode",
+            "modes",
+            type=Parsed("SIGNAL[=HZ]", _hidden_mode),
+            metavar="SIGNAL[=HZ]",
+            multiple=True,
+            help="Find an oscillator that the model leaves out, on the body with this velocity, "
+            "everywhere or near a frequency. Repeatable.",
+        ),
+        click.option(
+            "--add-spring",
+            "springs",
+            metavar="TERM",
+            multiple=True,
+            help="Find a spring that the model leaves out, in series with the damper of this "
+            "linear coefficient. Repeatable.",
+        ),
+        click.option(
+            "--unknown-offset",
+            "offsets_of",
+            metavar="SIGNAL",
+            multiple=True,
+            help="Estimate the zero of this signal's sensor as well. Repeatable.",
+        ),
+        click.option(
+            "--unknown-gain",
+            "gains_of",
+            metavar="SIGNAL",
+            multiple=True,
+            help="Estimate the factor by which this signal's readings are to be multiplied. "
+            "Repeatable.",
+        ),
+    ),
+    HiddenOptions,
+    "hidden",
 )
 """Options that add what a model leaves out; they arrive as one `hidden`."""
 
@@ -263,40 +288,28 @@ TEST_FUNCTION_NAMES = ("boxcar", "hat", "bump")
 """As in `criteria.plain_data`, whose import takes JAX; the first is the default."""
 
 
-class WindowCount(click.ParamType):
+TEST_FUNCTIONS = ("auto", *TEST_FUNCTION_NAMES)
+FORM_OF_TEST_FUNCTION = "|".join((*TEST_FUNCTIONS, "FILE.py:CLASS"))
+MOST_WINDOWS = 100_000_000
+
+
+def _window_count(text: str) -> int | str:
     """A number of random windows, or all of them."""
-
-    name = "N|all"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int | str:
-        if value == "all":
-            return "all"
-        try:
-            count = int(str(value))
-        except ValueError:
-            self.fail(f"'{value}' is neither a whole number nor 'all'.", param, ctx)
-        if not 1 <= count <= 100_000_000:
-            self.fail(f"{count} is not between 1 and 100000000.", param, ctx)
-        return count
+    if text == "all":
+        return text
+    with _refusing(f"'{text}' is neither a whole number nor 'all'."):
+        count = int(text)
+    if not 1 <= count <= MOST_WINDOWS:
+        raise ValueError(f"{count} is not between 1 and {MOST_WINDOWS}.")
+    return count
 
 
-class TestFunction(click.ParamType):
+def _test_function(text: str) -> str:
     """The name of a test function, or a class of the user's own in a file."""
-
-    name = "|".join(("auto", *TEST_FUNCTION_NAMES, "FILE.py:CLASS"))
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> str:
-        name = str(value)
-        if name not in ("auto", *TEST_FUNCTION_NAMES) and not name.rpartition(":")[0].endswith(
-            ".py"
-        ):
-            listed = ", ".join(f"'{one}'" for one in ("auto", *TEST_FUNCTION_NAMES))
-            self.fail(f"'{name}' is not one of {listed}, nor FILE.py:CLASS.", param, ctx)
-        return name
+    if text not in TEST_FUNCTIONS and not text.rpartition(":")[0].endswith(".py"):
+        listed = ", ".join(f"'{name}'" for name in TEST_FUNCTIONS)
+        raise ValueError(f"'{text}' is not one of {listed}, nor FILE.py:CLASS.")
+    return text
 
 
 CRITERION_OPTIONS = (
@@ -323,13 +336,13 @@ CRITERION_OPTIONS = (
     click.option(
         "--windows",
         "count",
-        type=WindowCount(),
+        type=Parsed("N|all", _window_count),
         help="All windows there are, in closed form, or a number of random ones. [default: all]",
     ),
     click.option(
         "--test-function",
-        type=TestFunction(),
-        metavar=TestFunction.name,
+        type=Parsed(FORM_OF_TEST_FUNCTION, _test_function),
+        metavar=FORM_OF_TEST_FUNCTION,
         help="Weight inside a window, or a class of your own; hat and bump need no velocities. "
         "[default: auto, the boxcar, or the bump where no sensor measured a velocity]",
     ),
@@ -443,32 +456,21 @@ criterion_options = collecting(CRITERION_OPTIONS, CriterionOptions, "criteria")
 """The criterion's options; they arrive as one `criteria`."""
 
 
-class NotchType(click.ParamType):
-    """`auto`, or a frequency in Hz."""
-
-    name = "HZ|auto"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float | str:
-        return value if value == "auto" else POSITIVE.convert(value, param, ctx)
+def _notch(text: str) -> float | str:
+    return text if text == "auto" else POSITIVE.parse(text)
 
 
-class NoiseType(Assignment):
+NOISE = "auto|none|SIGNAL=SD"
+
+
+def _noise_of(text: str) -> tuple[str, Any]:
     """`auto`, `none`, or the standard deviation of one signal's noise."""
-
-    def __init__(self):
-        super().__init__(float, "auto|none|SIGNAL=SD")
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, Any]:
-        if value in ("auto", "none"):
-            return value, None
-        name, level = super().convert(value, param, ctx)
-        if level < 0:
-            self.fail(f"'{value}' is negative; give a standard deviation from 0 on.", param, ctx)
-        return name, level
+    if text in ("auto", "none"):
+        return text, None
+    name, level = _assignment(NOISE, float).parse(text)
+    if level < 0:
+        raise ValueError(f"'{text}' is negative; give a standard deviation from 0 on.")
+    return name, level
 
 
 def _noise(
@@ -542,8 +544,8 @@ RECORD_OPTIONS = (
     ),
     click.option(
         "--noise",
-        type=NoiseType(),
-        metavar="auto|none|SIGNAL=SD",
+        type=Parsed(NOISE, _noise_of, float),
+        metavar=NOISE,
         multiple=True,
         callback=_noise,
         help="Standard deviation of the noise on a signal as measured, in SI units, 0 for none; "
@@ -621,7 +623,7 @@ RECORD_OPTIONS = (
     click.option(
         "--notch",
         "notches",
-        type=NotchType(),
+        type=Parsed("HZ|auto", _notch),
         multiple=True,
         metavar="HZ|auto",
         help="Take the mains' hum at this frequency, 50 or 60, and its harmonics off all signals. "
@@ -659,51 +661,22 @@ RECORD_OPTIONS = (
 )
 
 
-@dataclasses.dataclass(frozen=True)
 class RecordingOptions:
     """What the user said of the recordings: their `files`, and how all of them are read.
 
-    The other fields are the keywords of [`read_recording`][riecjax.read_recording], but for
-    `parts`, each of which is read from each file, and `allow_duplicates`.
+    `settings` are the keywords of [`read_recording`][riecjax.read_recording], but for `parts`, each
+    of which is read from each file, and `allow_duplicates`.
     """
 
-    files: tuple[Path, ...]
-    rename: Mapping[str, str]
-    scale: Mapping[str, float]
-    units: Mapping[str, str]
-    derive: Mapping[str, str]
-    columns: tuple[str, ...]
-    time_step: float | None
-    resample: float | None
-    parts: tuple[str, ...]
-    delimiter: str | None
-    decimal: str | None
-    noise: str | Mapping[str, float]
-    outliers: str
-    start: float | None
-    stop: float | None
-    left_out: tuple[str, ...]
-    shifts: Mapping[str, float]
-    clocks: Mapping[str, float]
-    lags: Mapping[str, float]
-    align: str | tuple[str, ...]
-    offsets: tuple[str, ...]
-    drifts: tuple[str, ...]
-    notches: tuple[float | str, ...]
-    cutoffs: Mapping[str, float]
-    upsample: int
-    derivatives: Mapping[str, str]
-    every: int
-    allow_duplicates: bool
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The keywords of [`read_recording`][riecjax.read_recording], but for `part`."""
-        return {
-            field.name: getattr(self, field.name)
-            for field in dataclasses.fields(self)
-            if field.name not in ("files", "parts", "allow_duplicates")
-        }
+    def __init__(
+        self,
+        files: tuple[Path, ...],
+        parts: tuple[str, ...],
+        allow_duplicates: bool,
+        **settings: Any,
+    ):
+        self.files, self.parts, self.allow_duplicates = files, parts, allow_duplicates
+        self.settings = settings
 
     def read(self, files: Sequence[Path], model: "Model") -> "list[Recording]":
         """What these files hold, read and prepared for a model.
@@ -713,9 +686,10 @@ class RecordingOptions:
         from riecjax.records.faults.rows import refuse_duplicates
         from riecjax.records.recording import read_parts
 
-        settings = self.settings
         recordings = [
-            one for file in files for one in read_parts(file, self.parts, model=model, **settings)
+            recording
+            for file in files
+            for recording in read_parts(file, self.parts, model=model, **self.settings)
         ]
         if not self.allow_duplicates:
             refuse_duplicates(recordings)
@@ -734,41 +708,30 @@ def are_small(files: Sequence[Path]) -> bool:
     return sum(file.stat().st_size for file in files if file.exists()) < SMALL_FILES
 
 
-class BoundType(click.ParamType):
-    """`NAME=LOW:HIGH`, either end of which may be left out."""
-
-    name = "NAME=LOW:HIGH"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, tuple[float | None, float | None]]:
-        name, equals, ends = str(value).partition("=")
-        low, colon, high = ends.partition(":")
-        if not (name.strip() and equals and colon):
-            self.fail(f"'{value}' is not of the form {self.name}.", param, ctx)
-        try:
-            bounds = [float(end) if end.strip() else None for end in (low, high)]
-        except ValueError:
-            self.fail(f"the ends in '{value}' are not numbers.", param, ctx)
-        return name.strip(), (bounds[0], bounds[1])
+BOUND, PRIOR = "NAME=LOW:HIGH", "NAME=MEAN±SD"
 
 
-class PriorType(click.ParamType):
-    """`NAME=MEAN±SD`, or with `+-`."""
-
-    name = "NAME=MEAN±SD"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, tuple[float, float]]:
-        name, equals, text = str(value).partition("=")
-        mean, sign, std = text.replace("+-", "±").partition("±")
-        if not (name.strip() and equals and sign):
-            self.fail(f"'{value}' is not of the form {self.name} (or MEAN+-SD).", param, ctx)
-        return name.strip(), (FINITE.convert(mean, param, ctx), POSITIVE.convert(std, param, ctx))
+def _bound(text: str) -> tuple[str, tuple[float | None, float | None]]:
+    """Both ends, either of which may be left out."""
+    name, ends = _pair(text, BOUND)
+    low, colon, high = ends.partition(":")
+    if not colon:
+        raise ValueError(f"'{text}' is not of the form {BOUND}.")
+    with _refusing(f"the ends in '{text}' are not numbers."):
+        return name, (float(low) if low.strip() else None, float(high) if high.strip() else None)
 
 
-@dataclass(frozen=True)
+def _prior(text: str) -> tuple[str, tuple[float, float]]:
+    """Mean and standard deviation, with `+-` between them too."""
+    hint = " (or MEAN+-SD)"
+    name, said = _pair(text, PRIOR, hint)
+    mean, sign, std = said.replace("+-", "±").partition("±")
+    if not sign:
+        raise ValueError(f"'{text}' is not of the form {PRIOR}{hint}.")
+    return name, (FINITE.parse(mean), POSITIVE.parse(std))
+
+
+@dataclasses.dataclass(frozen=True)
 class RefinementOptions:
     """What was asked for on the command line."""
 
@@ -855,7 +818,7 @@ refinement_options: Callable[[Callable[..., Any]], Callable[..., Any]] = collect
             "--bound",
             "bounds",
             multiple=True,
-            type=BoundType(),
+            type=Parsed(BOUND, _bound),
             help="Keep a refined parameter between two values, either of which may be left out. "
             "Repeatable.",
         ),
@@ -863,7 +826,7 @@ refinement_options: Callable[[Callable[..., Any]], Callable[..., Any]] = collect
             "--prior",
             "priors",
             multiple=True,
-            type=PriorType(),
+            type=Parsed(PRIOR, _prior),
             callback=pairs_to_dict,
             help="What is known of a refined parameter beforehand, in SI units: it counts as one "
             "more observation. Repeatable.",

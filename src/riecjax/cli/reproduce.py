@@ -1,7 +1,9 @@
 """`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
+import functools
 import os
 import shutil
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,20 +48,15 @@ def command(
             "--roads excludes --full and --quick, which set the number of roads."
         )
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
-    if full or quick:
-        _study(seed, quick, as_json, out)
-    else:
-        _tables(seed, roads or DEFAULT_ROADS, as_json, out)
-
-
-def _tables(seed: int, count: int, as_json: bool, out: Path | None) -> None:
     import jax
 
     from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
     from riecjax.paper.claims import table_claims
     from riecjax.paper.reproduction import run_road
+    from riecjax.paper.study import FULL, QUICK, evaluate_claims, run_study
+    from riecjax.paper.variations import write_variations
     from riecjax.reporting.output import emit
-    from riecjax.reporting.paper_charts import table_charts
+    from riecjax.reporting.paper_charts import study_charts, table_charts
     from riecjax.reporting.reproduction import (
         print_reproduction,
         reproduction_document,
@@ -67,59 +64,41 @@ def _tables(seed: int, count: int, as_json: bool, out: Path | None) -> None:
     )
     from riecjax.studies.monte_carlo import over_keys
 
-    shapes = reconstructed()
-    with _progress() as report:
-        roads = over_keys(
-            run_road,
-            jax.random.key(seed),
-            count,
-            quarter_car_source(shapes),
-            shapes,
-            progress=lambda done: report("roads", done, count),
-        )
-    emit(
-        reproduction_document(roads, table_claims(roads), seed=seed),
-        as_json=as_json,
-        out=out,
-        show=print_reproduction,
-        charts=lambda: table_charts(roads, shapes),
-        page=reproduction_page,
-    )
-
-
-def _study(seed: int, quick: bool, as_json: bool, out: Path | None) -> None:
-    import jax
-
-    from riecjax.models.quarter_car.reconstruction import reconstructed
-    from riecjax.paper.study import FULL, QUICK, evaluate_claims, run_study
-    from riecjax.paper.variations import write_variations
-    from riecjax.reporting.output import emit
-    from riecjax.reporting.paper_charts import study_charts
-    from riecjax.reporting.reproduction import (
-        print_reproduction,
-        reproduction_document,
-        reproduction_page,
-    )
-
-    scale = QUICK if quick else FULL
-    shapes = reconstructed()
+    shapes, key = reconstructed(), jax.random.key(seed)
     parts = None if out is None else out / PARTS
+    others: dict[str, Callable[[Path], None]] = {}
     with _progress() as report:
-        study = run_study(scale, jax.random.key(seed), shapes, folder=parts, progress=report)
-        report("statements", 0, 1)
-        claims = evaluate_claims(study)
+        if full or quick:
+            scale = QUICK if quick else FULL
+            study = run_study(scale, key, shapes, folder=parts, progress=report)
+            report("statements", 0, 1)
+            results, claims = study.roads, evaluate_claims(study)
+            charts = functools.partial(study_charts, study, shapes)
+            others["variations.parquet"] = lambda file: write_variations(
+                study.table, file, stamp(file)
+            )
+        else:
+            scale, count = None, roads or DEFAULT_ROADS
+            results = over_keys(
+                run_road,
+                key,
+                count,
+                quarter_car_source(shapes),
+                shapes,
+                progress=lambda done: report("roads", done, count),
+            )
+            claims = table_claims(results)
+            charts = functools.partial(table_charts, results, shapes)
     emit(
-        reproduction_document(study.roads, claims, seed=seed, scale=scale),
+        reproduction_document(results, claims, seed=seed, scale=scale),
         as_json=as_json,
         out=out,
         show=print_reproduction,
-        charts=lambda: study_charts(study, shapes),
+        charts=charts,
         page=reproduction_page,
-        others={
-            "variations.parquet": lambda file: write_variations(study.table, file, stamp(file))
-        },
+        others=others,
     )
-    if parts is not None:
+    if scale is not None and parts is not None:
         shutil.rmtree(parts, ignore_errors=True)
 
 

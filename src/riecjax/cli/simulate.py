@@ -166,10 +166,10 @@ def drive(
             raise DataError(f"{source} is sampled at {1 / step:g} Hz; leave out --rate.")
         if duration is None:
             return record
-        count = round(duration / step)
-        if not 2 <= count <= record.sample_count:
+        count = duration / step
+        if not 1 < count - 0.5 <= record.sample_count:
             raise DataError(f"{source} lasts {float(record.duration):g} s, not {duration:g} s.")
-        return record.part(0, count)
+        return record.part(0, round(count))
     rate = DEFAULT_RATE if rate is None else rate
     samples = (DEFAULT_DURATION[source] if duration is None else duration) * rate
     if samples > MOST_SAMPLES:

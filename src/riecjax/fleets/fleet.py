@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
@@ -194,7 +194,10 @@ def _groups(
 
 
 def judged(rows: Sequence[Row], by: Sequence[str], allow_duplicates: bool) -> list[Row]:
-    """The same rows, where what belongs to no group or is a copy of another says so."""
+    """The same rows, where what belongs to no group or is a copy of another says so.
+
+    **Raises:** `DataError` where no recording at all could be summed.
+    """
     seen: dict[tuple[str, str], Row] = {}
     found = []
     for row in rows:
@@ -209,6 +212,11 @@ def judged(rows: Sequence[Row], by: Sequence[str], allow_duplicates: bool) -> li
             if not allow_duplicates and (first.name, first.part) != (row.name, row.part):
                 status = f"{row.name}: it holds the same samples as {first.name}."
         found.append(row._replace(status=status))
+    if not found:
+        raise DataError("what was found holds no rows.")
+    if all(row.status != DONE for row in found):
+        first = found[0].status
+        raise DataError(f"none of {len(found)} recordings can be used; the first: {first}")
     return found
 
 
@@ -328,85 +336,65 @@ def fleet(
     scheduler is gone, or with `strict` for the first recording that fails; `ModelError` for a
     criterion that draws windows, and for sums of another model.
     """
-    _require_packages()
+    names = ("cloudpickle", "distributed", "fsspec", "ruptures", "statsmodels")
+    if missing := [name for name in names if importlib.util.find_spec(name) is None]:
+        raise DataError(
+            f'fleets need {", ".join(missing)}; install them by pip install "riecjax[fleet]".'
+        )
     require("by", by, str | list | tuple, "by='file', 'folder' or names of columns")
     keys = tuple(part.strip() for part in by.split(",")) if isinstance(by, str) else tuple(by)
     _require_sense(keys, span, workers, known)
-    settings = Settings(known or {}, intervals or BlockBootstrap(), span)
     require("parts", parts, (tuple, list), f"parts=('{parts}',), names of recordings in a file")
-    listed = _listed(patterns)
-    given = (criterion, keys, storage or {}, at_rest, reading, parts)
-    asked = _Asked(as_model(model), listed, given, settings, strict, allow_duplicates)
-    tell: Progress = progress or (lambda *_: None)
-    return _answered(asked, lambda: engine(workers, scheduler), out, tell, on_start)
-
-
-class _Asked(NamedTuple):
-    """What a fleet is asked: `given` is what [`order_for`][] takes beside model and sources."""
-
-    model: Model
-    patterns: list[str | os.PathLike[str]]
-    given: tuple[Any, ...]
-    settings: Settings
-    strict: bool
-    allow_duplicates: bool
-
-
-def _listed(patterns: Any) -> list[str | os.PathLike[str]]:
-    one = isinstance(patterns, str | os.PathLike)
     require("patterns", patterns, str | os.PathLike | list | tuple, PATTERNS)
-    listed = [patterns] if one else [*patterns]
+    listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
     for pattern in listed:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
-    return listed
-
-
-def _answered(
-    asked: _Asked,
-    start: Callable[[], Engine],
-    out: str | os.PathLike[str] | None,
-    tell: Progress,
-    on_start: Callable[[str], None] | None,
-) -> Fleet:
-    criterion, by, storage, at_rest, reading, parts = asked.given
+    model, settings = as_model(model), Settings(known or {}, intervals or BlockBootstrap(), span)
+    tell: Progress = progress or (lambda *_: None)
     with contextlib.ExitStack() as stack:
         folder = Path(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
 
         def look() -> list[Source]:
-            return find_sources(asked.patterns, storage, lambda path: is_result(folder, path))
+            return find_sources(listed, storage or {}, lambda path: is_result(folder, path))
 
         def started() -> Engine:
-            runs = stack.enter_context(start())
+            runs = stack.enter_context(engine(workers, scheduler))
             if on_start is not None and runs.dashboard:
                 on_start(runs.dashboard)
             return runs
 
-        if len(asked.patterns) == 1 and is_table(asked.patterns[0]):
-            table = Path(asked.patterns[0])
-            _require_as_summed(table, reading, parts)
-            order = _order_of(asked.model, table, criterion, by, at_rest)
+        if len(listed) == 1 and is_table(listed[0]):
+            table = Path(listed[0])
+            asked_for = [n for n, value in reading.items() if value and value != AS_THEY_ARE.get(n)]
+            if parts or asked_for:
+                raise DataError(
+                    f"{table.name} holds sums, of which no sample is read again: it cannot heed "
+                    f"{', '.join([*asked_for, *['parts'] * bool(parts)])}. Leave that out, or give "
+                    f"the recordings."
+                )
+            order = _order_of(model, table, criterion, keys, at_rest)
             changed: list[str] = []
-            rows = judged([*read_rows(table, LIGHT)], by, asked.allow_duplicates)
-            _require_some(rows)
-            found = estimates(order, asked.settings, rows, read_rows(table), started(), tell)
+            rows = judged([*read_rows(table, LIGHT)], keys, allow_duplicates)
+            found = estimates(order, settings, rows, read_rows(table), started(), tell)
             _make(folder)
         else:
             sources = look()
-            order = order_for(asked.model, sources, *asked.given)
-            plan_parameters(order.procedure, 1, asked.settings.known, ())
+            order = order_for(
+                model, sources, criterion, keys, storage or {}, at_rest, reading, parts
+            )
+            plan_parameters(order.procedure, 1, settings.known, ())
             _make(folder)
-            kept = Kept(folder, order.digest, {b"riecjax.model": asked.model.name.encode()})
+            kept = Kept(folder, order.digest, {b"riecjax.model": model.name.encode()})
             runs = started()
-            pieces, changed = summed(order, sources, look, kept, runs, asked.strict, tell)
-            rows = judged([*kept.light(pieces)], by, asked.allow_duplicates)
-            _require_some(rows)
-            found = estimates(order, asked.settings, rows, kept.whole(pieces), runs, tell)
+            pieces, changed = summed(order, sources, look, kept, runs, strict, tell)
+            rows = judged([*kept.light(pieces)], keys, allow_duplicates)
+            found = estimates(order, settings, rows, kept.whole(pieces), runs, tell)
             kept.finish(pieces)
+        entries, over_time = found
         if out is not None:
-            write_entries(folder / ESTIMATES, [*found[0], *found[1]])
-    entries, over_time = found
+            write_entries(folder / ESTIMATES, [*entries, *over_time])
     shown = spreads(entries), changes(over_time)
-    made = Fleet(asked.model, by, order.criterion, entries, over_time, *shown, rows, changed)
+    made = Fleet(model, keys, order.criterion, entries, over_time, *shown, rows, changed)
     if all(entry.status != DONE for entry in entries):
         raise DataError(f"no group can be estimated; the first: {made.unanswered[0].status}")
     return made
@@ -444,25 +432,6 @@ def _order_of(
     return order
 
 
-def _require_as_summed(table: Path, reading: Mapping[str, Any], parts: Sequence[str]) -> None:
-    """Raise for settings of how recordings are read, where none is."""
-    asked = [name for name, value in reading.items() if value and value != AS_THEY_ARE.get(name)]
-    if parts or asked:
-        raise DataError(
-            f"{table.name} holds sums, of which no sample is read again: it cannot heed "
-            f"{', '.join([*asked, *['parts'] * bool(parts)])}. Leave that out, or give the "
-            f"recordings."
-        )
-
-
-def _require_packages() -> None:
-    names = ("cloudpickle", "distributed", "fsspec", "ruptures", "statsmodels")
-    if missing := [name for name in names if importlib.util.find_spec(name) is None]:
-        raise DataError(
-            f'fleets need {", ".join(missing)}; install them by pip install "riecjax[fleet]".'
-        )
-
-
 def _require_sense(
     by: Sequence[str], span: float | None, workers: int | None, known: Mapping[str, float] | None
 ) -> None:
@@ -475,11 +444,3 @@ def _require_sense(
         raise ModelError(f"span is a positive number of seconds; got {span!r}.")
     if workers is not None and not (isinstance(workers, int) and workers >= 0):
         raise ModelError(f"workers is a number of processes, 0 for none; got {workers!r}.")
-
-
-def _require_some(rows: Sequence[Row]) -> None:
-    """Raise where no recording at all could be summed."""
-    if not rows:
-        raise DataError("what was found holds no rows.")
-    if all(row.status != DONE for row in rows):
-        raise DataError(f"none of {len(rows)} recordings can be used; the first: {rows[0].status}")

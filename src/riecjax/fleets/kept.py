@@ -38,8 +38,6 @@ def write_rows(
 
     **Raises:** `DataError` where it cannot be written.
     """
-    import itertools
-
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -270,16 +268,19 @@ class Kept:
         wanted: dict[Path, set[str]] = {}
         for piece in pieces:
             wanted.setdefault(self._file[piece], set()).add(piece)
-        streams = {file: _by_piece(file) for file in wanted}
+        # The rows of each piece stand together in a file.
+        streams = {
+            file: itertools.groupby(read_rows(file), lambda row: row.piece) for file in wanted
+        }
         held: dict[str, list[Row]] = {}
         for piece in pieces:
             file = self._file[piece]
             while piece not in held:
-                name, rows = next(streams[file], ("", []))
-                if not rows:
+                name, rows = next(streams[file], ("", None))
+                if rows is None:
                     raise DataError(f"{file.name}: it has changed meanwhile; run it again.")
                 if name in wanted[file]:
-                    held[name] = rows
+                    held[name] = list(rows)
             yield from held.pop(piece)
 
     def finish(self, pieces: Sequence[str]) -> Path:
@@ -292,9 +293,3 @@ class Kept:
         shutil.rmtree(self._parts, ignore_errors=True)
         self._file = dict.fromkeys(pieces, file)
         return file
-
-
-def _by_piece(file: Path) -> Iterator[tuple[str, list[Row]]]:
-    """The rows of each piece, which stand together in a file."""
-    for piece, rows in itertools.groupby(read_rows(file), lambda row: row.piece):
-        yield piece, list(rows)

@@ -139,16 +139,6 @@ def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
-def _is_worker() -> bool:
-    import distributed
-
-    try:
-        distributed.get_worker()
-    except ValueError:
-        return False
-    return True
-
-
 @functools.lru_cache(maxsize=2)
 def unpacked(order: bytes) -> Order:
     """The order that these bytes were made of, the same object as long as it is asked for.
@@ -156,8 +146,13 @@ def unpacked(order: bytes) -> Order:
     A process of Dask's starts JAX as the command line does; this one's settings are its own.
     """
     import cloudpickle
+    import distributed
 
-    if _is_worker():
+    try:
+        distributed.get_worker()
+    except ValueError:
+        pass  # this process is none of Dask's
+    else:
         start_jax(keep_compiled=True)
         collect_seldom()
     return cloudpickle.loads(order)
@@ -216,29 +211,26 @@ def order_for(
 
 
 def _first(order: Order, sources: Sequence[Source]) -> Recording:
+    """The first recording that can be read, or as much of it as is enough."""
     errors: list[Exception] = []
     for source in sources[:TRIED]:
-        try:
-            return _beginning(order, source)
+        columns = order.columns_in(source)
         # What is wrong with one recording is told by its row.
+        try:
+            if is_long(source) or (source.is_parquet and columns):
+                first = recordings_of(source, columns, order.storage)[0]
+                high = min(first.high, first.low + LOOKED_AT)
+                opening = rows_at_hand(first, first.low, high, order.storage)
+            else:
+                opening = at_hand(source, order.storage)
+            with opening as file:
+                return order.recordings_in(file)[0]
         except Exception as error:
             errors.append(error)
     raise DataError(
         f"none of the first {len(errors)} recordings can be read; the first: "
         f"{sources[0].name}: {reason_of(errors[0]).removeprefix(f'{sources[0].name}: ')}"
     )
-
-
-def _beginning(order: Order, source: Source) -> Recording:
-    """A recording of a source, or as much of it as is enough."""
-    columns = order.columns_in(source)
-    if not (is_long(source) or (source.is_parquet and columns)):
-        with at_hand(source, order.storage) as file:
-            return order.recordings_in(file)[0]
-    first = recordings_of(source, columns, order.storage)[0]
-    high = min(first.high, first.low + LOOKED_AT)
-    with rows_at_hand(first, first.low, high, order.storage) as file:
-        return order.recordings_in(file)[0]
 
 
 def planned(order: Order, sources: Sequence[Source]) -> Iterator[Piece]:

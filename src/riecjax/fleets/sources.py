@@ -77,7 +77,8 @@ def find_sources(
         if whole == url or url.lower().endswith(DATA_SET):
             sets.setdefault(whole, []).append(url)
     # Not of what is found: a name must not change with the files beside.
-    root = _common_folder(roots)
+    common = posixpath.commonprefix(roots)
+    root = common[: common.rfind("/") + 1]
     return sorted(
         Source(
             url.removeprefix(root) or posixpath.basename(url),
@@ -105,17 +106,13 @@ def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, dict[str, Map
             inner = fs.find(each, detail=True) if info["type"] == "directory" else {}
             found |= {k: v for k, v in inner.items() if _is_data(k[len(each) :])}
             found |= {each: info} if info["type"] == "file" else {}
-        root = _fixed(path) if path not in matched else path
+        # Of a pattern, as far as it is a path.
+        root = path if path in matched else re.split(r"[*?\[]", path, maxsplit=1)[0]
         if matched.get(root, {}).get("type") != "directory" or _recording_of(f"{root}/") == root:
             root = posixpath.dirname(root)
     local = "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,))
     url = (lambda each: each) if local else fs.unstrip_protocol
     return url(root) + "/", {url(each): info for each, info in found.items()}
-
-
-def _fixed(path: str) -> str:
-    """A pattern as far as it is a path."""
-    return re.split(r"[*?\[]", path, maxsplit=1)[0]
 
 
 @contextlib.contextmanager
@@ -145,11 +142,6 @@ def _recording_of(url: str) -> str:
     folder = posixpath.dirname(url)
     inside = any(part.lower().endswith(DATA_SET) for part in folder.split("/"))
     return folder if inside else url
-
-
-def _common_folder(folders: Sequence[str]) -> str:
-    common = posixpath.commonprefix([*folders])
-    return common[: common.rfind("/") + 1]
 
 
 def _keys(url: str) -> Iterator[tuple[str, str]]:

@@ -83,17 +83,18 @@ def spreads(entries: Iterable[Entry], rate: float = RATE) -> list[Spread]:
     ]
 
 
-def _values(every: Sequence[Entry]) -> Float[np.ndarray, " n"]:
-    return np.array([entry.value for entry in every], float)
-
-
 def _judged(every: Sequence[Entry]) -> tuple[float, Float[np.ndarray, " n"]]:
     """Centre of most groups, and the probability of each group's distance by chance."""
-    values, errors = _values(every), errors_of(every)
+    values, errors = np.array([entry.value for entry in every], float), errors_of(every)
     half = scipy.stats.chi2.median(1)
 
+    ranked = np.argsort(values)
+
     def centre(between: float) -> float:
-        return _median(values, 1 / (errors**2 + between))
+        """The weighted median, between two values where half of the weight lies on either side."""
+        weights = 1 / (errors[ranked] ** 2 + between)
+        sums = np.cumsum(weights) - 0.5 * weights
+        return float(np.interp(0.5 * np.sum(weights), sums, values[ranked]))
 
     def excess(between: float) -> float:
         squares = (values - centre(between)) ** 2 / (errors**2 + between)
@@ -111,13 +112,6 @@ def _judged(every: Sequence[Entry]) -> tuple[float, Float[np.ndarray, " n"]]:
     return centre(between), 2 * scipy.stats.norm.sf(away)
 
 
-def _median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
-    """The weighted median, between two values where half of the weight lies on either side."""
-    order = np.argsort(values)
-    sums = np.cumsum(weights[order]) - 0.5 * weights[order]
-    return float(np.interp(0.5 * np.sum(weights), sums, values[order]))
-
-
 def _spread(
     every: Sequence[Entry],
     judged: tuple[float, Float[np.ndarray, " n"]],
@@ -126,7 +120,7 @@ def _spread(
 ) -> Spread:
     from statsmodels.stats.meta_analysis import combine_effects
 
-    values, errors = _values(every), errors_of(every)
+    values, errors = np.array([entry.value for entry in every], float), errors_of(every)
     # Where all are equal, shares of no variance are asked for.
     with np.errstate(divide="ignore", invalid="ignore"):
         found: Any = combine_effects(values, errors**2, method_re="iterated")

@@ -14,7 +14,7 @@ from riecjax.errors import printable
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.records.recording import common_steps
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.reporting.charts.chart import BLUE, GREY, RUST, Axis, Chart, Level, Line, Panel
 from riecjax.reporting.checking import (
     excitation_entries,
@@ -30,7 +30,7 @@ from riecjax.reporting.estimate import (
     print_estimate,
 )
 from riecjax.reporting.verdict import as_typed, print_verdict, verdict_entries
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 
 
 def identification_document(result: Assessment, command: Sequence[str] = ()) -> Document:
@@ -182,8 +182,7 @@ def windows_in_words(document: Document) -> Iterator[str]:
             f"windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s: half periods of "
             f"{high:.3g} to {low:.3g} Hz. {choice['reason']}"
         )
-    if document["noise"]:
-        yield noise_in_words(document["noise"])
+    yield from noise_in_words(document["noise"])
 
 
 LOWEST = 0.3
@@ -281,7 +280,6 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
         "so that the share without a mode, too, depends on its frequency and damping; where the "
         "best damping jumps from one value to another, it has a step. Gaps are frequencies at "
         "which only a negative mass would fit; at the lowest points noise accounts for all.",
-        (7, 3.2 * len(rows) + 0.6),
         legend=True,
     )
 

@@ -33,12 +33,17 @@ from riecjax.paper.variations import BANDWIDTHS, Hysteresis, Varied, VariedStudy
 from riecjax.reporting.charts.chart import (
     BLACK,
     BLUE,
+    BOLD,
     DASHES,
     GREY,
+    LARGE,
     OCHRE,
     PALE,
     RUST,
     SERIES,
+    SMALL,
+    THIN,
+    WIDE,
     Axis,
     Chart,
     Dashes,
@@ -84,7 +89,7 @@ def figure_2(demonstrations: Demonstration) -> Chart:
         rows.append(
             [
                 Panel(
-                    [Line(time[few], excerpt, "", color, width=0.6)],
+                    [Line(time[few], excerpt, "", color, width=THIN)],
                     Axis("time / s"),
                     Axis("signal / its r.m.s.", low=-4.5, high=4.5),
                     title=name,
@@ -92,7 +97,7 @@ def figure_2(demonstrations: Demonstration) -> Chart:
                 Panel(
                     [
                         Line(time[thin], zero, label, GREY, width=1.0, **ends),
-                        Line(time[thin], one, "one realisation", color, width=0.9),
+                        Line(time[thin], one, "one realisation", color, width=THIN),
                     ],
                     Axis("time / s"),
                     Axis("integral / (r.m.s. s)", low=-largest, high=largest),
@@ -105,7 +110,6 @@ def figure_2(demonstrations: Demonstration) -> Chart:
         f"Figure 2. White noise and the equation error of a one-mass model, of one r.m.s., and "
         f"their running integrals. White noise wanders off, the mechanical error's impulse stays "
         f"bounded. Band: twice the r.m.s. over {size.shape[0]} realisations.",
-        (8.5, 5.2),
     )
 
 
@@ -119,13 +123,12 @@ def figure_3() -> Chart:
         [
             Line(frequency, one, "T = 0.1 s", RUST, width=1.0),
             Line(frequency, two, "mean of T = 0.1 and 0.33 s", OCHRE, "dashed", width=1.0),
-            Line(frequency, drawn, "mean of T from 0.1 to 1.0 s", BLUE, width=1.8),
+            Line(frequency, drawn, "mean of T from 0.1 to 1.0 s", BLUE, width=BOLD),
         ],
         Axis("frequency / Hz", log=True, low=0.2, high=50),
         Axis("gain / s", log=True, low=1e-4, high=1),
         "Figure 3. Gain of the integration over windows (eq. 13). A fixed length is blind at "
         "multiples of its inverse, a range of lengths at no frequency.",
-        size=(7.0, 4.2),
     )
 
 
@@ -154,7 +157,7 @@ def figure_5(source: QuarterCarSource) -> Chart:
         [
             [
                 Panel(
-                    [Line(factor * x, sampled(curve, x) / 1e3, width=1.6)],
+                    [Line(factor * x, sampled(curve, x) / 1e3, width=BOLD)],
                     Axis(label),
                     Axis("force / kN"),
                     title=f"{name} (reconstructed)",
@@ -164,7 +167,6 @@ def figure_5(source: QuarterCarSource) -> Chart:
         ],
         "Figure 5, reconstructed. Characteristics of the source model. The paper draws them and "
         "its text does not give them: these are fitted to Tables 3 to 5.",
-        (10.0, 3.2),
     )
 
 
@@ -178,7 +180,7 @@ def figure_6(roads: RoadResult) -> Chart:
     model = Panel(
         [
             Line(velocity, np.array(forces) @ functions / 1e3, "sum of F_i R_i"),
-            Dots(BREAK_POINTS, np.array(forces) / 1e3, "F_i at v_i", RUST, size=5),
+            Dots(BREAK_POINTS, np.array(forces) / 1e3, "F_i at v_i", RUST, size=LARGE),
         ],
         Axis("suspension velocity / (m/s)"),
         Axis("force / kN"),
@@ -198,7 +200,6 @@ def figure_6(roads: RoadResult) -> Chart:
         "Figure 6. The piecewise linear damper of the identification model (with forces identified "
         f"by RIEC, B_id) and the roof functions that make it linear in its parameters, with break "
         f"points at {', '.join(f'{v:g}' for v in BREAK_POINTS)} m/s.",
-        (9.0, 3.6),
     )
 
 
@@ -215,12 +216,11 @@ def figure_8(shapes: Reconstruction) -> Chart:
     )
     distance = SPEED * (step * np.arange(count) - before)
     return single(
-        [Line(distance, -1e3 * step * np.cumsum(velocity), "", BLACK, width=1.6)],
+        [Line(distance, -1e3 * step * np.cumsum(velocity), "", BLACK, width=BOLD)],
         Axis("distance / m"),
         Axis("road height / mm"),
         f"Figure 8, reconstructed. The pot-hole: {1e3 * depth:.0f} mm deep, {length:.2f} m between "
         f"the middles of its ramps of {ramp:.2f} m, crossed at {SPEED:g} m/s.",
-        size=(7.0, 2.8),
     )
 
 
@@ -278,7 +278,7 @@ def tables_at_a_glance(roads: RoadResult) -> Chart:
         if not chosen:
             continue
         x, y = zip(*ends)
-        marks.append(Line(x, y, "", color, width=2))
+        marks.append(Line(x, y, "", color, width=BOLD))
         marks.append(
             Dots([100 * cell.deviation for _, cell in chosen], [i for i, _ in chosen], label, color)
         )
@@ -291,7 +291,6 @@ def tables_at_a_glance(roads: RoadResult) -> Chart:
         Axis(categories=tuple(cells), reverse=True),
         "Tables 3 to 5 at a glance: mean over the roads (dot) and the range that holds 95 % of "
         "them (line), against the published number.",
-        size=(8.0, 8.0),
     )
 
 
@@ -308,7 +307,7 @@ def damper_map(
 def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
     """Identified damper maps, four variants by each method, over the source's curve."""
     velocity = np.linspace(-1.1, 1.1, 221)
-    curve = Line(velocity, sampled(source.damper, velocity) / 1e3, "source", GREY, width=4.0)
+    curve = Line(velocity, sampled(source.damper, velocity) / 1e3, "source", GREY, width=WIDE)
     row = []
     for criterion in CRITERIA:
         maps = [
@@ -325,7 +324,6 @@ def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
         [row],
         "Figure 7. Identified damper maps, means over the roads with bars that hold 95 % of them. "
         "RIEC finds one map in all four variants, DOLS four.",
-        (9.5, 4.2),
         share_y=True,
     )
 
@@ -364,7 +362,7 @@ def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> 
         what, unit, factor = QUANTITIES[state]
         source = factor * np.asarray(found.source)[drawn, i]
         # Behind the predictions, and wide: where they agree with it they would hide a thin line.
-        marks = [Line(time[drawn], source, "source", PALE, width=4.0)]
+        marks = [Line(time[drawn], source, "source", PALE, width=WIDE)]
         for method in ("DOLS", "RIEC"):
             predicted = factor * np.asarray(found.predicted[method])[:, drawn, i]
             marks.append(banded(time[drawn], predicted, method, METHOD_STYLE[method]))
@@ -382,7 +380,6 @@ def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> 
     return Chart(
         rows,
         f"{caption} {BAND} Models identified on {count} roads predict one and the same motion.",
-        (9.0, 10.0),
         share_x=True,
         legend=True,
     )
@@ -451,7 +448,6 @@ def figure_11(study: VariedStudy) -> Chart:
         rows,
         f"Figure 11. Identified masses and suspension stiffness over the bandwidth of the input "
         f"(B_id). {BAND}",
-        (10.5, 8.0),
         share_y=True,
         legend=True,
     )
@@ -476,7 +472,6 @@ def figure_12(study: VariedStudy) -> Chart:
         f"Figure 12. Identified damper forces over the bandwidth of the input, pathological case "
         f"(B_id). {BAND} Below about 3 Hz nothing reaches the outer break points, and F_1 and F_4 "
         f"are undetermined.",
-        (9.5, 4.2),
         share_y=True,
         legend=True,
     )
@@ -498,7 +493,6 @@ def figure_14(study: VariedStudy) -> Chart:
         f"Figure 14. Validation error, summed over x1 to x4, over the bandwidth of the input that "
         f"the model was identified on (B_id). {BAND} Models from inputs below about 4 Hz know "
         f"nothing of the damper's outer break points and lose their solution.",
-        (10.5, 6.4),
         share_y=True,
         legend=True,
     )
@@ -534,7 +528,6 @@ def length_map_chart(lengths: LengthMap) -> Chart:
         f"Sensitivity to the window lengths (claim 8): change of the identified values from those "
         f"of Table 2's lengths ({TABLE_2.alpha:g} to {TABLE_2.beta:g} s), mean over the roads, "
         f"with all windows of each pair. On the diagonal beta is one sample longer than alpha.",
-        (12.0, 3.9),
     )
 
 
@@ -552,7 +545,7 @@ def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
             np.asarray(values)[0, place][:MOST_DOTS] for values in (damper.velocity, damper.force)
         )
         marks: list[Dots | Line] = [
-            Dots(velocity, force / 1e3, "source, one road", GREY, size=1.5, opacity=0.5)
+            Dots(velocity, force / 1e3, "source, one road", GREY, size=SMALL, opacity=0.5)
         ]
         band = int(np.argmin(np.abs(study.bandwidths - BANDWIDTHS[place])))
         marks += [
@@ -560,7 +553,7 @@ def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
                 [models[method].parameters[f"F_{i}"][:, band, 0] for i in range(1, 5)],
                 method,
                 METHOD_STYLE[method],
-                width=1.8,
+                width=BOLD,
             )
             for method in ("DOLS", "RIEC")
         ]
@@ -577,7 +570,6 @@ def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
         "Figure 13. Identified damper maps (B_id, pathological case; bars hold 95 % of the roads) "
         "over force and velocity in the source. The compliant damper's hysteresis widens with "
         "bandwidth: DOLS follows the line of least instantaneous error, RIEC does not.",
-        (9.5, 4.4),
         share_y=True,
     )
 
