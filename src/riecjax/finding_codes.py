@@ -114,7 +114,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} do not fit each other",
         "increments of a signal against the integral of its derivative",
-        "records.consistency:GAIN",
+        "records.faults.derivative_pairs:GROSS",
     ),
     "at_rest": FindingCode(
         "sensors",
