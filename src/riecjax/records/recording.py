@@ -17,7 +17,7 @@ from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs
 from riecjax.records.preparation.steps import prepare
-from riecjax.records.reading.channels import TIME_COLUMNS, Channels
+from riecjax.records.reading.channels import Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
 from riecjax.records.reading.selection import record_from_channels
