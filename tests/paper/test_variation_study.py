@@ -109,20 +109,6 @@ def test_a_broken_part_is_computed_anew(tmp_path):
     assert run(tmp_path).equals(run())
 
 
-def test_a_part_with_a_flipped_bit_is_computed_anew(tmp_path, monkeypatch):
-    expected = run(tmp_path)
-    monkeypatch.setattr(variation_study, "_run", None)  # which cannot be called
-    assert run(tmp_path).equals(expected)
-    file = tmp_path / parts_of(PLAN)[1].file
-    whole = file.read_bytes()
-    for place in np.random.default_rng(0).choice(8 * len(whole), 200, replace=False):
-        damaged = bytearray(whole)
-        damaged[place // 8] ^= 1 << (place % 8)
-        file.write_bytes(damaged)
-        with pytest.raises(TypeError, match="not callable"):
-            run(tmp_path)
-
-
 def test_the_whole_table_is_read_as_it_was_written(tmp_path):
     parts, file = tmp_path / "parts", tmp_path / "variations.parquet"
     table = run(parts)

@@ -109,7 +109,7 @@ def test_parameters_stand_with_unit_error_and_interval(page):
         ["m", "2", "0.01", "1.98 to none", "kg"],
         ["c", "3", "", "known", "N s/m"],
     ]
-    assert [list(row) for row in excitation.rows] == [["m", "motion", "50", "none"]]
+    assert [list(row) for row in excitation.rows] == [["m", "motion", "50 %", "?"]]
 
 
 def test_the_page_begins_with_the_verdict_and_what_to_do(page):

@@ -271,7 +271,6 @@ def result_of(estimate, procedure, record, **changes) -> Assessment:
         sweep=None,
         residuals=ResidualTests(()),
         choice=None,
-        seeds=None,
         validations=[],
         refinement=None,
         failures=[],

@@ -167,7 +167,7 @@ def drive(
         if duration is None:
             return record
         count = duration / step
-        if not 1 < count - 0.5 <= record.sample_count:
+        if not 1 <= count - 0.5 <= record.sample_count:
             raise DataError(f"{source} lasts {float(record.duration):g} s, not {duration:g} s.")
         return record.part(0, round(count))
     rate = DEFAULT_RATE if rate is None else rate

@@ -139,8 +139,11 @@ def load(path: str | os.PathLike[str]) -> Any:
     """
     if isinstance(path, str | os.PathLike):
         file = Path(path)
-        if file.is_dir() or file.suffix == ".json":
-            return _results(file / RESULTS if file.is_dir() else file)
+        is_folder = os.path.isdir(file)
+        if os.path.exists(file) and not (is_folder or os.path.isfile(file)):
+            raise DataError(f"'{file}' is neither a file nor a folder.")
+        if is_folder or file.suffix == ".json":
+            return _results(file / RESULTS if is_folder else file)
         if _holds_an_estimate(file):
             document, arrays = read_checked(file, NAME, FORMAT, SCHEMA)
             with naming(file, NAME):
@@ -149,12 +152,14 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 
 def _results(file: Path) -> Results:
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise DataError(f"there is no file '{file}'.")
     try:
         text = file.read_text(encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot read '{file}': {error.strerror}.") from None
+    except UnicodeDecodeError as error:
+        raise DataError(f"'{file}' is damaged: byte {error.start} is not UTF-8.") from None
     with naming(file, "results"):
         try:
             document = json.loads(text)
