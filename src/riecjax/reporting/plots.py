@@ -34,10 +34,10 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of, needed
-from riecjax.reporting.identification import mode_map_figure
 from riecjax.reporting.identification_figures import (
     held_out_figure,
     identification_figures,
+    mode_map_figure,
     spectra_figure,
     sweep_figure,
 )
