@@ -9,7 +9,6 @@ import pytest
 import riecjax
 
 STAGES = (
-    "compilation",
     "records",
     "equations",
     "criteria",
@@ -31,6 +30,7 @@ STAGES = (
 OUTSIDE = ("models", "discovery", "assessment", "fleets", "paper", "reporting", "cli")
 """What the engine never imports."""
 SHARED = (
+    "compilation",
     "errors",
     "finding_codes",
     "findings",

@@ -9,8 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import scipy.io
-from benchmarks.fleet.drives import STEP, TRUTH, drives
 from pyarrow import parquet
+from tests.machines import DRAG_TRUTH as TRUTH
+from tests.machines import STANDARD
+from tests.machines import drag_fleet as drives
 
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows
@@ -23,8 +25,8 @@ from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
 from riecjax.reporting.fleet import sentence
-from riecjax.summaries.reduced import in_blocks
 from riecjax.summaries.summarise import summarise
+from riecjax.summaries.summary import in_blocks
 
 MODEL = find_model("drag-oscillator")
 SAMPLES = 1500
@@ -288,7 +290,7 @@ def test_courses_over_time_show_when_a_damper_wore(tmp_path):
     spans = [e for e in found.over_time if e.group == "new.parquet" and e.parameter == "r"]
     assert [round(e.start) for e in spans] == sorted(round(e.start) for e in spans)
     assert spans[0].start == 0
-    assert spans[-1].end == pytest.approx(6000 * STEP)
+    assert spans[-1].end == pytest.approx(6000 * STANDARD.step)
     assert 4 <= len(spans) <= 6
     for one, following in itertools.pairwise(spans):
         assert one.end == pytest.approx(following.start)
@@ -329,7 +331,7 @@ def test_spans_cover_a_recording_once(folder, count, each):
     seconds = float(one.block_seconds)
     spans = list(groups._spans(one, each * seconds))
     assert spans[0][0] == 0
-    assert spans[-1][1] == pytest.approx(SAMPLES * STEP)
+    assert spans[-1][1] == pytest.approx(SAMPLES * STANDARD.step)
     assert all(a[1] == pytest.approx(b[0]) for a, b in itertools.pairwise(spans))
     held = sum(int(some.blocks) for _, _, some in spans)
     assert held == int(one.blocks)

@@ -29,7 +29,7 @@ import numpy as np
 
 from riecjax.assessment.asked import size_of
 from riecjax.findings import Finding
-from riecjax.validation.equation_residual import NOTABLE_SHARED
+from riecjax.validation.residuals import NOTABLE_SHARED
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment

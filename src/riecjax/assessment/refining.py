@@ -18,10 +18,9 @@ import numpy as np
 from riecjax.assessment.asked import Asked, size_of
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
 from riecjax.assessment.trust import horizons, seen, system_of, unseen, validated
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
@@ -32,8 +31,7 @@ from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.output_misfit import OutputMisfit
-from riecjax.refinement.refine import refine_with_misfit
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined, refine_with_misfit
 from riecjax.refinement.shots import Tiles, WholeRecord
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course

@@ -15,8 +15,7 @@ from riecjax.assessment.assessment import ValidationRun
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import DataError, IdentifiabilityError, RiecjaxError
 from riecjax.estimation.check import Check
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.parameters import values_of_record
 from riecjax.findings import Finding
 from riecjax.models.model import Model
@@ -26,15 +25,14 @@ from riecjax.records.faults.relations import Relation, relations
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
-from riecjax.simulation.instability import growth
+from riecjax.simulation.linearisation import growth
 from riecjax.simulation.system import AbstractSystem
 from riecjax.studies.choice import WindowChoice, window_choice
-from riecjax.validation.drifting_inputs import drifting_inputs
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.held_out import validate_held_out
+from riecjax.validation.input_faults import drifting_inputs, silent_inputs
 from riecjax.validation.late_signals import late_signals
 from riecjax.validation.residuals import ResidualTests, residual_tests
-from riecjax.validation.silent_inputs import silent_inputs
 
 
 def what_is_left(

@@ -51,7 +51,7 @@ def command(
     """
     criteria.require_sense()
     start_jax(once=are_small(recordings.files), keep_compiled=True)
-    from riecjax.compilation.program_files import load_ahead
+    from riecjax.compilation import load_ahead
 
     load_ahead("check", model_name)
     import jax

@@ -107,7 +107,7 @@ def command(
     criteria.require_sense()
     refining.require_sense(validates=hold_out is not None or bool(validation_files))
     start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
-    from riecjax.compilation.program_files import load_ahead
+    from riecjax.compilation import load_ahead
 
     changed = changed_files(click.get_current_context())
     load_ahead("identify", model_name)

@@ -227,8 +227,7 @@ class HiddenOptions:
 
     def added_to(self, name: str) -> "Model":
         """The model of this name, with these modes, springs, and errors of sensors."""
-        from riecjax.equations.hidden_modes import HiddenMode
-        from riecjax.equations.series_springs import SeriesSpring
+        from riecjax.equations.hidden_elements import HiddenMode, SeriesSpring
         from riecjax.models.catalogue import find_model
 
         offsets, gains = (tuple(dict.fromkeys(of)) for of in (self.offsets_of, self.gains_of))

@@ -12,7 +12,7 @@ from riecjax.assessment.assessment import Assessment, Refinement
 from riecjax.errors import printable
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.records.recording import common_steps
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import (
     excitation_entries,
     noise_entries,

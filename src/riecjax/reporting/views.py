@@ -12,8 +12,7 @@ from riecjax.discovery.discovery import Discovery
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate, span
+from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.fleets.fleet import Fleet
@@ -21,7 +20,7 @@ from riecjax.leaves import is_concrete, on_host
 from riecjax.models.model import Model
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import excitation_entries, excitation_table, share_in_words
 from riecjax.reporting.discovery import (
     choice_in_words,
@@ -43,7 +42,7 @@ from riecjax.reporting.fleet import differing_table, fleet_document, left_out_ta
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
