@@ -235,11 +235,6 @@ class Verdict(Shown):
     parameters: Mapping[str, ParameterVerdict]
     causes: Sequence[Cause]
 
-    def of_level(self, level: Level) -> list[ParameterVerdict]:
-        """Parameters of one level, the least doubtful first."""
-        some = [one for one in self.parameters.values() if one.level == level]
-        return sorted(some, key=lambda one: one.share)
-
 
 def verdict(assessment: "Assessment") -> Verdict:
     """The verdict on the answer of an assessment (not under jit)."""
@@ -301,13 +296,10 @@ def _reason(kind: str, name: str, grouped: Sequence[Cause]) -> str:
 
 def _sentence(judged: Mapping[str, ParameterVerdict]) -> str:
     """All levels in one sentence of plain English, with the reason for the worst."""
-    by_level = {
-        level: sorted(
-            (one for one in judged.values() if one.level == level), key=lambda one: one.share
-        )
+    good, caution, out = (
+        sorted((one for one in judged.values() if one.level == level), key=lambda one: one.share)
         for level in ("good", "caution", "do not use")
-    }
-    good, caution, out = by_level.values()
+    )
     if not judged:
         return "Nothing was estimated: every parameter is known."
     if not caution and not out:

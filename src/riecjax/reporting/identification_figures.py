@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.assessment.asked import TINY
-from riecjax.assessment.assessment import Assessment, ValidationRun
+from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
@@ -78,7 +78,7 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
         figures |= window_choice_figures(result.choice)
     for i, run in enumerate(result.validations):
         if run.held.signals:
-            figures[f"validation_{i + 1}"] = validation_figure(run)
+            figures[f"validation_{i + 1}"] = held_out_figure(run.held, f"{run.recording.name}: ")
     return figures
 
 
@@ -141,11 +141,6 @@ def correlation_figure(estimate: Estimate) -> Chart:
     )
 
 
-def validation_figure(run: ValidationRun) -> Chart:
-    """Measured and simulated signals over time."""
-    return held_out_figure(run.held, f"{run.recording.name}: ")
-
-
 def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
     """What a mode at each frequency leaves of its equation, and what is left without one."""
     rows = []
@@ -178,7 +173,7 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
 
 
 def held_out_figure(held: HeldOut, about: str = "") -> Chart:
-    """The same, its caption after a few words about the recording."""
+    """Measured and simulated signals over time; the caption after words about the recording."""
     assert held.measured is not None
     measured, names = held.measured, list(held.signals)
     units, time = dict(measured.units), np.asarray(measured.elapsed)

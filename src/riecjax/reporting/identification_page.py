@@ -67,7 +67,8 @@ def _answer(document: Document) -> Section:
         rows.append(
             (
                 *(name, number(entry["value"]), entry["unit"], doubt_in_words(judged["share"])),
-                *(_interval(judged["doubt"]), judged["level"], judged["reason"]),
+                BETWEEN.format(*ends_of(judged["doubt"])),
+                *(judged["level"], judged["reason"]),
             )
         )
     header = ("parameter", "value", "unit", "doubt", "from .. to", "verdict", "because of")
@@ -109,10 +110,15 @@ def _refinement(entries: Document | None) -> Section | None:
     if entries is None or entries["refined"] is None:
         return None
     by, *_, intervals = search_in_words(entries)
-    header, channels = ["left, r.m.s.", "before", "after", "unit"], {}
-    if entries["whiteness"] is not None:
+    header, channels, caption = ["left, r.m.s.", "before", "after", "unit"], {}, ""
+    if (whiteness := entries["whiteness"]) is not None:
         header += ["whiteness", "chi-squared"]
-        channels = entries["whiteness"]["channels"]
+        channels = whiteness["channels"]
+        caption = (
+            f"Whiteness: Ljung-Box over 20 lags, 1 of white noise, which stays below "
+            f"{whiteness['threshold']:.2g}. Chi-squared: what is left in units of the sensor's "
+            f"noise power"
+        )
     left = [
         (
             *(name, number(one["before"], 4), number(one["after"], 4), one["unit"]),
@@ -131,9 +137,8 @@ def _refinement(entries: Document | None) -> Section | None:
         for run in entries["simulations"]
         for name in run["after"]["signals"]
     ]
-    tables = [Table(header, left, _about(entries["whiteness"]))]
-    if fits:
-        tables.append(Table(("simulated, fit", "before / %", "after / %"), fits))
+    tables = [Table(header, left, caption)]
+    tables.append(Table(("simulated, fit", "before / %", "after / %"), fits))
     at_bound = entries["at_bound"]
     return Section(
         "Refinement",
@@ -145,15 +150,6 @@ def _refinement(entries: Document | None) -> Section | None:
             _sentence(intervals.split("; ")[0]),
         ],
         tables=tables,
-    )
-
-
-def _about(left: Document | None) -> str:
-    if left is None:
-        return ""
-    return (
-        f"Whiteness: Ljung-Box over 20 lags, 1 of white noise, which stays below "
-        f"{left['threshold']:.2g}. Chi-squared: what is left in units of the sensor's noise power"
     )
 
 
@@ -301,10 +297,6 @@ def _recordings(document: Document) -> Section:
 
 def _sentence(line: str) -> str:
     return f"{line[0].upper()}{line[1:].rstrip('.')}."
-
-
-def _interval(ends: list[float | None]) -> str:
-    return BETWEEN.format(*ends_of(ends))
 
 
 def _percent(share: float | None, digits: int = 3) -> str:
