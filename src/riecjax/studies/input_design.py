@@ -29,8 +29,8 @@ from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
-from riecjax.refinement.output_misfit import observed
-from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
+from riecjax.refinement.objective import AbstractParametric, as_parametric_system
+from riecjax.refinement.output_error import observed
 from riecjax.simulation.inputs import multisine
 from riecjax.simulation.linearisation import suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep
