@@ -107,7 +107,16 @@ def discover(
             record, steps = with_velocities(reading, one.record)
             one = replace(one, record=record, steps=(*one.steps, *steps))
         recordings.append(one)
-    offered = _offered(found, procedure, recordings, candidates)
+    if candidates is None:
+        units = {signal.name: signal.unit for signal in found.signals}
+        sampled = [one.record for one in recordings]
+        for record in sampled:
+            units |= {name: unit for name, unit in dict(record.units).items() if unit}
+        names = [name for stage in procedure.equation_names for name in stage]
+        usual = default_candidates(procedure.equations, names, sampled, units)
+        offered = without_twins(without_taken(usual, procedure.parameters), procedure)
+    else:
+        offered = as_candidates(candidates)
     with_all = extended(procedure, members(offered))
     plan_parameters(with_all, 1, known, ())
     whole = ready(with_all, recordings, noise)
@@ -258,20 +267,6 @@ def _require_sense(
             f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
         )
     procedure.plan({*procedure.known, *known})
-
-
-def _offered(
-    model: Model, procedure: Procedure, recordings: Sequence[Recording], candidates: object
-) -> list[AnyCandidate]:
-    if candidates is not None:
-        return as_candidates(candidates)
-    units = {signal.name: signal.unit for signal in model.signals}
-    records = [one.record for one in recordings]
-    for record in records:
-        units |= {name: unit for name, unit in dict(record.units).items() if unit}
-    names = [name for stage in procedure.equation_names for name in stage]
-    usual = default_candidates(procedure.equations, names, records, units)
-    return without_twins(without_taken(usual, procedure.parameters), procedure)
 
 
 def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:

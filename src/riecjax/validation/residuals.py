@@ -1109,8 +1109,14 @@ def _follows(
     ]
     found = []
     for name in common:
-        signal, valid = _signal(errors, records, name, lags)
-        signal, valid = moving_average(signal, valid, count)
+        # At the times of the joined errors, with a mask of its samples that are present.
+        values, masks = [], []
+        for part, record in zip(errors, records):
+            missing = record.missing.get(name)
+            values.append(np.asarray(part.centred(record[name])))
+            gone = np.zeros(values[-1].size) if missing is None else part.centred(missing * 1.0)
+            masks.append(np.asarray(gone) == 0)
+        signal, valid = moving_average(with_pads(values, lags), with_pads(masks, lags), count)
         both = present & valid
         if both.any() and np.ptp(signal[both]) > 0:
             step = float(errors[0].time_step)
@@ -1118,16 +1124,3 @@ def _follows(
                 cross_correlation(error, signal, both, lags, step, name=name, signals=len(common))
             )
     return tuple(sorted(found, key=lambda one: -abs(one.largest)))
-
-
-def _signal(
-    errors: list[EquationError], records: list[Record], name: str, pad: int
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """A signal at the times of the joined errors, and a mask of its samples that are present."""
-    values, valid = [], []
-    for error, record in zip(errors, records):
-        missing = record.missing.get(name)
-        values.append(np.asarray(error.centred(record[name])))
-        gone = np.zeros(values[-1].size) if missing is None else error.centred(missing * 1.0)
-        valid.append(np.asarray(gone) == 0)
-    return with_pads(values, pad), with_pads(valid, pad)
