@@ -1028,6 +1028,10 @@ def residual_tests(
         residual = _residual(name, of_equation, recordings, windows, lags)
         is_notable = residual.averaged_size >= NOTABLE_SIZE
         count = round(residual.averaged / float(recordings[0].time_step))
+        # Where the equation could hide something.
+        sprung = {spring.of for spring in procedure.springs}
+        elements = force_elements(procedure.equations, [equation])
+        free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         loop = None
         if is_notable:  # hysteresis, or a signal of no name that changes a force
             units = {name: unit for record in recordings for name, unit in record.units}
@@ -1036,7 +1040,10 @@ def residual_tests(
             motions, unread = motions_and_unread(equation, first, {*common}, units, unread)
             loop = loop_of(of_equation, recordings, motions, unread, count)
         residual = residual._replace(
-            **_lacking(procedure, equation),
+            bodies=accelerated(equation),
+            carrying=tuple(m.on for m in procedure.modes if m.inertia(equation) is not None),
+            dampers=tuple(name for name, term in free.items() if isinstance(term, Term)),
+            maps=tuple(name for name, term in free.items() if not isinstance(term, Term)),
             loop=loop,
             parameters=equation.parameters,
             names=tuple(sorted(named)),
@@ -1044,23 +1051,6 @@ def residual_tests(
         )
         found.append(residual)
     return ResidualTests(tuple(found), tuple(faults))
-
-
-def _lacking(procedure: Procedure, equation: Equation) -> dict[str, tuple[str, ...]]:
-    """Where an equation could hide something, by field of `EquationResidual`."""
-    sprung = {spring.of for spring in procedure.springs}
-    free = {
-        name: term
-        for name, term in force_elements(procedure.equations, [equation]).items()
-        if not sprung & {*term.parameters}
-    }
-    carrying = (mode.on for mode in procedure.modes if mode.inertia(equation) is not None)
-    return {
-        "bodies": accelerated(equation),
-        "carrying": tuple(carrying),
-        "dampers": tuple(name for name, term in free.items() if isinstance(term, Term)),
-        "maps": tuple(name for name, term in free.items() if not isinstance(term, Term)),
-    }
 
 
 def _residual(
