@@ -1,5 +1,7 @@
 """Delays of a force whose motion is known in closed form: of sums of sines it follows exactly."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import Sandwich
-from riecjax.validation.late_signals import advanced, late_signals, signal_delays
+from riecjax.validation.late_signals import advanced, course_of, late_signals, signal_delays
 
 STEP, SAMPLES = 0.005, 6000
 TRUTH = {"m": 2.0, "c": 9.0, "k": 400.0}
@@ -185,3 +187,9 @@ def test_the_late_one_is_that_which_explains_what_all_equations_leave(late):
 def test_a_record_too_short_is_passed_over():
     records, estimate = fitted(recorded(0, samples=400))
     assert signal_delays(AXIS, records, estimate) == []
+
+
+@pytest.mark.parametrize("blocks", [0, 1, 15])
+def test_too_few_whole_blocks_for_parts_tell_no_course(blocks):
+    search = SimpleNamespace(groups=[np.arange(blocks)])
+    assert course_of(search, 0, 250.0) is None  # pyright: ignore[reportArgumentType]

@@ -243,7 +243,7 @@ class _Averaged:
         self.names = set(sharing.everywhere(equation.parameters)) - settled
         length = float(summary.criterion.typical_length)
         self.independent = sum(
-            float(one.samples) * min(float(one.time_step) / length, 1.0) if length else one.samples
+            float(one.samples) * (min(float(one.time_step) / length, 1.0) if length else 1.0)
             for one in summary.recordings
         )
         individual = bool(sharing.own.intersection(equation.parameters))

@@ -305,9 +305,9 @@ def course_of(search: Search, middle: int, samples: float) -> FoundCourse | None
     of it; `samples` to a block.
     """
     blocks = np.sort(np.concatenate(search.groups))
-    parts = np.array_split(blocks, min(PARTS, blocks.size // 2))
-    if len(parts) < FEWEST:
+    if blocks.size // 2 < FEWEST:
         return None
+    parts = np.array_split(blocks, min(PARTS, blocks.size // 2))
     found = _found(search, parts, range(middle - 1, middle + 2), samples)
     # Parts whose delays are far from the middle one are not told by three delays next to it.
     if found is not None and (found[1] < PERHAPS or abs(found[0].course.change) < SLIGHT):
