@@ -71,7 +71,7 @@ CODES: dict[str, FindingCode] = {
     "time_unit_doubtful": FindingCode("sensors", "time may be in another unit than seconds"),
     "unit_mismatch": FindingCode("sensors", "{signals} has another unit than the model expects"),
     "not_its_derivative": FindingCode(
-        "sensors", "{signals} do not fit each other", "records.consistency:GAIN"
+        "sensors", "{signals} do not fit each other", "records.faults.derivative_pairs:GROSS"
     ),
     "at_rest": FindingCode(
         "sensors", "{signals} rests where friction jumps", "records.faults.at_rest:LEAST"

@@ -14,7 +14,7 @@ from riecjax.records.record import Record
 from riecjax.simulation.inputs import robson_road
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
-from riecjax.validation.goodness_of_fit import percentage_error
+from riecjax.validation.held_out import percentage_error
 
 # The command's default. Over 8 roads the mean of DOLS' B_id stiffness still scatters by 0.5 %.
 ROADS = 32

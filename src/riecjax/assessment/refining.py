@@ -26,13 +26,11 @@ from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.coordinates import Bounds, Prior, is_pair
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
-from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.output_misfit import OutputMisfit
+from riecjax.refinement.optimum import Bounds, Prior, is_pair
+from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refine_with_misfit
-from riecjax.refinement.shots import Tiles, WholeRecord
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from riecjax.assessment.asked import size_of
 from riecjax.assessment.doubt import TRUSTED, Doubt, concerned, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
-from riecjax.equations.expressions import constant
 from riecjax.equations.hidden_elements import is_hidden_name
-from riecjax.equations.term import Term
+from riecjax.equations.term import Term, constant
 from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
 from riecjax.findings import Finding
 from riecjax.shows import Shown

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from riecjax.whole_files import read_plain
+
 if TYPE_CHECKING:
     from riecjax.findings import Finding
 
@@ -106,7 +108,7 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     if os.path.exists(file) and not os.path.isfile(file):
         raise click.UsageError(f"--job {file}: it is no plain file.")
     try:
-        content = file.read_bytes()
+        content = read_plain(file)
         # PowerShell 5 redirects to UTF-16, which begins with its mark.
         is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")

@@ -13,8 +13,7 @@ from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import evaluate
-from riecjax.equations.term import Terms
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.mode_evidence import ModeEvidence
@@ -46,8 +45,13 @@ from riecjax.reporting.charts.chart import (
 from riecjax.studies.choice import WindowChoice
 from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residuals import EquationResidual, ResidualTests
-from riecjax.validation.time_series import CrossCorrelation, ErrorSpectrum, unbroken
+from riecjax.validation.residuals import (
+    CrossCorrelation,
+    EquationResidual,
+    ErrorSpectrum,
+    ResidualTests,
+    unbroken,
+)
 
 LOWEST = 0.3
 """Where nothing is left, beside the least that is, on a logarithmic axis."""
