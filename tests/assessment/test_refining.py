@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from benchmarks import drag_problem
-from benchmarks.refinement_gate import UPRIGHT, recording, reduced_car, upright
+from benchmarks.refinement_gate import UPRIGHT, recording, upright
 from scipy import signal
 
 import riecjax as rx
@@ -69,16 +69,6 @@ def test_straight_lines_between_samples_are_taken_on_evidence():
 
 
 @pytest.mark.slow
-def test_where_noise_hides_nothing_of_what_a_model_leaves_out_none_is_sought():
-    found, refinement = refinement_of(
-        rx.find_model("quarter-car"), recording(reduced_car(), 0.0, 1)
-    )
-    assert found.answer is found.estimate
-    assert refinement.refined is None
-    assert "values would bend to make up" in refinement.declined
-
-
-@pytest.mark.slow
 def test_an_unstable_motion_is_refined_and_validated_over_windows():
     found, refinement = refinement_of(UPRIGHT, recording(upright(), 0.01, 2), hold_out=0.3)
     assert refinement.chosen
@@ -90,14 +80,6 @@ def test_an_unstable_motion_is_refined_and_validated_over_windows():
     (run,) = found.validations
     assert run.held.predicts
     assert run.held.horizon == pytest.approx(0.57, abs=0.05)
-
-
-@pytest.mark.slow
-def test_a_horizon_that_is_given_holds_for_refinement_and_validation():
-    found, refinement = refinement_of(DRAG, drag_problem.record(0), hold_out=0.3, horizon=2.0)
-    assert refinement.refined is not None
-    assert dict(refinement.refined.by)["seconds"] == 2.0
-    assert found.validations[0].held.horizon == 2.0
 
 
 @pytest.mark.slow
