@@ -66,8 +66,7 @@ from riecjax.refinement.arrowhead import LevenbergMarquardt
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.parametric import ByFunction
-from riecjax.refinement.refine import refine
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined, refine
 from riecjax.refinement.shots import Tiles
 from riecjax.simulation.inputs import band_limited_noise, robson_road
 from riecjax.simulation.method import FixedStep

@@ -12,7 +12,7 @@ which is a command):
 
 Beside each: the largest whiteness statistic that was seen, why the others were declined, and of the
 right models the root mean square of (refined - truth) / standard error. `--work` measures the
-seconds that an operation takes (riecjax/refinement/work.py) instead. Written to
+seconds of an expansion over its counted work (`OutputMisfit.work`) instead. Written to
 benchmarks/refinement_gate.json.
 """
 
@@ -182,10 +182,9 @@ def shares(case: Case, noise: float, seeds: int) -> dict[str, Any]:
     }
 
 
-def seconds_per_operation() -> dict[str, float]:
-    """Warm seconds of an expansion over the operations that `estimated_seconds` counts."""
+def seconds_per_work() -> dict[str, float]:
+    """Warm seconds of an expansion over its steps x states x tangents."""
     from riecjax.assessment import refining
-    from riecjax.refinement import work
 
     found = {}
     for name in ("drag", "car", "upright"):
@@ -195,7 +194,6 @@ def seconds_per_operation() -> dict[str, float]:
         by = refining.OutputError()
         specified = by.specify(model, [record], dict(case[-1] or {}), {}, (), None)
         misfit = by.misfit(specified)
-        counted = work.estimated_seconds(misfit, specified) / work.SECONDS_PER_OPERATION
         expand = jax.jit(lambda m, t, i: m.expansion(t, i).moments())
         arguments = (misfit, jnp.asarray(specified.theta), misfit.first_initial())
         jax.block_until_ready(expand(*arguments))
@@ -203,7 +201,7 @@ def seconds_per_operation() -> dict[str, float]:
         for _ in range(5):
             jax.block_until_ready(expand(*arguments))
         taken = (time.perf_counter() - began) / 5
-        found[name] = taken / (counted / work.USUAL_STEPS)
+        found[name] = taken / misfit.work
     return found
 
 
@@ -216,7 +214,7 @@ def main() -> None:
     arguments = parser.parse_args()
     start_jax(once=arguments.once, keep_compiled=True)
     if arguments.work:
-        print(seconds_per_operation())
+        print(seconds_per_work())
         return
     document: dict[str, Any] = {}
     for name, (build, seeds) in CASES.items():

@@ -35,8 +35,7 @@ from riecjax.paper.published import TABLE_2
 from riecjax.records.record import Record
 from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import refine
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined, refine
 from riecjax.refinement.shots import Tiles
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep

@@ -68,8 +68,7 @@ def false(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
 def speed() -> dict[str, Any]:
     """Searches among ten, twenty and a hundred candidates, on sums that are made."""
     import riecjax as rx
-    from riecjax.discovery.folds import Folds
-    from riecjax.discovery.search import Offer, Search
+    from riecjax.discovery.search import Folds, Offer, Search
 
     problem = PROBLEMS["duffing"]
     assert isinstance(problem.whole, rx.Equation)

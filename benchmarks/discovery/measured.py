@@ -17,9 +17,8 @@ from jaxtyping import Array, Float
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 from riecjax.discovery.discovery import Discovery
-from riecjax.equations.shapes import AbstractShape
-from riecjax.models.emps import Axis
-from riecjax.models.emps_stribeck import SteppedAxis
+from riecjax.equations.bases import AbstractShape
+from riecjax.models.emps import Axis, SteppedAxis
 from riecjax.models.model import as_model
 from riecjax.records.preparation import upsample
 from riecjax.refinement.output_error import OutputError

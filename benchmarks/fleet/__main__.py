@@ -27,7 +27,7 @@ from benchmarks.fleet.weeks import long, one_pass
 from benchmarks.table import FOLDER, filled_in
 from benchmarks.writing import write_json
 from riecjax.fleets.engine import SETTINGS, cores
-from riecjax.fleets.planning import TOGETHER
+from riecjax.fleets.order import TOGETHER
 from riecjax.runtime import start_jax
 
 GROUPS, WORN = 20, (4, 11)
@@ -117,10 +117,10 @@ def scaling(folder: Path, work: Path) -> dict[str, Any]:
 def discoveries(table: Path) -> dict[str, Any]:
     """Groups that are called different, of recordings drawn again with replacement from each."""
     from riecjax.fleets.groups import Settings, estimated, group, part_of
+    from riecjax.fleets.kept import read_rows
     from riecjax.fleets.order import Order
     from riecjax.fleets.spread import RATE, spreads
     from riecjax.fleets.sums import DONE
-    from riecjax.fleets.table import read_rows
     from riecjax.models.catalogue import find_model
     from riecjax.summaries.summary import Summary
 

@@ -14,8 +14,8 @@ from pyarrow import concat_tables, parquet
 from benchmarks.fleet.commands import MODEL, command, held
 from benchmarks.fleet.drives import STEP, drives
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.fleets.kept import read_rows
 from riecjax.fleets.sums import DONE, Row
-from riecjax.fleets.table import read_rows
 from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record

@@ -19,14 +19,12 @@ from riecjax.estimation.identify import identify
 from riecjax.models.emps import (
     Axis,
     ControlledAxis,
+    StribeckAxis,
     emps_asymmetric_equation,
     emps_asymmetric_system,
     emps_equation,
     emps_system,
     simulate_sampled_control,
-)
-from riecjax.models.emps_stribeck import (
-    StribeckAxis,
     stribeck_axis,
     stribeck_balance,
     without_rise,
@@ -34,8 +32,7 @@ from riecjax.models.emps_stribeck import (
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.refine import refine
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined, refine
 
 STEP = 1e-3
 EDGE = 49

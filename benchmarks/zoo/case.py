@@ -137,14 +137,14 @@ def mapped(rename: Mapping[str, str]) -> list[str]:
 def read(file: Path, options: Sequence[str], model: str = "drag-oscillator") -> list[Record]:
     """Records of a file by the options of `riecjax identify`, before velocities are formed."""
     from riecjax.cli.identify import command
-    from riecjax.cli.recordings import RecordingOptions
+    from riecjax.cli.options import RECORD_OPTIONS, RecordingOptions, names_of
     from riecjax.models.catalogue import find_model
     from riecjax.runtime import start_jax
 
     start_jax()
     with command.make_context("identify", [str(file), "--model", model, *options]) as context:
-        fields = dataclasses.fields(RecordingOptions)
-        recordings = RecordingOptions(**{f.name: context.params[f.name] for f in fields})
+        read = {name: context.params[name] for name in names_of(RECORD_OPTIONS)}
+        recordings = RecordingOptions(**read)
         # Differences shorten a record; what the file holds is compared.
         plain = dataclasses.replace(find_model(model), derived={})
         return [one.record for one in recordings.read(recordings.files, plain)]

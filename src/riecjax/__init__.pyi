@@ -14,8 +14,8 @@ from .assessment.assess import assess as assess
 from .assessment.assessment import Assessment as Assessment
 from .criteria.criterion import DOLS as DOLS
 from .criteria.criterion import RIEC as RIEC
-from .criteria.smooth_test_functions import Bump as Bump
 from .criteria.test_functions import Boxcar as Boxcar
+from .criteria.test_functions import Bump as Bump
 from .criteria.test_functions import Hat as Hat
 from .criteria.windows import AllWindows as AllWindows
 from .criteria.windows import RandomWindows as RandomWindows
@@ -29,10 +29,10 @@ from .equations.expressions import difference as difference
 from .equations.expressions import even as even
 from .equations.expressions import odd as odd
 from .equations.expressions import product as product
-from .equations.hidden_modes import HiddenMode as HiddenMode
+from .equations.hidden_elements import HiddenMode as HiddenMode
+from .equations.hidden_elements import SeriesSpring as SeriesSpring
 from .equations.procedure import simultaneous as simultaneous
 from .equations.procedure import staged as staged
-from .equations.series_springs import SeriesSpring as SeriesSpring
 from .equations.term import Term as Term
 from .equations.term import Terms as Terms
 from .errors import DataError as DataError
@@ -66,8 +66,8 @@ from .records.writing import write_record as write_record
 from .refinement.coordinates import Prior as Prior
 from .refinement.integral_error import IntegralError as IntegralError
 from .refinement.output_error import OutputError as OutputError
+from .refinement.refine import Refined as Refined
 from .refinement.refine import refine as refine
-from .refinement.refined import Refined as Refined
 from .reporting.comparison import compare as compare
 from .reporting.result_files import load as load
 from .runtime import start_jax as start_jax

@@ -99,6 +99,16 @@ class SimulationError(RiecjaxError):
     code = "simulation"
 
 
+LONGEST_REASON = 500
+
+
+def reason_of(error: BaseException) -> str:
+    """Why something failed, in one line."""
+    said = " ".join(printable(str(error)).split())
+    kind = "" if isinstance(error, RiecjaxError | OSError) else f"{type(error).__name__}: "
+    return (kind + said)[:LONGEST_REASON] or type(error).__name__
+
+
 def require(
     what: str,
     value: object,

@@ -89,13 +89,13 @@ CODES: dict[str, FindingCode] = {
         "undetermined",
         "{parameters} is seldom excited",
         "bootstrap replicates that leave a parameter open",
-        "estimation.estimated_parameters:LOST_SHARE",
+        "estimation.estimate:LOST_SHARE",
     ),
     "prior_disagrees": FindingCode(
         "sensors",
         "the recordings and the prior of {parameters} disagree",
         "the prior against the estimate without it",
-        "assessment.beforehand:STRANGE",
+        "assessment.refining:STRANGE",
     ),
     "outside_bound": FindingCode(
         "sensors", "{parameters} lies outside its bounds", "the linear estimate against bounds"
@@ -127,25 +127,25 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} are one signal",
         "what a straight line leaves of one signal by another",
-        "records.faults.copies:ROUNDED",
+        "records.faults.rows:ROUNDED",
     ),
     "duplicate_recording": FindingCode(
         "sensors",
         "a recording was given twice",
         "samples of recordings, wherever in them they lie",
-        "records.faults.duplicates:ALIKE",
+        "records.faults.rows:ALIKE",
     ),
     "lost_rows": FindingCode(
         "sensors",
         "{signals} part by a jump",
         "the delay of a derivative, from part to part of the record",
-        "records.faults.delay_course:LOST",
+        "records.faults.derivative_pairs:LOST",
     ),
     "two_clocks": FindingCode(
         "sensors",
         "{signals} run by two clocks",
         "the delay of a derivative, from part to part of the record",
-        "records.faults.delay_course:CHANGE",
+        "records.faults.derivative_pairs:CHANGE",
     ),
     "silent_input": FindingCode(
         "sensors",
@@ -188,7 +188,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "rows stand in the recording twice",
         "rows that are others to the bit",
-        "records.faults.repeated_rows:FEWEST",
+        "records.faults.rows:FEWEST",
     ),
     "wrong_zero": FindingCode(
         "sensors",
@@ -219,7 +219,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "the mains hum in {signals}",
         "lines of a grid in a signal's spectrum against what surrounds them",
-        "records.faults.hum:BY_CHANCE",
+        "records.preparation.hum:BY_CHANCE",
     ),
     "missing_samples": FindingCode(
         "sensors", "samples of {signals} are missing", "samples that are no number"
@@ -228,7 +228,7 @@ CODES: dict[str, FindingCode] = {
         "sensors",
         "{signals} is coarsely quantised",
         "the greatest common step of a signal's values against its size",
-        "records.faults.quantisation:COARSE",
+        "records.faults.signals:COARSE",
     ),
     "column_left_out": FindingCode(
         "sensors",
@@ -279,7 +279,7 @@ CODES: dict[str, FindingCode] = {
         "model",
         "estimates drift with window length",
         "estimates of bands of window lengths, and their joint covariance",
-        "studies.drift:SMALLEST_DRIFT",
+        "studies.sweep:SMALLEST_DRIFT",
     ),
     "uneven_errors": FindingCode(
         "model",
@@ -297,7 +297,7 @@ CODES: dict[str, FindingCode] = {
         "model",
         "the recordings disagree",
         "scatter between recordings against that within them",
-        "estimation.estimated_parameters:NOTABLE_INFLATION",
+        "estimation.estimate:NOTABLE_INFLATION",
     ),
     "no_known_term": FindingCode(
         "model",

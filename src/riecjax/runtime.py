@@ -109,8 +109,8 @@ def _keep_compiled() -> None:
 
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        # Earlier versions, which sealed nothing, kept theirs in a folder without the suffix.
-        folder = Path(base) / "riecjax" / f"{processor()}-sealed"
+        # Earlier versions, whose files begin with a checksum, kept them under another suffix.
+        folder = Path(base) / "riecjax" / f"{processor()}-programs"
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):  # the latter where there is no home
         return

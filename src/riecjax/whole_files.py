@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and that tell when they are damaged.
+"""Files that appear whole or not at all.
 
 What is written stands under a temporary name until it is whole. The process that writes it holds a
 lock on it, which the system takes away with the process, however that ends: so the next one that
@@ -8,7 +8,6 @@ writes beside it knows what was left behind, and removes it.
 # This module imports little: it is there before all that takes long.
 
 import contextlib
-import hashlib
 import os
 import re
 import shutil
@@ -27,8 +26,6 @@ LEFT_BEHIND = re.compile(r"\.riecjax-[0-9a-f]{32}(\.\w+)?")
 """Temporary names."""
 OLD = 86400.0
 """Seconds after which, where there are no locks, no one is writing to a file any more."""
-DIGEST = 32
-"""Bytes of a checksum, SHA-256, before what it is of."""
 
 committing = threading.RLock()
 """Held while finished files take their places: whoever ends the process waits for it."""
@@ -128,21 +125,6 @@ def write_whole(file: Path, content: bytes) -> None:
         new.replace(file)
 
 
-def write_sealed(file: Path, content: bytes) -> None:
-    """As [`write_whole`][], with a checksum for [`read_sealed`][]."""
-    write_whole(file, hashlib.sha256(content).digest() + content)
-
-
-def read_sealed(file: Path) -> bytes | None:
-    """What was written, to the bit; `None` where that is not there or damaged."""
-    try:
-        content = file.read_bytes()
-    except OSError:
-        return None
-    told, written = content[:DIGEST], content[DIGEST:]
-    return written if hashlib.sha256(written).digest() == told else None
-
-
 def stamp(file: Path) -> str:
     """What stands in a file that a later run, which does not make it any more, may remove."""
     return f"written by riecjax as {file.name}"
@@ -154,25 +136,25 @@ def is_stamped(file: Path) -> bool:
 
 
 class Store(NamedTuple):
-    """Sealed files by key in a folder; beyond `most` bytes, those go that were not used for
-    longest."""
+    """Files by key in a folder; beyond `most` bytes, those go that were not used for longest."""
 
     folder: Path
     suffix: str
     most: int
 
     def get(self, key: str) -> bytes | None:
-        """What is kept under a key; `None` for nothing, and for what is damaged."""
+        """What is kept under a key; `None` for nothing."""
         file = self._file(key)
         with contextlib.suppress(OSError):
             os.utime(file)
-        return read_sealed(file)
+            return file.read_bytes()
+        return None
 
     def put(self, key: str, content: bytes) -> None:
         """Keep it, where it can be."""
         with contextlib.suppress(OSError):
             self._make_room(len(content))
-            write_sealed(self._file(key), content)
+            write_whole(self._file(key), content)
 
     def _file(self, key: str) -> Path:
         return self.folder / (key + self.suffix)

@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from tests.machines import BODY, STANDARD
+from tests.machines import MODE_MODEL as MODEL
+from tests.machines import MODE_TRUTH as TRUTH
+from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from hidden_body import BODY, MODEL, STEP, TRUTH, motion
 from riecjax.models.model import as_model
 from riecjax.reporting.charts.chart import Line
 from riecjax.reporting.identification import identification_document, modes_in_words
@@ -16,7 +19,7 @@ def noisy() -> rx.Record:
     rng = np.random.default_rng(1)
     clean = motion(True)
     samples = {n: x + 0.01 * np.std(x) * rng.standard_normal(x.shape) for n, x in clean.items()}
-    return rx.Record(samples, STEP)
+    return rx.Record(samples, STANDARD.step)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +73,7 @@ def test_document_words_and_map(assessed):
 @pytest.mark.slow
 def test_a_right_model_is_told_to_leave_it_out():
     with pytest.raises(rx.IdentifiabilityError, match="do not carry this mode") as refused:
-        rx.assess(MODEL, rx.Record(motion(False), STEP))
+        rx.assess(MODEL, rx.Record(motion(False), STANDARD.step))
     assert refused.value.code == "mode_not_carried"
 
 

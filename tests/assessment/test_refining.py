@@ -12,7 +12,7 @@ from scipy import signal
 
 import riecjax as rx
 from riecjax.assessment import refining
-from riecjax.assessment.answering import check_answering
+from riecjax.assessment.assess import check_answering
 from riecjax.records.recording import as_recordings
 from riecjax.reporting.checking import check_document
 from riecjax.reporting.identification import identification_document
@@ -163,28 +163,26 @@ def test_a_bound_in_the_way_is_declined():
 
 
 def test_what_would_take_long_is_told_and_not_begun(monkeypatch):
-    monkeypatch.setattr(refining, "LONGEST", 1e-9)
+    monkeypatch.setattr(refining, "MOST_WORK", 1)
     monkeypatch.setattr(refining, "refine_with_misfit", lambda *_, **__: pytest.fail("begun"))
     _, refinement = refinement_of(DRAG, drag_problem.record(0))
-    assert "it would take about" in refinement.declined
+    assert "steps x states x tangents, more than 1;" in refinement.declined
     assert "--refine output-error" in refinement.declined
 
 
 def test_the_work_grows_with_samples_and_parameters():
-    from riecjax.refinement.work import estimated_seconds
-
-    def seconds(count, start):
+    def work(count, start):
         record = drag_problem.record(0, count=count)
         by = rx.OutputError()
         known = {n: v for n, v in drag_problem.TRUTH.items() if n not in start}
         specified = by.specify(DRAG, [record], start, known, (), None)
-        return estimated_seconds(by.misfit(specified), specified)
+        return by.misfit(specified).work
 
     truth = drag_problem.TRUTH
-    assert seconds(1000, truth) == pytest.approx(2 * seconds(500, truth))
+    assert work(1000, truth) == 2 * work(500, truth)
     # One simulation, two initial states, and each free parameter.
     some = {name: truth[name] for name in ("m", "k")}
-    assert seconds(500, truth) / seconds(500, some) == pytest.approx(7 / 5)
+    assert work(500, truth) / work(500, some) == pytest.approx(7 / 5)
 
 
 @pytest.mark.slow

@@ -4,9 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from tests.machines import BODY, STANDARD
+from tests.machines import MODE_TRUTH as TRUTH
+from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from hidden_body import BODY, STEP, TRUTH, motion
 from riecjax.assessment.doubt import Doubt, concerned, doubts
 from riecjax.reporting.identification import identification_document
 from riecjax.reporting.verdict import verdict_entries
@@ -18,7 +20,7 @@ OF_BODY = {name: TRUTH[name] for name in ("m", "c", "k")}
 def assessed(signals: dict[str, np.ndarray], share: float = 0.0, **settings) -> rx.Assessment:
     rng = np.random.default_rng(5)
     noisy = {n: s + share * np.std(s) * rng.standard_normal(s.size) for n, s in signals.items()}
-    return rx.assess(BODY, rx.Record(noisy, STEP), RIEC, refine=None, **settings)
+    return rx.assess(BODY, rx.Record(noisy, STANDARD.step), RIEC, refine=None, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +81,7 @@ def test_findings_with_one_cause_are_one_cause(wrong):
 def test_what_voids_an_answer_is_its_reason_and_the_first_thing_to_do():
     """A record of 5 s steps, taken for seconds, drifts with window length as well."""
     doubtful = rx.Finding("time_unit_doubtful", "nothing states the unit of time", doubt=1.0)
-    record = rx.Record(motion(True), STEP)
+    record = rx.Record(motion(True), STANDARD.step)
     recording = rx.Recording(record, "run.csv", findings=(doubtful,))
     verdict = rx.assess(BODY, recording, RIEC, refine=None).verdict
     assert {one.level for one in verdict.parameters.values()} == {"do not use"}
@@ -98,7 +100,7 @@ def test_sensors_that_contradict_each_other_put_all_that_reads_them_in_doubt():
         rx.Term("k", "x", unit="N/m"),
         -rx.Term(1.0, "F"),
     )
-    record = rx.Record(signals | {"v": 1.2 * signals["v"]}, STEP)
+    record = rx.Record(signals | {"v": 1.2 * signals["v"]}, STANDARD.step)
     verdict = rx.assess(position, record, RIEC, refine=None).verdict
     for name, value in OF_BODY.items():
         one = verdict.parameters[name]
@@ -130,7 +132,7 @@ def test_what_is_left_moves_a_parameter_as_an_error_along_its_regressor_would(wr
     target = np.std(np.asarray(record["F"]))
     assert found == pytest.approx(share / (1 - share) / (float(stage.relative_size[0]) * own))
     # An error of this size in m would need a force of the size of the residual.
-    acceleration = np.gradient(np.asarray(record["v"]), STEP)
+    acceleration = np.gradient(np.asarray(record["v"]), STANDARD.step)
     assert found * np.std(acceleration) > share * target
 
 
@@ -168,7 +170,7 @@ def test_a_single_known_parameter_leaves_nothing_to_judge():
 
 @pytest.mark.slow
 def test_parameters_of_each_recording_are_judged_one_by_one():
-    whole = rx.Record(motion(False), STEP)
+    whole = rx.Record(motion(False), STANDARD.step)
     model = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant, unit="N"), name="body")
     parts = [whole.part(0, 2500), whole.part(2500, 6000)]
     found = rx.assess(model, parts, RIEC, refine=None, per_record=("offset",))
@@ -191,17 +193,17 @@ def test_an_offset_of_the_force_is_named_with_the_option_that_finds_it():
     assert [step.options for step in steps] == [("--unknown-offset", "F")]
     # Where the model has a constant term, an offset is none of its errors.
     model = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant, unit="N"), name="body")
-    verdict = rx.assess(model, rx.Record(signals, STEP), RIEC, refine=None).verdict
+    verdict = rx.assess(model, rx.Record(signals, STANDARD.step), RIEC, refine=None).verdict
     assert {one.level for one in verdict.parameters.values()} == {"good"}
 
 
 @pytest.mark.slow
 def test_recordings_that_disagree_are_the_reason_and_all_that_differs_is_named():
-    whole = rx.Record(motion(False), STEP)
+    whole = rx.Record(motion(False), STANDARD.step)
     one, other = whole.part(0, 3000), whole.part(3000, 6000)
     scaled = {name: np.asarray(other[name]) for name in ("x", "v", "F")}
     scaled["F"] = 1.2 * scaled["F"]
-    verdict = rx.assess(BODY, [one, rx.Record(scaled, STEP)], RIEC, refine=None).verdict
+    verdict = rx.assess(BODY, [one, rx.Record(scaled, STANDARD.step)], RIEC, refine=None).verdict
     disagree = [f for c in verdict.causes for f in c.findings if f.code == "records_disagree"]
     names = [name for finding in disagree for name in finding.parameters]
     assert len(names) > 1

@@ -529,6 +529,6 @@ def test_process_exits_with_the_status_and_one_line(status, arguments):
         assert done.stdout == ""
         return
     document = json.loads(done.stdout)
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     assert f"riecjax: {document['error']['message']}\n" == done.stderr
     assert document["error"]["code"] == "data"

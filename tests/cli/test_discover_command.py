@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.discovery.problems import PROBLEMS
 from command_line import call, rejected, write_csv
+from tests.machines import PROBLEMS
 
 DUFFING = PROBLEMS["duffing"]
 MODEL = """
@@ -30,7 +30,7 @@ LAWS = [rx.Term("spring", "x"), rx.Term("cubic", rx.odd("x", 3)), rx.Term("dry",
 @pytest.fixture(scope="module")
 def place(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("rig")
-    record = DUFFING.record(0.01, 0, 0)
+    record = DUFFING.record(0.01, 0)
     write_csv(
         folder / "rig.csv",
         {
@@ -78,7 +78,7 @@ def test_missing_terms_are_told_and_the_model_file_runs(capsys, place, tmp_path)
     status, _, said = call(capsys, "simulate", out / "model.py", *made)
     assert status == 0, said
     again = np.genfromtxt(tmp_path / "again.csv", delimiter=",", names=True)
-    clean = DUFFING.motion(0)["x"]
+    clean = DUFFING.signals()["x"]
     assert np.std(again["x"][:1000] - clean[:1000]) < 0.05 * clean.std()
 
 

@@ -5,9 +5,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from benchmarks.fleet.drives import drives
 from command_line import call
 from pyarrow import parquet
+from tests.machines import drag_fleet as drives
 
 from riecjax.records.writing import write_record
 

@@ -5,15 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import call, write_csv
+from tests import machines
 
-import hidden_body
-import lagging_body
 from riecjax.cli.options import HiddenOptions
 
 FAST = ("--refine", "none", "--no-sweep", "--intervals", "sandwich")
 MODEL = """
 import riecjax as rx
-from hidden_body import BODY as body
+from tests.machines import BODY as body
 
 mapped = rx.Equation(
     rx.Term("m", "v", derivative=1, unit="kg"),
@@ -29,13 +28,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("hidden")
     (path / "body.py").write_text(MODEL)
     recorded = {
-        "mode": hidden_body.motion(True),
-        "none": hidden_body.motion(False),
-        "lag": lagging_body.motion(),
+        "mode": machines.body_with_mode(),
+        "none": machines.body_with_mode(False),
+        "lag": machines.body_with_lag(),
     }
     rng = np.random.default_rng(1)
     for name, signals in recorded.items():
-        columns = {"t": hidden_body.STEP * np.arange(signals["x"].size)}
+        columns = {"t": machines.STANDARD.times}
         for each, values in signals.items():
             noise = rng.standard_normal(values.size)
             columns[each] = values + 0.003 * np.std(values) * noise
@@ -68,7 +67,7 @@ def test_a_spring_is_found(capsys, folder):
     result = asked(capsys, folder, "identify", "lag", "--add-spring", "c", *FAST, "--json")
     assert result.status == 0, result.err
     found = result.document["parameters"]["K_series"]
-    assert found["value"] == pytest.approx(lagging_body.TRUTH["K_series"], rel=0.05)
+    assert found["value"] == pytest.approx(machines.LAG_TRUTH["K_series"], rel=0.05)
     assert found["unit"] == "N/m"
 
 

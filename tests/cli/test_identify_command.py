@@ -13,8 +13,8 @@ import scipy.stats
 from command_line import call, quarter_car_columns, write_csv
 
 from nightly import by_day, nightly
-from riecjax.cli.drive import drive
 from riecjax.cli.main import run
+from riecjax.cli.simulate import drive
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.estimation.estimate import Estimate
@@ -223,23 +223,6 @@ def test_sandwich_intervals_are_wider_than_the_standard_error_by_students_t(from
         assert (high + low) / 2 == pytest.approx(entry["value"])
 
 
-@pytest.mark.slow
-def test_only_random_windows_scatter_over_seeds(from_file, drive_record):
-    assert from_file("--no-sweep")["seed_scatter"] is None
-    scatter = from_file("--windows", 1000, "--no-sweep")["seed_scatter"]
-    assert "not the parameters' uncertainty" in scatter["means"]
-    assert list(scatter["spread"]) == list(PARAMETERS)
-    criterion = RIEC(RandomWindows(0.05, 0.5, 1000))
-    keys = jax.random.split(jax.random.key(7), 24)
-    masses = [
-        float(identify(quarter_car_by_body(), drive_record, criterion, key=key)["M_s"])
-        for key in keys
-    ]
-    # Two standard deviations of 32 and 24 draws: each is known to 15 %.
-    assert scatter["spread"]["M_s"] == pytest.approx(np.std(masses, ddof=1), rel=0.6)
-    assert scatter["seeds"] == 32
-
-
 def test_correlation_residuals_and_choice_of_windows_are_in_the_document(from_file):
     document = from_file("--no-sweep")
     assert document["correlation"]["parameters"] == list(PARAMETERS)
@@ -349,7 +332,6 @@ def check_schema(document: dict) -> None:
         "correlation",
         "residual_tests",
         "window_choice",
-        "seed_scatter",
         "window_sweep",
         "refinement",
         "validation",
@@ -358,7 +340,7 @@ def check_schema(document: dict) -> None:
         "job",
         "checksum",
     }
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     for entry in document["parameters"].values():
         assert set(entry) == {
             "value",

@@ -42,7 +42,7 @@ def test_listing(capsys):
 @pytest.mark.portable
 def test_json(capsys):
     document = call(capsys, "models", "--json").document
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     assert set(NAMES) <= set(document["models"])
     duffing = document["models"]["duffing"]
     units = {entry["name"]: entry["unit"] for entry in duffing["parameters"]}

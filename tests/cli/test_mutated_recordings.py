@@ -80,7 +80,7 @@ def test_the_verdicts():
     assert judged(0, document({**TRUTH, "k": 22.0}, error=0.5), "")[0] == "right"
     assert judged(0, document({**TRUTH, "k": 22.0}, "clipped"), "")[0] == "warned"
     assert judged(0, good, "Traceback")[0] == "WRONG"
-    refusal = json.dumps({"schema": 1, "error": {"code": "data", "message": "a.csv: no."}})
+    refusal = json.dumps({"schema": 2, "error": {"code": "data", "message": "a.csv: no."}})
     assert judged(1, refusal, "riecjax: a.csv: no.\n")[0] == "refused"
     assert judged(1, refusal, "riecjax: a.csv: no.\nmore\n")[0] == "WRONG"
     assert judged(1, refusal, "riecjax: b.csv: no.\n")[0] == "WRONG"

@@ -213,7 +213,7 @@ def test_check_refuses_a_step_with_an_offset_and_names_the_direction(capsys):
     # The noise would make a fit possible in numbers; it is refused in the same words.
     fit = call(capsys, "identify", "step.csv", *IDENTIFY, *held, "--json")
     assert fit.status == 1
-    assert fit.document == {"schema": 1, "error": document["error"]}
+    assert fit.document == {"schema": 2, "error": document["error"]}
     assert document["error"]["code"] == "constant_target"
     assert fit.err == f"riecjax: {document['error']['message']}\n"
 

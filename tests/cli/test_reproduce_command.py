@@ -67,7 +67,7 @@ def test_few_roads_are_warned_of(result, document):
 def test_top_level_keys(document):
     contract = {"schema", "tables", "claims", "reconstruction", "provenance"}
     assert contract <= set(document)
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     assert set(document["tables"]) == {"1", "3", "4", "5"}
 
 

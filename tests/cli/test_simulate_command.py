@@ -42,7 +42,7 @@ def test_json(capsys, tmp_path):
         capsys, path, "quarter-car-source", "--duration", 2, "--seed", 3, "--json"
     ).document
     assert document == {
-        "schema": 1,
+        "schema": 2,
         "model": "quarter-car-source",
         "file": str(path),
         "columns": COLUMNS,

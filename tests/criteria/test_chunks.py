@@ -7,8 +7,7 @@ import pytest
 
 from riecjax.criteria import chunks
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import staged

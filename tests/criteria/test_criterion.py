@@ -4,14 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.criterion import DOLS, RIEC, Rows
 from riecjax.criteria.quadrature import running_integral
-from riecjax.criteria.rows import Rows
 from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import RandomWindows, WindowSet
 from riecjax.equations.bases import Polynomial
-from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import ModelError
 from riecjax.records.record import Record

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Boxcar, Hat, expected_gain
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat, expected_gain
 from riecjax.errors import ModelError
 
 FREQUENCY = np.array([0.0, 0.3, 1.0, 3.7, 10.0, 42.0])

@@ -8,18 +8,15 @@ import pytest
 
 from nightly import nightly
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.laws import DensityLaw, RatioLaw, SteppedLaw
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.laws import DensityLaw, SteppedLaw
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
-from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
+from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
-from riecjax.estimation.least_squares import solve
 from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.intervals import Naive
 
 fit = partial(identify, intervals=Naive())
@@ -145,69 +142,12 @@ def test_windows_that_gaps_leave_out_are_counted(weight, law):
     assert offered == pytest.approx(float(held), rel=1e-12)
 
 
-@pytest.mark.parametrize(("weight", "gaps"), [(Boxcar(), 0), (Hat(), 3)])
-def test_on_samples_the_slope_by_alpha_and_beta_is_the_central_difference_over_samples(
-    weight, gaps
-):
-    record = record_of(gaps=gaps)
-
-    def moments(band):
-        windows = AllWindows(band[0], band[1], longest_samples=64)
-        total, count = RIEC(windows, weight).sums(EQUATION, record)[0]
-        return jnp.append(jnp.sum(total, axis=0).ravel(), jnp.sum(count))
-
-    band, lag = jnp.array([ALPHA, BETA]), weight.length_multiple * STEP
-    found, slope = jax.jit(lambda b: (moments(b), jax.jacfwd(moments)(b)))(band)
-    plain = jax.jit(moments)
-    # Rounded lengths remain what is summed over.
-    np.testing.assert_array_equal(plain(band + 0.2 * lag), plain(band))
-    np.testing.assert_allclose(found, plain(band), rtol=1e-13)
-    for i in range(2):
-        step = jnp.zeros(2).at[i].set(lag)
-        difference = (plain(band + step) - plain(band - step)) / (2 * lag)
-        np.testing.assert_allclose(slope[:, i], difference, rtol=1e-7)
-    np.testing.assert_allclose(jax.jit(jax.jacrev(moments))(band), slope, rtol=1e-7)
-
-
-def finely_sampled():
-    """Millisecond samples of a motion that the model does not describe at any one length."""
-    t = 1e-3 * np.arange(1500)
-    x, dx = np.sin(3 * t) + 0.3 * np.cos(11 * t), 3 * np.cos(3 * t) - 3.3 * np.sin(11 * t)
-    u = 20 * x + dx - 2 * (9 * np.sin(3 * t) + 36.3 * np.cos(11 * t)) + 5 * x**3
-    return Record({"x": x, "dx": dx, "u": u + 10 * np.sin(17 * t + 1) * np.exp(-t)}, 1e-3)
-
-
-LAWS = {
-    "stepped": SteppedLaw([1.0, 3.0, 0.5]),
-    "ratio": RatioLaw([1.0, 3.0, 0.5]),
-    "density": lambda length: jnp.exp(-5 * length) * length,
-}
-
-
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_estimates_differentiate_in_alpha_and_beta(law):
-    record = finely_sampled()
-
-    def values(band):
-        windows = AllWindows(band[0], band[1], law=law, longest_samples=512)
-        sums = RIEC(windows).sums(EQUATION, record)[0]
-        stage = NormalEquations(*sums, EQUATION.parameters)
-        return solve(stage.total()).theta[1:]
-
-    # Nothing here lies on samples, and differences span many.
-    band, span = jnp.array([0.0603, 0.3007]), 0.012
-    slope, plain = jax.jit(jax.jacrev(values))(band), jax.jit(values)
-    for i in range(2):
-        step = jnp.zeros(2).at[i].set(span)
-        difference = (plain(band + step) - plain(band - step)) / (2 * span)
-        np.testing.assert_allclose(slope[:, i], difference, rtol=0.05)
-
-
 @pytest.mark.parametrize(
     ("windows", "weight"),
     [
         (lambda alpha: RandomWindows(alpha, BETA, 20), Boxcar()),
         (lambda alpha: RandomWindows(alpha, BETA, 20), Hat()),
+        (lambda alpha: AllWindows(alpha, BETA, longest_samples=64), Boxcar()),
         (lambda alpha: AllWindows(alpha, BETA, longest_samples=64), Bump(4, lengths=2)),
     ],
 )
@@ -220,25 +160,6 @@ def test_windows_that_are_rounded_away_refuse_to_be_differentiated(windows, weig
 
     with pytest.raises(ModelError, match="no derivative by alpha or beta"):
         jax.grad(estimate)(ALPHA)
-
-
-@pytest.mark.slow
-def test_second_derivatives_by_alpha_and_weights_are_right_or_refused():
-    record = record_of(gaps=0)
-
-    def energy(alpha, weights):
-        windows = AllWindows(alpha, BETA, law=SteppedLaw(weights), longest_samples=64)
-        total, _ = RIEC(windows).sums(EQUATION, record)[0]
-        return jnp.sum(total[:, 0, 0])
-
-    weights = jnp.array([1.0, 2.0])
-    by_weights = jax.jit(jax.jacfwd(jax.grad(energy), argnums=1))(ALPHA, weights)
-    step = jnp.array([1e-4, 0.0])
-    slope = jax.jit(jax.grad(energy))
-    difference = (slope(ALPHA, weights + step) - slope(ALPHA, weights - step)) / 2e-4
-    assert float(by_weights[0]) == pytest.approx(float(difference), rel=1e-6)
-    with pytest.raises(ModelError, match="by both at once"):
-        jax.jacfwd(jax.grad(energy, argnums=1), argnums=0)(ALPHA, weights)
 
 
 @pytest.mark.parametrize("weight", [Boxcar(), Bump(4, lengths=5)], ids=str)

@@ -9,7 +9,7 @@ from riecjax import Boxcar, Bump, Hat
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins
 from riecjax.criteria.windows import WindowSet
-from riecjax.equations.columns import Columns
+from riecjax.equations.noisy_columns import Columns
 
 N, STEP = 40, 0.1
 LAW = LagBins(np.array([5, 7]), np.array([6, 9]), np.array([1.5, 0.5]))

@@ -12,8 +12,8 @@ import scipy.integrate
 
 import riecjax as rx
 from riecjax.assessment.assessment import Assessment
-from riecjax.cli.criteria import TEST_FUNCTION_NAMES, CriterionOptions
 from riecjax.cli.main import run
+from riecjax.cli.options import TEST_FUNCTION_NAMES, CriterionOptions
 from riecjax.criteria.plain_data import TEST_FUNCTIONS
 from riecjax.equations.procedure import staged
 from riecjax.estimation.check import Check

@@ -1,21 +1,27 @@
 """What is missing and no term: a signal that comes late, a mode that the equations leave out."""
 
 import io
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.discovery.problems import LATE, OTHERS, PROBLEMS
 from rich.console import Console
+from tests.machines import BODY, LATE, OTHERS, PROBLEMS, STANDARD
+from tests.machines import MODE_TRUTH as TRUTH
+from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from hidden_body import BODY, STEP, TRUTH, motion
 from nightly import nightly
 from riecjax.discovery.discover import discover
 from riecjax.discovery.model_file import model_source
 from riecjax.models.catalogue import find_model
-from riecjax.reporting.discovery import discovery_document, print_discovery
-from riecjax.reporting.discovery_page import discovery_figures, discovery_page
+from riecjax.reporting.discovery import (
+    discovery_document,
+    discovery_figures,
+    discovery_page,
+    print_discovery,
+)
 
 QUICK = {"intervals": rx.Naive(), "resamples": 0}
 DRAG = PROBLEMS["drag"]
@@ -25,13 +31,14 @@ def carrying(noise: float = 0.0) -> rx.Record:
     rng = np.random.default_rng(3)
     clean = motion(True)
     return rx.Record(
-        {n: s + noise * np.std(s) * rng.standard_normal(s.size) for n, s in clean.items()}, STEP
+        {n: s + noise * np.std(s) * rng.standard_normal(s.size) for n, s in clean.items()},
+        STANDARD.step,
     )
 
 
 @pytest.fixture(scope="module")
 def late() -> rx.Record:
-    return OTHERS["late_force"].record(0.01, 1, 1)
+    return OTHERS["late_force"].record(0.01, 1, drive=1)
 
 
 @pytest.mark.slow
@@ -53,14 +60,14 @@ def test_terms_are_found_once_what_comes_late_is_in_time(late):
 @pytest.mark.raises_finding("late_signal")
 def test_of_a_right_model_only_the_delay_is_found(late):
     """Hysteresis and a harder spring stand for it where it is not taken off."""
-    found = discover(DRAG.whole, late, **QUICK)
+    found = discover(DRAG.model, late, **QUICK)
     assert found.names == ("delay",)
     assert discovery_document(found)["sentence"].startswith("No term is missing")
 
 
 @pytest.mark.slow
 def test_without_a_delay_none_is_found():
-    assert discover(DRAG.start, DRAG.record(0.05, 0, 3), **QUICK).delays == {}
+    assert discover(DRAG.start, DRAG.record(0.05, 3), **QUICK).delays == {}
 
 
 @pytest.mark.parametrize("noise", [*nightly([0.0]), 0.02])
@@ -88,7 +95,7 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
 @pytest.mark.slow
 def test_terms_that_are_told_from_zero_stay_beside_a_mode(tmp_path):
     problem = OTHERS["mode_and_spring"]
-    found = discover(problem.start, problem.record(0.01, 2, 2), **QUICK)
+    found = discover(problem.start, problem.record(0.01, 2, drive=2), **QUICK)
     assert {*found.names} == problem.missing
     truth = {"m": 2.0, "c": 4.0, "k": 800.0, "cubic_stiffness": 2e6, "M_mode": 0.5}
     for name, value in truth.items():
@@ -104,8 +111,8 @@ def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
     found = discover(BODY, carrying(), **QUICK)
     (tmp_path / "body.py").write_text(
         "import sys\n"
-        f"sys.path.insert(0, {str(__import__('hidden_body').__file__.rpartition('/')[0])!r})\n"
-        "from hidden_body import BODY\n"
+        f"sys.path.insert(0, {str(Path(__file__).parents[2])!r})\n"
+        "from tests.machines import BODY\n"
     )
     source = model_source(found, str(tmp_path / "body.py:BODY"), tmp_path)
     (tmp_path / "model.py").write_text(source)
@@ -116,7 +123,7 @@ def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
 
 
 def test_a_body_without_a_mode_is_given_none():
-    found = discover(BODY, rx.Record(motion(False), STEP), **QUICK)
+    found = discover(BODY, rx.Record(motion(False), STANDARD.step), **QUICK)
     assert found.names == ()
 
 
@@ -129,7 +136,7 @@ def test_of_candidates_of_ones_own_nothing_else_is_found(late):
 
 @pytest.mark.raises_finding("late_signal")
 def test_a_velocity_that_is_late_is_not_the_forces_fault():
-    clean = DRAG.record(0.01, 1, 4)
+    clean = DRAG.record(0.01, 4, drive=1)
     late = clean.with_signals({"dx": jnp.roll(clean["dx"], 1)}).part(1, 4000)
     found = discover(DRAG.start, late, **QUICK)
     assert found.delays == {}
@@ -139,7 +146,7 @@ def test_a_velocity_that_is_late_is_not_the_forces_fault():
 
 
 def test_a_signal_that_is_absent_is_told_by_what_was_recorded():
-    record = DRAG.record(0.01, 1, 4).select("x", "dx")
+    record = DRAG.record(0.01, 4, drive=1).select("x", "dx")
     with pytest.raises(rx.DataError, match="'u'") as error:
         discover(DRAG.start, record, **QUICK)
     assert "state" not in str(error.value)

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.discovery.problems import PROBLEMS, WIDTH
+from tests.machines import EIGHT_TONES, PROBLEMS, WIDTH, tones
 
 import riecjax as rx
 from nightly import by_day, nightly
@@ -21,7 +21,7 @@ DRAG = PROBLEMS["drag"]
 
 @pytest.fixture(scope="module")
 def record() -> rx.Record:
-    return DRAG.record(0.01, 0, 0)
+    return DRAG.record(0.01, 0)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_the_model_is_identified_and_simulated_like_any(found, record):
     assert dict(again.values) == pytest.approx(dict(found.estimate.values))
     system = found.model.build_system({k: float(v) for k, v in again.values.items()})
     run = rx.simulate(system, record.select("u"), method=rx.FixedStep(4))
-    clean = DRAG.motion(0)
+    clean = DRAG.signals()
     assert np.std(np.asarray(run.record["x"]) - clean["x"]) < 0.01 * clean["x"].std()
 
 
@@ -61,19 +61,21 @@ def test_the_model_is_identified_and_simulated_like_any(found, record):
 @pytest.mark.parametrize("name", by_day(PROBLEMS, "drag"))
 def test_a_right_model_is_given_nothing(name, noise):
     problem = PROBLEMS[name]
-    assert discover(problem.whole, problem.record(noise, 1, 7), **QUICK).names == ()
+    assert discover(problem.model, problem.record(noise, 7, drive=1), **QUICK).names == ()
 
 
 @pytest.mark.parametrize("name", by_day(PROBLEMS, "hysteresis"))
 def test_missing_terms_are_found_at_five_percent_of_noise(name):
     problem = PROBLEMS[name]
-    assert {*discover(problem.start, problem.record(0.05, 2, 2), **QUICK).names} == problem.missing
+    assert {
+        *discover(problem.start, problem.record(0.05, 2, drive=2), **QUICK).names
+    } == problem.missing
 
 
 @pytest.mark.slow
 def test_the_width_of_a_dead_zone_is_found():
     problem = PROBLEMS["dead_zone"]
-    found = discover(problem.start, problem.record(0.01, 0, 0), **QUICK)
+    found = discover(problem.start, problem.record(0.01, 0), **QUICK)
     widths = {one.candidate.name: one.width for one in found.chosen}
     assert widths["dead_zone"] == pytest.approx(WIDTH, rel=0.02)
     assert widths["viscous"] is None
@@ -92,7 +94,9 @@ def test_noise_alone_is_given_nothing():
 
 @pytest.mark.slow
 def test_several_recordings_of_unequal_length_with_gaps_are_one_search(record):
-    other = {name: np.array(values) for name, values in DRAG.record(0.01, 1, 1).arrays.items()}
+    other = {
+        name: np.array(values) for name, values in DRAG.record(0.01, 1, drive=1).arrays.items()
+    }
     other["x"][1000:1200] = np.nan
     gappy = rx.Record.from_samples(other, time_step=0.01)
     assert {*discover(DRAG.start, [record.part(0, 1500), gappy], **QUICK).names} == DRAG.missing
@@ -213,7 +217,7 @@ def test_the_model_file_holds_what_was_found(tmp_path):
         "    -rx.Term(1.0, 'u'), name='mass', unit='N')\n"
     )
     reference = f"{tmp_path}/own/mass.py:MASS"
-    found = discover(find_model(reference), problem.record(0.01, 0, 0), **QUICK)
+    found = discover(find_model(reference), problem.record(0.01, 0), **QUICK)
     (tmp_path / "out").mkdir()
     file = tmp_path / "out/model.py"
     file.write_text(model_source(found, reference, tmp_path / "out"))
@@ -221,7 +225,7 @@ def test_the_model_file_holds_what_was_found(tmp_path):
     values = {q.name: float(q.default or 0.0) for q in read.parameters}
     assert values == pytest.approx({n: float(found.estimate[n]) for n in values})
     assert {q.name: q.unit for q in read.parameters}["dead_zone_stiffness"] == "N/m"
-    drive = rx.Record({"u": problem.motion(0)["u"]}, problem.time_step)
+    drive = rx.Record({"u": problem.signals()["u"]}, problem.shape.step)
     runs = [
         rx.simulate(system, drive).record["x"]
         for system in (read.build_system({}), found.model.build_system(values))
@@ -258,7 +262,7 @@ def _renamed(record: rx.Record) -> rx.Record:
 @pytest.fixture(scope="module")
 def modulated() -> rx.Record:
     """A mass on a spring with a damper that a recorded voltage sets."""
-    times = np.arange(4001) / 100
+    times = DRAG.shape.times
     voltage = 2 + np.sin(0.9 * times) + 0.5 * np.sin(2.3 * times + 1)
     model = rx.Equation(
         rx.Term("m", "x", derivative=2),
@@ -268,7 +272,7 @@ def modulated() -> rx.Record:
         -rx.Term(1.0, "u"),
     )
     values = {"m": 1.5, "c": 0.5, "k": 20.0, "by": 0.6}
-    drive = rx.Record({"u": DRAG.motion(0)["u"], "voltage": voltage}, 0.01)
+    drive = rx.Record({"u": DRAG.signals()["u"], "voltage": voltage}, 0.01)
     run = rx.simulate(rx.equation_system(model, values), drive, method=rx.FixedStep(4))
     rng = np.random.default_rng(0)
     signals = {name: np.asarray(run.record[name]) for name in ("x", "dx", "u", "voltage")}
@@ -301,7 +305,7 @@ def test_the_file_of_a_hysteretic_model_is_identified_and_simulated(tmp_path):
         "MASS = rx.Equation(rx.Term('m', 'x', derivative=2, measured=('dx',), unit='kg'),\n"
         "    rx.Term('k', 'x', unit='N/m'), -rx.Term(1.0, 'u'), name='mass', unit='N')\n"
     )
-    reference, record = f"{tmp_path}/mass.py:MASS", problem.record(0.01, 0, 0)
+    reference, record = f"{tmp_path}/mass.py:MASS", problem.record(0.01, 0)
     found = discover(find_model(reference), record, **QUICK)
     assert {*found.names} == problem.missing
     file = tmp_path / "model.py"
@@ -310,7 +314,7 @@ def test_the_file_of_a_hysteretic_model_is_identified_and_simulated(tmp_path):
     again = rx.identify(read, record)
     assert dict(again.values) == pytest.approx(dict(found.estimate.values))
     run = rx.simulate(read.build_system({}), record.select("u"), method=rx.FixedStep(4))
-    clean = problem.motion(0)["x"]
+    clean = problem.signals()["x"]
     assert np.std(np.asarray(run.record["x"]) - clean) < 0.05 * clean.std()
 
 
@@ -335,11 +339,10 @@ def test_a_velocitys_position_that_no_equation_reads_is_known_by_its_slope():
 def driven(force, seed: int = 0) -> rx.Record:
     """A mass under a force of time, position and velocity, with tones, and 1 % of noise."""
     import scipy.integrate
-    from benchmarks.discovery.problems import _FORCE, COUNT, RATE, tones
 
-    times = np.arange(COUNT) / RATE
+    times = DRAG.shape.times
     run = scipy.integrate.solve_ivp(
-        lambda t, s: [s[1], float(tones(t, _FORCE, 20.0, seed) - force(t, *s)) / 1.5],
+        lambda t, s: [s[1], float(tones(t, EIGHT_TONES, 20.0, seed) - force(t, *s)) / 1.5],
         (0, times[-1]),
         [0.0, 0.0],
         t_eval=times,
@@ -352,8 +355,8 @@ def driven(force, seed: int = 0) -> rx.Record:
     signals = {
         name: of + 0.01 * of.std() * rng.standard_normal(of.size) for name, of in signals.items()
     }
-    signals["u"] = tones(times, _FORCE, 20.0, seed)
-    return rx.Record.from_samples(signals, time_step=1 / RATE)
+    signals["u"] = tones(times, EIGHT_TONES, 20.0, seed)
+    return rx.Record.from_samples(signals, time_step=0.01)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from riecjax.discovery.folds import Folds
+from riecjax.discovery.search import Folds
 from riecjax.summaries.normal_equations import NormalEquations
 
 NAMES = ("a", "b", "c")

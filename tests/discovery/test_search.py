@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from test_folds import folds_of
 
-from riecjax.discovery.search import MOST, RATE, Offer, Search
-from riecjax.discovery.selected import again
+from riecjax.discovery.search import MOST, RATE, Offer, Search, again
 
 LETTERS = "abcdefgh"
 

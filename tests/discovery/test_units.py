@@ -1,6 +1,6 @@
 import pytest
 
-from riecjax.equations.units import per
+from riecjax.equations.motions import per
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,9 @@
 """What a spring may be in series with: dampers, and no mass, stiffness or constant."""
 
 import pytest
+from tests.machines import BODY
 
 import riecjax as rx
-from hidden_body import BODY
 
 TRAVEL = rx.difference("x1", "x2")
 

@@ -4,15 +4,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
+from tests.machines import BODY, STANDARD
+from tests.machines import MODE_MODEL as MODEL
+from tests.machines import MODE_TRUTH as TRUTH
+from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from hidden_body import BODY, MODEL, STEP, TRUTH, motion
 from nightly import nightly
-from riecjax.equations.hidden_modes import Shape
+from riecjax.equations.hidden_elements import Shape
 from riecjax.equations.hidden_motion import followed, with_hidden_motion
 from riecjax.validation import equation_error
 
-TIMES = STEP * np.arange(2000)
+TIMES = STANDARD.step * np.arange(2000)
 
 
 def smooth(t: np.ndarray) -> np.ndarray:
@@ -22,10 +25,10 @@ def smooth(t: np.ndarray) -> np.ndarray:
 def test_a_mass_moves_as_scipy_says():
     p, q = 6 / 21000, 120 / 21000
     found, known = followed(
-        rx.Record({"v": smooth(TIMES)}, STEP), "v", Shape(jnp.asarray(p), jnp.asarray(q))
+        rx.Record({"v": smooth(TIMES)}, STANDARD.step), "v", Shape(jnp.asarray(p), jnp.asarray(q))
     )
     # Twenty steps to a sample, so that lines between them are as good as the curve.
-    times = STEP / 20 * np.arange(40000)
+    times = STANDARD.step / 20 * np.arange(40000)
     _, truth, _ = scipy.signal.lsim(([q, 1], [p, q, 1]), smooth(times), times)
     known = np.array(known)
     known[-20:] = False  # the mirror image has a kink of curvature
@@ -40,11 +43,11 @@ def test_samples_after_a_gap_wait_until_it_is_forgotten():
     missing = np.zeros(2000, bool)
     missing[1000:1010] = True
     samples = np.where(missing, np.nan, smooth(TIMES))
-    record = rx.Record.from_samples({"v": samples}, time_step=STEP)
+    record = rx.Record.from_samples({"v": samples}, time_step=STANDARD.step)
     shape = Shape(jnp.asarray(6 / 21000), jnp.asarray(120 / 21000))
     _, known = followed(record, "v", shape)
     # 1 % is left after ln(100) 2 p / q = 0.46 s.
-    waited = int(np.log(100) * 2 * 6 / 120 / STEP)
+    waited = int(np.log(100) * 2 * 6 / 120 / STANDARD.step)
     expected = np.ones(2000, bool)
     expected[:waited] = False
     expected[1000 : 1010 + waited] = False
@@ -53,7 +56,7 @@ def test_samples_after_a_gap_wait_until_it_is_forgotten():
 
 @pytest.mark.parametrize("sign", [-1.0, *nightly([1.0])])
 def test_the_true_mode_closes_the_equation(sign):
-    record = rx.Record(motion(True), STEP)
+    record = rx.Record(motion(True), STANDARD.step)
     equation = rx.Equation(*(-t if sign < 0 else t for t in BODY.terms), name="body")
     model = rx.staged(equation).with_modes(rx.HiddenMode("v"))
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
@@ -71,13 +74,13 @@ def test_a_position_s_derivatives_move_along():
     )
     model = rx.staged(position).with_modes(rx.HiddenMode("x"))
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
-    (left,) = equation_error(model, rx.Record(moved, STEP), values)
+    (left,) = equation_error(model, rx.Record(moved, STANDARD.step), values)
     assert left.span == 1
     assert float(left.relative_rms) < 0.01
 
 
 def test_nothing_changes_without_modes():
-    record = rx.Record(motion(False, 50), STEP)
+    record = rx.Record(motion(False, 50), STANDARD.step)
     procedure = rx.staged(BODY)
     assert with_hidden_motion(procedure, record, {}) == (procedure, record)
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
-from benchmarks.discovery.problems import PROBLEMS, STROKE
+from tests.machines import PROBLEMS, STROKE
 
 import riecjax as rx
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, with_memories
@@ -74,16 +74,16 @@ def test_a_record_without_the_velocity_is_refused():
 
 
 def test_a_model_with_hysteresis_is_identified_from_a_record_without_the_state():
-    estimate = rx.identify(HYSTERETIC.whole, HYSTERETIC.record(0.01, 0, 0))
+    estimate = rx.identify(HYSTERETIC.model, HYSTERETIC.record(0.01, 0))
     for name, value in {"m": 1.5, "k": 20.0, "c": 0.8, "loop": 4.0}.items():
         assert float(estimate[name]) == pytest.approx(value, rel=0.03)
 
 
 def test_a_model_with_hysteresis_is_simulated_with_its_state():
     values = {"m": 1.5, "k": 20.0, "c": 0.8, "loop": 4.0}
-    system = rx.equation_system(HYSTERETIC.whole, values)
+    system = rx.equation_system(HYSTERETIC.model, values)
     assert "z" in system.state_names
-    clean = HYSTERETIC.motion(0)
+    clean = HYSTERETIC.signals()
     drive = rx.Record({"u": clean["u"]}, 0.01)
     run = rx.simulate(system, drive, method=rx.FixedStep(8))
     assert np.std(np.asarray(run.record["x"]) - clean["x"]) < 0.01 * clean["x"].std()
@@ -91,7 +91,7 @@ def test_a_model_with_hysteresis_is_simulated_with_its_state():
 
 def test_the_width_of_a_loop_is_found():
     found = rx.discover(
-        HYSTERETIC.start, HYSTERETIC.record(0.01, 0, 0), intervals=rx.Naive(), resamples=0
+        HYSTERETIC.start, HYSTERETIC.record(0.01, 0), intervals=rx.Naive(), resamples=0
     )
     widths = {one.candidate.name: one.width for one in found.chosen}
     assert widths["dahl"] == pytest.approx(STROKE, rel=0.1)

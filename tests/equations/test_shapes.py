@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from riecjax.equations.bases import DeadZone, Saturation, Stribeck
 from riecjax.equations.expressions import even, odd
-from riecjax.equations.shapes import DeadZone, Saturation, Stribeck
 from riecjax.errors import ModelError
 from riecjax.records.signals import Signals
 

@@ -16,7 +16,7 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.integral_error import IntegralError

@@ -6,8 +6,7 @@ import scipy.linalg
 
 from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation

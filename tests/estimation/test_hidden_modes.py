@@ -8,17 +8,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import BODY, STANDARD
+from tests.machines import MODE_MODEL as MODEL
+from tests.machines import MODE_TRUTH as TRUTH
+from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from hidden_body import BODY, MODEL, STEP, TRUTH, motion
-from riecjax.equations.hidden_modes import Expanded
+from riecjax.equations.hidden_elements import Expanded
 from riecjax.estimation import mode_evidence
 from riecjax.uncertainty.intervals import Sandwich
 
 
 @pytest.fixture(scope="module")
 def with_mode() -> rx.Record:
-    return rx.Record(motion(True), STEP)
+    return rx.Record(motion(True), STANDARD.step)
 
 
 def test_a_hidden_mode_is_found(with_mode):
@@ -43,7 +46,7 @@ def test_noise_is_taken_off(with_mode):
         name: np.asarray(x) + 0.02 * np.std(x) * rng.standard_normal(x.shape)
         for name, x in with_mode.arrays.items()
     }
-    estimate = rx.identify(MODEL, rx.Record(noisy, STEP))
+    estimate = rx.identify(MODEL, rx.Record(noisy, STANDARD.step))
     for name in ("m", "M_mode", "K_mode"):
         assert float(estimate[name]) == pytest.approx(TRUTH[name], rel=0.03), name
         low, high = estimate.interval(name)
@@ -54,7 +57,7 @@ def test_a_right_model_carries_no_mode():
     rng = np.random.default_rng(6)
     clean = motion(False)
     noisy = {n: x + 0.01 * x.std() * rng.standard_normal(x.shape) for n, x in clean.items()}
-    estimate = rx.identify(MODEL, rx.Record(noisy, STEP))
+    estimate = rx.identify(MODEL, rx.Record(noisy, STANDARD.step))
     evidence = mode_evidence(MODEL, estimate)[0]
     assert not evidence.carried
     assert [finding.code for finding in evidence.findings()] == ["mode_not_carried"]
@@ -63,7 +66,7 @@ def test_a_right_model_carries_no_mode():
 def test_a_late_velocity_is_no_oscillator():
     late = motion(False)
     late["v"] = np.concatenate([late["v"][:1], late["v"][:-1]])
-    estimate = rx.identify(MODEL, rx.Record(late, STEP))
+    estimate = rx.identify(MODEL, rx.Record(late, STANDARD.step))
     evidence = mode_evidence(MODEL, estimate)[0]
     assert not evidence.carried
     assert "delay" in evidence.findings()[0].message
@@ -120,7 +123,7 @@ def test_a_batch_is_what_its_records_are_one_by_one():
     known = {name: 0.04 * x.std() for name, x in clean.items()}
 
     def of(signals: dict[str, jax.Array]) -> rx.Estimate:
-        record = rx.Record(signals, STEP)
+        record = rx.Record(signals, STANDARD.step)
         return rx.identify(MODEL, record, FEW_LENGTHS, intervals=Sandwich(), noise=known)
 
     together = jax.vmap(lambda signals: (of(signals).theta, of(signals).standard_errors))(batch)
@@ -135,10 +138,10 @@ def test_a_batch_is_what_its_records_are_one_by_one():
 def test_gradients_are_those_of_differences(with_mode):
     signals = {name: jnp.asarray(x) for name, x in with_mode.arrays.items()}
     # Of a change that no parameter undoes: a second motion, added to the position alone.
-    away = jnp.sin(2 * jnp.pi * 3.0 * STEP * jnp.arange(6000)) * jnp.std(signals["x"])
+    away = jnp.sin(2 * jnp.pi * 3.0 * STANDARD.step * jnp.arange(6000)) * jnp.std(signals["x"])
 
     def found(size: jax.Array) -> jax.Array:
-        record = rx.Record({**signals, "x": signals["x"] + size * away}, STEP)
+        record = rx.Record({**signals, "x": signals["x"] + size * away}, STANDARD.step)
         estimate = rx.identify(MODEL, record, FEW_LENGTHS, intervals=Sandwich(), noise="none")
         return jnp.log(jnp.stack([estimate[name] for name in ("M_mode", "K_mode", "B_mode", "k")]))
 
@@ -152,9 +155,9 @@ IN_32_BIT = """
 import sys
 import numpy as np
 import riecjax as rx
-from tests.hidden_body import MODEL, STEP, motion
+from tests.machines import MODE_MODEL, STANDARD, body_with_mode
 
-estimate = rx.identify(MODEL, rx.Record(motion(True), STEP))
+estimate = rx.identify(MODE_MODEL, rx.Record(body_with_mode(), STANDARD.step))
 assert estimate.theta.dtype == np.float32, estimate.theta.dtype
 print(*(float(estimate[name]) for name in ("m", "M_mode", "K_mode")))
 """
@@ -187,13 +190,13 @@ def test_what_cannot_be_asked(with_mode):
 
 def test_rows_of_third_derivatives():
     # The third derivative of t^3 is 6: its row is that of the constant 6.
-    t = STEP * (np.arange(80) - 40)
+    t = STANDARD.step * (np.arange(80) - 40)
     equation = rx.Equation(rx.Term("a", "cube"), -rx.Term(1.0, "six"))
     cube = Expanded.of(
         rx.Equation(rx.Term("a", "cube", derivative=1), -rx.Term(1.0, "six")),
         [rx.HiddenMode("cube")],
     ).equation
-    record = rx.Record({"cube": t**3, "six": np.full(80, 6.0)}, STEP)
+    record = rx.Record({"cube": t**3, "six": np.full(80, 6.0)}, STANDARD.step)
     weight = rx.criteria.GradedBump(lengths=1)
     criterion = rx.RIEC(rx.RandomWindows(0.2, 0.21, 20), weight)
     key = jax.random.key(0)
@@ -212,5 +215,5 @@ def test_a_frequency_that_the_sampling_cannot_show_is_refused(with_mode):
 def test_a_body_that_never_moves_tells_of_no_mode():
     still = motion(True) | {"v": np.zeros(6000)}
     with pytest.raises(rx.IdentifiabilityError, match="never moves") as raised:
-        rx.identify(MODEL, rx.Record(still, STEP))
+        rx.identify(MODEL, rx.Record(still, STANDARD.step))
     assert raised.value.code == "not_excited"

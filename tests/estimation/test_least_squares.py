@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from riecjax.criteria.criterion import DOLS
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import IdentifiabilityError
-from riecjax.estimation import least_squares
 from riecjax.estimation.identify import identify
-from riecjax.estimation.least_squares import solve
+from riecjax.estimation.stages import solve
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations

@@ -3,11 +3,15 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import BODY, STANDARD
+from tests.machines import MODE_MODEL as MODEL
+from tests.machines import MODE_TRUTH as TRUTH
+from tests.machines import body as driven
+from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from hidden_body import BODY, MODEL, STEP, TRUTH, driven, motion
 from nightly import nightly
-from riecjax.equations.hidden_modes import is_hidden_name
+from riecjax.equations.hidden_elements import is_hidden_name
 from riecjax.estimation import mode_evidence
 from riecjax.estimation.check import raise_if_not_carried
 from riecjax.estimation.hidden_modes import as_asked
@@ -18,7 +22,8 @@ FREQUENCY = np.sqrt(TRUTH["K_mode"] / TRUTH["M_mode"]) / (2 * np.pi)
 def noisy(signals: dict[str, np.ndarray], level: float = 0.003) -> rx.Record:
     rng = np.random.default_rng(0)
     return rx.Record(
-        {n: x + level * np.std(x) * rng.standard_normal(x.shape) for n, x in signals.items()}, STEP
+        {n: x + level * np.std(x) * rng.standard_normal(x.shape) for n, x in signals.items()},
+        STANDARD.step,
     )
 
 

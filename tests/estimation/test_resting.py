@@ -4,17 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.sticking import JOINT, TRUE, joint_motion, recorded
+from tests.machines import JOINT, JOINT_TRUTH, Shape, joint, joint_record
 
 import riecjax as rx
-from riecjax.equations.in_motion import InMotion, in_motion
+from riecjax.equations.dry_friction import InMotion, in_motion
 
 SEED = 1
 
 
 @pytest.fixture(scope="module")
 def motion():
-    return joint_motion(SEED, 20.0)
+    return joint(SEED, Shape(10_001, 500))
 
 
 def said(found):
@@ -22,12 +22,12 @@ def said(found):
 
 
 def errors(found):
-    return np.array([float(found[name]) / true - 1 for name, true in TRUE.items()])
+    return np.array([float(found[name]) / true - 1 for name, true in JOINT_TRUTH.items()])
 
 
 @pytest.fixture(scope="module")
 def clean(motion):
-    return recorded(motion, "clean", SEED)
+    return joint_record(motion, "clean", SEED)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_weights_hold_the_equation_for_every_order_and_criterion(clean):
         values = np.asarray(term.samples(clean, 0).values[0])
         integral = np.concatenate([[0], np.cumsum(0.5 * (values[1:] + values[:-1]) * step)])
         part = values - values[0] if term.derivative else integral
-        left = left + TRUE.get("".join(term.parameters), 1.0) * part
+        left = left + JOINT_TRUTH.get("".join(term.parameters), 1.0) * part
         right = max(right, np.abs(part).max())
     assert np.abs(left).max() < 1e-3 * right
 

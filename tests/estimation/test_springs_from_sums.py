@@ -4,10 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import BODY, STANDARD, noisy
+from tests.machines import LAG_MODEL as MODEL
+from tests.machines import LAG_TRUTH as TRUTH
+from tests.machines import body_with_lag as motion
 
 import riecjax as rx
-from lagging_body import BODY, MODEL, STEP, TRUTH, motion, noisy
-from riecjax.equations.hidden_modes import Expanded
+from riecjax.equations.hidden_elements import Expanded
 from riecjax.equations.hidden_motion import with_hidden_motion
 from riecjax.models.model import as_model
 from riecjax.uncertainty.intervals import Sandwich
@@ -16,7 +19,7 @@ from riecjax.validation import equation_error
 
 @pytest.fixture(scope="module")
 def clean() -> rx.Record:
-    return rx.Record(motion(), STEP)
+    return rx.Record(motion(), STANDARD.step)
 
 
 def test_a_spring_is_found_beside_its_damper(clean):
@@ -35,7 +38,9 @@ def test_a_spring_is_found_beside_its_damper(clean):
 def test_intervals_cover_at_5_percent_of_noise():
     covered = []
     for seed in range(12):
-        estimate = rx.identify(MODEL, noisy(motion(seed=seed), 0.05, seed))
+        estimate = rx.identify(
+            MODEL, rx.Record(noisy(motion(seed=seed), 0.05, seed), STANDARD.step)
+        )
         assert float(estimate["K_series"]) == pytest.approx(TRUTH["K_series"], rel=0.15)
         ends = [(name, estimate.interval(name)) for name in TRUTH]
         covered.append([float(low) <= TRUTH[n] <= float(high) for n, (low, high) in ends])
@@ -49,7 +54,7 @@ def test_no_lag_is_no_spring():
     codes = []
     for seed in range(6):
         lagging = motion(seed=seed, series=2e7)
-        estimate = rx.identify(MODEL, noisy(lagging, 0.05, seed))
+        estimate = rx.identify(MODEL, rx.Record(noisy(lagging, 0.05, seed), STANDARD.step))
         assert float(estimate["m"]) == pytest.approx(TRUTH["m"], rel=0.05)
         codes.append([finding.code for finding in estimate.findings()])
     assert sum("series_spring_not_carried" in of for of in codes) >= 5
@@ -59,7 +64,7 @@ def test_no_lag_is_no_spring():
 def test_a_spring_and_a_mode_are_found_together():
     mode = {"M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
     heavy, stiff, loss = mode.values()
-    record = rx.Record(motion(mode=(heavy, stiff, loss)), STEP)
+    record = rx.Record(motion(mode=(heavy, stiff, loss)), STANDARD.step)
     model = MODEL.with_modes(rx.HiddenMode("v"))
     estimate = rx.identify(model, record)
     assert estimate.parameters == ("m", "c", "k", *mode, "K_series")
@@ -86,7 +91,7 @@ def test_a_spring_is_found_beside_a_damper_that_is_known(clean):
 @pytest.mark.slow
 def test_two_equations_share_a_spring():
     """As of a damper between two bodies: here the same equation twice, once negative."""
-    record = rx.Record(motion(), STEP)
+    record = rx.Record(motion(), STANDARD.step)
     other = rx.Equation(*(-term for term in BODY.terms), name="other")
     model = rx.simultaneous(BODY, other).with_series_springs(rx.SeriesSpring("c"))
     estimate = rx.identify(model, record)

@@ -4,9 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from tests.machines import MODE_MODEL as MODEL
+from tests.machines import MODE_TRUTH as TRUTH
+from tests.machines import STANDARD
+from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from hidden_body import MODEL, STEP, TRUTH, motion
 from nightly import nightly
 from riecjax.estimation.mode_windows import find_modes
 
@@ -15,7 +18,7 @@ SPRUNG = MODEL.with_series_springs(rx.SeriesSpring("c"))
 
 @pytest.fixture(scope="module")
 def clean() -> rx.Record:
-    return rx.Record(motion(True), STEP)
+    return rx.Record(motion(True), STANDARD.step)
 
 
 @pytest.mark.parametrize("model", [MODEL, *nightly([SPRUNG])], ids=["mode", "mode and spring"])

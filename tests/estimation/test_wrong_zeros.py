@@ -1,7 +1,8 @@
 """A sensor's wrong zero, told by means that disagree with the motion."""
 
 import pytest
-from benchmarks.drag_problem import TRUTH, signals
+from tests.machines import DRAG_TRUTH as TRUTH
+from tests.machines import drag_signals as signals
 
 from nightly import nightly
 from riecjax.assessment.assess import assess

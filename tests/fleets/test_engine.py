@@ -7,8 +7,8 @@ import sys
 
 import distributed
 import pytest
-from benchmarks.fleet.drives import drives
 from fleet_tasks import dies, dies_at_first, square
+from tests.machines import drag_fleet as drives
 
 from riecjax.errors import DataError
 from riecjax.fleets import engine as module

@@ -9,22 +9,24 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import scipy.io
-from benchmarks.fleet.drives import STEP, TRUTH, drives
 from pyarrow import parquet
+from tests.machines import DRAG_TRUTH as TRUTH
+from tests.machines import STANDARD
+from tests.machines import drag_fleet as drives
 
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.fleets import fleet as module
-from riecjax.fleets import groups, kept, pieces, planning, running, table
+from riecjax.fleets import groups, kept, order, sources
 from riecjax.fleets.fleet import Fleet, fleet
 from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
 from riecjax.reporting.fleet import sentence
-from riecjax.summaries.reduced import in_blocks
 from riecjax.summaries.summarise import summarise
+from riecjax.summaries.summary import in_blocks
 
 MODEL = find_model("drag-oscillator")
 SAMPLES = 1500
@@ -105,7 +107,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bits(
     folder, by_vehicle, tmp_path, monkeypatch
 ):
     _, out = by_vehicle
-    monkeypatch.setattr(planning, "TOGETHER", 2)
+    monkeypatch.setattr(order, "TOGETHER", 2)
     monkeypatch.setattr(kept, "MOST_WAITING", 1)
     summed = []
 
@@ -264,8 +266,8 @@ def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_p
     (record,) = drives(1, 2**17 + 70000, 5)
     write_record(tmp_path / "whole.parquet", record)
     table = parquet.read_table(tmp_path / "whole.parquet")
-    monkeypatch.setattr(planning, "STRETCH", 2**17)
-    monkeypatch.setattr(pieces, "LONG", 2**40)
+    monkeypatch.setattr(order, "STRETCH", 2**17)
+    monkeypatch.setattr(sources, "LONG", 2**40)
     (tmp_path / "week.parquet").mkdir()
     cuts = [0, 30011, 130000, 131100, table.num_rows]
     for i, (a, b) in enumerate(itertools.pairwise(cuts)):
@@ -288,7 +290,7 @@ def test_courses_over_time_show_when_a_damper_wore(tmp_path):
     spans = [e for e in found.over_time if e.group == "new.parquet" and e.parameter == "r"]
     assert [round(e.start) for e in spans] == sorted(round(e.start) for e in spans)
     assert spans[0].start == 0
-    assert spans[-1].end == pytest.approx(6000 * STEP)
+    assert spans[-1].end == pytest.approx(6000 * STANDARD.step)
     assert 4 <= len(spans) <= 6
     for one, following in itertools.pairwise(spans):
         assert one.end == pytest.approx(following.start)
@@ -329,7 +331,7 @@ def test_spans_cover_a_recording_once(folder, count, each):
     seconds = float(one.block_seconds)
     spans = list(groups._spans(one, each * seconds))
     assert spans[0][0] == 0
-    assert spans[-1][1] == pytest.approx(SAMPLES * STEP)
+    assert spans[-1][1] == pytest.approx(SAMPLES * STANDARD.step)
     assert all(a[1] == pytest.approx(b[0]) for a, b in itertools.pairwise(spans))
     held = sum(int(some.blocks) for _, _, some in spans)
     assert held == int(one.blocks)
@@ -396,9 +398,9 @@ def test_a_group_without_an_answer_is_counted_and_all_of_them_are_an_error(folde
 
 def test_kept_rows_are_streamed_and_a_damaged_end_of_a_file_is_noticed(by_vehicle, monkeypatch):
     _, out = by_vehicle
-    file, read, real = out / "summaries.parquet", [], table.read_rows
+    file, read, real = out / "summaries.parquet", [], kept.read_rows
     rows = list(real(file))
-    again = kept.Kept(out, table.metadata_of(file)[table.ORDER].decode(), {})
+    again = kept.Kept(out, kept.metadata_of(file)[kept.ORDER].decode(), {})
 
     def counted(*given):
         for row in real(*given):
@@ -416,7 +418,7 @@ def test_kept_rows_are_streamed_and_a_damaged_end_of_a_file_is_noticed(by_vehicl
 def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_path):
     _, out = by_vehicle
     content = (out / "summaries.parquet").read_bytes()
-    rows = list(table.read_rows(out / "summaries.parquet"))
+    rows = list(kept.read_rows(out / "summaries.parquet"))
     length = int.from_bytes(content[-8:-4], "little")
     file = tmp_path / "damaged.parquet"
     for place in range(len(content) - 8 - length, len(content), 5):
@@ -424,7 +426,7 @@ def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_p
         damaged[place] ^= 1 << place % 8
         file.write_bytes(bytes(damaged))
         try:
-            found = list(table.read_rows(file))
+            found = list(kept.read_rows(file))
         except (DataError, ModelError):
             continue
         assert [row.sums for row in found] == [row.sums for row in rows]
@@ -433,7 +435,7 @@ def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_p
 def test_a_message_holds_some_groups_of_one_kind_or_a_large_one():
     small, large = groups.Group("a", (), bytes(10)), groups.Group("b", (), bytes(3 * 2**20))
     course = groups.Group("c", (), bytes(10), in_spans=True)
-    found = [*running._batches(iter([*[small] * 9, course, large, large, small]))]
+    found = [*module._batches(iter([*[small] * 9, course, large, large, small]))]
     assert [len(some) for some in found] == [8, 1, 1, 1, 2]
 
 
@@ -483,7 +485,7 @@ def test_what_is_of_a_wrong_type_is_said_at_once(given, why, tmp_path):
 
 
 def test_a_run_that_is_stopped_keeps_all_that_was_summed(folder, tmp_path, monkeypatch):
-    real, calls = running.sum_up, []
+    real, calls = module.sum_up, []
 
     def stopped(*given):
         calls.append(given)
@@ -491,9 +493,9 @@ def test_a_run_that_is_stopped_keeps_all_that_was_summed(folder, tmp_path, monke
             raise KeyboardInterrupt
         return real(*given)
 
-    monkeypatch.setattr(running, "sum_up", stopped)
-    monkeypatch.setattr(planning, "TOGETHER", 1)
+    monkeypatch.setattr(module, "sum_up", stopped)
+    monkeypatch.setattr(order, "TOGETHER", 1)
     with pytest.raises(KeyboardInterrupt):
         fleet(MODEL, folder, workers=0, out=tmp_path)
     (part,) = (tmp_path / kept.PARTS).glob("*.parquet")
-    assert len(list(table.read_rows(part))) == 3
+    assert len(list(kept.read_rows(part))) == 3

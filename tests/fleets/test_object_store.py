@@ -7,8 +7,8 @@ from typing import Any
 import boto3
 import pytest
 import s3fs
-from benchmarks.fleet.drives import drives
 from moto.server import ThreadedMotoServer
+from tests.machines import drag_fleet as drives
 
 from riecjax.cli.main import run
 from riecjax.errors import DataError

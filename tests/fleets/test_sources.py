@@ -9,8 +9,15 @@ import pytest
 from pyarrow import parquet
 
 from riecjax.errors import DataError
-from riecjax.fleets.pieces import Piece, recordings_of, rows_at_hand, stretches
-from riecjax.fleets.sources import Source, at_hand, find_sources
+from riecjax.fleets.sources import (
+    Piece,
+    Source,
+    at_hand,
+    find_sources,
+    recordings_of,
+    rows_at_hand,
+    stretches,
+)
 
 
 def write(file: Path, rows: int = 3, **columns: object) -> None:

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from riecjax.fleets.changes import changes
 from riecjax.fleets.groups import Entry
-from riecjax.fleets.spread import RATE, spreads
+from riecjax.fleets.spread import RATE, changes, spreads
 
 
 def entry(group: str, value: float, error: float, name: str = "c", **other: object) -> Entry:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from riecjax.models.emps import Axis
-from riecjax.models.emps_stribeck import stribeck_axis, stribeck_balance, without_rise
+from riecjax.models.emps import Axis, stribeck_axis, stribeck_balance, without_rise
 
 FRICTION = {"M": 95.0, "Fv_pos": 160.0, "Fc_pos": 20.0, "Fv_neg": 230.0, "Fc_neg": 21.0}
 SHAPE = {"excess": -0.2, "vs": 0.02}

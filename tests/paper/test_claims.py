@@ -12,28 +12,29 @@ from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import two_mass_system
 from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-from riecjax.paper.claims.claim import Claim, Evidence, over_roads, ratio_of_means
-from riecjax.paper.claims.section_6 import variation_claims
-from riecjax.paper.claims.sections_2_to_5 import (
+from riecjax.paper.claims import (
+    Claim,
+    Evidence,
     bounded_impulse,
     drop_outs,
+    over_roads,
+    ratio_of_means,
+    variation_claims,
     window_errors,
     window_lengths,
 )
 from riecjax.paper.reproduction import (
     LENGTHS,
     PARAMETERS,
-    LengthMap,
-    estimates_over_lengths,
-    identification_record,
-    road_keys,
-)
-from riecjax.paper.section_2 import (
     RATE,
     SECOND_MASS,
     Demonstration,
+    LengthMap,
     WindowErrorMoments,
     demonstrate,
+    estimates_over_lengths,
+    identification_record,
+    road_keys,
 )
 from riecjax.paper.variations import BANDWIDTHS, Hysteresis, Variations, Varied, VariedStudy
 from riecjax.records.record import Record

@@ -8,7 +8,7 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.models.quarter_car.identification import quarter_car_system
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-from riecjax.paper.claims.sections_2_to_5 import table_claims
+from riecjax.paper.claims import table_claims
 from riecjax.paper.reproduction import identification_record, identify_variants, run_road
 from riecjax.paper.tables import contact, table_3, table_4, table_5
 from riecjax.records.record import Record

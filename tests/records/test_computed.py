@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import scipy.signal
-from benchmarks.drag_problem import TRUTH, signals
+from tests.machines import DRAG_TRUTH as TRUTH
+from tests.machines import drag_signals as signals
 
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import find_model

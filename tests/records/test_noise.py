@@ -11,7 +11,7 @@ from nightly import nightly
 from riecjax.errors import DataError, ModelError
 from riecjax.records import judged, stack_records
 from riecjax.records.noise import Noise, noise_level
-from riecjax.records.noise_spectrum import blackman_harris
+from riecjax.records.noise_judgement import blackman_harris
 from riecjax.records.record import Record
 
 STEP = 0.01

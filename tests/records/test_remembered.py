@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from benchmarks.drag_problem import signals
+from tests.machines import drag_signals as signals
 
-from riecjax.records.faults import local_fits
+from riecjax.records.faults import spikes
 from riecjax.records.faults.spikes import find_spikes
 from riecjax.records.remembered import remembered
 
@@ -42,9 +42,9 @@ def test_spikes_are_those_that_fits_of_all_suspects_in_each_pass_find(noise, mon
     assert found.places.size > 10
 
     def everywhere(self, values, places, noise):
-        return local_fits.fits(values, places, noise, self.stretch, self.local)
+        return spikes.fits(values, places, noise, self.stretch, self.local)
 
-    monkeypatch.setattr(local_fits.Around, "at", everywhere)
+    monkeypatch.setattr(spikes.Around, "at", everywhere)
     again = find_spikes.__wrapped__(values)  # pyright: ignore[reportFunctionMemberAccess]
     for one, other in zip(found, again, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)

@@ -5,7 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.drag_problem import START, oscillator, record
+from tests.machines import DRAG_START as START
+from tests.machines import drag_oscillator as oscillator
+from tests.machines import drag_record as record
 
 from nightly import nightly
 from riecjax.criteria.criterion import RIEC

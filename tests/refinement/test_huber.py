@@ -4,16 +4,22 @@ import jax
 import numpy as np
 import pytest
 import scipy.integrate
-from benchmarks.drag_problem import COUNT, RATE, START, TRUTH, force, oscillator, signals
+from tests.machines import DRAG
+from tests.machines import DRAG_START as START
+from tests.machines import DRAG_TRUTH as TRUTH
+from tests.machines import drag_force as force
+from tests.machines import drag_oscillator as oscillator
+from tests.machines import drag_signals as signals
 
 from riecjax.errors import ModelError
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, stack_records
-from riecjax.refinement.huber import THRESHOLD
 from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_misfit import THRESHOLD
 from riecjax.refinement.refine import refine
 from riecjax.simulation.method import FixedStep
 
+COUNT, RATE = DRAG.shape
 NOISE = {name: 0.05 * signals()[name].std() for name in ("x", "dx")}
 BY = {"sigma": NOISE, "method": FixedStep(1)}
 

@@ -9,8 +9,7 @@ from jaxtyping import Array
 
 from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import simultaneous
@@ -18,8 +17,7 @@ from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
-from riecjax.refinement.balance import AbstractBalance, as_balances
-from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.integral_error import AbstractBalance, IntegralError, as_balances
 from riecjax.refinement.parametric import ByFunction
 from riecjax.refinement.refine import refine
 from riecjax.uncertainty.intervals import BlockBootstrap

@@ -5,17 +5,13 @@ import numpy as np
 import optimistix as optx
 import pytest
 import scipy.integrate
-from benchmarks.drag_problem import (
-    COUNT,
-    RATE,
-    START,
-    TRUTH,
-    force,
-    motion,
-    oscillator,
-    record,
-    signals,
-)
+from tests.machines import DRAG
+from tests.machines import DRAG_START as START
+from tests.machines import DRAG_TRUTH as TRUTH
+from tests.machines import drag_force as force
+from tests.machines import drag_oscillator as oscillator
+from tests.machines import drag_record as record
+from tests.machines import drag_signals as signals
 
 from nightly import nightly
 from riecjax.criteria.windows import RandomWindows
@@ -31,6 +27,8 @@ from riecjax.refinement.output_error import OutputError, _computed
 from riecjax.refinement.refine import refine
 from riecjax.refinement.shots import RandomShots, Tiles
 from riecjax.simulation.method import FixedStep
+
+COUNT, RATE = DRAG.shape
 
 
 def values(refined):
@@ -82,7 +80,7 @@ def test_it_says_what_it_did(whole):
     assert whole.findings() == []
     # The motion is slow beside a sample: more would cost and change nothing.
     assert whole.steps_label == "FixedStep(1)"
-    x, v = motion()
+    x, v = (DRAG.signals()[name] for name in ("x", "dx"))
     np.testing.assert_allclose(np.asarray(whole.rms), [0.05 * x.std(), 0.05 * v.std()], rtol=0.03)
     assert np.all(np.asarray(whole.rms_before) > 5 * np.asarray(whole.rms))
     assert "m" in str(whole)

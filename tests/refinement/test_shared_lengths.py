@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.drag_problem import START, oscillator, record
 from jaxtyping import Array
+from tests.machines import DRAG_START as START
+from tests.machines import drag_oscillator as oscillator
+from tests.machines import drag_record as record
 
 from nightly import nightly
-from riecjax import runtime
-from riecjax.compilation import kept_jit
-from riecjax.records.filled import shared_length
-from riecjax.records.record import Record
+from riecjax import compilation, runtime
+from riecjax.records.record import Record, shared_length
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
 from riecjax.refinement.shots import AbstractShooting, Tiles, WholeRecord
@@ -32,7 +32,7 @@ def test_a_shared_length_is_a_quarter_longer_at_most():
 
 
 def test_another_length_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(kept_jit, "_programs", {})
+    monkeypatch.setattr(compilation, "_programs", {})
     monkeypatch.setattr(runtime, "_programs_folder", tmp_path)
     whole = record(seed=0, count=1000)
     refine(oscillator(), whole, START)
@@ -84,7 +84,7 @@ def test_a_motion_that_is_lost_behind_the_end_is_not_lost():
 @pytest.mark.slow
 def test_straight_lines_compile_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Of the search nothing: lines are bent by zero."""
-    monkeypatch.setattr(kept_jit, "_programs", {})
+    monkeypatch.setattr(compilation, "_programs", {})
     monkeypatch.setattr(runtime, "_programs_folder", tmp_path)
     seen = record(seed=0, count=700)
     smooth = refine(oscillator(), seen, START)

@@ -5,8 +5,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.drag_problem import BOUND, RATE, START, TRUTH, motion, oscillator, record, signals
 from jaxtyping import Array
+from tests.machines import DRAG
+from tests.machines import DRAG_BOUND as BOUND
+from tests.machines import DRAG_START as START
+from tests.machines import DRAG_TRUTH as TRUTH
+from tests.machines import drag_oscillator as oscillator
+from tests.machines import drag_record as record
+from tests.machines import drag_signals as signals
 
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.coordinates import Prior
@@ -17,6 +23,7 @@ from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem
 from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich
 
+RATE = DRAG.shape.rate
 WHOLE = OutputError(method=FixedStep(1))
 SEEDS = 100
 
@@ -47,7 +54,8 @@ def coloured(seed, count=1001, pole=0.9):
     """Noise of 5 % that is correlated in time."""
     rng = np.random.default_rng(seed)
     held = {name: samples[:count] for name, samples in signals().items()}
-    for name, clean in zip(("x", "dx"), motion()):
+    for name in ("x", "dx"):
+        clean = DRAG.signals()[name]
         white = rng.standard_normal(count + 200)
         noise = np.zeros(count + 200)
         for i in range(1, noise.size):

@@ -60,7 +60,6 @@ DOCUMENT: dict[str, Any] = {
             {"words": "Record for longer", "options": [], "command": None},
         ],
     },
-    "seed_scatter": None,
     "refinement": None,
     "validation": [{"on": "a.csv, last part", "verdict": "It ran.", **RUN}],
     "provenance": {

@@ -22,8 +22,7 @@ from riecjax.reporting.charts.chart import (
     Stems,
     single,
 )
-from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.charts.layout import Spaces
+from riecjax.reporting.charts.interactive import Spaces, interactive
 
 
 def figure_of(mark: Any, x: Axis | None = None, y: Axis | None = None) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from riecjax.assessment.causes import Cause, Step
+from riecjax.assessment.verdict import Cause, Step
 from riecjax.reporting.verdict import _next, _with
 
 COMMAND = ("identify", "a.csv", "--model", "axis")
@@ -20,9 +20,17 @@ COMMAND = ("identify", "a.csv", "--model", "axis")
         (("--from", "2"), ("--leave-out", "v"), ("--from", "2", "--leave-out", "v")),
         (("--band", "1", "9"), ("--alpha", "1", "--beta", "2"), ("--alpha", "1", "--beta", "2")),
         ((), ("--band", "1", "10"), ("--band", "1", "10")),
+        (("--alpha", ".005", "b.csv"), ("--alpha", "0.012"), ("--alpha", "0.012", "b.csv")),
+        (("--alpha=1", "--beta=9"), ("--band", "1", "4"), ("--band", "1", "4")),
+        (("--refine", "none"), ("--refine", "output-error"), ("--refine", "output-error")),
+        (("--verbose", "--from=1"), ("--from", "2"), ("--verbose", "--from", "2")),
+        (("--leave-out", "v"), ("--leave-out", "v"), ("--leave-out", "v")),
+        (("--notch", "50"), ("--notch", "60"), ("--notch", "50", "--notch", "60")),
+        (("--unit", "a=g"), ("--unit", "v=km/h"), ("--unit", "a=g", "--unit", "v=km/h")),
+        (("--out", "found", "--json"), ("--to", "9"), ("--to", "9")),
     ],
 )
-def test_an_option_that_a_signal_has_once_is_brought_up_to_date(given, proposed, run):
+def test_what_is_proposed_takes_the_place_of_what_it_replaces(given, proposed, run):
     assert _with((*COMMAND, *given), proposed) == [*COMMAND, *run]
 
 

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -16,8 +15,7 @@ from rich.console import Console
 
 from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
@@ -32,17 +30,19 @@ from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Dots, Line, single
-from riecjax.reporting.curve_figures import curves_figure, identified_curves
 from riecjax.reporting.document import is_intact, sealed, versions
 from riecjax.reporting.identification import (
     identification_document,
     print_everything,
     print_identification,
 )
-from riecjax.reporting.identification_figures import identification_figures
+from riecjax.reporting.identification_figures import (
+    curves_figure,
+    identification_figures,
+    identified_curves,
+)
 from riecjax.reporting.output import _folder_beside, emit, write_folder
 from riecjax.reporting.page import Page, Section
-from riecjax.studies.monte_carlo import SeedScatter
 from riecjax.summaries.summarise import summarise
 from riecjax.validation.residuals import ResidualTests
 from riecjax.whole_files import stamp
@@ -302,7 +302,6 @@ def test_identification_document(document, identified, record):
     assert document["correlation"] == {"parameters": ["m"], "matrix": [[pytest.approx(1.0)]]}
     assert document["residual_tests"] == {}
     assert document["window_choice"] is None
-    assert document["seed_scatter"] is None
     assert document["provenance"]["intervals"] == {
         "method": "studentized block bootstrap, 2000 replicates",
         "blocks": int(identified.block_count),
@@ -337,23 +336,6 @@ def test_a_narrow_terminal_cuts_nothing_off_a_table(document):
     assert all(" .. " in row and " kg" in row for row in rows)
     assert rows[0].rstrip().endswith(document["verdict"]["parameters"]["m"]["level"])
     assert console.width == 30
-
-
-def test_scatter_over_seeds_is_labelled_as_no_uncertainty(identified, record):
-    theta = np.array([[1.0], [2.0], [6.0]])
-    scatter = SeedScatter(jnp.asarray(theta), ("m",))
-    document = identification_document(
-        result_of(identified, staged(EQUATION), record, seeds=scatter)
-    )
-    assert document["seed_scatter"] == {
-        "means": "scatter of the sampling of windows, not the parameters' uncertainty",
-        "seeds": 3,
-        "spread": {"m": pytest.approx(np.std(theta, ddof=1))},
-    }
-    console = Console(width=80, record=True, file=io.StringIO())
-    print_everything(document, console)
-    text = " ".join(console.export_text().split())
-    assert "move m by 2.6 (of the sampling, not of the parameters)" in text
 
 
 def test_numbers_that_are_not_finite_become_null(identified, record):

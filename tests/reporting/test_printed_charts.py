@@ -148,7 +148,7 @@ def test_a_chart_is_written_in_its_size_and_leaves_the_style_as_it_was(tmp_path)
     import matplotlib
 
     before = dict(matplotlib.rcParams)
-    print_chart(single([Line(X, Y)], Axis("x"), Axis("y"), size=(4, 3)), tmp_path / "one.png")
+    print_chart(single([Line(X, Y)], Axis("x"), Axis("y"), given_size=(4, 3)), tmp_path / "one.png")
     assert imread(tmp_path / "one.png").shape[:2] == (450, 600)
     assert dict(matplotlib.rcParams) == before
 

@@ -1,7 +1,7 @@
 """What is said of refined values that leave more than white noise."""
 
 from riecjax.assessment.refining import _coloured
-from riecjax.reporting.refinement import choice_in_words
+from riecjax.reporting.identification import choice_in_words
 from riecjax.validation.whiteness import Whiteness
 
 

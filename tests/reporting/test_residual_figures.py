@@ -10,7 +10,7 @@ from riecjax.equations.term import Term
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import Chart, HeatMap, Line
 from riecjax.reporting.charts.printed import printed
-from riecjax.reporting.residual_figures import (
+from riecjax.reporting.identification_figures import (
     density_label,
     residual_figures,
     window_choice_figures,

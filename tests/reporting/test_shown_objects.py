@@ -252,7 +252,7 @@ def test_files_that_are_no_estimate_say_what_they_are(estimate, tmp_path):
     with zipfile.ZipFile(file) as archive:
         held = {name: archive.read(name) for name in archive.namelist()}
     for old, new, words in (
-        (b'"schema": 1', b'"schema": 9', "schema 9"),
+        (b'"schema": 2', b'"schema": 9', "schema 9"),
         (b"kg", b"lb", "damaged"),
     ):
         with zipfile.ZipFile(file, "w") as archive:
@@ -278,8 +278,8 @@ def test_results_of_the_command_line_are_read(assessed, tmp_path):
     document = json.loads(file.read_text())
     for wrong, words in (
         ({**document, "schema": 99}, "schema 99"),
-        ({"schema": 1, "tables": {}}, "lacks"),
-        ({"schema": 1, "error": {"code": "data", "message": "too short"}}, "too short"),
+        ({"schema": 2, "tables": {}}, "lacks"),
+        ({"schema": 2, "error": {"code": "data", "message": "too short"}}, "too short"),
         ([1], "no results.json"),
     ):
         file.write_text(json.dumps(wrong))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.simulation.instability import FOLDS, growth
+from riecjax.simulation.linearisation import FOLDS, growth
 
 STEP = 0.01
 T = np.arange(0, 10, STEP)

@@ -5,9 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.machines import LAG_MODEL as MODEL
+from tests.machines import LAG_TRUTH as TRUTH
+from tests.machines import body_matrix
 
 import riecjax as rx
-from lagging_body import MODEL, TRUTH, state_matrix
 from riecjax.equations.expressions import difference
 from riecjax.equations.procedure import Procedure
 from riecjax.simulation.linearisation import linearise
@@ -69,7 +71,7 @@ def test_a_linear_element_lags_as_its_matrix_says(sign):
     model = rx.staged(equation).with_series_springs(rx.SeriesSpring("c"))
     made = rx.equation_system(model, TRUTH, rates={"x": "v"})
     assert made.state_names == ("v", "x", "series_force")
-    expected = state_matrix()[np.ix_([1, 0, 2], [1, 0, 2])]
+    expected = body_matrix(TRUTH["c"], series=TRUTH["K_series"])[np.ix_([1, 0, 2], [1, 0, 2])]
     state, inputs = linearise(made)
     np.testing.assert_allclose(state, expected, atol=1e-9)
     np.testing.assert_allclose(inputs, [[1 / TRUTH["m"]], [0], [0]], atol=1e-12)
@@ -97,7 +99,9 @@ def test_a_mode_and_a_spring_are_simulated_together():
     assert made.state_names == ("v", "x", "mode_deflection", "mode_velocity", "series_force")
     heavy, stiff, loss = mode.values()
     found = np.sort_complex(np.linalg.eigvals(np.asarray(linearise(made)[0])))
-    expected = np.sort_complex(np.linalg.eigvals(state_matrix((heavy, stiff, loss))))
+    expected = np.sort_complex(
+        np.linalg.eigvals(body_matrix(TRUTH["c"], (heavy, stiff, loss), TRUTH["K_series"]))
+    )
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 

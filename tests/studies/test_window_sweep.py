@@ -6,9 +6,9 @@ import pytest
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
-from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
+from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
 from riecjax.estimation.identify import identify

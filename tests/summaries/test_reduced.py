@@ -4,19 +4,19 @@ import itertools
 
 import numpy as np
 import pytest
-from benchmarks.fleet.drives import STEP, drives
+from tests.machines import STANDARD
+from tests.machines import drag_fleet as drives
 
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
+from riecjax.criteria.test_functions import Bump
 from riecjax.criteria.windows import AllWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import estimate
 from riecjax.models.catalogue import find_model
 from riecjax.records.record import Record
 from riecjax.summaries.one_pass import stretch_starts
-from riecjax.summaries.reduced import in_blocks, pooled, together
 from riecjax.summaries.summarise import summarise, summed
-from riecjax.summaries.summary import Summary
+from riecjax.summaries.summary import Summary, in_blocks, pooled, together
 from riecjax.summaries.task import task
 
 MODEL = find_model("drag-oscillator")
@@ -91,8 +91,8 @@ def test_triangular_factors_of_all_rows_are_joined(records):
 
 
 def with_accelerations(record: Record) -> Record:
-    ddx = np.gradient(np.asarray(record["dx"]), STEP)
-    return Record.from_samples({**record.arrays, "ddx": ddx}, time_step=STEP)
+    ddx = np.gradient(np.asarray(record["dx"]), STANDARD.step)
+    return Record.from_samples({**record.arrays, "ddx": ddx}, time_step=STANDARD.step)
 
 
 def test_bytes_hold_all_and_are_the_same_for_the_same(binned):
@@ -138,11 +138,11 @@ def test_stretches_with_what_their_windows_reach_sum_to_one_pass():
 
     def sums(low: int, high: int, starts: tuple[int, int] | None = None) -> Summary:
         part = {name: values[low:high] for name, values in signals.items()}
-        record = Record.from_samples(part, time_step=STEP)
+        record = Record.from_samples(part, time_step=STANDARD.step)
         asked = task(MODEL, record, CRITERION, None, noise)
         return summed(asked, bins=3, starts=starts)
 
-    whole, size = sums(0, n), stretch_starts(CRITERION, STEP, 10)
+    whole, size = sums(0, n), stretch_starts(CRITERION, STANDARD.step, 10)
     assert size == 2**17
     ends = [0, size, n]
     parts = []
@@ -159,4 +159,4 @@ def test_stretches_with_what_their_windows_reach_sum_to_one_pass():
 
 def test_only_all_windows_are_summed_in_stretches():
     with pytest.raises(ModelError, match="all windows"):
-        stretch_starts(DOLS(), STEP, 10)
+        stretch_starts(DOLS(), STANDARD.step, 10)

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from benchmarks import drag_problem
+from tests.machines import DRAG
 
 import riecjax as rx
 from nightly import nightly
@@ -81,9 +81,9 @@ def test_damping_beside_drag_scatters_less():
         )
         fits = []
         for seed in range(25):
-            record = rx.Record.from_samples(drag_problem.signals(seed, 0.2), time_step=STEP)
+            record = rx.Record.from_samples(DRAG.signals(0.2, seed), time_step=STEP)
             fits.append(float(rx.identify(model, record, intervals=rx.Naive())["r"]))
-        found[measured] = np.array(fits) - drag_problem.TRUTH["r"]
+        found[measured] = np.array(fits) - DRAG.truth["r"]
     assert np.std(found["dx",]) < 0.8 * np.std(found[()])
     assert abs(np.mean(found["dx",])) < 3 * np.std(found["dx",]) / 5
 

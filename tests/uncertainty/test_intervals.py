@@ -6,25 +6,33 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import Rows
 from riecjax.errors import ModelError
-from riecjax.estimation.least_squares import solve
+from riecjax.estimation.stages import solve
 from riecjax.linear_algebra import eliminate
-from riecjax.summaries.blocks import MOST_BLOCKS, ShortBlocks, blocks_in_use, merge_blocks
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.uncertainty.block_length import block_length, politis_white
+from riecjax.summaries.normal_equations import (
+    MOST_BLOCKS,
+    NormalEquations,
+    ShortBlocks,
+    blocks_in_use,
+    merge_blocks,
+)
 from riecjax.uncertainty.block_statistics import (
     BlockStatistics,
     block_influence,
+    block_length,
+    politis_white,
     staged_values,
     unknowns_of,
 )
-from riecjax.uncertainty.bootstrap import drawn_counts, studentized_replicates, uniform_draws
 from riecjax.uncertainty.covariances import (
+    drawn_counts,
     effective_freedom,
     jackknife_covariance,
     naive_covariance,
     sandwich_covariance,
+    studentized_replicates,
+    uniform_draws,
 )
 from riecjax.uncertainty.intervals import BlockBootstrap
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from nightly import nightly
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import RIEC, Rows
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
@@ -15,10 +14,9 @@ from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
-from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.block_statistics import unknowns_of
-from riecjax.uncertainty.small_samples import OVERLAP, few_blocks_sandwich
+from riecjax.uncertainty.covariances import OVERLAP, few_blocks_sandwich
 
 STEP = 0.05
 SAMPLES = 512

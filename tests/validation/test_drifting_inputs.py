@@ -3,8 +3,8 @@ import pytest
 
 import riecjax as rx
 from riecjax.records.derived import derived
-from riecjax.validation.drifting_inputs import drifting_inputs
 from riecjax.validation.equation_errors import errors_over_records
+from riecjax.validation.input_faults import drifting_inputs
 
 RATE, COUNT, SIZE = 100.0, 6000, 3.0
 LAW = rx.Equation(rx.Term("c", "v"), rx.Term("k", "x"), -rx.Term(1.0, "u"))

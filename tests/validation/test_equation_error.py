@@ -5,9 +5,9 @@ import pytest
 
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
-from riecjax.equations.columns import sampled_columns
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
+from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.discovery.problems import PROBLEMS, STROKE
+from tests.machines import PROBLEMS, STROKE
 
 import riecjax as rx
 from nightly import by_day, nightly
@@ -18,7 +18,7 @@ def left(model: object, record: rx.Record) -> ResidualTests:
 @pytest.mark.raises_finding("hysteresis")
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_missing_state_is_named_with_its_width(noise):
-    tests = left(HYSTERETIC.start, HYSTERETIC.record(noise, 1, 3))
+    tests = left(HYSTERETIC.start, HYSTERETIC.record(noise, 3, drive=1))
     found = tests["mass"].loop
     assert found is not None
     assert STROKE / 3 < found.width < 3 * STROKE
@@ -32,14 +32,14 @@ def test_a_missing_state_is_named_with_its_width(noise):
 @pytest.mark.parametrize("noise", [*nightly([0.0]), 0.05])
 def test_friction_and_springs_that_are_missing_are_no_loops(name, noise):
     problem = PROBLEMS[name]
-    tests = left(problem.start, problem.record(noise, 2, 5))
+    tests = left(problem.start, problem.record(noise, 5, drive=2))
     assert tests["mass"].loop is None
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_a_right_model_has_no_loop(noise):
-    record = HYSTERETIC.record(noise, 2, 5)
-    assert left(HYSTERETIC.whole, record).equations[0].loop is None
+    record = HYSTERETIC.record(noise, 5, drive=2)
+    assert left(HYSTERETIC.model, record).equations[0].loop is None
 
 
 @pytest.mark.raises_finding("residual_follows_signal")

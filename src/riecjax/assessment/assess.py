@@ -1,19 +1,24 @@
-"""The verb that asks everything of recordings: estimate, refine, test and validate."""
+"""The verbs that ask everything of recordings: estimate, refine, test and validate; or of sums.
 
+[`assess`][] reads samples, `assess_sums` what was summed of them, and `check_answering` says
+beforehand whether there is an answer.
+"""
+
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Key
 
-from riecjax.assessment.asked import Asked, expect_assessing
+from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, with_rests
-from riecjax.errors import DataError, ModelError, require
+from riecjax.errors import DataError, IdentifiabilityError, ModelError, require
 from riecjax.estimation.check import (
+    Check,
     check,
     naming_copies,
     raise_if_not_carried,
@@ -24,22 +29,21 @@ from riecjax.estimation.check import (
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
-from riecjax.estimation.linearised import linearised
 from riecjax.estimation.mode_evidence import mode_evidence
+from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
-from riecjax.models.model import as_model
+from riecjax.models.model import Model, as_model
 from riecjax.records.noise_judgement import GivenNoise
-from riecjax.records.record import Record, Records
-from riecjax.records.recording import Recording
-from riecjax.studies.drift import WindowSweep
+from riecjax.records.record import Records
+from riecjax.records.recording import Recording, as_recordings
 from riecjax.studies.sweep import sweep_edges, window_sweep
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import WRITE_CRITERION, ready
-from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
+from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap, Sandwich
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
@@ -102,31 +106,6 @@ def assess(
     if criterion is None:
         criterion = suited(procedure, model.band, [each.record for each in recordings])
     require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    _require_sense(hold_out, refine, (bounds, priors), horizon, per_record, validate_on)
-    fitted = _concerned(procedure, recordings, criterion)
-    halves = [(each, None) if hold_out is None else each.split(hold_out) for each in fitted]
-    asked = Asked(
-        model,
-        procedure,
-        criterion,
-        [first for first, _ in halves],
-        [last for _, last in halves if last is not None],
-        _concerned(procedure, ready(procedure, validate_on), criterion) if validate_on else [],
-        key,
-        {"known": known, "per_record": per_record},
-        BlockBootstrap() if intervals is None else intervals,
-    )
-    return _assessed(asked, (refine, (bounds, priors), horizon, progress), sweep, on_estimate)
-
-
-def _require_sense(
-    hold_out: float | None,
-    refine: object,
-    beforehand: tuple[object, object],
-    horizon: float | None,
-    per_record: Sequence[str],
-    validate_on: Records,
-) -> None:
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.2, a share")
     require("horizon", 1.0 if horizon is None else horizon, Real, "horizon=2.0, in seconds")
     asked_for = refine is not None and not (isinstance(refine, str) and refine == "auto")
@@ -134,7 +113,6 @@ def _require_sense(
         require("refine", refine, (), "refine=rx.OutputError(), 'auto' or None")
     if horizon is not None and not horizon > 0:
         raise ModelError(f"horizon is a positive number of seconds; got {horizon:g}.")
-    bounds, priors = beforehand
     if bounds and refine is None:
         raise ModelError("bounds belong to a refinement: give refine=rx.OutputError() with them.")
     if priors and not asked_for:
@@ -148,30 +126,38 @@ def _require_sense(
             "the two."
         )
 
+    def concerned(some: Sequence[Recording]) -> list[Recording]:
+        """The recordings with what is said of signals that the criterion reads."""
+        return [each.concerning(read_of(procedure, each, criterion)) for each in some]
 
-def _assessed(
-    asked: Asked,
-    refining_by: tuple[Any, ...],
-    sweep: bool,
-    on_estimate: Callable[[Estimate], None] | None,
-) -> "Assessment":
-    with naming_copies(asked.procedure, asked.fitted, asked.criterion):
-        return _with_answer(asked, refining_by, sweep, on_estimate)
+    fitted, held = concerned(recordings), []
+    if hold_out is not None:
+        fitted, held = map(list, zip(*(recording.split(hold_out) for recording in fitted)))
+    further = concerned(ready(procedure, validate_on)) if validate_on else []
+    settings = {"known": known, "per_record": per_record}
+    intervals = BlockBootstrap() if intervals is None else intervals
+    asked = Asked(model, procedure, criterion, fitted, held, further, key, settings, intervals)
+    with naming_copies(procedure, fitted, criterion):
+        refining_by = (refine, (bounds, priors), horizon, progress)
+        return _answer(asked, refining_by, sweep, on_estimate)
 
 
-def _with_answer(
+def _answer(
     asked: Asked,
     refining_by: tuple[Any, ...],
     sweep: bool,
     on_estimate: Callable[[Estimate], None] | None,
 ) -> "Assessment":
     procedure, records, criterion = asked.procedure, asked.records, asked.criterion
-    expect_assessing(procedure, records, criterion)
+    require_memory_to_assess(procedure, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
     plan = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
     sweep = sweep and not procedure.has_hidden
-    bins = _bins(records, criterion) if sweep else None
+    bins = None
+    if sweep and criterion.in_closed_form:
+        with contextlib.suppress(DataError):  # too short a record, which the check says
+            bins = sweep_edges(records, criterion)
     summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
     estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
     evidence = mode_evidence(procedure, estimate) if procedure.modes else []
@@ -188,8 +174,6 @@ def _with_answer(
     # Not earlier: to import all that simulates takes seconds.
     from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
-    from riecjax.assessment.beforehand import outside_bounds
-    from riecjax.assessment.corrected import with_doubts
 
     checked = check(
         procedure,
@@ -200,13 +184,26 @@ def _with_answer(
         summary=ordinary,
         excited=excited,
     )
-    checked = with_doubts(asked, estimate, checked)
+    checked = trust.with_doubts(asked, estimate, checked)
     refused = doubted is not None
     refinement, validations, failed = refining.answered(asked, estimate, refused, *refining_by)
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
-        failed = [*failed, *outside_bounds(estimate, refining_by[1][0] or {})]
+        failed = [*failed, *refining.outside_bounds(estimate, refining_by[1][0] or {})]
     residuals, choice, untested = trust.what_is_left(procedure, records, estimate, asked.again)
+
+    def estimated_otherwise(procedure: Procedure) -> Estimate:
+        summary = summarise(procedure, records, criterion, key=asked.key)
+        return estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals)
+
+    resting = at_rest_findings(procedure, records, estimate, estimated_otherwise)
+    over_lengths = None
+    if sweep and summary.criterion.windows is not None:
+        swept = records if summary.bins is None else summary
+        with contextlib.suppress(DataError):  # too short for any other length
+            over_lengths = on_host(
+                window_sweep(procedure, swept, summary.criterion, **asked.settings)
+            )
     return Assessment(
         model=asked.model,
         procedure=procedure,
@@ -214,59 +211,114 @@ def _with_answer(
         validated_on=asked.further,
         checked=checked,
         estimate=estimate,
-        sweep=_sweep(procedure, records, summary, asked.settings) if sweep else None,
+        sweep=over_lengths,
         residuals=residuals,
         choice=choice,
-        seeds=trust.seeds(asked),
         validations=validations,
         refinement=refinement,
-        failures=[
-            *failed,
-            *_resting(asked, estimate),
-            *untested,
-            *trust.validated_on_fitted(asked),
-        ],
+        failures=[*failed, *resting, *untested, *trust.validated_on_fitted(asked)],
         key=asked.key,
         modes=evidence,
     )
 
 
-def _resting(asked: Asked, found: Estimate) -> list[Finding]:
-    """What is said of velocities that rest."""
+def assess_sums(
+    model: Model,
+    procedure: Procedure,
+    summary: Summary,
+    *,
+    lengths: Summary | None = None,
+    findings: Sequence[Finding] = (),
+    known: Mapping[str, float | Array] | None = None,
+    intervals: AbstractIntervals | None = None,
+) -> "Assessment":
+    """As [`assess`][riecjax.assess], without what needs samples: tests of residuals, refinement
+    and simulation (not under jit).
 
-    def otherwise(procedure: Procedure) -> Estimate:
-        summary = summarise(procedure, asked.records, asked.criterion, key=asked.key)
-        return estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals)
+    **Arguments:** `procedure` that the model builds; `summary` of recordings; `lengths`, sums of
+    the same by window lengths, for drift; `findings` of the recordings, each with the parameters
+    that it concerns, or for all.
 
-    return at_rest_findings(asked.procedure, asked.records, found, otherwise)
+    **Raises:** as [`estimate`][riecjax.estimate], and `IdentifiabilityError` for what
+    [`check`][riecjax.check] refuses.
+    """
+    from riecjax.assessment.assessment import Assessment
+
+    found = on_host(estimate_of(procedure, summary, known=known, intervals=intervals))
+    plan = plan_parameters(procedure, len(summary.recordings), known, ())
+    excited = excitations(linearised(procedure, summary, plan.given), plan)
+    raise_if_refused(excited)
+    told = [*findings, *(finding for stage in excited for finding in stage.findings())]
+    sweep = None
+    if lengths is not None and not procedure.has_hidden:
+        with contextlib.suppress(DataError):  # too short for any
+            sweep = on_host(window_sweep(procedure, lengths, known=known))
+    return Assessment(
+        model=model,
+        procedure=procedure,
+        recordings=(),
+        validated_on=(),
+        checked=Check(told, excited, ()),
+        estimate=found,
+        sweep=sweep,
+        modes=mode_evidence(procedure, found) if procedure.modes else (),
+    )
 
 
-def _concerned(
-    procedure: Procedure, recordings: list[Recording], criterion: AbstractCriterion
-) -> list[Recording]:
-    """The recordings with what is said of signals that the criterion reads."""
-    return [each.concerning(read_of(procedure, each, criterion)) for each in recordings]
+class Answering(NamedTuple):
+    """What was `checked`, and what answers.
+
+    **Fields:** `by_refinement`: standard error of each parameter as a share of its value, where
+    windows cannot tell parameters from noise, and output error from these recordings can.
+    """
+
+    checked: Check
+    by_refinement: dict[str, float] | None
+
+    @property
+    def answerable(self) -> bool:
+        """Whether there is an answer, by windows or by refinement."""
+        return self.checked.answerable or self.by_refinement is not None
 
 
-def _bins(
-    records: list[Record], criterion: AbstractCriterion
-) -> Float[np.ndarray, " edges"] | None:
-    """Bins of window lengths that the sweep needs, where all windows are summed."""
-    if not criterion.in_closed_form:
-        return None
+def check_answering(
+    model: Equation | Procedure | HasProcedure,
+    records: Records,
+    criterion: AbstractCriterion,
+    *,
+    key: Key[Array, ""] | None = None,
+    known: Mapping[str, float | Array] | None = None,
+    per_record: Sequence[str] = (),
+) -> Answering:
+    """[`check`][], and where noise rules out an answer by windows, whether refinement has one.
+
+    Windows need derivatives of what is recorded, whose noise grows with frequency; output error
+    compares what was recorded. How well it answers is what [`assess`][] would find: at its optimum
+    the bound of Cramer and Rao, where its residuals are white.
+
+    **Raises:** as [`check`][].
+    """
+    described = as_model(model)
+    procedure, recordings = described.build_procedure(), as_recordings(records)
+    require_memory_to_assess(
+        procedure, [each.record for each in recordings], criterion, checking=True
+    )
+    settings = {"known": known, "per_record": per_record}
+    summary = summarise(procedure, recordings, criterion, key=key, survey=True)
+    checked = check(procedure, recordings, criterion, key=key, summary=summary, **settings)
+    if checked.refusal is None or checked.refusal.code != "unidentifiable":
+        return Answering(checked, None)
+    # Not earlier: to import all that simulates takes seconds.
+    from riecjax.assessment.refining import answered
+
+    parts = (described, procedure, criterion, recordings, [], [], key, settings, Sandwich())
     try:
-        return sweep_edges(records, criterion)
-    except DataError:
-        return None  # too short a record, which the check says
-
-
-def _sweep(
-    procedure: Procedure, records: list[Record], summary: Summary, settings: dict[str, Any]
-) -> WindowSweep | None:
-    if summary.criterion.windows is None:
-        return None
-    of = records if summary.bins is None else summary
-    try:
-        return on_host(window_sweep(procedure, of, summary.criterion, **settings))
-    except DataError:
-        return None
+        start = on_host(estimate_of(procedure, summary, **settings, intervals=Sandwich()))
+    except IdentifiabilityError:
+        return Answering(checked, None)
+    refinement, _, _ = answered(Asked(*parts), start, True, "auto", (None, None), None, None)
+    if refinement is None or refinement.refined is None or not refinement.chosen:
+        return Answering(checked, None)
+    refined = refinement.refined
+    errors = zip(refined.parameters, refined.standard_errors)
+    return Answering(checked, {n: float(e) / size_of(refined[n]) for n, e in errors})

@@ -10,17 +10,15 @@ from jaxtyping import Array, Key
 from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined
 from riecjax.shows import Drawn, opened
 from riecjax.studies.choice import WindowChoice
-from riecjax.studies.drift import WindowSweep
-from riecjax.studies.monte_carlo import SeedScatter
+from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.whiteness import Whiteness
@@ -110,7 +108,6 @@ class Assessment(Drawn):
     - `sweep`: estimates against window length, if asked for and possible.
     - `residuals`: tests of what is left, if they can be made.
     - `choice` of windows, for a criterion that has some.
-    - `seeds`: scatter over seeds of random windows, for a criterion that draws some.
     - `refinement`, if one was asked for or `refine="auto"` tried one.
     - `validations`: simulations with the values of `answer`.
     - `failures`: findings on what could not be tested or simulated.
@@ -124,14 +121,13 @@ class Assessment(Drawn):
     validated_on: Sequence[Recording]
     checked: Check
     estimate: Estimate
-    sweep: WindowSweep | None
-    residuals: ResidualTests | None
-    choice: WindowChoice | None
-    seeds: SeedScatter | None
-    validations: Sequence[ValidationRun]
-    refinement: Refinement | None
-    failures: Sequence[Finding]
-    key: Key[Array, ""] | None
+    sweep: WindowSweep | None = None
+    residuals: ResidualTests | None = None
+    choice: WindowChoice | None = None
+    validations: Sequence[ValidationRun] = ()
+    refinement: Refinement | None = None
+    failures: Sequence[Finding] = ()
+    key: Key[Array, ""] | None = None
     modes: Sequence[ModeEvidence] = ()
 
     @property

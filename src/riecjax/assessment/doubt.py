@@ -27,9 +27,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from riecjax.assessment.asked import size_of
 from riecjax.estimation.stages import StageSolution
 from riecjax.findings import Finding
-from riecjax.validation.equation_residual import NOTABLE_SHARED
+from riecjax.validation.residuals import NOTABLE_SHARED
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
@@ -228,9 +229,9 @@ def _along(
     largest = 0.0
     for fit, name in zip(stage.equations, names):
         rms = float(fit.residual_rms) * float(fit.count) ** 0.5
-        rms *= float(fit.model_rms) / max(float(fit.relative_rms), 1e-300)
+        rms *= float(fit.model_rms) / size_of(fit.relative_rms)
         rms *= (1 - constant.get(name, 0.0)) ** 0.5
-        share = min(rms / max(target, 1e-300), 0.99)
+        share = min(rms / size_of(target), 0.99)
         largest = max(largest, (ALONG if name in blamed else UNBLAMED) * share / (1 - share))
     return largest
 

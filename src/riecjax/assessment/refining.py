@@ -8,45 +8,47 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from riecjax.assessment.asked import Asked
+from riecjax.assessment.asked import Asked, size_of
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
-from riecjax.assessment.beforehand import Beforehand, against_priors, within
-from riecjax.assessment.courses import course_shows, straight_inputs, surely_likelier
-from riecjax.assessment.trust import horizons, seen, unseen, validated
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.assessment.trust import horizons, seen, system_of, unseen, validated
+from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
+from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.coordinates import Bounds, Prior
+from riecjax.refinement.coordinates import Bounds, Prior, is_pair
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.output_misfit import OutputMisfit
-from riecjax.refinement.refine import refine_with_misfit
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined, refine_with_misfit
 from riecjax.refinement.shots import Tiles, WholeRecord
-from riecjax.refinement.work import estimated_seconds
 from riecjax.simulation.equation_system import EquationSystem
+from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
-from riecjax.work import Work, expect, in_time
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
 STEPS_BY_ITSELF = 60
 """Steps that one may take which nobody asked for; right models need about ten."""
-LONGEST = 10.0
-"""Seconds of computing up to which nobody has to ask for a refinement."""
+MOST_WORK = 10_000_000
+"""Steps x states x tangents of an expansion up to which nobody has to ask for a refinement.
+
+Of ten operations for each state's derivative, as built-in models have (6 to 17), a search of twelve
+expansions takes ten seconds (`python -m benchmarks.refinement_gate --work`).
+"""
 SMALL_SHARE = 1e-2
 """Share of its signal below which a residual need not be the model's."""
 LEAST_NOISE = 1e-4
@@ -61,6 +63,13 @@ ASK = "ask for it by refine=rx.OutputError(), on the command line --refine outpu
 EXPECTED = (RiecjaxError, TypeError, ValueError, IndexError)
 """What a model raises that can be identified and not simulated: the last three, expressions that
 JAX cannot differentiate."""
+
+
+class Beforehand(NamedTuple):
+    """What is known of parameters before a refinement, by name."""
+
+    bounds: Mapping[str, Bounds] | None = None
+    priors: Mapping[str, Prior] | None = None
 
 
 Progress = Callable[[float], None] | None
@@ -149,8 +158,6 @@ def _as_asked(
     """Over the estimate's windows if no others are asked for; its values are the answer."""
     if isinstance(by, IntegralError) and by.criterion is None:
         by = IntegralError(estimate.criterion)
-    if isinstance(by, OutputError):
-        expect("refining by simulation", Work(_seconds(asked, estimate, by)))
     refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
     return Refinement(refined, whiteness=_left(misfit, refined, asked.records))
 
@@ -196,8 +203,11 @@ def _by_itself(
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
         by = _objective(asked, estimate, horizon)
-        if (seconds := _seconds(asked, estimate, by)) > LONGEST:
-            return Refinement(declined=_too_long(seconds))
+        if (work := _work(asked, estimate, by)) > MOST_WORK:
+            return Refinement(
+                declined=f"a search would take {work:.2g} steps x states x tangents, more than "
+                f"{MOST_WORK:.0g}; {ASK}"
+            )
         found = _warranted(asked, estimate, by, known)
         if horizon is None and found.refined is not None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
@@ -210,10 +220,10 @@ def _by_itself(
         return Refinement(declined=f"no output error can be formed: {str(error).rstrip('.')}")
 
 
-def _seconds(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> float:
+def _work(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> int:
     own = tuple(asked.settings["per_record"])
     specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
-    return estimated_seconds(by.misfit(specified), specified)
+    return by.misfit(specified).work
 
 
 def _left_out(estimate: Estimate) -> str:
@@ -227,10 +237,6 @@ def _left_out(estimate: Estimate) -> str:
                 f"what the model leaves out; {ASK}"
             )
     return ""
-
-
-def _too_long(seconds: float) -> str:
-    return f"it would take about {in_time(seconds)}; {ASK}"
 
 
 def _warranted(
@@ -367,3 +373,133 @@ def _leading(system: AbstractSystem) -> set[str]:
 @kept_jit
 def _through(system: AbstractSystem, states: np.ndarray, levels: np.ndarray) -> dict:
     return dict(jax.vmap(jax.jacfwd(system.output, argnums=1))(states, levels))
+
+
+STRANGE = 3.0
+"""Standard deviations past which a prior contradicts the data: one time in 370 by chance."""
+INSIDE = 0.1
+"""Share of the way between bounds, or of the way to the only one, by which a start stands off."""
+
+
+def against_priors(estimate: Estimate, priors: Mapping[str, Prior]) -> list[Finding]:
+    """Priors from which what the data tell without them lies further than chance explains."""
+    errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors)))
+    found = []
+    for name in priors.keys() & errors.keys():
+        (mean, std), value, error = priors[name], float(estimate[name]), float(errors[name])
+        if abs(value - mean) > STRANGE * np.hypot(std, error):
+            found.append(
+                Finding(
+                    "prior_disagrees",
+                    f"the prior of {name}, {mean:.4g} +- {std:.2g}, and the estimate without it, "
+                    f"{value:.4g} +- {error:.2g}, contradict each other: what was answered lies "
+                    f"between two values of which one is wrong.",
+                    parameters=(name,),
+                    doubt=1.0,
+                )
+            )
+    return found
+
+
+def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> list[Finding]:
+    """Values of a linear estimate, which knows of no bounds, that lie outside of them."""
+    found = []
+    for name, value, nearest in _strays(answer, bounds):
+        low, high = _bounds_of(name, bounds)
+        said = f"below {low:g}" if value < low else f"above {high:g}"
+        found.append(
+            Finding(
+                "outside_bound",
+                f"{name} is {value:.4g}, {said}, its bound: bounds apply to refined values, and "
+                f"these are linear estimates. Ask for refinement (--refine output-error), hold "
+                f"{name} at a value (--set), or check the bound.",
+                parameters=(name,),
+                doubt=abs(value - nearest) / size_of(value),
+            )
+        )
+    return found
+
+
+def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEstimate:
+    """A start between the bounds, which a search approaches and never crosses."""
+    moved = {}
+    for name, value, nearest in _strays(start, bounds):
+        low, high = _bounds_of(name, bounds)
+        way = high - low if np.isfinite(high - low) else max(abs(value - nearest), abs(nearest))
+        moved[name] = nearest + INSIDE * way * (1 if nearest == low else -1)
+    theta = [moved.get(n, value) for n, value in zip(start.parameters, start.theta)]
+    return eqx.tree_at(lambda one: one.theta, start, jnp.stack(theta)) if moved else start
+
+
+def _strays(
+    estimate: AbstractEstimate, bounds: Mapping[str, Bounds]
+) -> list[tuple[str, float, float]]:
+    """Parameters out of bounds, with value and nearest bound."""
+    found = []
+    for name in estimate.parameters:
+        low, high = _bounds_of(name, bounds)
+        value = float(estimate[name])
+        if low < high and not low < value < high:
+            found.append((name, value, low if value <= low else high))
+    return found
+
+
+def _bounds_of(name: str, bounds: Mapping[str, Bounds]) -> tuple[float, float]:
+    # What is given for `m` holds for `m[2]` too; what makes no sense is refused by the search.
+    given = bounds.get(name, bounds.get(name.partition("[")[0], (None, None)))
+    low, high = given if is_pair(given, or_none=True) else (None, None)
+    return (-np.inf if low is None else float(low)), (np.inf if high is None else float(high))
+
+
+LIKELIER = float(np.log(100))
+"""Odds, as a logarithm, from which inputs are taken for straight lines between samples. Where these
+hardly show in what is left, they may still put a parameter off by several standard errors: of the
+lesser of two sums of squares, noise would often choose the wrong one."""
+SHOWS = 4.0
+"""Squared difference of two simulations, in units of what is left, from which they compete."""
+
+
+def straight_inputs(asked: Asked, estimate: AbstractEstimate) -> dict[str, Course]:
+    """Inputs that may be straight lines between samples: not those with a recorded derivative.
+
+    Of a position x that is read as an input, lines lack h^2 / 12 of x'' in every interval. A mass
+    that is too small by k h^2 / 12 makes up for that to the last digit, and nothing left shows it.
+    """
+    system = system_of(asked.model, estimate.values, *seen(asked)[0])
+    record = asked.records[0]
+    rates = [n for n in (*system.state_names, *system.input_names) if n in record.arrays]
+    others = {name: [one for one in rates if one != name] for name in system.input_names}
+    return {n: "lines" for n in system.input_names if not is_motion(record, n, others[n])}
+
+
+def course_shows(asked: Asked, refined: Refined, misfit: AbstractMisfit, by: OutputError) -> bool:
+    """Whether inputs that go otherwise from one sample to the next would move the answer.
+
+    What they move the simulation by, in units of what is left, is as chi-square: from a few on it
+    is more than chance does to the parameters.
+    """
+    own = tuple(asked.settings["per_record"])
+    other = by.misfit(by.specify(asked.model, asked.records, refined, {}, own, None))
+    if not isinstance(misfit, OutputMisfit):
+        return False
+    at = jnp.asarray(refined.theta), jnp.asarray(refined.initial_states)
+    apart = sum(
+        np.sum((np.asarray(one) - np.asarray(two)) ** 2, axis=(0, 1))
+        for one, two in zip(misfit.residuals(*at), other.residuals(*at))
+    )
+    left = (np.asarray(refined.rms) / np.asarray(misfit.sigma)) ** 2
+    return bool(np.sum(apart / np.maximum(left, np.finfo(float).tiny)) > SHOWS)
+
+
+def surely_likelier(one: Refined, other: Refined, records: list[Record]) -> bool:
+    """Whether what was recorded is far likelier by one refinement than by another.
+
+    Of n residuals with white noise of unknown size, the largest likelihood is rms^-n.
+    """
+    counts = []
+    for name in one.quantities:
+        masks = (record.present((name,)) for record in records)
+        sizes = zip(masks, (record.sample_count for record in records))
+        counts.append(sum(n if mask is None else int(np.sum(mask)) for mask, n in sizes))
+    gains = np.log(np.asarray(other.rms) / np.asarray(one.rms))
+    return bool(np.sum(np.array(counts) * gains) > LIKELIER)

@@ -6,16 +6,196 @@ Each estimated parameter is `good`, `caution` or `do not use`, by the size of it
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from riecjax.assessment.causes import Cause, causes, joined, widening
-from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
+from riecjax.assessment.asked import size_of
+from riecjax.assessment.doubt import TRUSTED, Doubt, concerned, doubts
+from riecjax.criteria.test_functions import AbstractSmoothTestFunction
+from riecjax.equations.expressions import constant
+from riecjax.equations.hidden_elements import is_hidden_name
+from riecjax.equations.term import Term
+from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
+from riecjax.findings import Finding
 from riecjax.shows import Shown
+from riecjax.studies.sweep import MOST, WindowSweep
+from riecjax.validation.residuals import EquationResidual
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
+
+CONSTANT = "errors share a constant part, as of a sensor's offset"
+
+
+class Step(NamedTuple):
+    """Something to do next: what for, and the options of `riecjax identify` that do it."""
+
+    words: str
+    options: tuple[str, ...] = ()
+
+
+class Cause(NamedTuple):
+    """What lies behind some findings.
+
+    **Fields:** `kind`; `phrase`, what it is; `findings`, its evidence; `parameters` that it
+    concerns; `share`, how far it puts one of them in doubt at most, over its value; `step`, what
+    to do about it, if that is known.
+    """
+
+    kind: str
+    phrase: str
+    findings: tuple[Finding, ...]
+    parameters: tuple[str, ...]
+    share: float
+    step: Step | None
+
+    @property
+    def voids(self) -> bool:
+        """Whether it leaves nothing of an answer, so that it is to be seen to first."""
+        return self.kind == "sensors" and self.share >= 1
+
+
+def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
+    """Of all findings, first what does most to the parameters."""
+    answer = assessment.answer
+    size = {name: size_of(answer[name]) for name in found}
+    grouped, said = [], assessment.findings()
+    widened = widening(assessment, names=found)
+    for kind in KINDS:
+        own = [f for code in codes_of(kind) for f in said if f.code == code]
+        if not own:
+            continue
+        of = {name for f in own for name in concerned(assessment, f)}
+        names = tuple(name for name in found if name in of)
+        share = max((found[n].by_kind(kind) / size[n] for n in names), default=0.0)
+        phrase, step = _phrase(assessment, own[0]), next(_steps(assessment, own), None)
+        if kind == "data" and all(
+            found[n].scatter <= TRUSTED * size[n] or n in widened for n in names
+        ):
+            # A longer record mends neither a good value nor what a common error widens.
+            step = None
+        grouped.append(Cause(kind, phrase, tuple(own), names, share, step))
+    return sorted(grouped, key=lambda c: (c.kind != "undetermined", not c.voids, -c.share))
+
+
+def _phrase(assessment: "Assessment", finding: Finding) -> str:
+    if finding.code == "unmodelled_mode":
+        peaks = (one.peak for one in _equations(assessment) if one.peak is not None)
+        peak = max(peaks, key=lambda one: one.size)
+        return f"the model leaves out a mode near {peak.frequency:.3g} Hz"
+    if finding.code in ("large_residual", "uneven_errors") and _with_constant_part(assessment):
+        return CONSTANT
+    return code_of(finding.code).said(finding.signals, finding.parameters)
+
+
+def _equations(assessment: "Assessment") -> Sequence[EquationResidual]:
+    return () if assessment.residuals is None else assessment.residuals.equations
+
+
+def widening(assessment: "Assessment", names: Iterable[str]) -> dict[str, str]:
+    """Of parameters whose intervals are wide by more than chance, what is known to make them so."""
+    said = [f for f in assessment.findings() if f.code == "records_disagree"]
+    disagreeing = {name for finding in said for name in finding.parameters}
+    constant = _with_constant_part(assessment)
+    found = {n: CONSTANT for n in names if n.partition("[")[0] in constant}
+    return found | {n: CODES["records_disagree"].phrase for n in names if n in disagreeing}
+
+
+def _with_constant_part(assessment: "Assessment") -> set[str]:
+    """Parameters of equations whose errors share a constant part."""
+    some = (one for one in _equations(assessment) if one.has_constant_part)
+    return {name for one in some for name in one.parameters}
+
+
+def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
+    """What might be done about findings, the best first."""
+    by = {f.code: f for f in reversed(own)}
+    weight = getattr(assessment.estimate.criterion, "test_function", None)
+    smooth = isinstance(weight, AbstractSmoothTestFunction)
+    yield from (Step(f.step, f.remedy) for f in own if f.step)
+    if "prior_disagrees" in by or "outside_bound" in by:
+        names = [f.parameters[0] for f in own if f.code in ("prior_disagrees", "outside_bound")]
+        yield Step(f"Check what you said of {joined(names)}, its unit too, or leave it out")
+    if "time_unit_doubtful" in by:
+        yield Step(
+            "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
+        )
+    if "unmodelled_mode" in by:
+        yield from _mode_steps(assessment)
+    if "not_its_derivative" in by and not smooth:
+        signal, derivative = by["not_its_derivative"].signals
+        yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
+    if "uneven_errors" in by:
+        yield from _zero_steps(assessment)
+    if "window_sensitive" in by and assessment.sweep is not None:
+        yield from _window_steps(assessment.sweep, by["window_sensitive"], smooth)
+    if "residual_follows_signal" in by:
+        signal = " and ".join(by["residual_follows_signal"].signals)
+        yield Step(
+            f"Find the term in {signal} that is missing (riecjax discover), or shift {signal} if "
+            f"it is late"
+        )
+    if "records_disagree" in by:
+        names = [f.parameters[0] for f in own if f.code == "records_disagree"]
+        options = [word for name in names for word in ("--per-record", name)]
+        yield Step(f"Let {joined(names)} differ between recordings", tuple(options))
+    if "noise_dominates" in by:
+        yield Step("Compare simulations, which need no derivative", ("--refine", "output-error"))
+    if "coarse_sampling" in by and assessment.estimate.criterion.in_closed_form:
+        yield Step("Integrate by a higher order", ("--quadrature", "6"))
+    if {"few_blocks", "few_effective_windows", "short_record"} & by.keys():
+        yield Step("Record for longer, or excite the machine all along")
+    weak = [by[c] for c in ("nearly_collinear", "unidentifiable", "ill_conditioned") if c in by]
+    if any(is_hidden_name(name) for finding in weak for name in finding.parameters):
+        yield Step("Leave out the hidden mode or spring (drop --add-mode, --add-spring)")
+    elif weak:
+        yield Step("Excite the machine more richly, or hold a parameter (--set NAME=VALUE)")
+
+
+SMOOTH = ("--test-function", "bump")
+
+
+def joined(names: Sequence[str]) -> str:
+    """At least one name, the last of several behind an "and"."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def _zero_steps(assessment: "Assessment") -> Iterator[Step]:
+    """The zero of an input's sensor, where its equation has no constant term yet."""
+    names = {one.name for one in _equations(assessment) if one.has_constant_part}
+    for equation in assessment.procedure.equations:
+        if equation.name in names and all(t.of is not constant for t in equation.terms):
+            known = [t for t in equation.terms if isinstance(t, Term) and t.name is None]
+            inputs = [t.of for t in known if isinstance(t.of, str) and t.derivative == 0]
+            if inputs:
+                words = f"Estimate the zero of the sensor of {inputs[0]}"
+                yield Step(words, ("--unknown-offset", inputs[0]))
+
+
+def _mode_steps(assessment: "Assessment") -> Iterator[Step]:
+    peaked = [one for one in _equations(assessment) if one.peak is not None and one.bodies]
+    if not peaked:
+        return
+    one = max(peaked, key=lambda each: each.peak.size if each.peak else 0.0)
+    if not one.carrying:
+        yield Step("Find the mode that the model leaves out", ("--add-mode", one.bodies[-1]))
+    elif one.dampers:
+        words = "Find a spring in series with a damper, which the model leaves out"
+        yield Step(words, ("--add-spring", one.dampers[0]))
+    elif one.maps:
+        added = f"model.with_series_springs(rx.SeriesSpring('{one.maps[0]}'))"
+        yield Step(f"Add a spring in series with a damper, in Python: {added}, then rx.refine")
+
+
+def _window_steps(sweep: WindowSweep, finding: Finding, smooth: bool) -> Iterator[Step]:
+    if sweep.noise_share(finding.parameters[0]) > MOST and not smooth:
+        yield Step("Take smooth windows, which read positions alone", SMOOTH)
+    steady = sweep.steady(finding.parameters)
+    if steady is not None:
+        low, high = (f"{end:.3g}" for end in steady)
+        yield Step("Keep to windows in which all are steady", ("--alpha", low, "--beta", high))
+
 
 Level = Literal["good", "caution", "do not use"]
 
@@ -80,7 +260,7 @@ def verdict(assessment: "Assessment") -> Verdict:
     judged = {}
     for name, doubt in found.items():
         value = float(answer[name])
-        size = max(abs(value), 1e-300)
+        size = size_of(value)
         level, reason = _judged(name, doubt, size, grouped, widened.get(name, ""))
         share = doubt.size / size
         judged[name] = ParameterVerdict(

@@ -2,19 +2,22 @@
 
 import click
 
-from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.job import JobCommand, job_option
 from riecjax.cli.options import (
+    CriterionOptions,
     HiddenOptions,
+    RecordingOptions,
+    are_small,
+    criterion_options,
     hidden_options,
     json_option,
     model_option,
     per_record_option,
+    record_options,
     seed_option,
     set_option,
 )
 from riecjax.cli.progress import Progress
-from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.runtime import start_jax
 
 
@@ -48,15 +51,14 @@ def command(
     """
     criteria.require_sense()
     start_jax(once=are_small(recordings.files), keep_compiled=True)
-    from riecjax.compilation.program_files import load_ahead
+    from riecjax.compilation import load_ahead
 
     load_ahead("check", model_name)
     import jax
 
-    from riecjax.assessment.answering import check_answering
+    from riecjax.assessment.assess import check_answering
     from riecjax.reporting.checking import check_document, print_check
     from riecjax.reporting.output import emit
-    from riecjax.reporting.page import Page
 
     model = hidden.added_to(model_name)
     with Progress():
@@ -69,8 +71,6 @@ def command(
         as_json=as_json,
         out=None,
         show=print_check,
-        charts=dict,
-        page=lambda _: Page("", "", ()),
     )
     if not found.answerable:
         click.get_current_context().exit(1)

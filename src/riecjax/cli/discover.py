@@ -5,18 +5,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
     SHARE,
+    CriterionOptions,
+    RecordingOptions,
+    are_small,
     at_rest_option,
+    criterion_options,
     json_option,
     model_option,
     out_option,
+    record_options,
     seed_option,
     set_option,
 )
 from riecjax.cli.progress import Progress
-from riecjax.cli.recordings import RecordingOptions, are_small, record_options
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
@@ -88,8 +91,12 @@ def command(
     from riecjax.discovery.discover import discover
     from riecjax.discovery.model_file import model_source
     from riecjax.models.catalogue import find_model, object_of_file
-    from riecjax.reporting.discovery import discovery_document, print_discovery
-    from riecjax.reporting.discovery_page import discovery_figures, discovery_page
+    from riecjax.reporting.discovery import (
+        discovery_document,
+        discovery_figures,
+        discovery_page,
+        print_discovery,
+    )
     from riecjax.reporting.output import emit, require_folder
     from riecjax.uncertainty.intervals import BlockBootstrap
 

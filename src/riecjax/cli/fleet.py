@@ -6,24 +6,25 @@ from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.options import (
     POSITIVE,
+    RECORD_OPTIONS,
+    CriterionOptions,
     HiddenOptions,
+    RecordingOptions,
     at_rest_option,
     collecting,
+    criterion_options,
     hidden_options,
     json_option,
     model_option,
     seed_option,
     set_option,
 )
-from riecjax.cli.recordings import RECORD_OPTIONS, RecordingOptions
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
     from riecjax.equations.procedure import AtRest
-    from riecjax.fleets.fleet import Fleet
 
 pattern_options = collecting(
     (
@@ -102,7 +103,9 @@ def command(
     criteria.require_sense()
     start_jax(keep_compiled=True)
     from riecjax.fleets.fleet import fleet
-    from riecjax.reporting.output import require_folder
+    from riecjax.fleets.kept import ESTIMATES, SUMMARIES
+    from riecjax.reporting.fleet import fleet_document, fleet_figures, fleet_page, print_fleet
+    from riecjax.reporting.output import emit, require_folder
     from riecjax.uncertainty.intervals import BlockBootstrap
 
     require_folder(out)
@@ -128,18 +131,8 @@ def command(
             on_start=told.dashboard,
             **recordings.settings,
         )
-    _emit(found, as_json, out, time.monotonic() - began)
-
-
-def _emit(found: "Fleet", as_json: bool, out: Path, seconds: float) -> None:
-    from riecjax.fleets.kept import ESTIMATES, SUMMARIES
-    from riecjax.reporting.fleet import fleet_document, print_fleet
-    from riecjax.reporting.fleet_figures import fleet_figures
-    from riecjax.reporting.fleet_page import fleet_page
-    from riecjax.reporting.output import emit
-
     emit(
-        fleet_document(found, click.get_current_context().obj or (), seconds),
+        fleet_document(found, click.get_current_context().obj or (), time.monotonic() - began),
         as_json=as_json,
         out=out,
         show=print_fleet,

@@ -5,29 +5,31 @@ from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.criteria import CriterionOptions, criterion_options
 from riecjax.cli.job import JobCommand, changed_files, digests, input_files, job_of, job_option
 from riecjax.cli.options import (
     SHARE,
+    CriterionOptions,
     HiddenOptions,
+    RecordingOptions,
+    RefinementOptions,
+    are_small,
     at_rest_option,
+    criterion_options,
     hidden_options,
     json_option,
     model_option,
     out_option,
     per_record_option,
+    record_options,
+    refinement_options,
     seed_option,
     set_option,
 )
 from riecjax.cli.progress import Progress
-from riecjax.cli.recordings import RecordingOptions, are_small, record_options
-from riecjax.cli.refinement import RefinementOptions, refinement_options
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
-    from riecjax.assessment.assessment import Assessment
     from riecjax.equations.procedure import AtRest
-    from riecjax.findings import Finding
 
 
 @click.command(
@@ -105,7 +107,7 @@ def command(
     criteria.require_sense()
     refining.require_sense(validates=hold_out is not None or bool(validation_files))
     start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
-    from riecjax.compilation.program_files import load_ahead
+    from riecjax.compilation import load_ahead
 
     changed = changed_files(click.get_current_context())
     load_ahead("identify", model_name)
@@ -140,16 +142,7 @@ def command(
             on_estimate=progress.show_estimate,
             progress=progress.refining,
         )
-    _emit(assessment, changed, as_json, out, verbose)
-
-
-def _emit(
-    assessment: "Assessment",
-    changed: "list[Finding]",
-    as_json: bool,
-    out: Path | None,
-    verbose: bool,
-) -> None:
+    # Not earlier: what reports are made with takes a second to import.
     from riecjax.reporting.identification import (
         identification_document,
         print_everything,

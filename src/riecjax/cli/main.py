@@ -11,9 +11,9 @@ import sys
 import click
 
 from riecjax.errors import RiecjaxError, printable
+from riecjax.memory import REMEDY
 from riecjax.runtime import collect_seldom
 from riecjax.standard_output import answer, for_answers_alone
-from riecjax.work import REMEDY
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
 COMMANDS = {
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status is returned, every message is one line.
 
-    Where the status is 1, `--json` prints `{"schema": 1, "error": {"code": ..., "message": ...}}`.
+    Where the status is 1, `--json` prints `{"schema": 2, "error": {"code": ..., "message": ...}}`.
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:

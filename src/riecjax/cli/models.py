@@ -35,15 +35,11 @@ def command(name: str | None, as_json: bool) -> None:
         console.print(f"  {model.summary}", highlight=False)
         console.print(_table(model))
     if name is not None:
-        _print_equations(find_model(name), console)
+        from riecjax.reporting.equations import procedure_in_words
 
-
-def _print_equations(model: Model, console: Console) -> None:
-    from riecjax.reporting.equations import procedure_in_words
-
-    console.print("  equations", style="dim")
-    for line in procedure_in_words(model.build_procedure()):
-        console.print(f"  {line}", highlight=False, markup=False)
+        console.print("  equations", style="dim")
+        for line in procedure_in_words(find_model(name).build_procedure()):
+            console.print(f"  {line}", highlight=False, markup=False)
 
 
 def models_document(models: Mapping[str, Model]) -> dict[str, object]:

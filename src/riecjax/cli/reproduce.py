@@ -1,19 +1,18 @@
 """`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
+import functools
 import os
 import shutil
+from collections.abc import Callable
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from riecjax.cli.options import json_option, out_option, seed_option
-from riecjax.cli.progress import announce
 from riecjax.runtime import start_jax
 from riecjax.whole_files import stamp
-from riecjax.work import Work, expect, listening
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from riecjax.paper.study import Progress as Report
 
 DEFAULT_ROADS = 32
-STARTING, PER_ROAD, PER_VARIATION = 12.0, 0.05, 0.02
-"""Seconds that a study takes before its first road, and for what follows, on two cores."""
 PARTS = "variations.parts"
 """Folder of what is finished of an interrupted study, inside the one of --out."""
 
@@ -51,78 +48,57 @@ def command(
             "--roads excludes --full and --quick, which set the number of roads."
         )
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
-    if full or quick:
-        _study(seed, quick, as_json, out)
-    else:
-        _tables(seed, roads or DEFAULT_ROADS, as_json, out)
-
-
-def _tables(seed: int, count: int, as_json: bool, out: Path | None) -> None:
     import jax
 
     from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-    from riecjax.paper.claims.sections_2_to_5 import table_claims
+    from riecjax.paper.claims import table_claims
     from riecjax.paper.reproduction import run_road
-    from riecjax.reporting.output import emit
-    from riecjax.reporting.paper_charts import table_charts
-    from riecjax.reporting.reproduction import print_reproduction, reproduction_document
-    from riecjax.reporting.reproduction_page import reproduction_page
-    from riecjax.studies.monte_carlo import over_keys
-
-    shapes = reconstructed()
-    with _progress() as report:
-        expect(f"the study of {count} roads", Work(STARTING + count * PER_ROAD))
-        roads = over_keys(
-            run_road,
-            jax.random.key(seed),
-            count,
-            quarter_car_source(shapes),
-            shapes,
-            progress=lambda done: report("roads", done, count),
-        )
-    emit(
-        reproduction_document(roads, table_claims(roads), seed=seed),
-        as_json=as_json,
-        out=out,
-        show=print_reproduction,
-        charts=lambda: table_charts(roads, shapes),
-        page=reproduction_page,
-    )
-
-
-def _study(seed: int, quick: bool, as_json: bool, out: Path | None) -> None:
-    import jax
-
-    from riecjax.models.quarter_car.reconstruction import reconstructed
     from riecjax.paper.study import FULL, QUICK, evaluate_claims, run_study
     from riecjax.paper.variations import write_variations
     from riecjax.reporting.output import emit
-    from riecjax.reporting.paper_charts import study_charts
-    from riecjax.reporting.reproduction import print_reproduction, reproduction_document
-    from riecjax.reporting.reproduction_page import reproduction_page
+    from riecjax.reporting.paper_charts import study_charts, table_charts
+    from riecjax.reporting.reproduction import (
+        print_reproduction,
+        reproduction_document,
+        reproduction_page,
+    )
+    from riecjax.studies.monte_carlo import over_keys
 
-    scale = QUICK if quick else FULL
-    shapes = reconstructed()
+    shapes, key = reconstructed(), jax.random.key(seed)
     parts = None if out is None else out / PARTS
+    others: dict[str, Callable[[Path], None]] = {}
     with _progress() as report:
-        varied = scale.studied * len(scale.bandwidths) * scale.draws
-        seconds = STARTING + scale.roads * PER_ROAD + varied * PER_VARIATION
-        expect("the whole study", Work(seconds))
-        study = run_study(scale, jax.random.key(seed), shapes, folder=parts, progress=report)
-        report("statements", 0, 1)
-        claims = evaluate_claims(study)
+        if full or quick:
+            scale = QUICK if quick else FULL
+            study = run_study(scale, key, shapes, folder=parts, progress=report)
+            report("statements", 0, 1)
+            results, claims = study.roads, evaluate_claims(study)
+            charts = functools.partial(study_charts, study, shapes)
+            others["variations.parquet"] = lambda file: write_variations(
+                study.table, file, stamp(file)
+            )
+        else:
+            scale, count = None, roads or DEFAULT_ROADS
+            results = over_keys(
+                run_road,
+                key,
+                count,
+                quarter_car_source(shapes),
+                shapes,
+                progress=lambda done: report("roads", done, count),
+            )
+            claims = table_claims(results)
+            charts = functools.partial(table_charts, results, shapes)
     emit(
-        reproduction_document(study.roads, claims, seed=seed, scale=scale),
+        reproduction_document(results, claims, seed=seed, scale=scale),
         as_json=as_json,
         out=out,
         show=print_reproduction,
-        charts=lambda: study_charts(study, shapes),
+        charts=charts,
         page=reproduction_page,
-        others={
-            "variations.parquet": lambda file: write_variations(study.table, file, stamp(file))
-        },
+        others=others,
     )
-    if parts is not None:
+    if scale is not None and parts is not None:
         shutil.rmtree(parts, ignore_errors=True)
 
 
@@ -132,11 +108,7 @@ def _progress() -> "Iterator[Report]":
     from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
-    with (
-        listening(partial(announce, console)),
-        Progress(console=console, transient=True) as progress,
-    ):
+    with Progress(console=Console(stderr=True), transient=True) as progress:
         tasks = {}
 
         def report(what: str, done: int, total: int) -> None:

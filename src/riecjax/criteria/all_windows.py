@@ -48,24 +48,18 @@ samples with lags of k, (R / r)^2 = (N / k)^2 / 12, which is 2e4 for 2^15 sample
 an error of 2e-3 in 32-bit. Therefore phi is referred to each block: less its mean there (the
 straight line through it, for the hat). Then N is a block's size instead, 256 in the
 same example, (R / r)^2 = 2, and the error 1e-7. Running sums begin anew with each block too.
-
-**Derivatives.** M is linear in w and quadratic in phi, so JAX differentiates it by both. Alpha and
-beta move the ends of bins by whole samples only; see `LagBins.with_edges_as_bins`.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.chunks import StartBlocks
-from riecjax.criteria.laws import LagBins, sum_over_bins
-from riecjax.criteria.length_bins import each_bin
+from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins
 from riecjax.criteria.quadrature import Primitives, running_sum, sum_between
-from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 
 
@@ -99,58 +93,14 @@ Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
 """Sums of outer products of rows, and numbers of rows, for blocks of starts."""
 
 
-@eqx.filter_custom_jvp
 def moments_in_blocks(
     primitives: Primitives, lags: LagBins, blocks: StartBlocks, *, reach: int
 ) -> Moments:
     """Moments M and numbers N of all windows, for blocks of starts.
 
-    **Arguments:** `primitives`, whose differences are the rows; `lags`, whose edges make this
-    differentiable by alpha and beta; lags with two axes give moments for each of the first, along a
-    leading axis; `reach`: no window is longer, in samples.
-
-    **Raises:** `ModelError` where a derivative that was not taken by alpha or beta is then
-    differentiated by them.
+    **Arguments:** `primitives`, whose differences are the rows; `lags` with two axes give moments
+    for each of the first, along a leading axis; `reach`: no window is longer, in samples.
     """
-    return _block_moments(primitives, lags._replace(edges=None), blocks, reach)
-
-
-@moments_in_blocks.def_jvp
-def _moments_in_blocks_jvp(primals: Any, tangents: Any, *, reach: int) -> Any:
-    """Edges cost two bins each, so they join the bins only where they move."""
-    (primitives, lags, blocks), moved = primals, tangents[1].edges
-    moving = moved is not None and moved.position is not None
-    if lags.edges is not None and not moving:
-        values = _with_fixed_edges(primitives.values, lags.edges.position)
-        primitives = eqx.tree_at(lambda p: p.values, primitives, values)
-
-    def moments(primitives: Primitives, lags: LagBins, blocks: StartBlocks) -> Moments:
-        most = reach // primitives.difference
-        lags = lags.with_edges_as_bins(most) if moving else lags._replace(edges=None)
-        return _block_moments(primitives, lags, blocks, reach)
-
-    return eqx.filter_jvp(moments, (primitives, lags, blocks), tangents)
-
-
-@eqx.filter_custom_jvp
-def _with_fixed_edges(values: Array, position: Array) -> Array:
-    return values
-
-
-@_with_fixed_edges.def_jvp
-def _with_fixed_edges_jvp(primals: Any, tangents: Any) -> tuple[Array, Array | None]:
-    if tangents[1] is not None:
-        raise ModelError(
-            "a derivative of all windows cannot be differentiated by alpha or beta unless it was "
-            "taken by them too: differentiate by both at once, as in jax.hessian of a function of "
-            "one vector that holds alpha or beta and the rest."
-        )
-    return primals[0], tangents[0]
-
-
-def _block_moments(
-    primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: int
-) -> Moments:
     values, present, size = primitives.values, primitives.present, blocks.size
     if primitives.difference == 1 and present is None and isinstance(size, int) and reach <= size:
         # Shorter blocks lose fewer digits. At four times the reach, the samples beyond a block,

@@ -4,21 +4,6 @@ The paper draws T uniformly (eq. 14). Any other law is a weight for each length;
 handle a stretch of equally weighted lengths, a bin, at once, so a law is a list of bins. Only
 ratios of weights matter to an estimate; they are scaled to 1 on average over all lags, so that sums
 count windows whatever the law.
-
-**Derivatives by alpha and beta.** Lengths are rounded to samples, so that a sum over lags,
-S = sum_k w[k] M[k] with M[k] the moments of lag k, is a staircase in alpha and beta: its derivative
-is zero nearly everywhere and useless to an optimiser. Let instead M(k) be linear between lags and
-the law reach from half a lag below the shortest to half a lag above the longest, so that each lag
-stands for an interval of length 1. The integral I = integral w(k) M(k) dk then has at an edge e,
-where w jumps from w_below to w_above, the derivative
-
-    dI / de = (w_below - w_above) M(e) = jump ((1 - f) M[i] + f M[i + 1]),    e = i + f
-
-An edge between samples, alpha and beta being on them, has f = 1 / 2: the mean of the two lags
-beside it, which is the central difference of S over one sample to either side. So the two lags get
-weights that are zero and have the derivatives jump (1 - f) and jump f. The second derivative of the
-linear M(k) comes out as well where these weights are written as integrals of 1 - f and f:
-`LagBins.with_edges_as_bins`.
 """
 
 from collections.abc import Callable
@@ -37,58 +22,16 @@ from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 Sums = TypeVar("Sums")
 
 
-class Edges(NamedTuple):
-    """Where the weight of a law jumps: all that alpha and beta move.
-
-    **Fields:** `position` in lags, a real number; `jump`, the weight of lags below it less that of
-    lags above it.
-    """
-
-    position: Float[Array, " edges"]
-    jump: Float[Array, " edges"]
-
-
 class LagBins(NamedTuple):
     """Stretches of window lengths that count alike.
 
     **Fields:** `first` and `last` lag of each bin, in multiples of samples, both included; empty
-    where `last < first`; `weight` of each lag in it, 1 on average over all lags; `edges` of the law
-    before it is rounded to lags, for derivatives by alpha and beta only.
+    where `last < first`; `weight` of each lag in it, 1 on average over all lags.
     """
 
     first: Int[Leaf, " bins"]
     last: Int[Leaf, " bins"]
     weight: Float[Leaf, " bins"]
-    edges: Edges | None = None
-
-    def with_edges_as_bins(self, most: int) -> "LagBins":
-        """The same law, whose weights hold what its edges move.
-
-        A sum over lags S = sum_k w[k] M[k] is a staircase in the position e of an edge. Let M(k) be
-        linear between lags; the integral of w(k) M(k) then has the derivative jump M(e), which on
-        samples is the central difference of S over one sample to either side. So the lags next to
-        an edge get weights that are zero, with the derivatives of
-
-            jump (d - d'),  jump d',    d = e - e0,  d' = (f^2 - f0^2) / 2,  f = e - floor(e0)
-
-        where e0 is the edge's position, not differentiated, and f0 the share f there.
-
-        **Arguments:** `most`, no lag is longer.
-        """
-        assert self.edges is not None
-        position, jump = self.edges
-        below = jnp.floor(jax.lax.stop_gradient(position))
-        share = position - below
-        moved = _change(share)
-        above = _change(0.5 * share**2)
-        lag = jnp.concatenate([below, below + 1]).astype(self.first.dtype)
-        lag = jnp.clip(lag, 1, most)
-        weight = jnp.concatenate([jump * (moved - above), jump * above])
-        return LagBins(
-            jnp.concatenate([self.first, lag]),
-            jnp.concatenate([self.last, lag]),
-            jnp.concatenate([self.weight, weight.astype(self.weight.dtype)]),
-        )
 
 
 class AbstractLaw(eqx.Module):
@@ -126,8 +69,7 @@ class UniformLaw(AbstractLaw):
         """One bin."""
         xp = namespace(shortest, longest, unit)
         first, last = rounded(shortest), rounded(longest)
-        edges = Edges(xp.stack([shortest - 0.5, longest + 0.5]), xp.asarray([-1.0, 1.0]))
-        return LagBins(first[None], last[None], xp.ones(1, unit.dtype), edges)
+        return LagBins(first[None], last[None], xp.ones(1, unit.dtype))
 
     def describe(self) -> dict[str, object]:
         """Nothing: it is what one expects."""
@@ -137,8 +79,7 @@ class UniformLaw(AbstractLaw):
 class SteppedLaw(AbstractLaw):
     """Weights that are constant over equal parts of the band from alpha to beta.
 
-    Differentiable in `weights`, so that a law can be learned. The cost grows with their number,
-    not with the number of lengths.
+    Differentiable in `weights`. The cost grows with their number, not with the number of lengths.
 
     **Arguments:** `weights`, shape `(bins,)`, from the shortest windows to the longest.
 
@@ -162,55 +103,11 @@ class SteppedLaw(AbstractLaw):
         share = jnp.linspace(0.0, 1.0, self.weights.shape[0] + 1)
         # Real numbers: lags times bins may pass 32-bit integers.
         first = low + rounded(share * (high - low + 1))
-        position = shortest - 0.5 + share * (longest - shortest + 1)
-        weight = jnp.asarray(self.weights, unit.dtype)
-        return _normalised(first[:-1], first[1:] - 1, weight, Edges(position, _jumps(weight)))
+        return _normalised(first[:-1], first[1:] - 1, jnp.asarray(self.weights, unit.dtype))
 
     def describe(self) -> dict[str, object]:
         """The weights."""
         return {"law": np.asarray(self.weights).tolist()}
-
-
-class RatioLaw(AbstractLaw):
-    """Weights that are constant over parts of the band in equal ratios of length.
-
-    An octave of lengths is an octave of frequencies (T = 1 / (2 f), eq. 26), so that a wide band
-    needs few parts. Differentiable in `weights`.
-
-    **Arguments:** `weights` of each length in a part, shape `(parts,)`, from the shortest windows
-    to the longest.
-
-    **Raises:** `ModelError` for weights below zero, not finite, or all zero.
-    """
-
-    weights: Leaf
-
-    def __init__(self, weights: ArrayLike | Array):
-        self.weights = _weights(weights)
-
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
-        """One bin for each part; empty where it holds no length on samples."""
-        count = self.weights.shape[0]
-        share = jnp.arange(count + 1) / count
-
-        def edges(low: Array, high: Array) -> Float[Array, " edges"]:
-            low, high = low.astype(unit.dtype), high.astype(unit.dtype)
-            return low * ((high + 1) / low) ** share
-
-        first = rounded(edges(rounded(shortest), rounded(longest)))
-        position = edges(jnp.asarray(shortest), jnp.asarray(longest)) - 0.5
-        weight = jnp.asarray(self.weights, unit.dtype)
-        return _normalised(first[:-1], first[1:] - 1, weight, Edges(position, _jumps(weight)))
-
-    def describe(self) -> dict[str, object]:
-        """The weights."""
-        return {"law": np.asarray(self.weights).tolist(), "parts": "equal ratios"}
 
 
 class DensityLaw(AbstractLaw):
@@ -239,9 +136,7 @@ class DensityLaw(AbstractLaw):
         lag = rounded(shortest) + jnp.arange(most)
         weight = self._at(jnp.minimum(lag, high) * unit)
         _require_weights(weight)
-        position = jnp.stack([shortest - 0.5, longest + 0.5])
-        edges = Edges(position, self._at(position * unit) * np.array([-1.0, 1.0]))
-        return _normalised(lag, jnp.where(lag <= high, lag, lag - 1), weight, edges)
+        return _normalised(lag, jnp.where(lag <= high, lag, lag - 1), weight)
 
     def _at(self, lengths: Float[Array, " lengths"]) -> Float[Array, " lengths"]:
         return jnp.broadcast_to(jnp.asarray(self.density(lengths), lengths.dtype), lengths.shape)
@@ -269,22 +164,9 @@ def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     return namespace(lags).round(lags).astype(np.int32)
 
 
-def _normalised(first: Array, last: Array, weight: Array, edges: Edges) -> LagBins:
+def _normalised(first: Array, last: Array, weight: Array) -> LagBins:
     held = (last - first + 1).astype(weight.dtype)
-    moved = _change(edges.position)
-    number = jnp.sum(held) + moved[-1] - moved[0]
-    scale = number / (jnp.sum(weight * held) + jnp.sum(edges.jump * moved))
-    return LagBins(first, last, weight * scale, Edges(edges.position, edges.jump * scale))
-
-
-def _jumps(weight: Float[Array, " bins"]) -> Float[Array, " edges"]:
-    """At the edges of bins that follow one another."""
-    return -jnp.diff(jnp.pad(weight, 1))
-
-
-def _change(value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Zero, with the derivatives of the value."""
-    return value - jax.lax.stop_gradient(value)
+    return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
 
 
 def _weights(weights: ArrayLike | Array) -> Leaf:
@@ -337,3 +219,109 @@ def sum_over_lengths(
 
     length, weight = lengths
     return jax.lax.scan(add, nothing, (jnp.asarray(length), jnp.asarray(weight)))[0]
+
+
+# Bins of window lengths whose sums are kept apart, so that a band can be chosen afterwards.
+
+
+class LengthBins(NamedTuple):
+    """Stretches of window lengths in seconds, among whose edges are alpha and beta.
+
+    **Fields:** `edges`, ascending, shape `(bins + 1,)`; `band`, first bin from alpha on and first
+    one beyond beta.
+    """
+
+    edges: Float[np.ndarray, " bins+1"]
+    band: tuple[int, int]
+
+    @classmethod
+    def around(cls, alpha: float, beta: float, edges: ArrayLike) -> "LengthBins":
+        """Bins with these edges, in seconds, and with alpha and beta.
+
+        **Raises:** `ModelError` unless edges are positive and finite.
+        """
+        given = np.asarray(edges, float).ravel()
+        if not (np.isfinite(given).all() and (given > 0).all()):
+            raise ModelError("edges of bins of window lengths are positive numbers of seconds.")
+        # Edges that are alpha or beta but for rounding would make bins of nothing.
+        near = np.isclose(given, alpha, rtol=1e-9) | np.isclose(given, beta, rtol=1e-9)
+        every = np.unique([*given[~near], alpha, beta])
+        first, last = np.searchsorted(every, [alpha, beta])
+        return cls(every, (int(first), int(last)))
+
+    @classmethod
+    def of_number(cls, alpha: float, beta: float, number: int) -> "LengthBins":
+        """So many bins from alpha to beta, in equal ratios.
+
+        **Raises:** `ModelError` for fewer than one.
+        """
+        if number < 1:
+            raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
+        return cls.around(alpha, beta, np.geomspace(alpha, beta, number + 1))
+
+    def lags(
+        self, unit: float, most: int
+    ) -> tuple[Int[np.ndarray, " bins"], Int[np.ndarray, " bins"]]:
+        """First and last lag of each bin, in multiples of samples of `unit` seconds.
+
+        The band's ends both belong to it, so that bins below it hold their lower edge and those
+        above their upper one. None is longer than `most`; empty where `last < first`.
+        """
+        edges = np.maximum(np.round(self.edges / unit), 1).astype(int)
+        bins = np.arange(edges.size - 1)
+        start, _ = self.band
+        first = edges[:-1] + (bins > start)
+        last = edges[1:] - (bins < start)
+        return first, np.minimum(last, most)
+
+    def nearest(self, alpha: float, beta: float) -> tuple[int, int]:
+        """The bins, first and one beyond the last, whose edges are nearest in ratio to a band's.
+
+        **Raises:** `ModelError` unless 0 < alpha < beta.
+        """
+        if not 0 < alpha < beta:
+            raise ModelError(f"a band needs 0 < alpha < beta; got {alpha:g} to {beta:g} s.")
+        first, last = (
+            int(np.argmin(np.abs(np.log(self.edges / length)))) for length in (alpha, beta)
+        )
+        if first == last:
+            # Of one bin at least: the one that holds the middle of the band.
+            middle = np.searchsorted(self.edges, np.sqrt(alpha * beta)) - 1
+            first = int(np.clip(middle, 0, self.edges.size - 2))
+            last = first + 1
+        return first, last
+
+
+def law_in_bins(law: LagBins, bins: LengthBins, unit: float, most: int) -> LagBins:
+    """A law of lags, cut into bins: two axes, bins and what each holds of the law.
+
+    Inside the band lengths count by the law; beyond it all alike.
+    """
+    first, last = bins.lags(unit, most)
+    parts = [np.asarray(leaf) for leaf in (law.first, law.last, law.weight)]
+    cut = []
+    for i, (low, high) in enumerate(zip(first, last)):
+        if bins.band[0] <= i < bins.band[1]:
+            begin, end = np.maximum(parts[0], low), np.minimum(parts[1], high)
+            held = begin <= end
+            cut.append((begin[held], end[held], parts[2][held]))
+        else:
+            cut.append((np.array([low]), np.array([high]), np.ones(1, parts[2].dtype)))
+    # As many entries for recordings of any length, or each would be compiled for.
+    room = 1 if parts[0].size == 1 else 2 ** int(np.ceil(np.log2(parts[0].size)))
+
+    def filled(place: int, nothing: float) -> np.ndarray:
+        rows = [np.pad(c[place], (0, room - c[place].size), constant_values=nothing) for c in cut]
+        return np.stack(rows).astype(parts[place].dtype)
+
+    return LagBins(filled(0, 1), filled(1, 0), filled(2, 0.0))
+
+
+def each_bin(of_lags: Callable[[LagBins], Any], lags: LagBins) -> Any:
+    """What is made of a law; of one in bins, of each bin, along a leading axis."""
+    if lags.first.ndim == 1:
+        return of_lags(lags)
+    if lags.first.shape[0] == 1:
+        one = of_lags(jax.tree.map(lambda leaf: leaf[0], lags))
+        return jax.tree.map(lambda leaf: leaf[None], one)
+    return jax.lax.map(of_lags, lags)

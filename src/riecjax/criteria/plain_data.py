@@ -16,8 +16,7 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import AbstractLaw
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Hat
+from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Bump, Hat
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.errors import DataError, ModelError
 
@@ -25,7 +24,7 @@ TEST_FUNCTIONS: dict[str, type[AbstractTestFunction]] = {
     kind.name: kind for kind in (Boxcar, Hat, Bump)
 }
 """The test functions that a user can ask for by name. The command line offers those that
-`cli/criteria.py` lists too, which reads no class before it must."""
+`cli/options.py` lists too, which reads no class before it must."""
 FAMILIES = (AbstractCriterion, AbstractWindows, AbstractLaw, AbstractTestFunction)
 """What a criterion is made of."""
 RESERVED = ("class", "from")

@@ -111,10 +111,19 @@ class AbstractWindows(eqx.Module):
 
         **Raises:** `ModelError` when it is differentiated by alpha or beta.
         """
-        band = self.alpha, self.beta
-        band = band if is_concrete(band) else _rounded_away(band)
-        shortest, longest = _in_lags(*band, sample_count, time_step, multiple)
+        shortest, longest = self._in_lags(sample_count, time_step, multiple)
         return rounded(shortest), rounded(longest)
+
+    def _in_lags(
+        self, sample_count: Count, time_step: Float[Array, ""], multiple: int
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Shortest and longest window in multiples of samples, not rounded yet."""
+        band = self.alpha, self.beta
+        alpha, beta = band if is_concrete(band) else _rounded_away(band)
+        xp = namespace(alpha, beta, time_step)
+        unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
+        shortest = xp.clip(xp.divide(alpha, unit), 1, most)
+        return shortest, xp.clip(xp.divide(beta, unit), shortest, most)
 
     @property
     def drawn(self) -> "RandomWindows":
@@ -143,20 +152,6 @@ class AbstractWindows(eqx.Module):
         return {"alpha": np.asarray(self.alpha).tolist(), "beta": np.asarray(self.beta).tolist()}
 
 
-def _in_lags(
-    alpha: Leaf,
-    beta: Leaf,
-    sample_count: Count,
-    time_step: Float[Array, ""],
-    multiple: int,
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Shortest and longest window in multiples of samples, not rounded."""
-    xp = namespace(alpha, beta, time_step)
-    unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
-    shortest = xp.clip(xp.divide(alpha, unit), 1, most)
-    return shortest, xp.clip(xp.divide(beta, unit), shortest, most)
-
-
 @jax.custom_jvp
 def _rounded_away(band: tuple[Leaf, Leaf]) -> tuple[Leaf, Leaf]:
     return band
@@ -166,8 +161,8 @@ def _rounded_away(band: tuple[Leaf, Leaf]) -> tuple[Leaf, Leaf]:
 def _rounded_away_jvp(primals: Any, tangents: Any) -> Any:
     raise ModelError(
         "these windows have no derivative by alpha or beta: their lengths are rounded to samples. "
-        "Differentiate AllWindows(...) with Boxcar() or Hat(), or RandomWindows(..., "
-        "between_samples=True) with Boxcar(), or hold alpha and beta by jax.lax.stop_gradient."
+        "Differentiate RandomWindows(..., between_samples=True) with Boxcar(), or hold alpha and "
+        "beta by jax.lax.stop_gradient."
     )
 
 
@@ -194,9 +189,7 @@ class AllWindows(AbstractWindows):
     What random windows converge to as their number grows: the same estimate without sampling
     noise, in closed form (see `all_windows`). The cost does not depend on how many there are.
 
-    Alpha and beta are rounded to samples. With boxcars and hats, derivatives by them are those of
-    the law without rounding (see `LagBins.with_edges_as_bins`): the central difference over one
-    sample to either side where they lie on samples.
+    Alpha and beta are rounded to samples, so that nothing can be differentiated by them.
 
     **Arguments:**
 
@@ -209,7 +202,7 @@ class AllWindows(AbstractWindows):
       `vmap` over beta it should be given, or every block spans the record.
 
     **Raises:** `ModelError` unless 0 < alpha < beta, or for a law that is none; when it is
-    differentiated by alpha or beta with a bump.
+    differentiated by alpha or beta.
     """
 
     needs_key: ClassVar[bool] = False
@@ -284,7 +277,7 @@ class AllWindows(AbstractWindows):
 
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
         """The law of lags, which are multiples of so many samples."""
-        band = _in_lags(self.alpha, self.beta, sample_count, time_step, multiple)
+        band = self._in_lags(sample_count, time_step, multiple)
         most = self.reach(sample_count) // multiple
         return self.law.bins(*band, multiple * time_step, most)
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from riecjax.discovery.discovery import Chosen, Discovery, is_more_than_noise
 from riecjax.discovery.search import Step
-from riecjax.equations.hidden_modes import (
+from riecjax.equations.hidden_elements import (
     HiddenMode,
     ModeParameters,
     accelerated,

@@ -1,4 +1,7 @@
-"""What a model may lack: terms that enter together, by a name, a meaning and units."""
+"""What a model may lack: terms that enter together, by a name, a meaning and units.
+
+A candidate of a file, by its name: what a discovered model's file asks for.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +12,7 @@ from jaxtyping import Float
 from riecjax.equations.memories import Memory
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
+from riecjax.models.catalogue import object_of_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,3 +139,14 @@ def _called(term: AbstractTerm, before: str, name: str) -> AbstractTerm:
         unit=term.unit,
         sign=term.number,
     )
+
+
+def named(reference: str, name: str) -> Candidate:
+    """The candidate of this name among those that `path/to/file.py:object` holds.
+
+    **Raises:** `ModelError` if there is no such file, object or candidate, or it has a width.
+    """
+    for one in as_candidates(object_of_file(reference)):
+        if one.name == name and isinstance(one, Candidate):
+            return one
+    raise ModelError(f"{reference} holds no candidate '{name}'.")

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, renamed
+from riecjax.equations.bases import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import (
     Expression,
@@ -21,10 +22,8 @@ from riecjax.equations.expressions import (
     read_expression,
 )
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
-from riecjax.equations.motions import Motion, motions_and_unread
-from riecjax.equations.shapes import AbstractShape, DeadZone, Saturation, Stribeck
+from riecjax.equations.motions import Motion, motions_and_unread, per
 from riecjax.equations.term import AbstractTerm, Term, Terms
-from riecjax.equations.units import per
 from riecjax.errors import RiecjaxError
 from riecjax.records.record import Record
 

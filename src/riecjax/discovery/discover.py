@@ -12,13 +12,17 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
 from riecjax.discovery.absent_mode import Identified, with_mode
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates
+from riecjax.discovery.candidate_sums import (
+    Sums,
+    by_equation,
+    extended,
+    members,
+    without_taken,
+    without_twins,
+)
 from riecjax.discovery.catalogue import default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Rejected
-from riecjax.discovery.extended import by_equation, extended, members, without_taken, without_twins
-from riecjax.discovery.folds import Folds
-from riecjax.discovery.search import LEAST, SHARE, Offer, Search, Step
-from riecjax.discovery.selected import AGAIN, Again, again
-from riecjax.discovery.widths import Sums
+from riecjax.discovery.search import AGAIN, LEAST, SHARE, Again, Folds, Offer, Search, Step, again
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.motions import reading_velocities
@@ -100,7 +104,8 @@ def discover(
     for one in whole:  # before they are given states that nobody recorded
         read_of(procedure, one, own)
     searched_again = seed, 0 if hold_out is not None else resamples
-    settings = own, dict(known or {}), intervals, at_rest, hold_out
+    held = {**{name: float(value) for name, value in procedure.known.items()}, **(known or {})}
+    settings = own, held, intervals, at_rest, hold_out
     asked = _Asked(found, procedure, offered, *settings, (least, smallest), searched_again)
     if candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
@@ -236,7 +241,7 @@ def _require_sense(
         raise ModelError(
             f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
         )
-    procedure.plan({*known})
+    procedure.plan({*procedure.known, *known})
 
 
 def _with_velocities(procedure: Procedure, recordings: list[Recording]) -> list[Recording]:

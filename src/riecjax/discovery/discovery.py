@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from riecjax.discovery.candidate import Candidate
 from riecjax.discovery.search import Step
-from riecjax.equations.hidden_modes import HiddenMode
+from riecjax.equations.hidden_elements import HiddenMode
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.models.model import Model

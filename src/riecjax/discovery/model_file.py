@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from riecjax.discovery.discovery import Discovery
+from riecjax.equations.bases import AbstractShape
 from riecjax.equations.expressions import source_of
-from riecjax.equations.hidden_modes import is_mode_name
+from riecjax.equations.hidden_elements import is_mode_name
 from riecjax.equations.memories import Memory
-from riecjax.equations.shapes import AbstractShape
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError
 

@@ -8,15 +8,162 @@ terms are taken away again, the least sure first, until each of the rest
 - is further from zero than chance makes any one of all that were offered, at the stated rate,
 - makes up for `SHARE` of what is unexplained without it, noise included,
 - and for `LEAST` of the whole, unless told otherwise.
+
+How sure a choice of terms is: it is made again from blocks of time that are drawn again.
+
+An interval of a parameter holds for a given structure. Which terms there are was read off the same
+data, so that the usual interval of what stayed is too narrow, and says nothing of what nearly was
+chosen. Drawing folds with replacement and searching again lets the choice vary as it would on other
+recordings (Efron, 2014); a parameter's variance over these searches includes that of the choice.
+
+Blocks of time of one Gram matrix of all columns, and what structures say of those left out.
+
+With M the sums of products of target and columns over one fold and N what sensor noise adds to
+them, C = M - N is that of the signals. A structure is a set of columns. Its coefficients come from
+the sum of C over all folds but one, and are held against the one: v^T C v with v = (1, -theta) is
+what it leaves unexplained of the motion there, v^T M v of the samples, noise included. No sample
+is read, so that a structure costs one solve of p equations a fold.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy.stats
+from jaxtyping import Float
 
-from riecjax.discovery.folds import Folds, Left
+from riecjax.summaries.normal_equations import NormalEquations
+
+FOLDS = 20
+"""At most: more would make little difference to what is left out of each fit."""
+COLLINEAR = 1e-6
+"""Least eigenvalue of the columns' correlations, that of one column as many as there are."""
+
+
+class Left(NamedTuple):
+    """What a structure leaves of each fold that it was not fitted to.
+
+    **Fields:** `motion`, of the signals less their noise; `samples`, noise included.
+    """
+
+    motion: Float[np.ndarray, " folds"]
+    samples: Float[np.ndarray, " folds"]
+
+
+class Folds(NamedTuple):
+    """Moments of target and columns by folds of time.
+
+    **Fields:** `samples`, and `motion`, the same less what noise adds, shape
+    `(folds, 1 + p, 1 + p)`; `parameters`, names of the p columns.
+    """
+
+    samples: Float[np.ndarray, "folds columns columns"]
+    motion: Float[np.ndarray, "folds columns columns"]
+    parameters: tuple[str, ...]
+
+    @classmethod
+    def of(cls, equations: NormalEquations, most: int = FOLDS) -> "Folds":
+        """Of normal equations with leading axes `(records, blocks)`, empty blocks left out."""
+        size = len(equations.parameters) + 1
+        moments = np.asarray(equations.moments, float).reshape(-1, size, size)
+        clean = np.asarray(equations.clean, float).reshape(-1, size, size)
+        used = np.flatnonzero(np.asarray(equations.count).ravel() > 0)
+        count = min(most, used.size)
+        place = np.arange(used.size) * count // max(used.size, 1)
+        samples, motion = np.zeros((2, count, size, size))
+        np.add.at(samples, place, moments[used])
+        np.add.at(motion, place, clean[used])
+        return cls(samples, motion, equations.parameters)
+
+    @property
+    def number(self) -> int:
+        """Of folds."""
+        return len(self.motion)
+
+    @property
+    def energy(self) -> float:
+        """Of the target, all folds together."""
+        return float(self.samples[:, 0, 0].sum())
+
+    def drawn(self, index: Sequence[int] | np.ndarray) -> "Folds":
+        """These folds instead: one that is drawn several times weighs as often, and is left out as
+        a whole, since its copies would tell of it."""
+        place, times = np.unique(index, return_counts=True)
+        weights = times[:, None, None]
+        return Folds(self.samples[place] * weights, self.motion[place] * weights, self.parameters)
+
+    def columns(self, names: Sequence[str]) -> np.ndarray:
+        """Places of columns, that of the target being 0."""
+        return np.array([1 + self.parameters.index(name) for name in names], int)
+
+    def told_apart(self, names: Sequence[str]) -> bool:
+        """Whether columns are far enough from collinear to have a coefficient each."""
+        at = self.columns(names)
+        gram = self.motion.sum(0)[np.ix_(at, at)]
+        size = np.diagonal(gram)
+        if not np.all(np.isfinite(gram)) or not np.all(size > 0):
+            return False
+        scale = 1 / np.sqrt(size)
+        return bool(np.linalg.eigvalsh(gram * np.outer(scale, scale))[0] > COLLINEAR)
+
+    def fitted(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
+        """Coefficients from all folds."""
+        at = self.columns(names)
+        total = self.motion.sum(0)
+        return _solved(total[np.ix_(at, at)], total[at, 0])
+
+    def left(self, names: Sequence[str]) -> Left:
+        """What is unexplained of each fold by coefficients from all others."""
+        at = np.concatenate([[0], self.columns(names)])
+        motion, samples = (of[:, at[:, None], at] for of in (self.motion, self.samples))
+        others = motion.sum(0) - motion
+        theta = _solved(others[:, 1:, 1:], others[:, 1:, 0])
+        v = np.concatenate([np.ones((self.number, 1)), -theta], axis=1)
+        return Left(*(np.einsum("fi,fij,fj->f", v, of, v) for of in (motion, samples)))
+
+    def chance(self, names: Sequence[str], column: str) -> float:
+        """Probability that a column of a structure that explains nothing is as far from zero.
+
+        By Student's t of its coefficient. With s_f the score of what is the column's own, all
+        others fitted, and g_f its energy in fold f, the coefficient's variance is `sum s^2 / (sum
+        g)^2`, whatever errors are like in each fold. Where a few folds have most of the energy
+        that has few degrees of freedom, and `mean(s^2 / g) / sum g`, which holds where errors are
+        alike all along, has one a fold. The larger of both is taken.
+        """
+        at = self.columns(names)
+        gram, moment = self.motion[:, at[:, None], at], self.motion[:, at, 0]
+        inverse = np.linalg.pinv(gram.sum(0), hermitian=True)
+        own = list(names).index(column)
+        theta = inverse @ moment.sum(0)
+        alone = inverse[:, own] / inverse[own, own]
+        scores = (moment - gram @ theta) @ alone
+        energy = np.einsum("i,fij,j->f", alone, gram, alone)
+        total, freedom = float(energy.sum()), self.number - 1
+        some = energy > 1e-6 * total
+        if not total > 0 or freedom < 1 or not some.any():
+            return 1.0
+        apart = np.sum(scores**2) / total**2
+        alike = np.mean(scores[some] ** 2 / energy[some]) / total
+        error = np.sqrt(max(apart, alike) * self.number / freedom)
+        away = abs(theta[own]) / error if error > 0 else np.inf
+        return float(2 * scipy.stats.t.sf(away, freedom))
+
+
+def _solved(
+    gram: Float[np.ndarray, "*folds p p"], moment: Float[np.ndarray, "*folds p"]
+) -> Float[np.ndarray, "*folds p"]:
+    """Least squares of columns that are scaled to unit length."""
+    size = np.sqrt(np.abs(np.diagonal(gram, axis1=-2, axis2=-1)))
+    scale = 1 / np.where(size > 0, size, 1.0)
+    scaled = gram * scale[..., :, None] * scale[..., None, :]
+    try:
+        found = np.linalg.solve(scaled, (moment * scale)[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        found = (np.linalg.pinv(scaled) @ (moment * scale)[..., None])[..., 0]
+    return found * scale
+
 
 RATE = 0.05
 """Of searches that add anything where nothing is missing."""
@@ -264,3 +411,69 @@ class Search:
             if gain > 0:
                 found.append((offer, float(gain), self.chance([*chosen, offer], offer)))
         return sorted(found, key=lambda one: -one[1])[:most]
+
+
+AGAIN = 40
+"""Searches."""
+AMONG = 40
+"""Offers at most that are searched again: those that leave least, alone or beside the chosen."""
+
+
+class Again(NamedTuple):
+    """What searches of folds that were drawn again found.
+
+    **Fields:** `shares` of the searches that chose each family; `errors`, the standard deviation of
+    each parameter over those that hold it.
+    """
+
+    shares: dict[str, float]
+    errors: dict[str, float]
+
+
+def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN) -> Again:
+    """Search again from folds drawn with replacement."""
+    rng = np.random.default_rng(seed)
+    folds, among = search.folds, _among(search, chosen)
+    families: Counter[str] = Counter()
+    values: dict[tuple[str, int], list[float]] = {}
+    # Of a law the same coefficient, whatever its width.
+    place_of = {
+        name: (offer.family, i) for offer in search.every for i, name in enumerate(offer.columns)
+    }
+    for _ in range(times):
+        drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
+        one = search.among(drawn, among)
+        found = one.found()
+        families.update(offer.family for offer in found)
+        names = (*search.kept, *(name for offer in found for name in offer.columns))
+        for name, value in zip(names, drawn.fitted(names)):
+            values.setdefault(place_of.get(name, (name, 0)), []).append(float(value))
+    errors = {place: float(np.std(each)) for place, each in values.items() if len(each) > 1}
+    held = {
+        name: errors.get(place_of.get(name, (name, 0)), np.nan) for name in _held(search, chosen)
+    }
+    shares = {offer.family: families[offer.family] / times for offer in chosen} if times else {}
+    return Again(shares, held)
+
+
+def _held(search: Search, chosen: Sequence[Offer]) -> tuple[str, ...]:
+    return (*search.kept, *(name for offer in chosen for name in offer.columns))
+
+
+def _among(search: Search, chosen: Sequence[Offer]) -> list[Offer]:
+    """The offers that come into question, those that were chosen first."""
+    if len(search.offers) <= AMONG:
+        return search.offers
+    others = [one for one in search.offers if one not in chosen]
+    alone = {one.name: search.left([one]) for one in others}
+    beside = {one.name: search.left([*chosen, one]) for one in others}
+
+    def rank(left: Mapping[str, Left | None]) -> dict[str, int]:
+        sizes = {
+            n: float("inf") if of is None else float(of.motion.sum()) for n, of in left.items()
+        }
+        return {name: i for i, name in enumerate(sorted(sizes, key=lambda n: sizes[n]))}
+
+    first, second = rank(alone), rank(beside)
+    others.sort(key=lambda one: min(first[one.name], second[one.name]))
+    return [*chosen, *others[: AMONG - len(chosen)]]

@@ -1,12 +1,12 @@
 from .bases import AbstractBasis as AbstractBasis
+from .bases import DeadZone as DeadZone
 from .bases import Friction as Friction
 from .bases import RoofFunctions as RoofFunctions
+from .bases import Saturation as Saturation
+from .bases import Stribeck as Stribeck
 from .expressions import faster_than as faster_than
 from .memories import BoucWen as BoucWen
 from .memories import Dahl as Dahl
 from .memories import Elapsed as Elapsed
 from .procedure import AtRest as AtRest
 from .procedure import Procedure as Procedure
-from .shapes import DeadZone as DeadZone
-from .shapes import Saturation as Saturation
-from .shapes import Stribeck as Stribeck

@@ -16,9 +16,15 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
-from riecjax.equations.hidden_modes import HiddenMode, ModeParameters, Shape, inertia_sign
+from riecjax.equations.hidden_elements import (
+    HiddenMode,
+    Lag,
+    ModeParameters,
+    Shape,
+    SpringParameters,
+    inertia_sign,
+)
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.series_springs import Lag, SpringParameters
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError
 from riecjax.records.record import Record

@@ -10,30 +10,60 @@ from dataclasses import replace
 from typing import Literal, Protocol, TypeAlias
 
 import equinox as eqx
+import numpy as np
 
 from riecjax.equations.equation import Equation, with_terms
 from riecjax.equations.expressions import Expression
-from riecjax.equations.hidden_modes import (
+from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
     ModeParameters,
-    is_hidden_name,
-)
-from riecjax.equations.kinematics import relation_of
-from riecjax.equations.memories import Memory
-from riecjax.equations.sensor_errors import with_unknown_gain, with_unknown_offset
-from riecjax.equations.series_springs import (
     SeriesSpring,
     force_elements,
+    is_hidden_name,
     stiffness_name,
     why_no_element,
 )
+from riecjax.equations.memories import Memory
+from riecjax.equations.sensor_errors import with_unknown_gain, with_unknown_offset
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.faults.relations import Relation
 from riecjax.records.record import Record
 from riecjax.shows import Shown
+
+PROBES, EXACT = 32, 1e-5
+"""Values that an expression is tried with, and how nearly it must be a sum of them."""
+
+
+class _Probe(dict[str, np.ndarray]):
+    """Random values of whatever signals are asked for."""
+
+    def __missing__(self, name: str) -> np.ndarray:
+        rng = np.random.default_rng(len(self))
+        return self.setdefault(name, rng.standard_normal(PROBES))
+
+
+def relation_of(signal: str, rate: Expression) -> Relation | None:
+    """The relation that a rate of a signal stands for; `None` unless it is a sum of signals."""
+    if isinstance(rate, str):
+        return Relation(signal, ((rate, 1.0),))
+    probe = _Probe()
+    try:
+        values = np.asarray(rate(probe), float)  # pyright: ignore[reportArgumentType]
+    except Exception:  # of the user's function, which says so where it is used
+        return None
+    if values.shape != (PROBES,) or not 0 < len(probe) < PROBES // 2 or signal in probe:
+        return None
+    columns = np.transpose([*probe.values()])
+    factors = np.linalg.lstsq(columns, values)[0]
+    if not np.abs(columns @ factors - values).max() < EXACT * np.abs(factors).max():
+        return None
+    # What rounding adds to 1 would be told as a factor.
+    told = zip(probe, np.round(factors, 6).tolist())
+    return Relation(signal, tuple((name, factor) for name, factor in told if factor))
+
 
 AtRest: TypeAlias = Literal["mask", "keep"]
 """What is done where a velocity with dry friction rests: weights that vanish there leave it out of

@@ -15,12 +15,12 @@ from riecjax.equations.term import Terms
 from riecjax.errors import IdentifiabilityError, renamed
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
-from riecjax.estimation.linearised import linearised
 from riecjax.estimation.mode_evidence import ModeEvidence
+from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import ParameterPlan, plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
-from riecjax.records.faults.duplicates import duplicates
+from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
@@ -169,7 +169,7 @@ def check(
 
 
 def _constant(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
-    asked = (procedure, plan.sharing, summary.recordings, plan.given)
+    asked = (procedure, plan.sharing, summary, plan.given)
     yield from constant_targets(*asked)
     yield from wrong_zeros(*asked)
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.hidden_modes import Expanded, HiddenMode, HiddenParameters, ModeParameters
+from riecjax.equations.hidden_elements import Expanded, HiddenMode, HiddenParameters, ModeParameters
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import NormalEquations

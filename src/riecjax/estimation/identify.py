@@ -4,39 +4,35 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.compilation.kept_jit import kept_jit
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.rows import Rows
+from riecjax.compilation import kept_jit
+from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, as_procedure
 from riecjax.errors import IdentifiabilityError, ModelError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.estimate import MATTERING_SHARE, Estimate
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.mode_windows import find_modes
 from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
-from riecjax.estimation.refusals import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
     found_values,
-    sizes_in_bursts,
     solve_stages,
     stages_over_records,
 )
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, is_concrete, on_host
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
 from riecjax.records.recording import as_recordings
-from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
 from riecjax.summaries.task import Task, signals_read, task
@@ -48,9 +44,6 @@ from riecjax.uncertainty.intervals import (
     Uncertainty,
     estimate_uncertainty,
 )
-
-DOUBTFUL = 5.0
-"""Standard errors within which an estimate of zero leaves its interval's width in doubt."""
 
 
 @renamed(own="per_record")
@@ -186,10 +179,10 @@ def _estimated(
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
-        # Sums that were made under jit have no averages to tell a constant target by.
-        averaged = all(one.stages[0][0].averages is not None for one in summary.recordings)
-        if averaged and modes is None:
-            for finding in constant_targets(procedure, sharing, summary.recordings, given):
+        # Sums that were made under jit have no constant to tell means from motion by.
+        with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
+        if with_constant and modes is None:
+            for finding in constant_targets(procedure, sharing, summary, given):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
@@ -197,8 +190,6 @@ def _estimated(
         if poor and (rows := _rows(summary, equations)):
             fit = _solve(equations, *settings, rows)
         raise_if_unidentifiable(fit.stages, plan)
-        if modes is None:
-            fit = fit._replace(stages=_with_sizes_in_bursts(fit, procedure, plan, summary))
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
     whole = [summary.band == summary.in_law] * len(procedure.stages)
@@ -329,30 +320,3 @@ def _stacked(rows: list[list[Rows]], sharing: Sharing, names: tuple[str, ...]) -
             for i, own in enumerate(of_equation)
         ]
     )
-
-
-def _with_sizes_in_bursts(
-    fit: _Fit, procedure: Procedure, plan: ParameterPlan, summary: Summary
-) -> list[StageSolution]:
-    """The stages, with the size of terms in doubt where they act, if that is in bursts."""
-    values = found_values(on_host(fit.stages), plan.given)
-    names = [name for stage in fit.stages for name in stage.parameters]
-    errors = dict(zip(names, np.sqrt(np.diagonal(fit.uncertainty.covariance))))
-    stages = []
-    for stage in fit.stages:
-        sizes = np.asarray(stage.relative_size)
-        # What is large enough to matter over the whole record needs no closer look.
-        doubtful = [
-            name
-            for name, size in zip(stage.parameters, sizes)
-            if abs(float(values[name])) < DOUBTFUL * errors[name]
-            and errors[name] * size < MATTERING_SHARE
-        ]
-        if doubtful:
-            active = sizes_in_bursts(
-                stage.stage, plan.sharing, summary.recordings, values, stage.parameters, doubtful
-            )
-            larger = np.maximum(sizes, [active.get(name, 0.0) for name in stage.parameters])
-            stage = eqx.tree_at(lambda s: s.relative_size, stage, larger)
-        stages.append(stage)
-    return stages

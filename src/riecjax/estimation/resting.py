@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from riecjax.equations.in_motion import in_motion, rests_of
+from riecjax.equations.dry_friction import in_motion, rests_of
 from riecjax.equations.procedure import Procedure, with_rests
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate

@@ -9,15 +9,14 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
+from riecjax.assessment.assess import assess_sums
 from riecjax.assessment.assessment import Assessment
 from riecjax.assessment.doubt import concerned
-from riecjax.assessment.summed import assess_sums
-from riecjax.errors import DataError
+from riecjax.errors import DataError, reason_of
 from riecjax.findings import Finding
 from riecjax.fleets.order import Order, unpacked
-from riecjax.fleets.sums import DONE, Row, reason_of
-from riecjax.summaries.reduced import in_blocks, pooled
-from riecjax.summaries.summary import Summary
+from riecjax.fleets.sums import DONE, Row
+from riecjax.summaries.summary import Summary, in_blocks, pooled
 from riecjax.summaries.sums import RecordingSums
 from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
 

@@ -5,13 +5,153 @@ import itertools
 import os
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from riecjax.errors import DataError, RiecjaxError
+from riecjax.errors import DataError, ModelError, RiecjaxError
+from riecjax.fleets.groups import Entry
 from riecjax.fleets.sums import DONE, Row
-from riecjax.fleets.table import ORDER, metadata_of, read_rows, write_rows
+from riecjax.records.writing import write_whole
 from riecjax.whole_files import sweep
+
+ORDER, SCHEMA_KEY, SCHEMA = b"riecjax.order", b"riecjax.fleet", b"2"
+COUNT = b"riecjax.rows"
+ROWS = 64
+"""Rows to a group of a file, which are read together."""
+LIGHT = tuple(name for name in Row._fields if name not in ("sums", "lengths"))
+"""Columns that are small."""
+
+
+def _schema(metadata: Mapping[bytes, bytes]) -> Any:
+    import pyarrow as pa
+
+    kinds = {str: pa.string(), float: pa.float64(), int: pa.int64(), bytes: pa.binary()}
+    fields = [pa.field(name, kinds[kind]) for name, kind in Row.__annotations__.items()]
+    return pa.schema(fields, metadata={SCHEMA_KEY: SCHEMA, **metadata})
+
+
+def write_rows(
+    file: Path, rows: Iterator[Row] | Sequence[Row], metadata: Mapping[bytes, bytes]
+) -> None:
+    """Write rows to a file, a few at a time, whole or not at all.
+
+    **Raises:** `DataError` where it cannot be written.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    schema, given = _schema(metadata), iter(rows)
+
+    def fill(temporary: Path) -> None:
+        writer = parquet.ParquetWriter(
+            temporary, schema, compression="zstd", write_page_checksum=True, use_dictionary=False
+        )
+        with writer:
+            count = 0
+            while some := list(itertools.islice(given, ROWS)):
+                columns = [
+                    pa.array(values, field.type) for values, field in zip(zip(*some), schema)
+                ]
+                writer.write_batch(pa.record_batch(columns, schema=schema))
+                count += len(some)
+            writer.add_key_value_metadata({COUNT: str(count).encode()})
+
+    write_whole(file, fill)
+
+
+def read_rows(file: str | os.PathLike[str], columns: Sequence[str] = ()) -> Iterator[Row]:
+    """Rows of a file in their order, of which only a few are held at a time.
+
+    **Arguments:** `columns` that are read, all if none is named; others are empty.
+
+    **Raises:** `DataError` for a file that is not there, is damaged or holds something else.
+    """
+    from pyarrow import ArrowException, parquet
+
+    try:
+        with parquet.ParquetFile(file, page_checksum_verification=True) as source:
+            _require_rows(source.schema_arrow.metadata, file)
+            if tuple(source.schema_arrow.names) != Row._fields:
+                raise TypeError("columns are missing")
+            wanted = list(columns or Row._fields)
+            empty = {name: kind() for name, kind in Row.__annotations__.items()}
+            left = int((source.metadata.metadata or {})[COUNT])
+            for batch in source.iter_batches(ROWS, columns=wanted):
+                left -= batch.num_rows
+                for one in batch.to_pylist():
+                    yield Row(**(empty | one))
+            if left:
+                raise TypeError(f"{left} rows are missing")
+    except RiecjaxError:
+        raise
+    # What is damaged may be no text either.
+    except (OSError, ArrowException, TypeError, ValueError, KeyError) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise DataError(f"{Path(file).name}: no readable table of a fleet: {said}") from None
+
+
+def write_entries(file: Path, entries: Sequence[Entry]) -> None:
+    """Write estimates to a Parquet file, whole or not at all.
+
+    **Raises:** `DataError` where it cannot be written.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    numbers = ("start", "end", "value", "std_error", "low95", "high95")
+    schema = pa.schema(
+        [(name, pa.float64() if name in numbers else pa.string()) for name in Entry._fields]
+    )
+    columns = [
+        pa.array([entry[i] for entry in entries], field.type) for i, field in enumerate(schema)
+    ]
+    table = pa.table(columns, schema=schema)
+
+    def fill(temporary: Path) -> None:
+        parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+
+    write_whole(file, fill)
+
+
+def metadata_of(file: str | os.PathLike[str]) -> dict[bytes, bytes]:
+    """What stands beside the rows of a file.
+
+    **Raises:** `DataError` as [`read_rows`][].
+    """
+    from pyarrow import ArrowException, parquet
+
+    try:
+        metadata = dict(parquet.read_schema(file).metadata or {})
+    except (OSError, ArrowException, ValueError) as error:
+        raise DataError(f"{Path(file).name}: no readable table of a fleet: {error}") from None
+    _require_rows(metadata, file)
+    return metadata
+
+
+def is_table(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is that of a file of rows."""
+    if not os.fspath(path).endswith(".parquet") or not os.path.isfile(path):
+        return False
+    try:
+        metadata_of(path)
+    except ModelError:
+        return True
+    except DataError:
+        return False
+    return True
+
+
+def _require_rows(metadata: Mapping[bytes, bytes] | None, file: str | os.PathLike[str]) -> None:
+    found = (metadata or {}).get(SCHEMA_KEY)
+    if found is None:
+        raise DataError(f"{Path(file).name}: it is no summaries.parquet of 'riecjax fleet'.")
+    if found != SCHEMA:
+        raise ModelError(
+            f"{Path(file).name}: it was written with schema {found.decode()}, this version reads "
+            f"{SCHEMA.decode()}: sum the recordings anew."
+        )
+
 
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
 ESTIMATES = "estimates.parquet"
@@ -128,16 +268,19 @@ class Kept:
         wanted: dict[Path, set[str]] = {}
         for piece in pieces:
             wanted.setdefault(self._file[piece], set()).add(piece)
-        streams = {file: _by_piece(file) for file in wanted}
+        # The rows of each piece stand together in a file.
+        streams = {
+            file: itertools.groupby(read_rows(file), lambda row: row.piece) for file in wanted
+        }
         held: dict[str, list[Row]] = {}
         for piece in pieces:
             file = self._file[piece]
             while piece not in held:
-                name, rows = next(streams[file], ("", []))
-                if not rows:
+                name, rows = next(streams[file], ("", None))
+                if rows is None:
                     raise DataError(f"{file.name}: it has changed meanwhile; run it again.")
                 if name in wanted[file]:
-                    held[name] = rows
+                    held[name] = list(rows)
             yield from held.pop(piece)
 
     def finish(self, pieces: Sequence[str]) -> Path:
@@ -150,9 +293,3 @@ class Kept:
         shutil.rmtree(self._parts, ignore_errors=True)
         self._file = dict.fromkeys(pieces, file)
         return file
-
-
-def _by_piece(file: Path) -> Iterator[tuple[str, list[Row]]]:
-    """The rows of each piece, which stand together in a file."""
-    for piece, rows in itertools.groupby(read_rows(file), lambda row: row.piece):
-        yield piece, list(rows)

@@ -1,13 +1,6 @@
 """How a parameter is spread over groups: how much is chance, and who differs from the rest."""
 
-# Two questions, and two answers. How far do groups differ at all: an estimate is the groups' mean,
-# plus a deviation of the group with variance tau^2, plus the error of its own; tau^2 by Paule and
-# Mandel's moments, as random-effects models of meta-analysis have it. And which groups stand out
-# of the others: for that the centre and the spread must not be made by those who do. So the centre
-# is a weighted median, and tau the one with which half of all groups lie within the quartiles of
-# a normal law. One p-value for each group and parameter; of those that are called different so
-# many are wrong, on average, as the rate says (Benjamini and Hochberg 1995).
-
+import warnings
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -18,8 +11,18 @@ from jaxtyping import Float
 
 from riecjax.fleets.groups import Entry, errors_of, has_error
 
+# Two questions, and two answers. How far do groups differ at all: an estimate is the groups' mean,
+# plus a deviation of the group with variance tau^2, plus the error of its own; tau^2 by Paule and
+# Mandel's moments, as random-effects models of meta-analysis have it. And which groups stand out
+# of the others: for that the centre and the spread must not be made by those who do. So the centre
+# is a weighted median, and tau the one with which half of all groups lie within the quartiles of
+# a normal law. One p-value for each group and parameter; of those that are called different so
+# many are wrong, on average, as the rate says (Benjamini and Hochberg 1995).
+
+
 FEWEST = 4
-"""Groups below which there is no rest to differ from."""
+"""Groups below which there is no rest to differ from; spans of a course, two on either side of a
+step."""
 RATE = 0.05
 """False discoveries, as a share of all groups that are called different."""
 
@@ -80,17 +83,18 @@ def spreads(entries: Iterable[Entry], rate: float = RATE) -> list[Spread]:
     ]
 
 
-def _values(every: Sequence[Entry]) -> Float[np.ndarray, " n"]:
-    return np.array([entry.value for entry in every], float)
-
-
 def _judged(every: Sequence[Entry]) -> tuple[float, Float[np.ndarray, " n"]]:
     """Centre of most groups, and the probability of each group's distance by chance."""
-    values, errors = _values(every), errors_of(every)
+    values, errors = np.array([entry.value for entry in every], float), errors_of(every)
     half = scipy.stats.chi2.median(1)
 
+    ranked = np.argsort(values)
+
     def centre(between: float) -> float:
-        return _median(values, 1 / (errors**2 + between))
+        """The weighted median, between two values where half of the weight lies on either side."""
+        weights = 1 / (errors[ranked] ** 2 + between)
+        sums = np.cumsum(weights) - 0.5 * weights
+        return float(np.interp(0.5 * np.sum(weights), sums, values[ranked]))
 
     def excess(between: float) -> float:
         squares = (values - centre(between)) ** 2 / (errors**2 + between)
@@ -108,13 +112,6 @@ def _judged(every: Sequence[Entry]) -> tuple[float, Float[np.ndarray, " n"]]:
     return centre(between), 2 * scipy.stats.norm.sf(away)
 
 
-def _median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
-    """The weighted median, between two values where half of the weight lies on either side."""
-    order = np.argsort(values)
-    sums = np.cumsum(weights[order]) - 0.5 * weights[order]
-    return float(np.interp(0.5 * np.sum(weights), sums, values[order]))
-
-
 def _spread(
     every: Sequence[Entry],
     judged: tuple[float, Float[np.ndarray, " n"]],
@@ -123,7 +120,7 @@ def _spread(
 ) -> Spread:
     from statsmodels.stats.meta_analysis import combine_effects
 
-    values, errors = _values(every), errors_of(every)
+    values, errors = np.array([entry.value for entry in every], float), errors_of(every)
     # Where all are equal, shares of no variance are asked for.
     with np.errstate(divide="ignore", invalid="ignore"):
         found: Any = combine_effects(values, errors**2, method_re="iterated")
@@ -147,3 +144,61 @@ def _spread(
         centre,
         tuple(sorted(differing, key=lambda one: one.p_value)),
     )
+
+
+# Values of spans, each with its error s, are constant but for steps. In units of their errors that
+# is a regression of theta / s on 1 / s with a coefficient that jumps; where it does is found by
+# PELT (Killick, Fearnhead and Eckley 2012). A step must take more off the sum of squares than
+# the best of n places does by chance in all but `ALARMS` of courses without one.
+
+
+ALARMS = 0.01
+"""Share of courses without a step that one is found in."""
+
+
+class Change(NamedTuple):
+    """A step: of which group and parameter, at which time in seconds, from which value to which."""
+
+    group: str
+    parameter: str
+    unit: str
+    time: float
+    before: float
+    after: float
+
+
+def changes(entries: Iterable[Entry]) -> list[Change]:
+    """Steps of all courses, by group and parameter."""
+    courses: dict[tuple[str, str], list[Entry]] = {}
+    for entry in entries:
+        if entry.parameter is not None and has_error(entry):
+            courses.setdefault((entry.group, entry.parameter), []).append(entry)
+    return [step for course in courses.values() for step in _steps(course)]
+
+
+def _steps(course: list[Entry]) -> list[Change]:
+    if len(course) < FEWEST:
+        return []
+    ordered = sorted(course, key=lambda entry: entry.start)
+    values = np.array([entry.value for entry in ordered], float)
+    errors = errors_of(ordered)
+    import ruptures
+
+    # Values are taken from their mean: of what they have in common no digit is lost.
+    shifted = values - values.mean()
+    signal = np.column_stack([shifted / errors, 1 / errors])
+    penalty = scipy.stats.chi2.isf(ALARMS / len(ordered), 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        ends = ruptures.Pelt(model="linear", min_size=2, jump=1).fit(signal).predict(penalty)
+    levels = [
+        float(np.average(values[a:b], weights=errors[a:b] ** -2))
+        for a, b in zip([0, *ends[:-1]], ends)
+    ]
+    first = ordered[0]
+    return [
+        Change(
+            first.group, first.parameter or "", first.unit or "", ordered[end].start, before, after
+        )
+        for end, before, after in zip(ends[:-1], levels, levels[1:])
+    ]

@@ -4,23 +4,21 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from riecjax.errors import DataError, RiecjaxError, printable
+from riecjax.errors import DataError, reason_of
 from riecjax.estimation.check import of_sensors, read_of
 from riecjax.findings import Finding
 from riecjax.fleets.order import Order, unpacked
-from riecjax.fleets.pieces import Piece, recordings_of, rows_at_hand
-from riecjax.fleets.sources import at_hand
+from riecjax.fleets.sources import Piece, at_hand, recordings_of, rows_at_hand
 from riecjax.records.recording import Recording
 from riecjax.runtime import release_memory
-from riecjax.summaries.reduced import in_blocks, together
 from riecjax.summaries.summarise import summed
+from riecjax.summaries.summary import in_blocks, together
 from riecjax.summaries.task import task
 
 DONE = "ok"
 """Status of a recording that was summed."""
 FEW = 8
 """Blocks of a recording that sums by window length are kept for: they tell of drift alone."""
-LONGEST_REASON = 500
 
 
 class Row(NamedTuple):
@@ -74,13 +72,6 @@ def lost(piece: Piece, why: str, part: str = "") -> Row:
     """The row of a piece, or of a part of it, that could not be read or summed."""
     keys = json.dumps(dict((*piece.source.keys, *piece.keys)))
     return Row(piece.identity, piece.source.name, part, keys, 0.0, "", 0, 0.0, why)
-
-
-def reason_of(error: BaseException) -> str:
-    """Why something failed, in one line."""
-    said = " ".join(printable(str(error)).split())
-    kind = "" if isinstance(error, RiecjaxError | OSError) else f"{type(error).__name__}: "
-    return (kind + said)[:LONGEST_REASON] or type(error).__name__
 
 
 def _rows(order: Order, piece: Piece) -> Iterator[Row]:

@@ -15,10 +15,9 @@ if TYPE_CHECKING:
     from jaxtyping import Array
 
     from riecjax.equations.equation import Equation
-    from riecjax.equations.hidden_modes import HiddenMode
+    from riecjax.equations.hidden_elements import HiddenMode, SeriesSpring
     from riecjax.equations.memories import Memory
     from riecjax.equations.procedure import HasProcedure, Procedure
-    from riecjax.equations.series_springs import SeriesSpring
     from riecjax.equations.term import AbstractTerm
     from riecjax.records.record import Record
     from riecjax.refinement.parametric import AbstractParametric
@@ -95,7 +94,7 @@ class Model(Shown):
 
         **Raises:** `ModelError` for a mode on a signal whose derivative no equation holds.
         """
-        from riecjax.equations.hidden_modes import ModeParameters
+        from riecjax.equations.hidden_elements import ModeParameters
 
         carrying = replace(self, modes=(*self.modes, *modes))
         procedure = carrying.build_procedure()
@@ -188,7 +187,7 @@ class Model(Shown):
 
         **Raises:** `ModelError` for an element that no equation holds.
         """
-        from riecjax.equations.series_springs import stiffness_name
+        from riecjax.equations.hidden_elements import stiffness_name
 
         carrying = replace(self, springs=(*self.springs, *springs))
         units = carrying.build_procedure().units

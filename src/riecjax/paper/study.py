@@ -11,29 +11,27 @@ import pyarrow as pa
 from jaxtyping import Array, Float, Key
 
 from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_car_source
-from riecjax.paper.claims.claim import Claim
-from riecjax.paper.claims.section_6 import variation_claims
-from riecjax.paper.claims.sections_2_to_5 import (
+from riecjax.paper.claims import (
+    Claim,
     bounded_impulse,
     drop_outs,
     table_claims,
+    variation_claims,
     window_errors,
     window_lengths,
 )
 from riecjax.paper.published import TABLE_6
 from riecjax.paper.reproduction import (
+    Demonstration,
     LengthMap,
     RoadResult,
     Trajectories,
+    WindowErrorMoments,
+    demonstrate,
     errors_over_ramps,
     length_map,
     run_road,
     validation_trajectories,
-)
-from riecjax.paper.section_2 import (
-    Demonstration,
-    WindowErrorMoments,
-    demonstrate,
     window_error_moments,
 )
 from riecjax.paper.variations import (

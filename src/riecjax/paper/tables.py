@@ -57,11 +57,11 @@ class Cell(NamedTuple):
         return self.low - self.rounding <= self.published <= self.high + self.rounding
 
 
-Table = dict[str, dict[str, Cell]]
+CellTable = dict[str, dict[str, Cell]]
 """Row, then criterion."""
 
 
-def table_3(roads: RoadResult) -> Table:
+def table_3(roads: RoadResult) -> CellTable:
     """Tyre stiffness in N/m and masses in kg."""
     return {
         name: {
@@ -76,7 +76,7 @@ def table_3(roads: RoadResult) -> Table:
     }
 
 
-def table_4(roads: RoadResult) -> Table:
+def table_4(roads: RoadResult) -> CellTable:
     """Suspension stiffness in N/m."""
     return {
         variant: {
@@ -91,7 +91,7 @@ def table_4(roads: RoadResult) -> Table:
     }
 
 
-def table_5(roads: RoadResult) -> Table:
+def table_5(roads: RoadResult) -> CellTable:
     """Validation error in percent, summed over x1 to x4; rows are variant and input."""
     return {
         f"{variant} {where}": {

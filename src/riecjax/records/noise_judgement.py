@@ -1,22 +1,17 @@
-"""What the samples of a record tell of its signals' noise.
+""""""
 
-White noise shows in differences of sixth order, in which a smooth motion is next to nothing. Where
-values can be looked at, that is, not under `jax.jit`, a flat floor of the power spectrum tells the
-same from three times as many data, and without the motion's quicker part. Values also tell what no
-sensor measured: a command, which moves in steps or along straight lines, has no noise, and a
-converter rounds by q / sqrt(12) at the least, for its quantum q.
-"""
-
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Literal, TypeAlias
+import functools
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Complex, Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, namespace
+from riecjax.records.faults.sampled_signal import levels_of, resolution_of, rounding_of
 from riecjax.records.noise import (
     DIFFERENCE_ORDER,
     REPEATS,
@@ -24,10 +19,224 @@ from riecjax.records.noise import (
     STRETCHES,
     Noise,
     noise_level,
+    shortened,
 )
-from riecjax.records.noise_spectrum import Floor, beside_motion, floor, shelf, spectra
 from riecjax.records.record import Record
-from riecjax.records.resolution import levels_of, resolution_of, rounding_of
+
+SEGMENT = 256
+"""Samples of a piece whose spectrum is taken."""
+FEWEST_SEGMENTS = 8
+"""Overlapping ones, by three quarters."""
+CLOSE = 9
+"""Frequencies over which a spectrum is averaged to see where it leaves its floor."""
+LEAVES = 1.5
+"""Times the floor past which such a mean is of motion."""
+CLEARANCE = 1.5
+"""Times the last frequency at which motion is seen, past which what is left of it is far below the
+floor: it falls with the fourth power of frequency or faster."""
+LOWEST = 8
+"""Frequencies at the bottom that are left out: a constant's main lobe, and what rounding leaves."""
+NARROWEST = 0.12
+"""Share of the band that a floor must take up."""
+FLAT = 1.3
+"""Times that one half of a floor may lie above the other."""
+TOP = 0.1
+"""Share of the band, up to its end, from which the floor is looked for downwards."""
+TAPERED = 1.5
+"""Segments that the windows of a piece lose at its two ends together."""
+EMPTY = 0.1
+"""Share of a shelf's density that is left at half the rate."""
+OCTAVE = 2.0
+"""Times its lowest frequency that the highest of a shelf is, at the least."""
+LEVELLED = 2.0
+"""Times the least mean of neighbours that the largest one of a shelf is, at the most."""
+BELOW_MOTION = 0.01
+"""Share of the motion's largest density that a shelf of noise has, at the most."""
+ESTIMATED = 1e-4
+"""Share of the energy of an estimated kernel that may be cut off with its ends."""
+CERTAIN, UNSEEN = 3.0, 2.0
+"""Standard errors from which a part of a spectrum is surely there, and up to which it is not."""
+ALIKE = 4.0
+"""Neighbouring frequencies that tell the same."""
+INCOHERENT = 0.3
+"""Coherence with another signal past which a shelf is of motion. That of noise is one over the
+number of independent segments, 0.06 of 2000 samples."""
+
+
+class Spectra(NamedTuple):
+    """Spectra of a signal's segments.
+
+    **Fields:** `transforms`, of which the mean square is the power `density`, that of white noise
+    being its variance, up to half the rate; `freedom` of all of the band together.
+    """
+
+    transforms: Complex[np.ndarray, "segments frequencies"]
+    density: Float[np.ndarray, " frequencies"]
+    freedom: float
+
+
+class Floor(NamedTuple):
+    """Noise where a spectrum is flat.
+
+    **Fields:** `taps` of its kernel, one of white noise; `freedom`, degrees of freedom of its
+    variance; `flat`, or else white noise can be no larger than this.
+    """
+
+    taps: Float[np.ndarray, " taps"]
+    freedom: Float[np.ndarray, ""]
+    flat: bool = True
+
+    @property
+    def level(self) -> float:
+        """Standard deviation."""
+        return float(np.sqrt(np.sum(self.taps**2)))
+
+
+def spectra(pieces: list[np.ndarray]) -> Spectra | None:
+    """Spectra of overlapping segments of unbroken pieces; `None` of too few samples.
+
+    Of second differences, divided by their gain: a motion 1000 times the noise then stays below
+    the side lobes of a Blackman-Harris window.
+    """
+    window, hop = _window(), SEGMENT // 4
+    rows = [
+        np.lib.stride_tricks.sliding_window_view(np.diff(piece, 2), SEGMENT)[::hop]
+        for piece in pieces
+        if piece.size >= SEGMENT + 2
+    ]
+    if sum(len(row) for row in rows) < FEWEST_SEGMENTS:
+        return None
+    gain = (2 * np.sin(np.pi * np.arange(SEGMENT // 2 + 1) / SEGMENT)) ** 2
+    found = np.fft.rfft(np.concatenate(rows) * window, axis=1)[:, 1:]
+    independent = sum(p.size - TAPERED * SEGMENT for p in pieces if p.size >= SEGMENT + 2)
+    transforms = found / gain[1:] / np.sqrt(np.sum(window**2))
+    return Spectra(transforms, np.mean(np.abs(transforms) ** 2, axis=0), independent)
+
+
+@functools.cache
+def _window() -> Float[np.ndarray, " samples"]:
+    return blackman_harris(SEGMENT + 1)[:-1]
+
+
+def blackman_harris(size: int) -> Float[np.ndarray, " samples"]:
+    """Four-term window whose side lobes are 92 dB down, symmetric (Harris 1978, Proc. IEEE 66).
+
+    SciPy has it as well, in a module that takes a third of a second to import.
+    """
+    angle = 2 * np.pi * np.arange(size) / (size - 1)
+    terms = enumerate((0.35875, -0.48829, 0.14128, -0.01168))
+    return sum((weight * np.cos(k * angle) for k, weight in terms), np.zeros(size))
+
+
+def _near(density: np.ndarray) -> np.ndarray:
+    return np.convolve(density, np.ones(CLOSE) / CLOSE, "valid")
+
+
+def beside_motion(of: Spectra) -> Floor | None:
+    """The noise of a signal whose motion fills the band, if it does: none, if none is seen.
+
+    What a random force does to a velocity, in steps from sample to sample, falls off with frequency
+    as 1 / g, g = 4 sin^2(pi f / rate), and is as flat as noise near half the rate; a position, as
+    1 / g^2. The density times g^k is constant, but for noise, which makes a part that rises as g^k.
+    Of two k that may be right, the one that leaves less noise is taken.
+    """
+    upper = slice(of.density.size // 2, -1)
+    place = np.arange(1, of.density.size + 1)[upper] / of.density.size
+    found = []
+    for power in (1, 2):
+        rises = (2 * np.sin(np.pi / 2 * place)) ** (2 * power)
+        flattened = of.density[upper] * rises
+        # A density scatters in proportion to itself, which is about the same all over.
+        columns = np.stack([np.ones_like(rises), rises], axis=1)
+        (motion, noise), left, *_ = np.linalg.lstsq(columns, flattened, rcond=None)
+        # Overlapping segments and a wide window make neighbours alike.
+        variance = ALIKE * left.sum() / rises.size
+        errors = np.sqrt(variance * np.diagonal(np.linalg.inv(columns.T @ columns)))
+        fits = noise > -UNSEEN * errors[1] and _level(flattened - noise * rises)
+        if fits and motion > CERTAIN * errors[0]:
+            seen = noise > UNSEEN * errors[1]
+            freedom = 2 * (noise / errors[1]) ** 2 if seen else np.inf
+            level = np.full(1, np.sqrt(noise) if seen else 0.0)
+            found.append(Floor(level, np.asarray(freedom)))
+    return min(found, key=lambda one: one.level, default=None)
+
+
+def floor(of: Spectra) -> Floor:
+    """The floor up to half the rate of a signal, else the lowest tenth of its band if any."""
+    found, whole = of.density, of.freedom
+    near, size = _near(found), found.size
+    edge = int((1 - TOP) * size)
+    for _ in range(3):
+        beyond = np.flatnonzero(near > LEAVES * np.mean(found[edge:-1]))
+        edge = int(CLEARANCE * (beyond[-1] + CLOSE)) if beyond.size else 0
+        edge = min(max(edge, LOWEST), int((1 - TOP) * size))
+    # At half the rate itself there is one degree of freedom, not two.
+    share = (size - edge) / size
+    if share > NARROWEST and _level(found[edge:-1]):
+        return Floor(np.sqrt(np.mean(found[edge:-1], keepdims=True)), np.asarray(share * whole))
+    # What still falls at the end, as a position does that a random force moves, has none.
+    sooner, later = (np.mean(half) for half in np.array_split(found[int((1 - TOP) * size) : -1], 2))
+    # The logarithm of a mean square of n degrees of freedom scatters by sqrt(2 / n).
+    by_chance = np.exp(CERTAIN * np.sqrt(4 / max(TOP / 2 * whole, 1.0)))
+    if sooner > max(LEVELLED, by_chance) * later:
+        return Floor(np.zeros(1), np.asarray(np.inf))
+    least = min(np.mean(tenth) for tenth in np.array_split(found[:-1], round(1 / TOP)))
+    return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * whole), flat=False)
+
+
+def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
+    """The noise of a signal that was low-passed, if it shows between motion and filter.
+
+    Its density is taken to be flat below, where motion hides it. Only where it is clear: other
+    signals must be there, the same pieces of them, and none may be coherent with the shelf.
+    """
+    found = of.density
+    near, size = _near(found), found.size
+    at_end = np.mean(found[int((1 - TOP) * size) : -1])
+    # A shelf is as wide as a floor, and the end of the band far below all of it.
+    if np.mean(near > at_end / EMPTY / LEVELLED) < NARROWEST:
+        return None
+    lower, upper = _widest_shelf(near)
+    band = slice(lower + CLOSE - 1, upper)
+    if band.stop < max(OCTAVE * band.start, band.start + NARROWEST * size):
+        return None
+    density = float(np.mean(found[band]))
+    empty = at_end < EMPTY * density
+    if not (empty and _level(found[band]) and density < BELOW_MOTION * np.max(near[:lower])):
+        return None
+    own = of.transforms[:, band]
+    compared = [other.transforms[:, band] for other in others if other is not None]
+    if not compared or any(_coherence(own, other) > INCOHERENT for other in compared):
+        return None
+    beyond = np.convolve(found, np.ones(CLOSE) / CLOSE, "same")[band.stop :]
+    shape = np.concatenate([np.full(band.stop + 1, density), np.minimum(beyond, density)])
+    taps = np.fft.fftshift(np.fft.irfft(np.sqrt(shape), SEGMENT))[1:]
+    share = (band.stop - band.start) / size
+    return Floor(shortened(taps, ESTIMATED), np.asarray(share * of.freedom))
+
+
+def _level(density: np.ndarray) -> bool:
+    halves = [np.mean(half) for half in np.array_split(density, 2)]
+    return bool(max(halves) < FLAT * min(halves))
+
+
+def _widest_shelf(near: np.ndarray) -> tuple[int, int]:
+    """First and end of the widest stretch in which means of neighbours are about the same."""
+    # From each lower end on, in a row of its own; behind the band there is nothing to be alike.
+    behind = np.pad(near, (0, near.size), constant_values=np.nan)
+    rows = np.lib.stride_tricks.sliding_window_view(behind, near.size)[LOWEST : near.size // 2]
+    alike = np.maximum.accumulate(rows, 1) < LEVELLED * np.minimum.accumulate(rows, 1)
+    lengths = np.argmin(np.pad(alike, [(0, 0), (0, 1)]), axis=1)
+    widest = int(np.argmax(lengths))
+    return LOWEST + widest, LOWEST + widest + int(lengths[widest])
+
+
+def _coherence(one: np.ndarray, other: np.ndarray) -> float:
+    """Squared magnitude, the mean over frequencies; 0 where the other is silent."""
+    cross = np.abs(np.mean(one * other.conj(), axis=0)) ** 2
+    power = np.mean(np.abs(one) ** 2, axis=0) * np.mean(np.abs(other) ** 2, axis=0)
+    return float(np.mean(np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)))
+
 
 GivenNoise: TypeAlias = Literal["auto", "none"] | Noise | Mapping[str, ArrayLike | jax.Array] | None
 """How large the noise is: to be judged from the samples, none at all, or given for some signals,

@@ -5,7 +5,7 @@ from dataclasses import fields
 from typing import Any, Literal, TypedDict
 
 from riecjax.errors import DataError, require
-from riecjax.records.faults.outliers import Treatment
+from riecjax.records.faults.spikes import Treatment
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.preparation.steps import Preparation
 from riecjax.records.reading.selected import Selection

@@ -1,4 +1,9 @@
-"""A recording: uniformly sampled, named signals."""
+"""Missing samples of columns of numbers: masks of them, and what stands in their place.
+
+A recording: uniformly sampled, named signals.
+
+Records filled up behind their end, so that those of many lengths share compiled functions.
+"""
 
 import functools
 import os
@@ -14,11 +19,30 @@ from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, require
 from riecjax.leaves import is_concrete, namespace
-from riecjax.records.missing import gaps, hold
 from riecjax.records.noise import Noise
 from riecjax.records.signals import Signals
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
+
+
+def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Masks, shape `(n,)`, True where a column is NaN; only of columns that hold a NaN."""
+    masks = {name: np.isnan(values) for name, values in columns.items()}
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+def hold(values: np.ndarray) -> np.ndarray:
+    """NaN replaced by the last value before it, at the start by the first after, else by 0.
+
+    Shapes `(n,)`.
+    """
+    present = ~np.isnan(values)
+    if present.all():
+        return values
+    if not present.any():
+        return np.zeros(values.size)
+    last = np.maximum.accumulate(np.where(present, np.arange(values.size), -1))
+    return values[np.where(last < 0, np.argmax(present), last)]
 
 
 class Record(Drawn, eqx.Module):
@@ -396,3 +420,42 @@ def samples_with_nan(record: Record, name: str) -> np.ndarray:
     if name in record.missing:
         values[np.asarray(record.missing[name])] = np.nan
     return values
+
+
+TO_A_DOUBLING = 4
+"""Lengths that [`shared_length`][] has between one power of two and the next."""
+
+
+def shared_length(samples: int) -> int:
+    """How many samples a record is filled up to, to be simulated: a quarter more at most.
+
+    What is simulated behind its end takes its time; to sum takes little, so that what is only
+    summed is filled up further.
+    """
+    step = max(2 ** (samples - 1).bit_length() // (2 * TO_A_DOUBLING), 1)
+    return -(-samples // step) * step
+
+
+def filled_up(record: Record, length: int, begin: int = 0, stop: int | None = None) -> Record:
+    """Samples from `begin` to `stop`, and the last of them again and again behind."""
+    stop = record.sample_count if stop is None else stop
+    behind = length - (stop - begin)
+
+    def filled(values: Array) -> np.ndarray:
+        part = np.asarray(values)[begin:stop]
+        return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
+
+    stamps = None if record.stamps is None else filled(record.stamps)
+    earlier = begin * float(record.time_step)
+    if record.stamps is not None:
+        earlier = float(record.stamps[begin]) - float(record.stamps[0])
+    return Record(
+        {name: filled(values) for name, values in record.arrays.items()},
+        record.time_step,
+        0.0,
+        (),
+        {name: filled(mask) for name, mask in record.missing.items()},
+        stamps,
+        earlier,
+        record.noise,
+    )

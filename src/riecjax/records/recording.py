@@ -12,7 +12,7 @@ import numpy as np
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
 from riecjax.records.computed import without_computed
-from riecjax.records.faults.repeated_rows import without_repetitions
+from riecjax.records.faults.rows import without_repetitions
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs

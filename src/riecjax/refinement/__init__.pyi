@@ -1,4 +1,4 @@
-from .balance import AbstractBalance as AbstractBalance
+from .integral_error import AbstractBalance as AbstractBalance
 from .optimum import RefinementStatus as RefinementStatus
 from .parametric import ByFunction as ByFunction
 from .shots import RandomShots as RandomShots

@@ -32,7 +32,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import held_still
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale

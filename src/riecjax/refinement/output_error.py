@@ -9,17 +9,25 @@ import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
 from jaxtyping import Array, Bool, Float
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.huber import LEAST_NOISE, THRESHOLD
 from riecjax.refinement.objective import AbstractObjective, Parameters, Specification
-from riecjax.refinement.output_misfit import OutputMisfit
+from riecjax.refinement.output_misfit import LEAST_NOISE, THRESHOLD, OutputMisfit
 from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
-from riecjax.refinement.recorded import Along, Compared, Recorded, cut_records, over_windows
-from riecjax.refinement.shots import AbstractShooting, Shots, WholeRecord, within
+from riecjax.refinement.shots import (
+    AbstractShooting,
+    Along,
+    Compared,
+    Recorded,
+    Shots,
+    WholeRecord,
+    cut_records,
+    over_windows,
+    within,
+)
 from riecjax.simulation.intersample import Intersample, require_intersample, smooth_inputs
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep

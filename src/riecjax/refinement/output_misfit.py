@@ -16,12 +16,21 @@ That is a linear map of columns, [r J S] -> [-r, J - S C^-1 B^T], the same in ev
 window. Applied to the moments of pieces it gives scores of theta alone by blocks of time. Their sum
 has the Schur complement A - B C^-1 B^T of `arrowhead` for its Gram matrix: a covariance of theta
 that includes what is not known of initial states.
+
+Huber's loss, which grows with a residual's square up to a threshold and straight on past it.
+
+With the threshold c, rho(r) = r^2 / 2 up to c and c |r| - c^2 / 2 past it. What searches for least
+squares makes it small as the square of f(r) = sign(r) sqrt(2 rho(r)), whose slope is continuous.
+f f' is the score psi(r), r cut off at c, so the gradient is the loss's own; f'^2 > 0 past c keeps
+steps defined, and is more than the curvature psi' = 0 there. A sandwich takes psi' instead, or its
+standard errors were too small: by a fifth of a normal law at c = 1.345.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -29,18 +38,67 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled
-from riecjax.refinement.huber import Columns, as_square, for_scatter, for_search
 from riecjax.refinement.objective import AbstractMisfit, Expansion
 from riecjax.refinement.parametric import AbstractParametric
-from riecjax.refinement.recorded import Recorded, over_windows
+from riecjax.refinement.shots import Recorded, over_windows
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.system import AbstractSystem
-from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
+
+THRESHOLD = 1.345
+"""Standard deviations of the noise: 95 % as precise as squares where all of it is normal."""
+LEAST_NOISE = 1e-3
+"""Share of a channel's standard deviation that its noise is taken for at the least."""
+
+Threshold: TypeAlias = Float[Array, "1 channels"] | None
+"""Past which a channel's loss is straight, in units of its residuals; `None` where nowhere."""
+Columns: TypeAlias = Callable[[Array, Array, Threshold], tuple[Array, Array]]
+"""Of residuals and their slopes, two sets of columns whose products are moments from the diagonal
+up: energies, scores and curvatures."""
+
+
+def as_square(
+    residual: Float[Array, "*n channels"], threshold: Threshold
+) -> Float[Array, "*n channels"]:
+    """f(r), half the square of which is the loss."""
+    if threshold is None:
+        return residual
+    past = jnp.maximum(jnp.abs(residual), threshold)
+    bent = jnp.sign(residual) * jnp.sqrt(threshold * (2 * past - threshold))
+    return jnp.where(jnp.abs(residual) <= threshold, residual, bent)
+
+
+def for_search(
+    level: Float[Array, "*n channels"],
+    slopes: Float[Array, "*n channels columns"],
+    threshold: Threshold,
+) -> tuple[Array, Array]:
+    """f and its slopes."""
+    square = as_square(level, threshold)
+    if threshold is not None:
+        bent = jnp.clip(level, -threshold, threshold) / jnp.where(square == 0, 1.0, square)
+        slopes = slopes * jnp.where(square == 0, 1.0, bent)[..., None]
+    columns = jnp.concatenate([square[..., None], slopes], axis=-1)
+    return columns, columns
+
+
+def for_scatter(
+    level: Float[Array, "*n channels"],
+    slopes: Float[Array, "*n channels columns"],
+    threshold: Threshold,
+) -> tuple[Array, Array]:
+    """f^2, psi times slopes, and slopes times each other up to the threshold."""
+    assert threshold is not None
+    score = jnp.clip(level, -threshold, threshold)
+    energy = as_square(level, threshold) ** 2 / jnp.where(score == 0, 1.0, score)
+    inside = slopes * (jnp.abs(level) <= threshold)[..., None]
+    left = jnp.concatenate([score[..., None], inside], axis=-1)
+    return left, jnp.concatenate([energy[..., None], slopes], axis=-1)
+
 
 RIDGE = 1e-10
 """What keeps an initial state that no residual depends on from a division by zero; relative."""
@@ -89,6 +147,17 @@ class OutputMisfit(AbstractMisfit):
     def initial_state_names(self) -> tuple[str, ...]:
         """Names of the states whose initial values are estimated."""
         return tuple(self.state_names[i] for i in self.estimated)
+
+    @property
+    def work(self) -> int:
+        """Steps x states x tangents of an expansion, which a search takes about twelve of.
+
+        Every step of every simulation is taken with a tangent for each parameter and initial state.
+        """
+        fixed = self.method if isinstance(self.method, FixedStep) else FixedStep()
+        samples = sum(math.prod(part.levels.shape[:2]) for part in self.recorded)
+        tangents = 1 + len(self.names) + len(self.estimated)
+        return samples * fixed.steps_per_sample * len(self.state_names) * tangents
 
     def first_initial(self) -> Float[Array, "windows s"]:
         """As recorded."""

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.refinement.objective import AbstractMisfit
 from riecjax.refinement.optimum import Optimum
@@ -57,12 +57,16 @@ class StepHalving(NamedTuple):
     allowed: Float[Leaf, " p"]
     coarse: Bool[Leaf, " p"]
 
+    # What diverged has no finite change, which counts as coarse.
+    @np.errstate(all="ignore")
     def excess(self, change: Float[Leaf, " p"]) -> float:
         """A change at its worst, in what is allowed here (not under jit)."""
         share = np.abs(change) / np.asarray(self.allowed)
         return float(np.max(np.where(np.isfinite(share), share, np.inf)))
 
 
+# Where a search diverged no number is finite, and the result says so.
+@np.errstate(all="ignore")
 def halve_steps(misfit: AbstractMisfit, at: Optimum, start: Float[Array, " p"]) -> StepHalving:
     """What halving the steps of the simulation does to the optimum; nothing where there are none.
 

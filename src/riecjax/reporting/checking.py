@@ -1,19 +1,19 @@
 """Results of a check before a fit: JSON document and tables on a terminal."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.errors import printable
 from riecjax.estimation.check import Check
+from riecjax.records.noise_judgement import judged
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
-from riecjax.reporting.noise import noise_entries, noise_in_words
-from riecjax.reporting.tables import print_table
+from riecjax.reporting.page import Table
+from riecjax.reporting.tables import in_rich, print_table, say
 
 
 def check_document(
@@ -79,40 +79,40 @@ def excitation_entries(checked: Check) -> dict[str, Any]:
     }
 
 
+def excitation_table(entries: Document, caption: str = "") -> Table:
+    """How each parameter is excited."""
+    rows = [
+        [
+            name,
+            one["equation"],
+            share_in_words(one["own_share"]),
+            share_in_words(one["noise_share"], 2),
+        ]
+        for name, one in entries.items()
+    ]
+    return Table(("parameter", "equation", "own share", "noise"), rows, caption)
+
+
 def print_check(document: Document, console: Console) -> None:
     """The answer, and tables for a reader."""
-    console.print(Text(_answer(document), style="bold"))
-    console.print()
+    say(console, _answer(document), style="bold")
+    say(console, "")
     for record in document["records"]:
         stretches = record["stretches"]
         parted = "" if stretches == 1 else f", in {stretches} unbroken stretches"
-        console.print(
+        say(
+            console,
             f"{named(record)}: {record['samples']} samples at {1 / record['time_step']:.6g} Hz, "
             f"{record['duration']:.4g} s{parted}",
-            highlight=False,
-            markup=False,
         )
-    for step in document["provenance"]["preparation"]:
-        console.print(f"prepared: {step}", highlight=False, markup=False)
-    if document["noise"]:
-        console.print(noise_in_words(document["noise"]), highlight=False, markup=False)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for column in ("parameter", "equation", "own share", "noise"):
-        table.add_column(column, justify="right" if column in ("own share", "noise") else "left")
-    for name, entry in document["excitation"].items():
-        table.add_row(
-            Text(name),
-            Text(entry["equation"]),
-            share_in_words(entry["own_share"], 3),
-            share_in_words(entry["noise_share"], 2),
-        )
-    console.print()
-    print_table(table, console)
-    console.print(
-        "own share: what no combination of the others could do as well (100 % is best)\n"
+    say(console, *(f"prepared: {step}" for step in document["provenance"]["preparation"]))
+    say(console, *noise_in_words(document["noise"]), "")
+    print_table(in_rich(excitation_table(document["excitation"])), console)
+    say(
+        console,
+        "own share: what no combination of the others could do as well (100 % is best)",
         "noise: share of the sensors' noise in what multiplies the parameter",
         style="dim",
-        highlight=False,
     )
 
 
@@ -134,6 +134,44 @@ def _answer(document: Document) -> str:
     return "These recordings can answer what the model asks."
 
 
-def share_in_words(share: float | None, digits: int) -> str:
+def share_in_words(share: float | None, digits: int = 3) -> str:
     """A share in percent; `?` where none is known, as of the noise in a function of signals."""
     return "?" if share is None else f"{number(100 * share, digits)} %"
+
+
+LEAST_SHOWN = 1e-4
+"""Share of a signal's standard deviation below which noise is not worth a line."""
+
+
+def noise_entries(recordings: Sequence[Recording], signals: Iterable[str]) -> dict[str, Any]:
+    """Of each signal, its noise's standard deviation (r.m.s. over recordings), and which share of
+    its own that is."""
+    entries = {}
+    for name in signals:
+        having = [r.record.select(name) for r in recordings if name in r.record.signals]
+        if not having:
+            continue
+        noise = np.sqrt(np.mean([np.mean(judged(one).noise.std(name) ** 2) for one in having]))
+        size = np.sqrt(np.mean([np.var(np.asarray(one[name])) for one in having]))
+        entries[name] = {
+            "std": finite(float(noise)),
+            "unit": dict(having[0].units).get(name, ""),
+            "share": finite(float(noise / size)) if size > 0 else None,
+        }
+    return entries
+
+
+def noise_in_words(entries: Document) -> Iterator[str]:
+    """One line on all signals that have some, if any is known."""
+    if not entries:
+        return
+    shown = [
+        f"{name} {number(100 * entry['share'], 2)} %"
+        for name, entry in entries.items()
+        if entry["share"] is not None and entry["share"] >= LEAST_SHOWN
+    ]
+    if not shown:
+        yield f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"
+        return
+    noun = "their standard deviations" if len(shown) > 1 else "its standard deviation"
+    yield f"noise: {', '.join(shown)} of {noun}"

@@ -3,13 +3,15 @@
 import shlex
 from collections.abc import Sequence
 
+import numpy as np
 from rich.console import Console
 
-from riecjax.assessment.causes import joined
+from riecjax.assessment.verdict import joined
 from riecjax.discovery.discovery import Discovery
 from riecjax.discovery.search import Step
-from riecjax.equations.hidden_modes import HiddenMode, ModeParameters, accelerated
+from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
 from riecjax.findings import option_for
+from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
 from riecjax.reporting.document import (
     SCHEMA,
     Document,
@@ -20,8 +22,8 @@ from riecjax.reporting.document import (
 )
 from riecjax.reporting.equations import equation_in_words
 from riecjax.reporting.estimate import parameter_entries, parameter_table
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_rich, print_table
+from riecjax.reporting.page import Page, Section, Table
+from riecjax.reporting.tables import in_rich, print_table, say
 
 NOTABLE = 0.05
 """Share of what is unexplained that noise must make to be told."""
@@ -253,14 +255,14 @@ def path_table(document: Document) -> Table:
     return Table(("equation", *header) if several else header, rows, "Terms one by one", note)
 
 
-def rejected_table(document: Document) -> Table | None:
+def rejected_table(document: Document) -> Table:
     """What came nearest of all that was not taken."""
     rows = [
         [one["name"], percent(one["gain"]), probability(one["chance"])]
         for one in document["rejected"]
     ]
     header = ("candidate", "would explain, of what is left", "chance")
-    return Table(header, rows, "Not taken") if rows else None
+    return Table(header, rows, "Not taken")
 
 
 def choice_in_words(document: Document) -> str:
@@ -299,20 +301,59 @@ def _with_error(one: Document) -> str:
 
 def print_discovery(document: Document, console: Console) -> None:
     """The sentence, the path, the parameters and the equation."""
-
-    def say(text: str, style: str = "") -> None:
-        if text:
-            console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
-
-    say(document["sentence"])
-    for table in filter(None, (path_table(document), rejected_table(document))):
-        console.print()
-        say(table.caption, "bold")
-        print_table(in_rich(table), console)
-    console.print()
+    say(console, document["sentence"], wrapped=False)
+    for table in (path_table(document), rejected_table(document)):
+        if table.rows:
+            say(console, "")
+            say(console, table.caption, style="bold", wrapped=False)
+            print_table(in_rich(table), console)
+    say(console, "")
     print_table(in_rich(parameter_table(document)), console)
-    say(widths_in_words(document))
-    say(choice_in_words(document))
-    say(f"\n{document['equation']}")
+    lines = filter(None, (widths_in_words(document), choice_in_words(document)))
+    say(console, *lines, "", document["equation"], wrapped=False)
     if document["model_file"]:
-        say(f"model: {document['model_file']}, for riecjax identify and simulate")
+        say(
+            console,
+            f"model: {document['model_file']}, for riecjax identify and simulate",
+            wrapped=False,
+        )
+
+
+def discovery_page(document: Document) -> Page:
+    """The page of a discovery's document."""
+    text = [text for text in (widths_in_words(document), choice_in_words(document)) if text]
+    terms = [path_table(document), rejected_table(document)]
+    return Page(
+        f"What {document['model']} lacks",
+        f"{document['offered']} candidates; {document['equation']}",
+        (
+            Section("Terms", tables=terms, charts=("path",)),
+            Section("Parameters", text, tables=[parameter_table(document)]),
+        ),
+        Section("Answer", [document["sentence"]]),
+    )
+
+
+def discovery_figures(found: Discovery) -> dict[str, Chart]:
+    """`path`: what is left unexplained with one term more each time."""
+    panels = []
+    for name, steps in found.paths.items():
+        names = tuple(step.added.partition("@")[0] or found.start.name for step in steps)
+        place = np.arange(len(steps))
+        left = 100 * np.array([step.unexplained for step in steps])
+        noise = left - 100 * np.array([max(step.of_motion, 0.0) for step in steps])
+        marks = [
+            Line(place, left, "unexplained", BLUE, markers=True),
+            Line(place, np.where(noise > 0, noise, np.nan), "what noise makes", GREY, "dashed"),
+        ]
+        title = name if len(found.paths) > 1 else ""
+        panels.append(
+            Panel(marks, Axis(categories=names), Axis("unexplained / (%)", log=True), title=title)
+        )
+    if not panels:
+        return {}
+    caption = (
+        "Share of the target's energy in blocks of time that coefficients were not fitted to, with "
+        "one term more at each place."
+    )
+    return {"path": Chart(in_rows(panels), caption, legend=True)}

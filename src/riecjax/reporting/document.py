@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 Document = dict[str, Any]
 """Keys and values that JSON can express."""
 
-SCHEMA = 1
+SCHEMA = 2
 """Stands under `schema` in every document.
 
 It is raised when the meaning of a key changes or a key is removed; new keys don't raise it.

@@ -4,11 +4,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from riecjax.equations.bases import Polynomial, RoofFunctions
+from riecjax.equations.bases import AbstractShape, Polynomial, RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, constant
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.shapes import AbstractShape
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.leaves import Leaf, is_concrete
 

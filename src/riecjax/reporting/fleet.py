@@ -3,15 +3,29 @@
 import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any
 
+import numpy as np
 from rich.console import Console
 
-from riecjax.fleets.changes import ALARMS
 from riecjax.fleets.fleet import Fleet
 from riecjax.fleets.groups import Entry
-from riecjax.fleets.spread import Spread
+from riecjax.fleets.spread import ALARMS, Spread
 from riecjax.fleets.sums import DONE, Row
+from riecjax.reporting.charts.chart import (
+    BLUE,
+    GREY,
+    LARGE,
+    RUST,
+    SERIES,
+    Axis,
+    Chart,
+    Dots,
+    Level,
+    Line,
+    Panel,
+    in_rows,
+    labelled,
+)
 from riecjax.reporting.document import (
     SCHEMA,
     Document,
@@ -20,8 +34,8 @@ from riecjax.reporting.document import (
     probability,
     versions,
 )
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_rich, print_table
+from riecjax.reporting.page import Page, Section, Table
+from riecjax.reporting.tables import in_rich, print_table, say
 
 LISTED = 50
 """Groups, changes and recordings of each kind that a document lists; the tables hold all."""
@@ -29,6 +43,12 @@ SHOWN = 10
 """The same that a terminal shows."""
 NAMED = 3
 """Groups that a sentence names."""
+COURSES = 4
+"""Recordings whose courses are drawn: those that change first."""
+COURSE = ("value", "std_error")
+"""What is drawn of them."""
+FINEST, HOUR = 1e-3, 3600
+"""Seconds of what takes no time, and of an hour."""
 
 
 def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0.0) -> Document:
@@ -36,11 +56,18 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
 
     **Arguments:** `command`: the arguments of `riecjax` that made it; `seconds` that it took.
     """
-    groups = {entry.group for entry in found.entries if entry.status == DONE}
-    summed = [row for row in found.recordings if row.status == DONE]
-    codes = Counter(code for row in summed for code in {f["code"] for f in _findings(row)})
     answered = [entry for entry in found.entries if entry.status == DONE]
+    groups = {entry.group for entry in answered}
+    summed = [row for row in found.recordings if row.status == DONE]
+    findings = [(row, json.loads(row.findings)) for row in summed]
+    codes = Counter(code for _, some in findings for code in {f["code"] for f in some})
+    of_groups = {(e.group, code) for e in answered for code in e.findings.split(",") if code}
     listed = sorted(groups)[:LISTED]
+    # First what puts most in doubt.
+    amiss = sorted(
+        ((row, some, max(some, key=lambda f: f["doubt"])) for row, some in findings if some),
+        key=lambda each: (-each[2]["doubt"], -len(each[1]), each[0].name),
+    )
     return {
         "schema": SCHEMA,
         "model": found.model.name,
@@ -54,16 +81,38 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
             "samples": found.samples,
             "seconds": sum(row.seconds for row in summed),
         },
-        "parameters": {one.parameter: _spread_entries(one, found) for one in found.spreads},
+        "parameters": {
+            spread.parameter: {
+                "unit": spread.unit,
+                **{name: finite(getattr(spread, name)) for name in NUMBERS},
+                "groups": spread.groups,
+                "verdicts": dict(
+                    Counter(
+                        str(e.verdict) for e in answered if e.parameter == spread.parameter
+                    ).most_common()
+                ),
+                "differing": [group._asdict() for group in spread.differing[:LISTED]],
+                "differing_count": len(spread.differing),
+            }
+            for spread in found.spreads
+        },
         "changes": [change._asdict() for change in found.changes[:LISTED]],
         "changes_count": len(found.changes),
         "estimates": [e._asdict() for e in answered if e.group in listed],
         "findings": dict(codes.most_common()),
-        "group_findings": dict(_of_groups(answered).most_common()),
+        "group_findings": dict(Counter(code for _, code in of_groups).most_common()),
         "left_out": [{"recording": r.whole_name, "why": r.status} for r in found.failures[:LISTED]],
         "changed": [*found.changed[:LISTED]],
         "unanswered": [{"group": e.group, "why": e.status} for e in found.unanswered[:LISTED]],
-        "worst": [_worst_entries(row) for row in _worst(summed)[:LISTED]],
+        "worst": [
+            {
+                "recording": row.whole_name,
+                "codes": list(dict.fromkeys(f["code"] for f in some)),
+                "doubt": worst["doubt"],
+                "message": worst["message"],
+            }
+            for row, some, worst in amiss[:LISTED]
+        ],
         "rate": found.rate,
         "warnings": [],
         "provenance": {
@@ -74,56 +123,12 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
     }
 
 
-def _spread_entries(one: Spread, found: Fleet) -> Document:
-    levels = Counter(
-        e.verdict for e in found.entries if e.parameter == one.parameter and e.status == DONE
-    )
-    return {
-        "unit": one.unit,
-        **{name: finite(getattr(one, name)) for name in NUMBERS},
-        "groups": one.groups,
-        "verdicts": {str(level): count for level, count in levels.most_common()},
-        "differing": [group._asdict() for group in one.differing[:LISTED]],
-        "differing_count": len(one.differing),
-    }
-
-
 NUMBERS = ("mean", "std_error", "between", "within", "share", "p_value", "centre")
-
-
-def _of_groups(entries: Sequence[Entry]) -> Counter[str]:
-    """By code of a finding, groups that have it."""
-    pairs = {(e.group, code) for e in entries for code in e.findings.split(",") if code}
-    return Counter(code for _, code in pairs)
 
 
 def _count(rows: Iterable[Row]) -> int:
     """Recordings, of which a long one has many rows."""
     return len({(row.name, row.part) for row in rows})
-
-
-def _findings(row: Row) -> list[dict[str, Any]]:
-    return json.loads(row.findings)
-
-
-def _worst(rows: Sequence[Row]) -> list[Row]:
-    """Recordings with something amiss, first what puts most in doubt."""
-    amiss = [row for row in rows if row.findings != "[]"]
-    return sorted(
-        amiss,
-        key=lambda row: (-max(f["doubt"] for f in _findings(row)), -len(_findings(row)), row.name),
-    )
-
-
-def _worst_entries(row: Row) -> Document:
-    found = _findings(row)
-    worst = max(found, key=lambda f: f["doubt"])
-    return {
-        "recording": row.whole_name,
-        "codes": list(dict.fromkeys(f["code"] for f in found)),
-        "doubt": worst["doubt"],
-        "message": worst["message"],
-    }
 
 
 def sentence(found: Fleet) -> str:
@@ -139,7 +144,14 @@ def sentence(found: Fleet) -> str:
     elif not standing:
         said = f"{head}: none differs from the rest by more than chance."
     else:
-        said = f"{head}: {'; '.join(map(_standing_out, standing[:NAMED]))}."
+        clauses = []
+        for spread in standing[:NAMED]:
+            first = spread.differing[:NAMED]
+            listed = ", ".join(f"{group.group} ({100 * group.away:+.2g} %)" for group in first)
+            more = len(spread.differing) - len(first)
+            further = f" and {more} more" if more else ""
+            clauses.append(f"{spread.parameter} differs in {listed}{further}")
+        said = f"{head}: {'; '.join(clauses)}."
     if found.changes:
         count = len({change.group for change in found.changes})
         names = sorted({change.parameter for change in found.changes})
@@ -154,13 +166,6 @@ def sentence(found: Fleet) -> str:
             f"({found.changed[0]}{', ...' * (lost > 1)}): run it again once nothing writes there."
         )
     return said
-
-
-def _standing_out(one: Spread) -> str:
-    first = one.differing[:NAMED]
-    listed = ", ".join(f"{group.group} ({100 * group.away:+.2g} %)" for group in first)
-    more = len(one.differing) - len(first)
-    return f"{one.parameter} differs in {listed}{f' and {more} more' if more else ''}"
 
 
 def spread_table(document: Document) -> Table:
@@ -191,7 +196,7 @@ def spread_table(document: Document) -> Table:
     return Table(header, rows, "Parameters over groups", note)
 
 
-def estimates_table(document: Document, most: int = LISTED) -> Table | None:
+def estimates_table(document: Document, most: int = LISTED) -> Table:
     """Each group's own values, of no more than so many rows."""
     rows = [
         [
@@ -204,10 +209,10 @@ def estimates_table(document: Document, most: int = LISTED) -> Table | None:
         for one in document["estimates"]
     ]
     header = ("group", "parameter", "unit", "value", "low 95 %", "high 95 %", "verdict")
-    return Table(header, rows, "Parameters of each group") if 0 < len(rows) <= most else None
+    return Table(header, rows if len(rows) <= most else [], "Parameters of each group")
 
 
-def differing_table(document: Document, most: int = LISTED) -> Table | None:
+def differing_table(document: Document, most: int = LISTED) -> Table:
     """Groups that differ from the rest."""
     rows = [
         [
@@ -221,8 +226,6 @@ def differing_table(document: Document, most: int = LISTED) -> Table | None:
         for name, one in document["parameters"].items()
         for group in one["differing"][:most]
     ]
-    if not rows:
-        return None
     header = ("group", "parameter", "value", "most have", "away", "adjusted p")
     note = (
         f"Of groups that are called different, {100 * document['rate']:.0f} % are not, on average."
@@ -232,7 +235,7 @@ def differing_table(document: Document, most: int = LISTED) -> Table | None:
     return Table(header, rows, "Groups that differ from the rest", note)
 
 
-def changes_table(document: Document, most: int = LISTED) -> Table | None:
+def changes_table(document: Document, most: int = LISTED) -> Table:
     """Steps of parameters over time."""
     rows = [
         [
@@ -247,23 +250,21 @@ def changes_table(document: Document, most: int = LISTED) -> Table | None:
     header = ("recording", "parameter", "at / s", "before", "after")
     note = f"In {100 * ALARMS:.0f} % of courses without a step one is found."
     note += _further(document["changes_count"] - len(rows))
-    return Table(header, rows, "Changes over time", note) if rows else None
+    return Table(header, rows, "Changes over time", note)
 
 
 def _further(count: int) -> str:
     return f" {count} more: estimates.parquet." if count else ""
 
 
-def left_out_table(document: Document, most: int = LISTED) -> Table | None:
+def left_out_table(document: Document, most: int = LISTED) -> Table:
     """Recordings that are in no group, groups that have no answer, and why."""
     rows = [[one["recording"], one["why"]] for one in document["left_out"][:most]]
     rows += [[one["group"], one["why"]] for one in document["unanswered"][:most]]
-    if not rows:
-        return None
     return Table(("recording or group", "why"), rows, "Without an answer", numeric=False)
 
 
-def worst_table(document: Document, most: int = LISTED) -> Table | None:
+def worst_table(document: Document, most: int = LISTED) -> Table:
     """Recordings with something amiss, the worst first."""
     rows = [
         [
@@ -275,30 +276,112 @@ def worst_table(document: Document, most: int = LISTED) -> Table | None:
         for one in document["worst"][:most]
     ]
     header = ("recording", "findings", "doubt", "the worst of them")
-    return Table(header, rows, "Recordings with something amiss", numeric=False) if rows else None
+    return Table(header, rows, "Recordings with something amiss", numeric=False)
 
 
 def print_fleet(document: Document, console: Console) -> None:
     """The sentence and the tables, the longest cut short."""
-    console.print(document["sentence"], markup=False, highlight=False, soft_wrap=True)
-    tables = (
+    say(console, document["sentence"], wrapped=False)
+    for table in (
         estimates_table(document),
-        spread_table(document) if document["parameters"] else None,
+        spread_table(document),
         differing_table(document, SHOWN),
         changes_table(document, SHOWN),
         left_out_table(document, SHOWN),
-    )
-    for table in filter(None, tables):
-        console.print()
-        console.print(table.caption, style="bold", markup=False, highlight=False)
-        print_table(in_rich(table), console)
-        if table.note:
-            console.print(table.note, markup=False, highlight=False)
+    ):
+        if table.rows:
+            say(console, "")
+            say(console, table.caption, style="bold")
+            print_table(in_rich(table), console)
+            say(console, *filter(None, [table.note]))
     counts, seconds = document["recordings"], document["provenance"]["seconds"]
-    rate = counts["samples"] / max(seconds, 1e-3)
-    console.print(
-        f"\n{counts['samples']} samples of {counts['summed']} recordings in {seconds:.3g} s, "
+    rate = counts["samples"] / max(seconds, FINEST)
+    say(
+        console,
+        "",
+        f"{counts['samples']} samples of {counts['summed']} recordings in {seconds:.3g} s, "
         f"{number(rate, 2)} a second.",
-        markup=False,
-        highlight=False,
     )
+
+
+def fleet_figures(found: Fleet) -> dict[str, Chart]:
+    """`groups`, if there are enough to compare, and `courses` over time, if there are some."""
+    captions = {
+        "groups": "Values of all groups in the order of their size, with 95 % intervals. Groups "
+        "that differ from the rest, and not by chance, stand out; the line is what most have.",
+        "courses": "Estimates from spans of time, with their standard errors; vertical lines are "
+        "steps that chance does not explain.",
+    }
+    stepping = list(dict.fromkeys(change.group for change in found.changes))
+    names = list(dict.fromkeys((*stepping, *(entry.group for entry in found.over_time))))[:COURSES]
+    parameters = list(dict.fromkeys(e.parameter for e in found.over_time if e.parameter))
+    panels = {
+        "groups": [_over_groups(spread, found.entries) for spread in found.spreads],
+        "courses": [_over_time(found, parameter, names) for parameter in parameters],
+    }
+    return {
+        name: Chart(in_rows(some), captions[name], legend=True)
+        for name, some in panels.items()
+        if some
+    }
+
+
+def _over_groups(spread: Spread, entries: Sequence[Entry]) -> Panel:
+    some = [
+        e
+        for e in entries
+        if e.parameter == spread.parameter and e.status == DONE and e.verdict != "do not use"
+    ]
+    ordered = sorted(some, key=lambda e: e.value or 0.0)
+    values, low, high = (
+        np.array([getattr(e, name) for e in ordered], float)
+        for name in ("value", "low95", "high95")
+    )
+    rank = np.arange(1, len(ordered) + 1)
+    standing = {group.group for group in spread.differing}
+    out = np.array([e.group in standing for e in ordered], bool)
+    few = len(rank) <= LISTED
+    marks = [
+        Line(rank, values, "groups", BLUE, width=1.0, markers=few, low=low, high=high),
+        Level(spread.centre, label="what most have", color=GREY, dashes="dashed"),
+        Dots(rank[out], values[out], "differ from the rest", RUST, size=LARGE),
+    ]
+    return Panel(marks, Axis("group, by size"), Axis(labelled(spread.parameter, spread.unit)))
+
+
+def _over_time(found: Fleet, parameter: str, names: Sequence[str]) -> Panel:
+    marks, unit = [], ""
+    for name, color in zip(names, SERIES):
+        some = [e for e in found.over_time if (e.group, e.parameter) == (name, parameter)]
+        unit = next((e.unit for e in some if e.unit), unit)
+        middle = [0.5 * (e.start + e.end) for e in some]
+        values, errors = (np.array([getattr(e, n) for e in some], float) for n in COURSE)
+        marks.append(Line(middle, values, name, color, markers=True, width=1.0, error=errors))
+        marks += [
+            Level(change.time, "x", color=color)
+            for change in found.changes
+            if (change.group, change.parameter) == (name, parameter)
+        ]
+    return Panel(marks, Axis("time / s"), Axis(labelled(parameter, unit)))
+
+
+def fleet_page(document: Document) -> Page:
+    """The page of a fleet's document."""
+    counts = document["recordings"]
+    lead = (
+        f"{document['groups']} groups by {', '.join(document['by'])}; {counts['summed']} "
+        f"recordings of {counts['samples']} samples, {counts['seconds'] / HOUR:.3g} hours."
+    )
+    of_recordings, of_groups = document["findings"], document["group_findings"]
+    codes = dict.fromkeys([*of_recordings, *of_groups])
+    rows = [[code, *(str(of.get(code, 0)) for of in (of_recordings, of_groups))] for code in codes]
+    findings = Table(("finding", "recordings", "groups"), rows, "What is amiss, and how often")
+    over_groups = (spread_table(document), estimates_table(document), differing_table(document))
+    recordings = (left_out_table(document), worst_table(document), findings)
+    sections = (
+        Section("Parameters over groups", tables=over_groups, charts=("groups",)),
+        Section("Parameters over time", tables=[changes_table(document)], charts=("courses",)),
+        Section("Recordings", tables=recordings),
+    )
+    answer = Section("Answer", [document["sentence"]])
+    return Page(f"Fleet: {document['model']}", lead, sections, answer)

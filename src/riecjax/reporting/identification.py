@@ -9,11 +9,19 @@ import numpy as np
 from jaxtyping import Array, Key
 from rich.console import Console
 
-from riecjax.assessment.assessment import Assessment
+from riecjax.assessment.assessment import Assessment, Refinement
 from riecjax.errors import printable
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.records.recording import common_steps
-from riecjax.reporting.checking import excitation_entries, start_times
+from riecjax.refinement.refine import Refined
+from riecjax.reporting.charts.chart import BLUE, GREY, RUST, Axis, Chart, Level, Line, Panel
+from riecjax.reporting.checking import (
+    excitation_entries,
+    noise_entries,
+    noise_in_words,
+    start_times,
+)
 from riecjax.reporting.document import Document, finite, number, versions
 from riecjax.reporting.equations import procedure_in_words
 from riecjax.reporting.estimate import (
@@ -21,16 +29,8 @@ from riecjax.reporting.estimate import (
     parameter_entries,
     print_estimate,
 )
-from riecjax.reporting.hidden_modes import mode_entries, modes_in_words
-from riecjax.reporting.noise import noise_entries, noise_in_words
-from riecjax.reporting.refinement import (
-    choice_in_words,
-    refinement_entries,
-    refinement_in_words,
-)
 from riecjax.reporting.verdict import as_typed, print_verdict, verdict_entries
-from riecjax.studies.drift import WindowSweep
-from riecjax.studies.monte_carlo import SeedScatter
+from riecjax.studies.sweep import WindowSweep
 
 
 def identification_document(result: Assessment, command: Sequence[str] = ()) -> Document:
@@ -53,7 +53,6 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
         "correlation": _correlation(estimate),
         "residual_tests": None if result.residuals is None else result.residuals.describe(),
         "window_choice": None if result.choice is None else result.choice.describe(),
-        "seed_scatter": None if result.seeds is None else _seed_entries(result.seeds),
         "window_sweep": None if result.sweep is None else _sweep_entries(result.sweep),
         "refinement": None if refinement is None else refinement_entries(refinement, identified),
         "validation": [
@@ -97,16 +96,6 @@ def _correlation(estimate: Estimate) -> dict[str, Any]:
     return {
         "parameters": list(estimate.parameters),
         "matrix": [[finite(float(value)) for value in row] for row in estimate.correlation],
-    }
-
-
-def _seed_entries(scatter: SeedScatter) -> dict[str, Any]:
-    return {
-        "means": "scatter of the sampling of windows, not the parameters' uncertainty",
-        "seeds": int(scatter.theta.shape[0]),
-        "spread": {
-            name: finite(float(value)) for name, value in zip(scatter.parameters, scatter.spread)
-        },
     }
 
 
@@ -186,13 +175,6 @@ def windows_in_words(document: Document) -> Iterator[str]:
         f"intervals: {intervals['method']}, {intervals['blocks']} blocks of "
         f"{intervals['block_seconds']:.3g} s"
     )
-    if document["seed_scatter"] is not None:
-        spread = document["seed_scatter"]["spread"]
-        moved = ", ".join(f"{name} by {number(value, 2)}" for name, value in spread.items())
-        yield (
-            f"another seed would draw other windows and move {moved} (of the sampling, not of "
-            f"the parameters)"
-        )
     criterion, choice = document["criterion"], document["window_choice"]
     if choice is not None:
         low, high = 0.5 / criterion["beta"], 0.5 / criterion["alpha"]
@@ -200,5 +182,274 @@ def windows_in_words(document: Document) -> Iterator[str]:
             f"windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s: half periods of "
             f"{high:.3g} to {low:.3g} Hz. {choice['reason']}"
         )
-    if document["noise"]:
-        yield noise_in_words(document["noise"])
+    yield from noise_in_words(document["noise"])
+
+
+LOWEST = 0.3
+"""Where nothing is left, beside the least that is, on a logarithmic axis."""
+
+
+def mode_entries(modes: Sequence[ModeEvidence]) -> list[Document]:
+    """The part of the document about hidden modes, the last one of each stage."""
+    return [
+        {
+            "on": mode.on,
+            "equation": mode.stage,
+            "parameters": list(mode.parameters),
+            "frequency_hz": finite(mode.frequency[0]),
+            "frequency_std_error_hz": finite(mode.frequency[1]),
+            "damping_ratio": finite(mode.damping_ratio[0]),
+            "damping_ratio_std_error": finite(mode.damping_ratio[1]),
+            "window_s": list(mode.lengths),
+            "strays": [
+                {"parameters": list(names), "asked_hz": asked, "found_hz": finite(found)}
+                for names, asked, found in mode.strays
+            ],
+            "carried": mode.carried,
+            "oscillates": mode.oscillates,
+            "explained": finite(mode.explained),
+            "held_out": {
+                "with": finite(mode.unexplained),
+                "without": finite(mode.without),
+                "gain": finite(mode.gain),
+                "gain_std_error": finite(mode.gain_error),
+            },
+            "map": {
+                "frequency_hz": finite(mode.map.frequency),
+                "unexplained": finite(mode.map.unexplained),
+                "without": finite(mode.map.without),
+                "damping_ratio": finite(mode.map.damping),
+            },
+        }
+        for mode in modes
+    ]
+
+
+def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
+    """Where each mode is, what it explains, the windows that it was found in, and which modes
+    were looked for elsewhere."""
+    for mode in modes:
+        low, high = mode["window_s"]
+        lengths = f"{low:.3g} s" if low == high else f"{low:.3g} to {high:.3g} s"
+        held = mode["held_out"]
+        left = max(held["with"], 0.0)  # less than nothing, where noise was taken off
+        frequency, ratio = (
+            f"{number(mode[key], 4)} +- {number(mode[error], 2)}"
+            for key, error in (
+                ("frequency_hz", "frequency_std_error_hz"),
+                ("damping_ratio", "damping_ratio_std_error"),
+            )
+        )
+        yield (
+            f"hidden mode on {mode['on']}: {frequency} Hz with the body at rest, damping ratio "
+            f"{ratio}, in windows of {lengths}, which tell most of it. On time that it was not "
+            f"found from {100 * left:.2g} % of {mode['equation']} is left with it and "
+            f"{100 * held['without']:.2g} % without."
+        )
+        for stray in mode["strays"]:
+            yield (
+                f"no mode near {stray['asked_hz']:.4g} Hz: the search for "
+                f"{stray['parameters'][0]} ended at {number(stray['found_hz'], 3)} Hz."
+            )
+
+
+def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
+    """What a mode at each frequency leaves of its equation, and what is left without one."""
+    rows = []
+    for mode in modes:
+        frequency = np.asarray(mode.map.frequency)
+        left = np.asarray(mode.map.unexplained)
+        # Where no mode fits there is no best damping either, which the other share depends on.
+        fits = np.isfinite(left)
+        # A logarithmic axis has no room for nothing.
+        floor = LOWEST * np.min(left, where=left > 0, initial=1.0)
+        shown = np.where(fits, np.maximum(left, floor), np.nan)
+        without = np.where(fits, np.asarray(mode.map.without), np.nan)
+        marks = [
+            Line(frequency, without, "without a mode", GREY),
+            Line(frequency, shown, "with a mode there", RUST, markers=True),
+            Level(mode.frequency[0], "x", "the mode found", BLUE, "dashed"),
+        ]
+        share = Axis(f"share of {mode.stage} unexplained", log=True)
+        rows.append([Panel(marks, Axis("frequency of the mode / Hz", log=True), share)])
+    return Chart(
+        rows,
+        "The mode map: of each frequency that a hidden mode could have, the share of the target's "
+        "energy that the equation then leaves, at the best mass and the best damping ratio from "
+        "0.02 to 0.8. Both shares are of the equation multiplied by that mode's own polynomial, "
+        "so that the share without a mode, too, depends on its frequency and damping; where the "
+        "best damping jumps from one value to another, it has a step. Gaps are frequencies at "
+        "which only a negative mass would fit; at the lowest points noise accounts for all.",
+        legend=True,
+    )
+
+
+def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Document:
+    """The part of the document about the refinement.
+
+    Keys of a search are `null` or empty if none was made.
+    """
+    refined, left = refinement.refined, refinement.whiteness
+    return {
+        "chosen": refinement.chosen,
+        "declined": refinement.declined or None,
+        "chi_squared": None
+        if left is None
+        else finite(max(left.chi_squared.values(), default=float("nan"))),
+        "whiteness": None
+        if left is None
+        else {
+            "white": left.white,
+            "vanishing": left.vanishing,
+            "largest": finite(left.largest),
+            "threshold": left.threshold,
+            "channels": {
+                name: {
+                    "statistic": finite(left.statistics[name]),
+                    "chi_squared": finite(left.chi_squared[name]),
+                    "share": finite(left.shares[name]),
+                }
+                for name in left.statistics
+            },
+        },
+        "identified": identified,
+        "refined": None if refined is None else parameter_entries(refined),
+        **_search(refined),
+        "simulations": [
+            {
+                "on": run.recording.name,
+                "fitted": refinement.on_fitted,
+                "before": run.before.describe(),
+                "after": run.after.describe(),
+            }
+            for run in refinement.simulations
+        ],
+    }
+
+
+def _search(refined: Refined | None) -> Document:
+    if refined is None:
+        nothing = dict.fromkeys(("by", "converged", "reason", "steps", "basis"))
+        return {**nothing, "left": {}, "intervals": None, "at_bound": []}
+    return {
+        "by": dict(refined.by),
+        "converged": bool(refined.converged),
+        "reason": refined.reason,
+        "steps": int(refined.steps),
+        "basis": refined.basis,
+        "left": {
+            name: {"before": finite(float(before)), "after": finite(float(after)), "unit": unit}
+            for name, before, after, unit in zip(
+                refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
+            )
+        },
+        "intervals": {
+            "method": refined.uncertainty.label,
+            "blocks": int(refined.block_count),
+            "block_seconds": float(refined.block_length),
+        },
+        "at_bound": [n for n, there in zip(refined.parameters, refined.at_bound) if bool(there)],
+    }
+
+
+def choice_in_words(entries: Document) -> str:
+    """Which values are the answer, and what the others are for."""
+    left, declined = entries["whiteness"], entries["declined"]
+    if entries["refined"] is None:
+        return f"not refined: {declined}."
+    if declined is not None and not left["white"]:
+        return (
+            f"refined by output error, but that is not the answer: {declined}. The identified "
+            f"values are the physical parameters; the refined ones are for predicting motions like "
+            f"these{_predicted(entries)}."
+        )
+    if declined is not None:
+        return f"refined by output error, but that is not the answer: {declined}."
+    if left is None:
+        return "the refined values are the answer, as was asked for."
+    size = f"{_number(left['largest'])}, where noise stays below {left['threshold']:.2g}"
+    if not left["white"]:
+        return (
+            f"the refined values are the answer, as was asked for. What they leave is not white "
+            f"noise ({size}), as of coloured noise, of noise on a recorded input, or of a model "
+            f"that leaves out part of the motion: there the identified values are the physical "
+            f"parameters, and these are for predicting motions like this one."
+        )
+    if left["vanishing"]:
+        most = max(channel["share"] for channel in left["channels"].values())
+        return (
+            f"the refined values are the answer: the model follows the motion to {_number(most)} "
+            f"of its size, so that there is no noise to tell from its errors."
+        )
+    return (
+        f"the refined values are the answer: they are as precise as the sensors allow, since what "
+        f"they leave is white noise ({size}). That does not prove the model right."
+    )
+
+
+def _predicted(entries: Document) -> str:
+    said = [
+        f"{run['on']} {_worst(run['before'])} -> {_worst(run['after'])} %"
+        for run in entries["simulations"]
+        if not run["fitted"]
+    ]
+    return f" (worst fit on {', '.join(said)})" if said else ""
+
+
+def _worst(described: Document) -> str:
+    fits = [s["fit_percent"] for s in described["signals"].values() if s["judged"]]
+    known = [fit for fit in fits if fit is not None]
+    return f"{min(known):.4g}" if known else "?"
+
+
+def refinement_in_words(entries: Document) -> Iterator[str]:
+    """What was refined, what it left, and what became of predictions, if it is the answer."""
+    if entries["refined"] is not None and entries["chosen"]:
+        yield from search_in_words(entries)
+
+
+def search_in_words(entries: Document) -> Iterator[str]:
+    """How the search went, whether or not its values are the answer."""
+    kind = {"integral": "impulses of the equation error", "output-error": "the output error"}
+    yield (
+        f"refined by {kind[entries['by']['refine']]}: {entries['reason']} "
+        f"({entries['steps']} steps)"
+    )
+    yield f"left before and after, of {entries['basis']}:"
+    for name, left in entries["left"].items():
+        yield (
+            f"{name}: {_number(left['before'])} before, {_number(left['after'])} {left['unit']} "
+            f"r.m.s. after{_in_noise(entries, name)}"
+        )
+    for run in entries["simulations"]:
+        where = f"{run['on']} (fitted)" if run["fitted"] else run["on"]
+        fits = ", ".join(
+            f"{name} {_fit(run['before'], name)} -> {_fit(run['after'], name)} %"
+            for name in run["after"]["signals"]
+        )
+        yield f"simulated on {where}, fit before -> after: {fits} (from the state as recorded)"
+    intervals = entries["intervals"]
+    yield (
+        f"refined intervals: {intervals['method']}, {intervals['blocks']} blocks of "
+        f"{intervals['block_seconds']:.3g} s; of what was identified:"
+    )
+
+
+def _in_noise(entries: Document, name: str) -> str:
+    """What is left beside what the sensor's noise would leave."""
+    left = entries["whiteness"]
+    if left is None or left["vanishing"]:
+        return ""
+    power = left["channels"].get(name, {}).get("chi_squared")
+    return "" if power is None else f", {number(power**0.5, 3)} times the sensor's noise"
+
+
+def _fit(described: Document, name: str) -> str:
+    signal = described["signals"].get(name)
+    return (
+        "?" if signal is None or signal["fit_percent"] is None else f"{signal['fit_percent']:.4g}"
+    )
+
+
+def _number(value: float | None) -> str:
+    return "?" if value is None else number(value, 4)

@@ -8,12 +8,16 @@ from riecjax.assessment.assessment import Assessment
 from riecjax.reporting.checking import named
 from riecjax.reporting.document import Document, ends_of, number
 from riecjax.reporting.estimate import parameter_table, several
-from riecjax.reporting.hidden_modes import modes_in_words
-from riecjax.reporting.identification import identification_document, windows_in_words
+from riecjax.reporting.identification import (
+    choice_in_words,
+    identification_document,
+    modes_in_words,
+    search_in_words,
+    windows_in_words,
+)
 from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import require_folder, write_folder
 from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.refinement import choice_in_words, search_in_words
 from riecjax.reporting.verdict import doubt_in_words
 
 BETWEEN = "{} to {}"

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,8 @@ def emit(
     as_json: bool,
     out: Path | None,
     show: Callable[[Document, Console], None],
-    charts: Callable[[], Mapping[str, Chart]],
-    page: Callable[[Document], Page],
+    charts: Callable[[], Mapping[str, Chart]] = dict,
+    page: Callable[[Document], Page] = lambda _: Page("", "", ()),
     warnings: Sequence[Mapping[str, Any]] | None = None,
     others: Mapping[str, Writer] | None = None,
     beside: Sequence[str] = (),
@@ -52,7 +52,11 @@ def emit(
             answer(json.dumps(document, indent=2, allow_nan=False))
         else:
             show(document, Console())
-        _warn(told)
+        console = Console(stderr=True)
+        for warning in told:
+            # One line each for scripts; whoever looks at a terminal sees whole words.
+            line = f"warning [{warning['code']}]: {warning['message']}"
+            console.print(line, markup=False, highlight=False, soft_wrap=not console.is_terminal)
 
     is_watched = sys.stdout.isatty() and not as_json
     if is_watched:
@@ -64,15 +68,6 @@ def emit(
     if out is not None and not as_json:
         further = "".join(f", {name}" for name in (*(others or ()), *beside))
         click.echo(f"wrote {out}/{RESULTS}, {REPORT}{further} and figures")
-
-
-def _warn(warnings: Iterable[Mapping[str, Any]]) -> None:
-    """A line for each on standard error."""
-    told = Console(stderr=True)
-    for warning in warnings:
-        # One line each for scripts; whoever looks at a terminal sees whole words.
-        line = f"warning [{warning['code']}]: {warning['message']}"
-        told.print(line, markup=False, highlight=False, soft_wrap=not told.is_terminal)
 
 
 def write_folder(
@@ -105,19 +100,15 @@ def write_folder(
         text = json.dumps(sealed(document), indent=2, allow_nan=False) + "\n"
         (made / RESULTS).write_text(text, encoding="utf-8")
         with committing:
-            _move(made, folder)
-
-
-def _move(made: Path, folder: Path) -> None:
-    folder.mkdir(exist_ok=True)
-    names = {file.name for file in made.iterdir()}
-    (folder / RESULTS).unlink(missing_ok=True)
-    for file in folder.iterdir():
-        if file.suffix in STAMPED and file.name not in names and is_stamped(file):
-            file.unlink()
-    for name in sorted(names - {RESULTS}):
-        (made / name).replace(folder / name)
-    (made / RESULTS).replace(folder / RESULTS)
+            folder.mkdir(exist_ok=True)
+            names = {file.name for file in made.iterdir()}
+            (folder / RESULTS).unlink(missing_ok=True)
+            for file in folder.iterdir():
+                if file.suffix in STAMPED and file.name not in names and is_stamped(file):
+                    file.unlink()
+            for name in sorted(names - {RESULTS}):
+                (made / name).replace(folder / name)
+            (made / RESULTS).replace(folder / RESULTS)
 
 
 def require_folder(folder: Path) -> None:

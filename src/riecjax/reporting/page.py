@@ -3,13 +3,12 @@
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.charts.layout import Spaces
+from riecjax.reporting.charts.interactive import Spaces, interactive
 from riecjax.reporting.document import Document
 
 SCREEN_INCH = 100
@@ -35,7 +34,8 @@ class Section:
     """A part of a page under a heading.
 
     **Fields:** `text`, paragraphs; `tables`; `charts`, names of those shown here. A name without a
-    chart is skipped, such as that of curves which a model does not have; so is an empty section.
+    chart is skipped, such as that of curves which a model does not have; so are a table without
+    rows and an empty section.
     """
 
     heading: str
@@ -95,8 +95,12 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    parts = [(each, [figure(n) for n in each.charts if n in charts]) for each in page.sections]
-    parts = [(each, figures) for each, figures in parts if each.text or each.tables or figures]
+    parts = []
+    for section in page.sections:
+        figures = [figure(name) for name in section.charts if name in charts]
+        tables = [table for table in section.tables if table.rows]
+        if section.text or tables or figures:
+            parts.append((replace(section, tables=tables), figures))
     return environment.get_template("report.html.j2").render(
         page=page,
         parts=parts,

@@ -11,14 +11,17 @@ from typing import Any
 import numpy as np
 
 from riecjax.assessment.assessment import Assessment
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
 from riecjax.reporting.charts.chart import (
     BLUE,
+    BOLD,
+    LARGE,
     SERIES,
+    THIN,
     Axis,
     Chart,
     Dots,
@@ -31,16 +34,16 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of, needed
-from riecjax.reporting.hidden_modes import mode_map_figure
+from riecjax.reporting.identification import mode_map_figure
 from riecjax.reporting.identification_figures import (
     held_out_figure,
     identification_figures,
+    spectra_figure,
     sweep_figure,
 )
 from riecjax.reporting.identification_page import write_report
-from riecjax.reporting.residual_figures import spectra_figure
 from riecjax.reporting.tables import with_error
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 
@@ -81,10 +84,10 @@ def _(thing: Record) -> Chart:
         last = len(rows) == len(thing.arrays) - 1
         samples = samples_with_nan(thing, name)
         # Of a batch of records, one line each.
-        lines = [Line(*pair, width=0.9) for pair in _pairs(time, samples)]
+        lines = [Line(*pair, width=THIN) for pair in _pairs(time, samples)]
         axes = Axis("time / s" if last else ""), Axis(labelled(name, units.get(name)))
         rows.append([Panel(lines, *axes)])
-    return Chart(rows, "Signals over time.", (8, 1.3 * len(rows) + 0.8), share_x=True)
+    return Chart(rows, "Signals over time.", share_x=True)
 
 
 def _pairs(time: np.ndarray, samples: np.ndarray) -> Iterable[tuple[np.ndarray, np.ndarray]]:
@@ -136,7 +139,7 @@ def _(thing: Assessment) -> Chart:
     width = max(len(row) for row in rows)
     # A row of one panel takes all places, as signals over time should.
     filled = [_filled(row, width) for row in rows]
-    return Chart(filled, f"{thing.model.name}.", (3.6 * width + 0.8, 2.4 * len(rows) + 0.6))
+    return Chart(filled, f"{thing.model.name}.")
 
 
 def _filled(row: Sequence[Panel | None], width: int) -> list[Panel | None]:
@@ -154,11 +157,11 @@ def _batch(batch: AbstractEstimate) -> Chart:
         mean = float(np.nanmean(values))
         unit = f" {units[name]}" if units.get(name) else ""
         labels.append(f"{name} = {mean:.4g}{unit}")
-        marks.append(Dots(_percent(values, mean), np.full(values.size, i), opacity=0.4, size=5))
+        marks.append(Dots(_percent(values, mean), np.full(values.size, i), opacity=0.4, size=LARGE))
     axis = Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
     caption = "Members of a batch, relative to their mean."
-    x, size = Axis("deviation from the mean / %"), (6.5, 0.35 * len(labels) + 1.0)
-    return single([Level(axis="x"), *marks], x, axis, caption, size=size)
+    x = Axis("deviation from the mean / %")
+    return single([Level(axis="x"), *marks], x, axis, caption)
 
 
 def relative_figure(documents: Mapping[str, Document]) -> Chart:
@@ -181,8 +184,7 @@ def relative_figure(documents: Mapping[str, Document]) -> Chart:
     of = f"the value of {next(iter(documents))}" if several else "the value"
     x = Axis(f"95 % interval, from {of} / %", low=None if limit is None else -limit, high=limit)
     y = Axis(categories=labels, low=-0.5, high=len(names) - 0.5, reverse=True)
-    size = (6.5, (0.32 + 0.1 * len(documents)) * len(names) + 1.2)
-    return single(marks, x, y, "Parameters with their 95 % intervals.", size=size)
+    return single(marks, x, y, "Parameters with their 95 % intervals.")
 
 
 def _bars(
@@ -201,8 +203,8 @@ def _bars(
             y += [i + shift, i + shift, math.nan]
             values += [*_percent([entry["value"]], reference[name])]
             places.append(i + shift)
-    line = Line(x, y, label, color, width=2)
-    return [line, Dots(values, places, color=color, size=5)]
+    line = Line(x, y, label, color, width=BOLD)
+    return [line, Dots(values, places, color=color, size=LARGE)]
 
 
 def _percent(values: Iterable[Any], reference: Any) -> list[float]:

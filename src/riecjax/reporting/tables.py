@@ -4,7 +4,7 @@ import html
 import math
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -24,7 +24,7 @@ CELL = "padding:0.1em 0.7em;border:none;background:none;white-space:nowrap;text-
 
 @dataclass(frozen=True)
 class View:
-    """What is said of an object: a `title`, `tables`, and `lines` beneath them."""
+    """What is said of an object: a `title`, `tables` that have rows, and `lines` beneath them."""
 
     title: str
     tables: Sequence[Table] = ()
@@ -34,7 +34,7 @@ class View:
 def in_text(view: View, *, brief: bool = False) -> str:
     """As plain text; a brief one leaves out the middle of long tables."""
     lines = [view.title] if view.title else []
-    for table in view.tables:
+    for table in (table for table in view.tables if table.rows):
         rows, over = list(table.rows), len(table.rows) - MOST_ROWS
         if brief and over > 1:
             half = MOST_ROWS // 2
@@ -56,9 +56,8 @@ def in_html(view: View) -> str:
     said = [line for line in view.lines if not line.startswith("warning [")]
     warnings = [line for line in view.lines if line.startswith("warning [")]
     parts = [f"<div><strong>{html.escape(view.title)}</strong></div>"] if view.title else []
-    for table in view.tables:
+    for table in (table for table in view.tables if table.rows):
         right = [False, *map(_is_numeric, list(zip(*table.rows))[1:])]
-        right = right if len(right) == len(table.header) else [False] * len(table.header)
         caption = f"<caption>{html.escape(table.caption)}</caption>" if table.caption else ""
         body = "".join(_html_row(row, right, "td") for row in table.rows)
         head = _html_row(table.header, right, "th")
@@ -73,13 +72,20 @@ def in_html(view: View) -> str:
     return f"<div>{''.join(parts)}</div>"
 
 
-def in_rich(table: Table) -> RichTable:
-    """As a table on a terminal."""
+def in_rich(
+    table: Table, right: Collection[str] | None = None, styles: Mapping[str, str] = {}
+) -> RichTable:
+    """As a table on a terminal.
+
+    **Arguments:** `right`, headers of columns that stand to the right, by default those of numbers;
+    `styles` of cells that say these words.
+    """
     printed = RichTable(box=None, padding=(0, 2, 0, 0))
-    for name, column in zip(table.header, zip(*table.rows)):
-        printed.add_column(Text(name), justify="right" if _is_numeric(column) else "left")
+    for name, column in zip(table.header, list(zip(*table.rows)) or [()] * len(table.header)):
+        to_the_right = _is_numeric(column) if right is None else name in right
+        printed.add_column(Text(name), justify="right" if to_the_right else "left")
     for row in table.rows:
-        printed.add_row(*map(Text, row))
+        printed.add_row(*(Text(cell, style=styles.get(cell, "")) for cell in row))
     return printed
 
 
@@ -90,6 +96,12 @@ def print_table(table: RichTable, console: Console) -> None:
     console.width = max(narrow, console.measure(table, options=whole).maximum)
     console.print(table)
     console.width = narrow
+
+
+def say(console: Console, *lines: str, style: str = "", wrapped: bool = True) -> None:
+    """Print lines as they are, broken where the terminal ends if `wrapped`."""
+    for line in lines:
+        console.print(line, style=style, highlight=False, markup=False, soft_wrap=not wrapped)
 
 
 def _html_row(row: Sequence[str], right: Sequence[bool], tag: str) -> str:

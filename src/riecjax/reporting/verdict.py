@@ -1,5 +1,6 @@
 """A verdict in plain data and on a terminal: the answer first, then what to do about it."""
 
+import operator
 import shlex
 import subprocess
 import sys
@@ -9,19 +10,31 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from riecjax.assessment.causes import Cause, Step
-from riecjax.assessment.verdict import Verdict, percent
+from riecjax.assessment.verdict import Cause, Step, Verdict, percent
 from riecjax.reporting.document import Document, ends_of, finite, number
 from riecjax.reporting.tables import print_table
 
 MOST_STEPS = 3
 """Things to do next that are told."""
 STYLES = {"good": "green", "caution": "yellow", "do not use": "bold red"}
-REPLACED = {"--alpha": "--band", "--beta": "--band"}
-"""Options that a new one replaces, beside its own kind."""
-VALUES = {"--band": 2, "--out": 1, "--json": 0}
-"""How many words follow an option that a suggested command leaves out: a folder that holds a
-result is not written over."""
+EXCLUDED = {"--alpha": ("--band",), "--beta": ("--band",), "--band": ("--alpha", "--beta")}
+"""Options that an option does not go with."""
+VALUES = {"--band": 2, "--json": 0}
+"""How many words follow an option, where that is not one."""
+RESULT = ("--json", "--out")
+"""Options that a proposed command leaves out: a folder that holds a result is not written over."""
+LISTED = (
+    *("--add-mode", "--add-spring", "--unknown-offset", "--unknown-gain", "--per-record"),
+    *("--leave-out", "--notch"),
+)
+"""Options that stand once more for each further value. All others that are proposed stand once, or
+once for each signal."""
+COMBINED: dict[str, Callable[[float, float], float]] = {
+    **dict.fromkeys(("--shift", "--clock", "--unfilter"), operator.add),
+    "--scale": operator.mul,
+}
+"""What a further value of a signal makes of the one given. What is found amiss is that of the
+record as prepared: what is left of a delay adds to what was taken off."""
 
 
 def verdict_entries(verdict: Verdict, command: Sequence[str] = ()) -> Document:
@@ -79,51 +92,46 @@ def as_typed(arguments: Sequence[str]) -> str:
     return join(["riecjax", *arguments])
 
 
-def _sum(old: str, new: str) -> str:
-    return f"{float(old) + float(new):.6g}"
-
-
-UPDATED: dict[str, Callable[[str, str], str]] = {
-    **dict.fromkeys(("--shift", "--clock", "--unfilter"), _sum),
-    "--scale": lambda old, new: f"{float(old) * float(new):.6g}",
-    "--unit": lambda old, new: new,
-}
-"""Options of a signal that may be given once, and what a further one makes of that."""
-
-
 def _with(command: Sequence[str], options: Sequence[str]) -> list[str]:
-    """A command with further options, and without those that they replace."""
-    kept, given = [], list(command)
-    left_out = {"--json", "--out", *(REPLACED[one] for one in options if one in REPLACED)}
-    while given:
-        word = given.pop(0)
-        option, _, value = word.partition("=")
-        if option not in left_out:
-            kept += [option, value] if option in UPDATED and value else [word]
-        elif not value:
-            del given[: VALUES[option]]
-    return _merged(kept, options)
-
-
-def _merged(command: Sequence[str], options: Sequence[str]) -> list[str]:
-    """A command with further options; one that it gives a signal already is brought up to date.
-
-    What is found amiss is that of the record as prepared: what is left of a delay adds to what was
-    taken off.
-    """
-    if len(options) % 2:
-        return [*command, *options]
-    kept, more = list(command), []
-    for option, value in zip(options[::2], options[1::2]):
-        name, _, new = value.partition("=")
-        given = (i for i in range(1, len(kept)) if kept[i - 1] == option in UPDATED)
-        old = next((i for i in given if kept[i].partition("=")[0] == name), None)
-        if old is None:
-            more += [option, value]
+    """A command with further options in place of those that they replace."""
+    given, proposed = _grouped(command), _grouped(options)
+    excluded = {other for group in proposed for other in EXCLUDED.get(group[0], ())}
+    kept = [group for group in given if group[0] not in (*RESULT, *excluded)]
+    for option, *values in proposed:
+        if option in LISTED:
+            kept += [] if [option, *values] in kept else [[option, *values]]
+            continue
+        name, _, new = values[-1].partition("=")
+        places = [
+            i
+            for i, (word, *held) in enumerate(kept)
+            if word == option and (not new or held[-1].partition("=")[0] == name)
+        ]
+        if places and option in COMBINED:
+            before = kept[places[0]][-1].partition("=")[2]
+            values = [f"{name}={COMBINED[option](float(before), float(new)):.6g}"]
+        kept = [group for i, group in enumerate(kept) if i not in places[1:]]
+        if places:
+            kept[places[0]] = [option, *values]
         else:
-            before = kept[old].partition("=")[2]
-            kept[old] = f"{name}={UPDATED[option](before, new)}"
-    return [*kept, *more]
+            kept.append([option, *values])
+    return [word for group in kept for word in group]
+
+
+def _grouped(words: Sequence[str]) -> list[list[str]]:
+    """Each option with the words that may be its values; other words one by one."""
+    groups, left = [], list(words)
+    while left:
+        option, equals, value = left.pop(0).partition("=")
+        if not option.startswith("--"):
+            groups.append([f"{option}{equals}{value}"])
+            continue
+        groups.append([option, *([value] if equals else [])])
+        while not equals and left and len(groups[-1]) <= VALUES.get(option, 1):
+            if left[0].startswith("--"):
+                break
+            groups[-1].append(left.pop(0))
+    return groups
 
 
 def print_verdict(document: Document, console: Console) -> None:

@@ -12,8 +12,7 @@ from riecjax.discovery.discovery import Discovery
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate, span
+from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.fleets.fleet import Fleet
@@ -21,8 +20,8 @@ from riecjax.leaves import is_concrete, on_host
 from riecjax.models.model import Model
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
-from riecjax.refinement.refined import Refined
-from riecjax.reporting.checking import excitation_entries, share_in_words
+from riecjax.refinement.refine import Refined
+from riecjax.reporting.checking import excitation_entries, excitation_table, share_in_words
 from riecjax.reporting.discovery import (
     choice_in_words,
     discovery_document,
@@ -43,7 +42,7 @@ from riecjax.reporting.fleet import differing_table, fleet_document, left_out_ta
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
@@ -142,9 +141,7 @@ def _(thing: Recording) -> View:
 @view_of.register
 def _(thing: Fleet) -> View:
     document = fleet_document(thing)
-    tables = [spread_table(document)] if document["parameters"] else []
-    for made in (differing_table(document), left_out_table(document)):
-        tables += [] if made is None else [made]
+    tables = [spread_table(document), differing_table(document), left_out_table(document)]
     return View(document["sentence"], tables)
 
 
@@ -153,25 +150,16 @@ def _(thing: Discovery) -> View:
     document = discovery_document(thing)
     tables = [path_table(document), rejected_table(document), parameter_table(document)]
     said = (widths_in_words(document), choice_in_words(document), document["equation"])
-    return View(document["sentence"], [*filter(None, tables)], [*filter(None, said)])
+    return View(document["sentence"], tables, [*filter(None, said)])
 
 
 @view_of.register
 def _(thing: Check) -> View:
     refusal = thing.refusal
     can = "can" if refusal is None else "cannot"
-    rows = [
-        [
-            name,
-            one["equation"],
-            share_in_words(one["own_share"], 3),
-            share_in_words(one["noise_share"], 2),
-        ]
-        for name, one in excitation_entries(thing).items()
-    ]
     return View(
         f"These recordings {can} answer what the model asks.",
-        [Table(("parameter", "equation", "own share", "noise"), rows)],
+        [excitation_table(excitation_entries(thing))],
         _warnings(thing.findings),
     )
 
@@ -318,7 +306,7 @@ def _(thing: ResidualTests) -> View:
     rows = [
         [
             one.name,
-            share_in_words(one.relative_rms, 3),
+            share_in_words(one.relative_rms),
             "" if one.peak is None else f"{one.peak.frequency:.3g} Hz",
             "".join(f"{other.signal} ({other.largest:.2f})" for other in one.follows[:1]),
         ]

@@ -17,7 +17,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.simulation.equation_system import EquationSystem, equation_system
-from riecjax.simulation.hidden_modes import ModeStates, carried_states
+from riecjax.simulation.hidden_elements import ModeStates, carried_states
 from riecjax.simulation.system import AbstractSystem, Quantities
 
 

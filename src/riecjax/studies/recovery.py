@@ -13,8 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractObjective
-from riecjax.refinement.refine import refine
-from riecjax.refinement.refined import Refined
+from riecjax.refinement.refine import Refined, refine
 from riecjax.studies.monte_carlo import over_keys
 
 

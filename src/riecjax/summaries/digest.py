@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Key, UInt32
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.length_bins import LengthBins
+from riecjax.criteria.laws import LengthBins
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.leaves import is_concrete

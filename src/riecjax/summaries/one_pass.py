@@ -1,5 +1,368 @@
-"""One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept."""
+"""What one part of a recording says of each equation: the compiled half of the one pass.
 
+Every equation's columns are sampled once, chunk by chunk, and sums over blocks of starts are made
+of them: moments of all windows, and, on request, a survey for checks and figures. How a recording
+is cut into parts is the other half's, `one_pass`.
+"""
+
+# What the signals' noise adds to a row has no formula, since terms may be any expressions of the
+# signals. So it is measured: white noise of each signal's level is added to the samples, and the
+# columns without it are subtracted. The difference is exact where terms are linear in the signals,
+# and right to first order in the noise where they are not.
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from riecjax.compilation import kept_jit
+from riecjax.criteria.chunks import StartBlocks, in_chunks
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion, Rows
+from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
+from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
+from riecjax.equations.dry_friction import InMotion
+from riecjax.equations.equation import Equation, mixing_expressions
+from riecjax.equations.expressions import evaluate
+from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
+from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import Terms
+from riecjax.errors import ModelError
+from riecjax.leaves import Leaf
+from riecjax.linear_algebra import gram_suffices
+from riecjax.records.record import Record, filled_up
+from riecjax.summaries.digest import digest_of
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.stage_sums import moments_of_drawn, sum_of_equations
+from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
+
+PART = 2**17
+"""Starts to a part of a long recording."""
+FILLED = (2**12, 2**15)
+"""Samples that shorter recordings are filled up to."""
+NOISE = np.random.default_rng(0).standard_normal(2**16)
+"""White noise of unit size, which is sent through the equations."""
+APART = 9973
+"""Samples between where two signals begin to take their noise."""
+Noise = Callable[[], Columns]
+"""What noise adds to an equation's columns, evaluated only where it is asked for."""
+
+
+class Lengths(NamedTuple):
+    """Window lengths whose sums are kept apart: bins by the first axis.
+
+    **Fields:** `lags`, the law in each bin; `reach`, no window of them is longer in samples.
+    """
+
+    lags: LagBins
+    reach: int
+
+
+class Request(NamedTuple):
+    """What to sum, as far as it is compiled in.
+
+    **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
+    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `surveyed`,
+    none unless a survey is asked for.
+    """
+
+    block: Int[Array, ""] | int
+    blocks: int
+    surveyed: int
+
+
+class Part(NamedTuple):
+    """Samples of a recording, filled up behind, and which of its starts are summed here.
+
+    **Fields:** `record`; `first` of the starts; `held`, samples that are the recording's (`None`:
+    all of them, a number that is compiled in).
+    """
+
+    record: Record
+    first: Int[Array, ""] | int
+    held: Int[Array, ""] | None
+
+
+class PartSums(NamedTuple):
+    """What a part says of one equation, by blocks of starts.
+
+    **Fields:** `moments`, of windows that reach ever further; `survey`.
+    """
+
+    moments: tuple["BlockSums", ...]
+    survey: "Surveyed | None"
+
+
+class BlockSums(NamedTuple):
+    """Sums over windows of some lengths, blocks first (of `of_source` chunks) and then bins.
+
+    **Fields:** `moments`, `number` of windows, what `noise` adds to the moments, and each source of
+    it; `constant`, see `EquationSums`.
+    """
+
+    moments: Array
+    number: Array
+    constant: Array
+    noise: Array | None
+    of_source: Array | None
+
+
+class Surveyed(NamedTuple):
+    """Rows of some windows in each block, and where they start; the same by the finest quadrature,
+    and what noise adds to them; least and largest argument of each basis."""
+
+    rows: Float[Array, "blocks rows columns"]
+    finer: Float[Array, "blocks rows columns"]
+    noise: Float[Array, "blocks rows columns"]
+    start: Float[Array, "blocks rows"]
+    valid: Bool[Array, "blocks rows"]
+    reach: dict[str, Float[Array, "1 2"]]
+
+
+@kept_jit
+def of_all_windows(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    lengths: tuple[Lengths, ...],
+    band: tuple[Int[Array, ""], Int[Array, ""]],
+    request: Request,
+) -> list[list[PartSums]]:
+    """What blocks of starts of a part say of each equation of each stage, where windows are summed.
+
+    **Arguments:** `band`, shortest and longest lag of the law.
+    """
+
+    def equation_sums(
+        equation: Equation, noisy: NoisyColumns, noise: Noise, record: Record, blocks: StartBlocks
+    ) -> PartSums:
+        moments = tuple(_in_blocks(criterion, noisy, record, which, blocks) for which in lengths)
+        if not request.surveyed:
+            return PartSums(moments, None)
+        windows = _some_windows(criterion, blocks, band, request.surveyed)
+        survey = _surveyed(criterion, equation, noisy.columns, noise, windows, record, blocks)
+        return PartSums(moments, survey)
+
+    return _in_chunks(procedure, criterion, part, equation_sums, lengths[-1].reach, request)
+
+
+def _in_blocks(
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    record: Record,
+    lengths: Lengths,
+    blocks: StartBlocks,
+) -> BlockSums:
+    """Moments and numbers of windows of some lengths, and what noise adds.
+
+    The closed form sums the windows that start in a block from running sums over the block and its
+    reach, so that a block shorter than a window costs as much as one as long. Where windows are
+    longer, neighbouring blocks are summed as one, and the first of them holds the sums.
+    """
+    size, wider = blocks.size, 1
+    if isinstance(size, int):
+        while wider * size < lengths.reach and blocks.number % (2 * wider) == 0:
+            wider *= 2
+        blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
+
+    def spread(sums: Array) -> Array:
+        apart = jnp.swapaxes(sums, 0, 1)[:, None]
+        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
+        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
+
+    columns = with_constant(noisy.columns)
+    found, number = criterion.moments_of(columns, lengths.lags, blocks, lengths.reach)
+    noise = criterion.noise_of(noisy, record.noise, lengths.lags, blocks, lengths.reach)
+    total, of_source = (None, None) if noise is None else (noise.total, noise.of_source[None])
+    moments, constant = without_constant(found)
+    sums = jax.tree.map(spread, BlockSums(moments, number, constant, total, None))
+    return sums._replace(of_source=of_source)
+
+
+def with_constant(columns: Columns) -> Columns:
+    """The same with a column behind that is 1 at every sample."""
+    ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
+    values = jnp.concatenate([columns.values, ones], axis=1)
+    return Columns(values, columns.present, columns.time_step, (*columns.parameters, ""))
+
+
+def without_constant(moments: Array) -> tuple[Array, Array]:
+    """Moments without their last column, a constant, and its products: with itself first."""
+    return moments[..., :-1, :-1], jnp.roll(moments[..., -1, :], 1, axis=-1)
+
+
+@kept_jit
+def of_rows(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    key: Key[Array, ""] | None,
+    request: Request,
+) -> list[list[PartSums]]:
+    """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
+    drawn = criterion.draw(part.record, key, part.held)
+
+    def equation_sums(
+        equation: Equation, noisy: NoisyColumns, noise: Noise, record: Record, blocks: StartBlocks
+    ) -> PartSums:
+        beside = noisy._replace(columns=with_constant(noisy.columns))
+        (found, number), added = moments_of_drawn(criterion, beside, record, drawn, blocks)
+        total, of_source = None, None
+        if added is not None:
+            total, of_source = (each[..., :-1, :-1] for each in (added.total, added.of_source))
+            total, of_source = total[:, None], of_source[None, None]
+        moments, constant = without_constant(found)
+        sums = BlockSums(moments[:, None], number[:, None], constant[:, None], total, of_source)
+        if not request.surveyed:
+            return PartSums((sums,), None)
+        every = WindowSet(drawn.start[None], drawn.stop[None])
+        survey = _surveyed(criterion, equation, noisy.columns, noise, every, record, blocks)
+        return PartSums((sums,), survey)
+
+    return _in_chunks(procedure, criterion, part, equation_sums, 0, request)
+
+
+@kept_jit
+def all_rows(
+    procedure: Procedure, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
+) -> list[list[Rows]]:
+    """Every row of each equation of each stage."""
+    drawn = criterion.draw(part.record, key, part.held)
+
+    def rows(equation: Equation) -> Rows:
+        columns = sampled_columns(equation, part.record, criterion.smoothness)
+        return criterion.rows_of(columns, drawn, part.held)
+
+    return [[rows(equation) for equation in stage] for stage in procedure.stages]
+
+
+def _in_chunks(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    equation_sums: Callable[[Equation, NoisyColumns, Noise, Record, StartBlocks], PartSums],
+    reach: int,
+    request: Request,
+) -> list[list[PartSums]]:
+    def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
+        # Every survey has noisy rows: what they are made of is evaluated once, for all.
+        disturbed = _disturbed(record) if request.surveyed else None
+
+        def of_equation(equation: Equation) -> PartSums:
+            noisy = criterion.noisy_columns(equation, record)
+            noise = partial(_added_by_noise, equation, record, disturbed, criterion.smoothness)
+            if request.surveyed:
+                added = noise()
+                noise = lambda: added  # noqa: E731
+            return equation_sums(equation, noisy, noise, record, blocks)
+
+        return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
+
+    block = request.block
+    if not isinstance(block, int):
+        held = part.record.sample_count if part.held is None else part.held
+        return of_chunk(part.record, StartBlocks(part.first, block, request.blocks, held))
+    return in_chunks(
+        part.record,
+        of_chunk,
+        block=block,
+        reach=reach,
+        margin=criterion.test_function.margin,
+        unpadded=part.held,
+        first=part.first,
+        number=request.blocks,
+    )
+
+
+def _some_windows(
+    criterion: AbstractCriterion,
+    blocks: StartBlocks,
+    band: tuple[Int[Array, ""], Int[Array, ""]],
+    each: int,
+) -> WindowSet:
+    """Windows in each block, at places and of lengths that are drawn once for all."""
+    place, length = np.random.default_rng(1).random((2, blocks.number, each))
+    shortest, longest = band
+    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
+    start = start + (place * blocks.size).astype(int)
+    lag = shortest + (length * (longest - shortest + 1)).astype(int)
+    return WindowSet(start, start + criterion.test_function.length_multiple * lag)
+
+
+def _surveyed(
+    criterion: AbstractCriterion,
+    equation: Equation,
+    columns: Columns,
+    noise: Noise,
+    windows: WindowSet,
+    record: Record,
+    blocks: StartBlocks,
+) -> Surveyed:
+    shape = windows.start.shape
+    last = columns.sample_count - 1
+    inside = (windows.stop < blocks.unpadded).ravel()
+    flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
+
+    def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
+        found = by.rows_of(of, flat, blocks.unpadded)
+        valid = inside if found.valid is None else inside & found.valid
+        values = jnp.where(valid[:, None], found.columns.T, 0.0)
+        return values.reshape(*shape, -1), valid.reshape(shape)
+
+    values, valid = rows(columns, criterion)
+    finer = criterion.finest()
+    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
+    return Surveyed(
+        values,
+        values if finer is criterion else rows(columns, finer)[0],
+        rows(noise(), criterion)[0],
+        record.elapsed[at].reshape(shape),
+        valid,
+        {name: reach[None] for name, reach in _reaches(equation, record, blocks.unpadded).items()},
+    )
+
+
+def _reaches(
+    equation: Equation, record: Record, held: Int[Array, ""] | int
+) -> dict[str, Float[Array, "2"]]:
+    """Least and largest argument of each basis."""
+    real = jnp.arange(record.sample_count) < held
+    found = {}
+    for term in equation.terms:
+        term = term.term if isinstance(term, InMotion) else term
+        if isinstance(term, Terms):
+            argument, _ = evaluate(term.of, record)
+            low = jnp.min(argument, where=real, initial=jnp.inf)
+            found[term.prefix] = jnp.stack([low, jnp.max(argument, where=real, initial=-jnp.inf)])
+    return found
+
+
+def _added_by_noise(
+    equation: Equation, record: Record, disturbed: Record | None, smoothness: int
+) -> Columns:
+    """What noise of its signals' sizes adds to an equation's columns."""
+    noisy = sampled_columns(equation, disturbed or _disturbed(record), smoothness)
+    return noisy - sampled_columns(equation, record, smoothness)
+
+
+def _disturbed(record: Record) -> Record:
+    """The record with white noise of its size on each signal; any stretch has the same."""
+    first = jnp.round(record.skipped / record.time_step).astype(int)
+    place = first + jnp.arange(record.sample_count)
+    names = sorted(record.arrays)
+    each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
+    sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
+    noise = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
+    added = {name: record.arrays[name] + own for name, own in zip(names, noise)}
+    return record.with_signals(added, missing=record.missing)
+
+
+# One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept.
+#
 # A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide
 # the blocks, and a part holds, beside the samples of its own starts, those that windows from them
 # reach (and a margin for quadrature of higher order). So each pair of start and length counts once,
@@ -17,46 +380,6 @@
 # rows (drawn windows, samples), and their moments are that nearly collinear, a triangular factor R
 # of the rows is kept beside them: R^T R are the moments, and R has the rows' singular values.
 
-import dataclasses
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
-
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Key
-
-from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
-from riecjax.criteria.laws import LagBins
-from riecjax.criteria.length_bins import LengthBins, law_in_bins
-from riecjax.criteria.windows import AllWindows, power_of_two
-from riecjax.equations.equation import Equation, mixing_expressions
-from riecjax.equations.procedure import Procedure
-from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
-from riecjax.linear_algebra import factor_of_gram, factor_of_rows, gram_suffices
-from riecjax.records.filled import filled_up
-from riecjax.records.record import Record
-from riecjax.summaries.averages import hat_half
-from riecjax.summaries.digest import digest_of
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.parts import (
-    FILLED,
-    PART,
-    Lengths,
-    Part,
-    PartSums,
-    Request,
-    Surveyed,
-    all_rows,
-    of_all_windows,
-    of_rows,
-)
-from riecjax.summaries.stage_sums import sum_of_equations
-from riecjax.summaries.sums import Averages, EquationSums, RecordingSums, Survey
-
-AVERAGED = 1024
-"""Averaged rows of a recording, about."""
 SURVEYED = 2048
 """Rows of a recording that a survey looks at, about."""
 SHOWN = 2000
@@ -96,7 +419,6 @@ class _Layout(NamedTuple):
 class OnePass:
     """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][].
 
-    `averaged`, whether rows averaged by hats are kept: columns of high derivatives have none.
     `starts`, first of the starts that are summed and one beyond the last; all, unless others see
     to the rest: then see [`stretch_starts`][].
     """
@@ -109,16 +431,12 @@ class OnePass:
         key: Key[Array, ""] | None,
         bins: LengthBins | None,
         survey: bool,
-        averaged: bool = True,
         starts: tuple[int, int] | None = None,
     ):
         self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
-        self.record, self.survey, self.averaged = record, survey, averaged
+        self.record, self.survey = record, survey
         self.step, self.count = float(record.time_step), record.sample_count
         self.first, self.last = starts or (0, self.count)
-        self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
-        # Hats of four means to a side at the least.
-        self.thin = next((by for by in (16, 4) if self.half >= 4 * by), 1)
 
     # What overflows is for the fit to refuse.
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -166,10 +484,9 @@ class OnePass:
             self.count, self.record.time_step, self.criterion.test_function.length_multiple
         )
         band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
-        half, request = jnp.asarray(self.half), layout.request
         given = (self.procedure, self.criterion)
         parts = [
-            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, half, band, request))
+            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, band, layout.request))
             for part in self._parts(layout, reach)
         ]
         grouped = windows.block(self.count) // layout.block
@@ -205,8 +522,8 @@ class OnePass:
                     else None
                 )
 
-            names = {"moments": "moments", "count": "number", "noise": "noise"}
-            sums = {name: joined(of) for name, of in names.items()}
+            sums = {name: joined(name) for name in ("moments", "noise", "constant")}
+            sums["count"] = joined("number")
             equation = self.procedure.stages[i][j]
             return self._equation(equation, every, **sums, noise_of_source=of_sources())
 
@@ -233,8 +550,7 @@ class OnePass:
         n = self.count
         longest = windows.reach(n)
         if (block := windows.block(n)) < longest:
-            averaged, surveyed = self.averaged * AVERAGED // 2, self.survey * SURVEYED // 2
-            request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
+            request = Request(jnp.asarray(block), 2, self.survey * SURVEYED // 2)
             return _Layout(block, n, _filled(n) if fill else None, request)
         starts = max(PART, 4 * longest)
         filled = starts + reach + 2 * self.criterion.test_function.margin
@@ -244,9 +560,7 @@ class OnePass:
             starts = filled = _filled(n)
         blocks = -(-starts // longest)
         size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
-        averaged, surveyed = (max(k * longest // size, 1) for k in (AVERAGED, SURVEYED))
-        averaged, surveyed = averaged * self.averaged, surveyed * self.survey
-        request = Request(longest, blocks, self.thin, averaged, surveyed)
+        request = Request(longest, blocks, self.survey * max(SURVEYED * longest // size, 1))
         return _Layout(longest, starts, filled, request)
 
     def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
@@ -269,17 +583,11 @@ class OnePass:
         """Starts to a block, and sums over rows: samples, or windows that are drawn."""
         n = self.count
         block = self.criterion.block_samples(self.record)
-        request = Request(
-            jnp.asarray(block),
-            SHORT_BLOCKS_OF_ROWS,
-            self.thin,
-            AVERAGED // SHORT_BLOCKS_OF_ROWS,
-            int(self.survey),
-        )
+        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(self.survey))
         layout = _Layout(block, n, _filled(n) if fill else None, request)
         (part,) = self._parts(layout, 0)
         given = (self.procedure, self.criterion, part, self.key)
-        found = jax.tree.map(np.asarray, of_rows(*given, jnp.asarray(self.half), request))
+        found = jax.tree.map(np.asarray, of_rows(*given, request))
         stages = self._stages([found], block, 1)
         if not self._moments_suffice(stages):
             rows = all_rows(*given)
@@ -303,22 +611,8 @@ class OnePass:
         return True
 
     def _equation(self, equation: Equation, parts: list[PartSums], **sums: Any) -> EquationSums:
-        rows = np.concatenate([p.averaged.reshape(-1, p.averaged.shape[-1]) for p in parts])
-        # Some chunks tell of noise; their sum is brought to the number of all rows.
-        noise, valid = np.sum([p.noise.sum(0) for p in parts], axis=0), rows[:, 0] > 0
-        share = float(np.sum(rows[:, 0])) / noise[0, 0] if noise[0, 0] > 0 else 0.0
-        averages = None
-        if self.averaged:
-            averages = Averages(
-                factor_of_rows(rows[:, 1:], valid),
-                factor_of_gram(noise * share),
-                np.asarray(self.count / max(2 * self.half, 1)),
-            )
-        active = [jax.tree.map(lambda leaf: leaf.sum(0), p.activity) for p in parts]
         surveys = [p.survey for p in parts if p.survey is not None]
         return EquationSums(
-            averages=averages,
-            activity=jax.tree.map(lambda *leaves: np.sum(leaves, axis=0), *active),
             survey=_survey(surveys, float(self.record.skipped)) if surveys else None,
             factor=None,
             parameters=equation.parameters,
@@ -327,7 +621,7 @@ class OnePass:
 
 
 def _each(law: LagBins, index: slice | None) -> LagBins:
-    """Some bins of a law without its edges; of `None`, all of it as one bin."""
+    """Some bins of a law; of `None`, all of it as one bin."""
     return LagBins(law.first[index], law.last[index], law.weight[index])
 
 

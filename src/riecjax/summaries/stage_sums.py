@@ -9,19 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from riecjax.compilation.kept_jit import kept_jit
+from riecjax.compilation import kept_jit
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.noise_moments import NoiseMoments
 from riecjax.criteria.windows import WindowSet
-from riecjax.equations.columns import Columns
 from riecjax.equations.equation import Equation
-from riecjax.equations.noisy_columns import NoisyColumns
+from riecjax.equations.noisy_columns import Columns, NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
-from riecjax.summaries.blocks import short_blocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, short_blocks
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 
@@ -76,8 +74,6 @@ def traced_sums(
             EquationSums(
                 in_bins(e.moments),
                 in_bins(e.count),
-                None,
-                None,
                 None,
                 None,
                 e.parameters,

@@ -14,18 +14,18 @@ from jaxtyping import Array, Bool, Float
 from riecjax import tails
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
-from riecjax.summaries.blocks import MOST_BLOCKS, ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import MOST_BLOCKS, NormalEquations, ShortBlocks
 from riecjax.uncertainty.block_statistics import BlockStatistics, block_statistics
-from riecjax.uncertainty.bootstrap import studentized_replicates, uniform_draws
 from riecjax.uncertainty.covariances import (
     effective_freedom,
+    few_blocks_sandwich,
     jackknife_covariance,
     naive_covariance,
     record_inflation,
     sandwich_covariance,
+    studentized_replicates,
+    uniform_draws,
 )
-from riecjax.uncertainty.small_samples import few_blocks_sandwich
 
 FEW = 12
 """Blocks of all records up to which the bootstrap's tails do not serve."""

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from riecjax.records.faults.answered import are_answered
 from riecjax.records.faults.signals import check_signals
+from riecjax.records.faults.spikes import are_answered
 from riecjax.records.preparation import repair_outliers
 from riecjax.records.record import Record
 

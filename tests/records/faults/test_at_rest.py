@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from benchmarks.sticking import CASES, joint_motion, recorded
+from tests.machines import JOINT_SENSORS, Shape, joint, joint_record
 
 import riecjax as rx
 from riecjax.records.faults.at_rest import rest_of
@@ -22,14 +22,14 @@ def swinging(seed: int, count: int = 20000) -> np.ndarray:
     return np.sum([np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) / f for f in tones], axis=0)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", JOINT_SENSORS)
 def test_a_joint_that_sticks_rests_as_long_as_it_does(case):
-    motion = joint_motion(3, 20.0)
-    record = rx.records.judged(recorded(motion, case, 3))
+    motion = joint(3, Shape(10_001, 500))
+    record = rx.records.judged(joint_record(motion, case, 3))
     if case == "encoder":
         record, _ = with_local_derivative(record, "q", "dq")
     found = rest_of(record, "dq")
-    true = np.mean(motion.dq == 0)
+    true = np.mean(motion["dq"] == 0)
     assert found is not None
     assert 0.7 * true < found.share < 1.3 * true
     assert found.width < 0.2

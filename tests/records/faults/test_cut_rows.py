@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from riecjax.records.consistency import check_derivatives, compared
-from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.relations import relations
+from riecjax.records.faults.rows import cut_rows
 from riecjax.records.preparation.alignment import align
 from riecjax.records.record import Record
 

@@ -13,8 +13,7 @@ import pytest
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.derived import derived
-from riecjax.records.faults.delay_course import Course
-from riecjax.records.faults.derivative_pairs import Pair, compare_pair
+from riecjax.records.faults.derivative_pairs import Course, Pair, compare_pair
 from riecjax.records.noise import Noise
 from riecjax.records.preparation.alignment import set_clocks, shift
 from riecjax.records.record import Record

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.drag_problem import signals
+from tests.machines import drag_signals as signals
 
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.preparation.repair import leave_out

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.records.faults.duplicates import duplicates, refuse_duplicates
+from riecjax.records.faults.rows import duplicates, refuse_duplicates
 from riecjax.records.recording import Recording
 
 

@@ -100,7 +100,7 @@ def test_overtones_of_a_drive_and_tones_of_a_multisine_are_no_hum():
 def test_a_million_samples_take_less_than_a_second():
     values = np.random.default_rng(0).normal(size=10**6)
     values += 0.1 * np.sin(2 * np.pi * 50.01 * np.arange(10**6) / 1000)
-    from riecjax.records.faults.hum import lines_of, spectrum_of
+    from riecjax.records.preparation.hum import lines_of, spectrum_of
 
     start = time.perf_counter()
     spectrum = spectrum_of(values, 1e-3)

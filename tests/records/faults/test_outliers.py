@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.drag_problem import signals
+from tests.machines import drag_signals as signals
 
 from riecjax.errors import DataError
 from riecjax.estimation.identify import identify

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.equations.kinematics import relation_of
+from riecjax.equations.procedure import relation_of
 from riecjax.findings import Finding
 from riecjax.records import align
 from riecjax.records.consistency import check_derivatives

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from benchmarks.drag_problem import signals
+from tests.machines import drag_signals as signals
 
-from riecjax.records.faults.repeated_rows import Repetition, repetitions, without_repetitions
+from riecjax.records.faults.rows import Repetition, repetitions, without_repetitions
 from riecjax.records.record import Record
 
 

@@ -7,7 +7,7 @@ import scipy.signal
 from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.records.noise import Noise
-from riecjax.records.preparation.local_polynomial import derivative_taps, with_local_derivative
+from riecjax.records.preparation.filtering import derivative_taps, with_local_derivative
 from riecjax.records.record import Record
 
 STEP = 0.01

@@ -13,7 +13,7 @@ from riecjax.records.preparation import (
     resample,
     upsample,
 )
-from riecjax.records.preparation.resampled_noise import low_pass_taps, spline_taps
+from riecjax.records.preparation.resampling import low_pass_taps, spline_taps
 from riecjax.records.record import Record
 
 STEP = 0.01

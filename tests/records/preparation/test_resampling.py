@@ -203,9 +203,7 @@ def test_more_samples_than_anybody_wants():
         DataError, match=r"^1e\+09 Hz would make .*to identify from them takes about"
     ):
         resample(waves(1000, 0.1), 1e9)
-    with pytest.raises(
-        DataError, match=r"4e\+06 samples.* of 4000 .* takes about 2.7 min and 0\.68 GB"
-    ):
+    with pytest.raises(DataError, match=r"4e\+06 samples.* of 4000 .* takes about 0\.68 GB"):
         upsample(waves(4000, 0.1), 1000)
     assert upsample(waves(4000, 0.1), 50).sample_count > 190_000
 

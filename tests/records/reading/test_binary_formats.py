@@ -360,7 +360,7 @@ def test_parquet_that_unpacks_to_too_much(tmp_path, monkeypatch):
 
 def test_what_parquet_takes_is_counted_before_it_is_read(tmp_path, monkeypatch):
     parquet.write_table(pa.table({"x": np.zeros(10**6)}), tmp_path / "a.parquet")
-    monkeypatch.setattr("riecjax.work.free_memory", lambda: 4e7)
+    monkeypatch.setattr("riecjax.memory.free_memory", lambda: 4e7)
     with pytest.raises(
         MemoryError, match=r"takes about 0\.064 GB of memory, and 0\.04 GB are free"
     ):
@@ -377,14 +377,13 @@ def test_parquet_takes_no_more_than_is_counted(tmp_path, count):
         import sys
         from pathlib import Path
         import pyarrow.compute, pyarrow.parquet
-        from riecjax import work
-        from riecjax.records.reading.parquet import _read
+        from riecjax.records.reading import parquet
         def peak():
             lines = Path("/proc/self/status").read_text().splitlines()
             return 1024 * next(int(line.split()[1]) for line in lines if "VmHWM" in line)
         before, counted = peak(), []
-        with work.listening(lambda what, work: counted.append(work.bytes)):
-            _read(Path(sys.argv[1]))
+        parquet.require_memory = lambda what, size, remedy: counted.append(size)
+        parquet._read(Path(sys.argv[1]))
         print(peak() - before, counted[0])"""
     command = [sys.executable, "-c", code, str(tmp_path / "a.parquet")]
     taken, counted = subprocess.run(command, capture_output=True, text=True).stdout.split()

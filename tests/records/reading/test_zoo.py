@@ -3,9 +3,9 @@
 import json
 
 import pytest
-from benchmarks.drag_problem import TRUTH
 from benchmarks.zoo import __main__ as zoo
 from benchmarks.zoo.case import CASES, mapped, outcome
+from tests.machines import DRAG_TRUTH as TRUTH
 
 from riecjax.cli.main import run
 

@@ -47,8 +47,6 @@ class Visits(NamedTuple):
     samples: int
     steep: int
     """Visits that came from far off, and left for far off."""
-    within: float
-    """Distance from the extreme of what sits there."""
 
 
 def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iterator[Finding]:
@@ -106,7 +104,7 @@ def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:
         depth = np.fmax.reduceat(inside[4:-4], gaps.ravel())[::2]
         away = (np.diff(gaps)[:, 0] <= AWAY) & (depth > STEEP * quantum)
         steep |= np.pad(away, (0, 1)) | np.pad(away, (1, 0))
-    return Visits(which, float(extreme), starts, samples, int(steep.sum()), signal.rounding)
+    return Visits(which, float(extreme), starts, samples, int(steep.sum()))
 
 
 def _comes_to_rest(near: np.ndarray, far: np.ndarray, quantum: float) -> np.ndarray:
@@ -134,7 +132,7 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     target, inside = signal.values, np.zeros(signal.values.size, bool)
     inside[2:-2] = True
     known = inside & ~np.isnan(np.concatenate([target[None], *rows])).any(axis=0)
-    held = known & (np.abs(target - side.extreme) <= side.within)
+    held = known & (np.abs(target - side.extreme) <= signal.rounding)
     free = np.flatnonzero(known & ~held)
     free = free[:: max(free.size // LOOKED_AT, 1)]
     if not held.any() or free.size < 100:

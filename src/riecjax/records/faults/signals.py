@@ -4,24 +4,82 @@ No check fires on what machines do: axes at rest, relays and steps, encoders tha
 a while, bumps in a road. The message says what to do about a fault.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
 from riecjax.findings import Finding
 from riecjax.records.faults.clipping import clipped
-from riecjax.records.faults.copies import copied_signals
-from riecjax.records.faults.hum import hum
-from riecjax.records.faults.missing import missing_samples
-from riecjax.records.faults.outliers import outliers
-from riecjax.records.faults.quantisation import quantised
-from riecjax.records.faults.sampled_signal import sampled_signal
-from riecjax.records.faults.saturation import saturated
+from riecjax.records.faults.rows import copied_signals
+from riecjax.records.faults.sampled_signal import (
+    FEW_LEVELS,
+    SampledSignal,
+    percent,
+    sampled_signal,
+)
+from riecjax.records.faults.spikes import outliers
 from riecjax.records.faults.stuck_sensor import stuck
+from riecjax.records.preparation.hum import hum
 from riecjax.records.record import Record
 
+COARSE = 0.01
+"""Share of a signal's rms past which its resolution matters."""
 FEWEST_SAMPLES = 50
 """Present samples below which only missing and constant signals are reported."""
+
+
+def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterator[Finding]:
+    """One finding for all signals that lack the same samples, as they do in a logger's pause."""
+    alike: dict[bytes, list[SampledSignal]] = {}
+    for signal in signals:
+        mask = np.isnan(signal.values)
+        if mask.any():
+            alike.setdefault(mask.tobytes(), []).append(signal)
+    for group in alike.values():
+        mask = np.isnan(group[0].values)
+        time, step = group[0].time, float(record.time_step)
+        edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+        starts, stops = edges[::2], edges[1::2]
+        # One sample, halfway, stands for all of a logger's pause.
+        inside = (starts > 0) & (stops < mask.size)
+        before, after = time[np.maximum(starts - 1, 0)], time[np.minimum(stops, mask.size - 1)]
+        passed = np.where(inside, np.round((after - before) / step) - 1, 0).astype(int)
+        lost = np.maximum(stops - starts, passed)
+        first = float(before[0] + step if starts[0] > 0 else time[0])
+        count, present = int(lost.sum()), int((~mask).sum())
+        longest = max((s.stop - s.start for s in record.segments([group[0].name])), default=0)
+        seconds = max(longest - 1, 0) * step
+        gaps = "gap" if lost.size == 1 else "gaps"
+        names = tuple(signal.name for signal in group)
+        yield Finding(
+            "missing_samples",
+            f"{', '.join(names)}: {percent(count, count + present)} of the samples ({count} of "
+            f"{count + present}) are missing in {lost.size} {gaps}, first at {first:.4g} s; the "
+            f"longest unbroken stretch lasts {seconds:.4g} s. Choose windows and filters much "
+            f"shorter than that.",
+            names,
+        )
+
+
+def quantised(signal: SampledSignal) -> Iterator[Finding]:
+    """A resolution that is coarse against the signal's rms."""
+    # Of the largest value's size, or squares of small numbers would be none.
+    most = float(np.nanmax(np.abs(signal.values), initial=1e-300))
+    rms = most * float(np.nanstd(signal.values / most))
+    steps = np.abs(np.diff(signal.values))
+    steps = steps[~np.isnan(steps)]
+    # Few levels that are held for long are a command's.
+    held = signal.levels.size <= FEW_LEVELS and np.mean(steps == 0) > 0.95
+    if signal.levels.size < 5 or held or signal.resolution <= COARSE * rms:
+        return
+    change = float(np.sqrt(np.mean((steps / signal.resolution) ** 2)))
+    yield signal.finding(
+        "quantised",
+        f"its resolution of {signal.with_unit(signal.resolution)} is "
+        f"{percent(signal.resolution, rms)} of its rms, and it changes by {change:.2g} such steps "
+        f"from sample to sample (rms). Do not differentiate it without a low-pass, and prefer "
+        f"longer windows or a finer range.",
+    )
 
 
 # Values too large to be squared are for the fit to refuse; here they only compare as infinite.
@@ -60,7 +118,7 @@ def check_signals(
         elif signal.sample_count >= FEWEST_SAMPLES:
             rest = [s for key, s in {**signals, **others}.items() if key != name]
             if name not in computed:
-                findings += [*clipped(signal, rest)] or [*saturated(signal, rest)]
+                findings += clipped(signal, rest)
                 findings += stuck(signal, rest)
             findings += outliers(signal, rest)
             findings += quantised(signal)

@@ -1,4 +1,8 @@
-"""Spikes of one to three samples, found against the noise around them, and what belongs there.
+"""What samples say of one among them: robust polynomials through all but itself.
+
+They are weighed by Tukey's biweight, which no neighbouring spike moves.
+
+Spikes of one to three samples, found against the noise around them, and what belongs there.
 
 A spike of height h adds h times 1, -6, 15, -20, 15, -6, 1 to seven differences of sixth order, in
 which smooth motion is next to nothing and white noise of standard deviation sigma has sqrt(924)
@@ -10,24 +14,255 @@ What machines do stays: after a step or a corner the polynomial follows one side
 is off it for longer than a spike lasts; a pulse among steps of its own size, as of a relay, is one
 of them; and of a command that follows straight lines, or takes few values, only what is far beyond
 all others is a spike.
+
+Whether the motion answers to what looks like spikes: blows of a hammer, impacts, short pulses.
+
+A force that acts for a few samples changes a velocity by its impulse over the mass, and the slope
+of a position. What goes wrong in one sensor changes nothing in another. So lines are put through
+the samples before and behind each spike of every other signal, straight ones and parabolas: where
+their levels or slopes part further than they do elsewhere, the spike acted.
+
+Samples that are spikes: what is said of them.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from riecjax.records.faults.local_fits import LONGEST, NORMAL, SUSPECT, Around, Local, fits, medians
-from riecjax.records.noise import DIFFERENCE_ORDER
-from riecjax.records.remembered import remembered
-from riecjax.records.resolution import (
+from riecjax.findings import Finding
+from riecjax.records.faults.sampled_signal import (
     FEW_LEVELS,
+    LAST_DIGITS,
     ROUNDING,
+    SampledSignal,
     is_piecewise_linear,
     levels_of,
     resolution_of,
 )
+from riecjax.records.noise import DIFFERENCE_ORDER
+from riecjax.records.remembered import remembered
+
+SUSPECT = 4.5
+"""Standard deviations past which a sixth difference makes suspects of the samples around it."""
+LONGEST = 3
+"""Neighbouring samples past which it is no spike."""
+CLEAR = 5.0
+"""Times that a spike is further off the polynomial than all samples around it are (rms)."""
+NEIGHBOUR = 4.0
+"""The same of the nearest sample on each side, which at a step is off one that spans it."""
+TUKEY = 4.685
+"""Scales past which a sample has no weight."""
+AT_ONCE = 256
+"""Polynomials that are fitted side by side: more leave the processor's cache, and their products
+are large enough that NumPy starts threads, which costs more than it gains."""
+ROUNDS, FIRST = 8, 3
+"""Times that weights are found anew, the first of them for the least sum of absolute values."""
+RIDGE = 1e-9
+"""What keeps a fit through fewer samples than coefficients from a division by zero."""
+NORMAL = 0.6745
+"""Median size of a standard normal variable."""
+
+
+class Local(NamedTuple):
+    """Polynomials of one degree over the samples of a window.
+
+    **Fields:** `offsets` of its samples; orthonormal `columns`, shape `(samples, degree + 1)`;
+    `products` of each two, a row for each sample.
+    """
+
+    offsets: Int[np.ndarray, " samples"]
+    columns: Float[np.ndarray, "samples coefficients"]
+    products: Float[np.ndarray, "samples pairs"]
+
+    @classmethod
+    def of(cls, degree: int, beside: int) -> "Local":
+        """Of a degree, over so many samples to each side."""
+        offsets = np.arange(-beside, beside + 1)
+        columns = np.linalg.qr((offsets[:, None] / beside) ** np.arange(degree + 1))[0]
+        products = columns[:, :, None] * columns[:, None, :]
+        return cls(offsets, columns, products.reshape(offsets.size, -1))
+
+    @property
+    def beside(self) -> int:
+        """Samples to each side."""
+        return self.offsets.size // 2
+
+    def off(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """How far each sample is off the one through all, over its gain for white noise.
+
+        0 where its window has gaps or ends.
+        """
+        taps = self.columns @ self.columns[self.beside]
+        taps[self.beside] -= 1
+        off = np.abs(np.convolve(values, taps[::-1], "valid")) / np.linalg.norm(taps)
+        return np.pad(np.nan_to_num(off), self.beside)
+
+    @property
+    def gain(self) -> float:
+        """Times `off` that a sample is off the one through the others."""
+        return float(1 / np.sqrt(1 - np.sum(self.columns[self.beside] ** 2)))
+
+    def error(self, values: Float[np.ndarray, " n"]) -> float:
+        """How far samples mostly are off the one through the others."""
+        return float(self.gain * np.median(self.off(values)))
+
+
+class Fits(NamedTuple):
+    """At each place the polynomial through the other samples of its unbroken stretch.
+
+    **Fields:** its `value`; `scale`, the standard deviation off it; `clear`, by how much a spike
+    stands clear of all others; `spread`, what noise must be below so as not to matter to it.
+    """
+
+    value: Float[np.ndarray, " k"]
+    scale: Float[np.ndarray, " k"]
+    clear: Float[np.ndarray, " k"]
+    spread: Float[np.ndarray, " k"]
+
+
+class Around:
+    """Fits at all places of a signal, made anew where something changed that they depend on."""
+
+    def __init__(self, stretch: Int[np.ndarray, " n"], local: Local) -> None:
+        self.stretch, self.local = stretch, local
+        self.kept = np.full((4, stretch.size), np.nan)
+        self.noise = np.zeros(stretch.size)
+
+    def at(
+        self,
+        values: Float[np.ndarray, " n"],
+        places: Int[np.ndarray, " k"],
+        noise: Float[np.ndarray, " n"],
+    ) -> Fits:
+        """Of some places, given the noise around each."""
+        before, now = self.noise[places], noise[places]
+        matters = (now != before) & (np.maximum(now, before) > self.kept[3, places])
+        again = places[matters | np.isnan(self.kept[0, places])]
+        if again.size:
+            self.kept[:, again] = fits(values, again, noise, self.stretch, self.local)
+        self.noise[again] = noise[again]
+        return Fits(*self.kept[:, places])
+
+    def forget(self, places: Int[np.ndarray, " k"]) -> None:
+        """Samples there have other values from now on."""
+        reach = self.local.beside + LONGEST
+        near = places[:, None] + np.arange(-reach, reach + 1)
+        self.kept[0, np.clip(near, 0, self.stretch.size - 1)] = np.nan
+
+
+def fits(
+    values: Float[np.ndarray, " n"],
+    places: Int[np.ndarray, " k"],
+    noise: Float[np.ndarray, " n"],
+    stretch: Int[np.ndarray, " n"],
+    local: Local,
+) -> Fits:
+    """The polynomials at some places, of which `stretch` numbers the unbroken stretch."""
+    median = _running_median(values, places, local.beside)
+    parts = np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE))
+    found = zip(*(_at_once(values, median, part, noise, stretch, local) for part in parts))
+    return Fits(*(np.concatenate(each) for each in found))
+
+
+def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
+    """Of each row what is no NaN; NaN where nothing is."""
+    ordered = np.sort(rows, axis=1)
+    count = np.sum(~np.isnan(rows), axis=1)
+    at = np.arange(len(rows))
+    return (
+        ordered[at, np.maximum(count - 1, 0) // 2] + ordered[at, count // 2 % rows.shape[1]]
+    ) / 2
+
+
+def _at_once(
+    values: np.ndarray,
+    median: np.ndarray,
+    places: np.ndarray,
+    noise: np.ndarray,
+    stretch: np.ndarray,
+    local: Local,
+) -> Fits:
+    near = places[:, None] + local.offsets
+    inside = np.clip(near, 0, values.size - 1)
+    there = (near == inside) & (stretch[inside] == stretch[places][:, None])
+    there &= (local.offsets != 0) & ~np.isnan(values[inside])
+    window = np.where(there, values[inside], np.nan)
+    digits = LAST_DIGITS * (1 + np.abs(medians(window)))
+    least = noise[places] + digits
+    window = np.where(there, window, 0.0)
+    off = np.where(there, np.abs(window - median[inside]), np.nan)
+    spread = medians(off) / NORMAL
+    start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
+    weight, factor, found, scale = start, *(np.zeros(0) for _ in range(3))
+    count, middle = local.columns.shape[1], local.columns[local.beside]
+    for i in range(ROUNDS):
+        factor = _factored((local.products.T @ weight.T).reshape(count, count, -1))
+        found = _solved(factor, local.columns.T @ (weight * window).T)
+        off = np.where(there, np.abs(window - (local.columns @ found).T), np.nan)
+        own = medians(off) / NORMAL
+        scale, spread = np.fmax(least, own), np.fmin(spread, own)
+        share = np.nan_to_num(off) / scale[:, None]
+        # Absolute values first, whose least sum is one, so that weights do not settle elsewhere.
+        weight = (
+            start / np.maximum(share, 1.0)
+            if i < FIRST
+            else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
+        )
+    enough = np.sum(weight > 0, axis=1) > count
+    reach = middle @ _solved(factor, np.repeat(middle[:, None], len(places), axis=1))
+    clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
+    before, after = off[:, : local.beside], off[:, local.beside + 1 :]
+    for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
+        nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
+        clear = np.fmax(clear, NEIGHBOUR * nearest)
+    scale = np.where(enough, scale, np.inf) * np.sqrt(1 + reach)
+    return Fits(middle @ found, scale, clear, np.nan_to_num(spread - digits))
+
+
+def _factored(grams: Float[np.ndarray, "c c k"]) -> Float[np.ndarray, "c c k"]:
+    """Below the diagonal L, and on it D, of L D L' for each symmetric matrix, which it replaces.
+
+    All side by side take a third of the time of LAPACK, which takes one after the other.
+    """
+    count = len(grams)
+    grams[range(count), range(count)] += RIDGE
+    for i in range(count - 1):
+        below = grams[i + 1 :, i]
+        scaled = below / grams[i, i]
+        grams[i + 1 :, i + 1 :] -= scaled[:, None] * below
+        grams[i + 1 :, i] = scaled
+    return grams
+
+
+def _solved(factor: Float[np.ndarray, "c c k"], right: Float[np.ndarray, "c k"]) -> np.ndarray:
+    """The solutions of factored systems; the right sides are replaced."""
+    count = len(right)
+    for i in range(count - 1):
+        right[i + 1 :] -= factor[i + 1 :, i] * right[i]
+    right /= factor[range(count), range(count)]
+    for i in range(count - 1, 0, -1):
+        right[:i] -= factor[i, :i] * right[i]
+    return right
+
+
+def _running_median(
+    values: Float[np.ndarray, " n"], places: Int[np.ndarray, " k"], beside: int
+) -> Float[np.ndarray, " n"]:
+    """Of the seven samples around each that is near these places, which no spike of up to three
+    samples moves; NaN elsewhere."""
+    near = np.zeros(values.size + 1, int)
+    np.add.at(near, np.maximum(places - beside, 0), 1)
+    np.add.at(near, np.minimum(places + beside + 1, values.size), -1)
+    used = np.flatnonzero(np.cumsum(near[:-1]))
+    padded = np.pad(values, LONGEST, constant_values=np.nan)
+    rows = np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used]
+    found = np.full(values.size, np.nan)
+    found[used] = medians(rows)
+    return found
+
 
 SPIKE = 6.0
 """Standard deviations that a spike is off the polynomial at the least."""
@@ -270,3 +505,162 @@ def _among_others(
         return np.searchsorted(ordered, 3 * off) - np.searchsorted(ordered, off / 3)
 
     return found & (alike(rest) >= alike(off[found]))
+
+
+LEVEL = 1e-3
+"""Probability by chance, over all signals, below which an answer is told."""
+SIDE = 8
+"""Samples of each line."""
+GAP = LONGEST // 2 + 1
+"""Samples to each side of the middle of a spike that no line goes through."""
+NEAR = 2 * (GAP + SIDE)
+"""Samples around a spike that are not elsewhere."""
+PARTING = 4.0
+"""Times the largest parting elsewhere that is no chance."""
+COEFFICIENTS = (2, 3)
+"""Of lines and parabolas."""
+TESTS = 2 * len(COEFFICIENTS)
+"""Of each signal: the level and the slope of both."""
+MOST_BLOWS = 64
+"""Spikes that are looked at."""
+
+
+def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarray, " n"]]) -> bool:
+    """Whether some other signal shows that spikes at these samples acted.
+
+    **Arguments:** `places`, ascending; `others` at the same times, without spikes of their own, NaN
+    where samples are missing.
+    """
+    others, middles = list(others), _middles(places)[:MOST_BLOWS]
+    # One after the other: of long records all together would fill the memory.
+    tests = (parting for other in others for parting in _partings(other))
+    level = LEVEL / max(TESTS * len(others), 1)
+    return any(_by_chance(middles, places, test) < level for test in tests)
+
+
+def _middles(places: Int[np.ndarray, " k"]) -> Int[np.ndarray, " groups"]:
+    """The middle sample of each group of neighbours."""
+    groups = np.split(places, np.flatnonzero(np.diff(places) > LONGEST) + 1)
+    return np.array([group[group.size // 2] for group in groups if group.size], int)
+
+
+def _partings(values: Float[np.ndarray, " n"]) -> list[Float[np.ndarray, " n"]]:
+    """By how much level and slope of lines, and of parabolas, to both sides of each sample part;
+    NaN at ends."""
+    if values.size < NEAR:
+        return []
+    offsets = np.arange(GAP + 1, GAP + SIDE + 1)
+    found = []
+    for coefficients in COEFFICIENTS:
+        fit = np.linalg.pinv(np.vander(offsets, coefficients, increasing=True))
+        for taps, sign in zip(fit[:2], (-1, 1)):
+            # Before the sample time runs the other way: there levels are alike, slopes opposite.
+            around = np.concatenate([sign * taps[::-1], np.zeros(2 * GAP + 1), taps])
+            inside = np.convolve(values, around[::-1], "valid")
+            found.append(np.abs(np.pad(inside, GAP + SIDE, constant_values=np.nan)))
+    return found
+
+
+def _by_chance(
+    middles: Int[np.ndarray, " groups"],
+    places: Int[np.ndarray, " k"],
+    parting: Float[np.ndarray, " n"],
+) -> float:
+    """Probability that lines part so far at samples that are none in particular.
+
+    The share of all samples where they part further is a p-value, and of n of them the sum of
+    -log p has a gamma distribution. Few blows are too few for that; they are told by their size, if
+    nothing elsewhere comes near it.
+    """
+    there = ~np.isnan(parting)
+    found = parting[middles]
+    found = found[~np.isnan(found)]
+    if not found.size:
+        return 1.0
+    elsewhere = there.copy()
+    for place in places:
+        elsewhere[max(place - NEAR, 0) : place + NEAR + 1] = False
+    if np.median(found) > PARTING * np.max(parting, where=elsewhere, initial=0.0):
+        return 0.0
+    usual = np.sort(parting[there])
+    beyond = usual.size - np.searchsorted(usual, found)
+    total = -float(np.sum(np.log((1 + beyond) / (1 + usual.size))))
+    terms = [k * math.log(max(total, 1e-300)) - math.lgamma(k + 1) for k in range(found.size)]
+    return sum(math.exp(term - total) for term in terms)
+
+
+MOST = 0.05
+"""Share of the samples past which spikes are a fault of the channel, and are not repaired."""
+LISTED = 3
+"""Times that are named."""
+
+Treatment: TypeAlias = Literal["repair", "missing", "keep"]
+"""What becomes of spikes: a local polynomial's value takes their place, they are marked as missing,
+or they stay."""
+DONE = {
+    "repair": "A polynomial through the samples around took the place of each; if they really "
+    "acted, keep them (--outliers keep)",
+    "missing": "They were marked as missing",
+    "keep": "Least squares follow them: repair them (--outliers repair; in Python "
+    "rx.records.repair_outliers(record)), unless they really acted",
+}
+
+
+def too_many(spikes: Spikes, values: Float[np.ndarray, " n"]) -> bool:
+    """Whether spikes are more than single samples that went wrong."""
+    return spikes.places.size > MOST * np.sum(~np.isnan(values))
+
+
+def outliers(signal: SampledSignal, others: Iterable[SampledSignal] = ()) -> list[Finding]:
+    """The finding of a signal whose spikes were kept, unless others show that they acted."""
+    name, values, time, unit = signal.name, signal.values, signal.time, signal.unit
+    spikes = find_spikes(values)
+    if not spikes.places.size or are_answered(spikes.places, (one.values for one in others)):
+        return []
+    return [finding_of(name, spikes, values, time, unit)]
+
+
+def finding_of(
+    name: str,
+    spikes: Spikes,
+    values: Float[np.ndarray, " n"],
+    time: Float[np.ndarray, " n"],
+    unit: str = "",
+    done: Treatment = "keep",
+) -> Finding:
+    """How many spikes there are, where, how large, and what was done.
+
+    What was kept puts parameters in doubt by the spikes' share of the signal's energy.
+    """
+    count, present = spikes.places.size, int(np.sum(~np.isnan(values)))
+    listed = ", ".join(f"{time[place]:.6g}" for place in spikes.places[:LISTED])
+    more = f" s and {count - LISTED} more" if count > LISTED else " s"
+    with np.errstate(all="ignore"):
+        noises = np.median(spikes.sizes / spikes.noise)
+    against = f", {noises:.3g} times the noise there (median)" if np.isfinite(noises) else ""
+    kept = too_many(spikes, values) or done == "keep"
+    doubt = _share_of_energy(spikes, values) if kept else 0.0
+    said = (
+        f"So many are a fault of the channel and were left as they are: check the sensor, its "
+        f"cable and the logger (more than {MOST:.0%} of the samples)"
+        if too_many(spikes, values)
+        else DONE[done]
+    )
+    message = (
+        f"{name}: {count} {'sample is a spike' if count == 1 else 'samples are spikes'} "
+        f"({100 * count / present:.2g} %), up to {f'{np.max(spikes.sizes):.4g} {unit}'.rstrip()} "
+        f"off the samples around{against}, at {listed}{more}. {said}."
+    )
+    remedy = ("--outliers", "repair") if kept and not too_many(spikes, values) else ()
+    return Finding("outliers", message, (name,), doubt=doubt, remedy=remedy)
+
+
+def _share_of_energy(spikes: Spikes, values: Float[np.ndarray, " n"]) -> float:
+    """Of the signal's energy about its mean, with the spikes."""
+    with np.errstate(all="ignore"):
+        largest = np.max(spikes.sizes)
+        own = np.sum((spikes.sizes / largest) ** 2)
+        rest = values.copy()
+        rest[spikes.places] = spikes.repaired
+        rest = np.nansum(((rest - np.nanmean(rest)) / largest) ** 2)
+        return float(own / (own + rest))

@@ -7,8 +7,8 @@ from .filtering import low_pass as low_pass
 from .filtering import remove_drift as remove_drift
 from .filtering import remove_offset as remove_offset
 from .filtering import unfilter as unfilter
-from .local_polynomial import with_local_derivative as with_local_derivative
-from .notch import notch as notch
+from .filtering import with_local_derivative as with_local_derivative
+from .hum import notch as notch
 from .repair import leave_out as leave_out
 from .repair import repair_outliers as repair_outliers
 from .resampling import decimate as decimate

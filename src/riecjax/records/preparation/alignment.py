@@ -9,12 +9,12 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.consistency import compared
-from riecjax.records.faults.cut_rows import cut_rows
 from riecjax.records.faults.derivative_pairs import LATE, Pair
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
+from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation.band_limited import band_limited, reach_beyond, response
 from riecjax.records.preparation.filtering import longest_stretch, through, with_gaps
+from riecjax.records.preparation.resampling import band_limited, reach_beyond, response
 from riecjax.records.record import Record
 
 POINTS = np.arange(-3, 5)

@@ -9,16 +9,51 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.answered import are_answered
-from riecjax.records.faults.held import held
-from riecjax.records.faults.outliers import DONE, Treatment, finding_of, too_many
+from riecjax.records.faults.clipping import limits
 from riecjax.records.faults.sampled_signal import sampled_signal
-from riecjax.records.faults.spikes import Spikes, find_spikes
-from riecjax.records.faults.wrapped import unwrapped
+from riecjax.records.faults.spikes import (
+    DONE,
+    Spikes,
+    Treatment,
+    are_answered,
+    find_spikes,
+    finding_of,
+    too_many,
+)
+from riecjax.records.faults.stuck_sensor import stuck_runs
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.reading.selected import Selection
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import SHORTEST_PAUSE
+
+TURNS = (2 * np.pi, 360.0)
+"""A turn in radians and in degrees."""
+QUICKEST = 0.25
+"""Turns from sample to sample past which nothing tells which way it went."""
+MOST = 0.05
+"""Share of samples that begin a turn at most."""
+
+
+def unwrapped(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], int]:
+    """An angle that goes on from turn to turn, and how often it began anew; 0 if it never did.
+
+    It is one whose values fill a turn, and jump from one end of it to the other, and nowhere else.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    steps = np.diff(values[known])
+    sizes = np.abs(steps)
+    for turn in TURNS:
+        jumps = sizes > turn / 2
+        if not jumps.any() or np.mean(jumps) > MOST:
+            continue
+        usual = float(np.max(sizes[~jumps], initial=0.0))
+        reach = float(np.ptp(values[known]))
+        around = np.abs(sizes[jumps] - turn) <= 2 * usual
+        if usual < QUICKEST * turn and turn - 2 * usual <= reach <= turn + usual and around.all():
+            whole = values.copy()
+            whole[known] -= turn * np.cumsum(np.append(0, np.where(jumps, np.sign(steps), 0)))
+            return whole, int(jumps.sum())
+    return values, 0
 
 
 class Treated(NamedTuple):
@@ -69,13 +104,18 @@ def leave_out(record: Record, *signals: str) -> Record:
     columns = {}
     for name in signals:
         others = [signal for other, signal in every.items() if other != name]
-        places = held(every[name], others)
-        if places.any():
-            columns[name] = np.where(places, np.nan, every[name].values)
-            if np.isnan(columns[name]).all():
-                raise DataError(
-                    f"nothing would be left of '{name}': it is at its limit throughout."
-                )
+        signal, values = every[name], every[name].values.copy()
+        for run in stuck_runs(signal, others):
+            start = signal.run_starts[run]
+            values[start : start + signal.run_lengths[run]] = np.nan
+        # Limits that may be real among them.
+        for side in limits(signal):
+            sign = 1.0 if side.which == "maximum" else -1.0
+            values[sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
+        if np.isnan(values).all():
+            raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
+        if not np.array_equal(values, signal.values, equal_nan=True):
+            columns[name] = values
     return with_gaps(record, columns, noise=record.noise)
 
 
@@ -133,7 +173,17 @@ def _treated(
     if how == "keep":
         return treated
     for name in names:
-        treated[name] = _of_signal(columns[name], times[name], how)
+        values, time = columns[name], times[name]
+        steps = np.diff(time) if time.size > 1 else np.ones(1)
+        pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
+        # No polynomial reaches across a pause.
+        spikes = find_spikes(np.insert(values, pauses, np.nan))
+        if not spikes.places.size or too_many(spikes, values):
+            continue
+        places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
+        changed = values.copy()
+        changed[places] = spikes.repaired if how == "repair" else np.nan
+        treated[name] = Treated(changed, spikes._replace(places=places))
     without = {**columns, **{name: one.values for name, one in treated.items()}}
     for name, one in treated.items():
         if one.spikes is None:
@@ -146,18 +196,3 @@ def _treated(
         if are_answered(one.spikes.places, others):
             treated[name] = Treated(columns[name], one.spikes, acted=True)
     return treated
-
-
-def _of_signal(
-    values: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], how: Treatment
-) -> Treated:
-    steps = np.diff(time) if time.size > 1 else np.ones(1)
-    pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
-    # No polynomial reaches across a pause.
-    spikes = find_spikes(np.insert(values, pauses, np.nan))
-    if not spikes.places.size or too_many(spikes, values):
-        return Treated(values)
-    places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
-    changed = values.copy()
-    changed[places] = spikes.repaired if how == "repair" else np.nan
-    return Treated(changed, spikes._replace(places=places))

@@ -1,32 +1,221 @@
-"""Records at another rate, and channels of different rates on one."""
+"""Interpolation of evenly spaced samples by a windowed sinc.
 
+A signal that is band-limited to half its rate is x(t) = sum_n x[n] sinc(t - n), with t in samples.
+Evaluating it at a slower rate needs a low-pass first, so that nothing folds; filtering and
+evaluating are one sum,
+
+    x(t) = sum_n h(t - n) x[n] / sum_n h(t - n),   h(u) = sinc(c u) w(u / L).
+
+c is the cut-off as a share of half the samples' rate, and the window w cuts the sum off at L
+samples to each side: Kaiser's, whose shape and length follow from the attenuation and the width of
+the transition (SciPy's `kaiserord`). Dividing by the sum of the weights makes a constant pass
+exactly. The cost is 2 L for each value, and weights are computed once for each distinct phase
+t - floor(t).
+
+The noise of signals that are brought to another rate.
+
+Records at another rate, and channels of different rates on one.
+"""
+
+import math
 from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
+import scipy.special
+from jaxtyping import Float
 
 from riecjax.errors import DataError
-from riecjax.records.missing import gaps, hold
-from riecjax.records.noise import Noise
+from riecjax.memory import in_gigabytes, require_memory
+from riecjax.records.noise import DIFFERENCE_ORDER, STRETCH, STRETCHES, Noise, shortened, usual_size
 from riecjax.records.noise_judgement import judged, noise_of_level
-from riecjax.records.preparation.band_limited import band_limited, reach_beyond
 from riecjax.records.preparation.filtering import longest_stretch
-from riecjax.records.preparation.resampled_noise import (
-    low_pass_taps,
-    resampled_noise,
-    spline_taps,
-    uneven_level,
-)
-from riecjax.records.record import Record
-from riecjax.work import Work, expect
+from riecjax.records.record import Record, gaps, hold
+
+LARGEST_BLOCK = 2**22
+"""Weights held at once."""
+PHASE_DIGITS = 9
+"""Of a position in samples; positions equal in these digits share their weights."""
+
+
+class LowPass(NamedTuple):
+    """A windowed-sinc low-pass, in terms of half the slower of two rates.
+
+    **Fields:** `cutoff`, the middle of the transition, and `transition`, half its width, as
+    shares of half the slower rate; `attenuation` in dB, of what lies above and of the ripple
+    below.
+    """
+
+    cutoff: float
+    transition: float
+    attenuation: float
+
+    def half_length(self, density: float) -> float:
+        """Samples to each side that have a weight, at `density` samples per slower sample."""
+        from scipy.signal import kaiserord  # takes half a second, which few records need
+
+        taps, _ = kaiserord(self.attenuation, 2 * self.transition)
+        return 0.5 * float(taps) * density
+
+    def reach(self, density: float) -> int:
+        """Whole samples that must be there on each side of a position."""
+        return math.ceil(self.half_length(density))
+
+    def weights(self, offsets: np.ndarray, density: float) -> np.ndarray:
+        """Weight of samples that lie `offsets` samples away."""
+        share = offsets / self.half_length(density)
+        from scipy.signal import kaiser_beta
+
+        beta = kaiser_beta(self.attenuation)
+        window = scipy.special.i0(beta * np.sqrt(np.maximum(1 - share**2, 0.0)))
+        return np.where(np.abs(share) < 1, np.sinc(self.cutoff / density * offsets) * window, 0.0)
+
+
+INTERPOLATION = LowPass(cutoff=1.0, transition=0.1, attenuation=130.0)
+"""To a faster rate: errors below 1e-6 of the amplitude up to 0.9 of half the samples' rate. Its
+sinc is zero at all samples but one, so these pass unchanged. Reaches 44 samples to each side."""
+ANTI_ALIAS = LowPass(cutoff=0.9, transition=0.1, attenuation=80.0)
+"""To a slower rate: flat to 0.8 of half the new rate within 1e-4, and 80 dB down from half the new
+rate on, so that nothing folds into the record. Reaches 26 new samples to each side."""
+
+
+def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> np.ndarray:
+    """An evenly sampled signal at other places.
+
+    **Arguments:**
+
+    - `samples`: unit distance apart, shape `(n,)`.
+    - `positions`: where to evaluate, in samples from the first one, shape `(m,)`.
+    - `spacing`: usual distance of positions in samples; above 1 the signal is low-passed for it.
+
+    **Returns:** values of shape `(m,)`, NaN where the weights would reach beyond the samples.
+    """
+    low_pass, density = _low_pass(spacing)
+    reach = reach_beyond(spacing)
+    positions = np.round(positions, PHASE_DIGITS)
+    found = np.full(positions.size, np.nan)
+    inside = np.flatnonzero((positions >= reach) & (positions <= samples.size - 1 - reach))
+    if not inside.size:
+        return found
+    offsets = np.arange(-reach + 1, reach + 1)
+    neighbours = np.lib.stride_tricks.sliding_window_view(samples, offsets.size)
+    for block in np.array_split(inside, math.ceil(inside.size * offsets.size / LARGEST_BLOCK)):
+        before = np.floor(positions[block]).astype(int)
+        phases, which = np.unique(
+            np.round(positions[block] - before, PHASE_DIGITS), return_inverse=True
+        )
+        weights = low_pass.weights(offsets - phases[:, None], density)
+        weights /= weights.sum(axis=1, keepdims=True)
+        found[block] = np.einsum("ij,ij->i", weights[which], neighbours[before - reach + 1])
+    return found
+
+
+def reach_beyond(spacing: float) -> int:
+    """Samples that `band_limited` needs on each side of a position."""
+    low_pass, density = _low_pass(spacing)
+    return low_pass.reach(density)
+
+
+def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
+    """What `band_limited` makes of one sample of 1, so many samples away from it."""
+    low_pass, density = _low_pass(spacing)
+    reach = low_pass.reach(density)
+    whole = low_pass.weights(np.arange(-reach, reach + 1), density)
+    return low_pass.weights(offsets, density) / whole.sum()
+
+
+def _low_pass(spacing: float) -> tuple[LowPass, float]:
+    return (ANTI_ALIAS, spacing) if spacing > 1 else (INTERPOLATION, 1.0)
+
+
+KNOTS = 20
+"""Samples to each side past which a spline through them no longer feels one: 0.27^20 = 4e-12."""
+PHASES = 64
+"""Places between samples that a grid is taken to have, at the most."""
+
+
+def resampled_noise(noise: Noise, spacing: float) -> Noise:
+    """The noise of a record whose samples are `spacing` of the old ones apart.
+
+    With h the response of the resampler, w of unit size on the old samples, gives
+    e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
+    rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
+    """
+
+    def taps(kernel: np.ndarray) -> np.ndarray:
+        half = kernel.size // 2
+        reach = math.ceil((half + reach_beyond(spacing)) / spacing)
+        places = spacing * np.arange(-reach, reach + 1)
+        through = response(places[:, None] - np.arange(-half, half + 1), spacing)
+        return shortened(math.sqrt(spacing) * through @ kernel)
+
+    kernels = {
+        name: {source: taps(np.asarray(kernel)) for source, kernel in of.items()}
+        for name, of in noise.kernels.items()
+    }
+    return Noise(kernels, noise.freedom)
+
+
+def low_pass_taps(spacing: float) -> Float[np.ndarray, " taps"]:
+    """The kernel, on the new samples, that a low-pass for a slower rate makes of white noise."""
+    return np.asarray(resampled_noise(Noise({"": {"": np.ones(1)}}), spacing).kernels[""][""])
+
+
+def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"]:
+    """The kernel that a cubic spline makes of white noise.
+
+    Between samples a spline averages, on them it does not: the noise is not stationary. The kernel
+    is the symmetric one with the mean of its autocovariances.
+
+    **Arguments:** `positions` at which the spline is evaluated, in samples, evenly spaced.
+    """
+    from scipy.interpolate import CubicSpline  # takes half a second, which few records need
+
+    spacing = float(positions[1] - positions[0])
+    knots = np.arange(-2 * KNOTS, 2 * KNOTS + 1)
+    spline = CubicSpline(knots, (knots == 0).astype(float))
+
+    def at(places: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(places) < KNOTS, spline(np.clip(places, -KNOTS, KNOTS)), 0.0)
+
+    reach = math.ceil(2 * KNOTS / spacing)
+    chosen = np.linspace(0, positions.size - 1, min(positions.size, PHASES)).astype(int)
+    near = np.arange(-KNOTS, KNOTS + 1)
+    first = np.mod(positions[chosen], 1.0)[:, None]
+    here = at(first - near)
+    covariance = np.array(
+        [np.mean(np.sum(here * at(first + lag * spacing - near), 1)) for lag in range(reach + 1)]
+    )
+    spectrum = np.fft.rfft(np.concatenate([covariance, covariance[:0:-1]]))
+    kernel = np.fft.irfft(np.sqrt(np.maximum(spectrum.real, 0.0)), 2 * reach + 1)
+    return shortened(np.fft.fftshift(kernel))
+
+
+def uneven_level(time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> np.ndarray:
+    """Standard deviation of white noise on samples that need not be evenly spaced.
+
+    From divided differences of sixth order, which are those of even samples where they are even.
+    NaN where a value is missing.
+    """
+    count = values.size - DIFFERENCE_ORDER
+    if count < 1:
+        return np.zeros(())
+    starts = np.unique(np.linspace(0, count - 1, min(count, STRETCHES * STRETCH)).astype(int))
+    places = starts[:, None] + np.arange(DIFFERENCE_ORDER + 1)
+    near = (time[places] - time[starts][:, None]) / np.median(np.diff(time))
+    apart = near[:, :, None] - near[:, None, :] + np.eye(DIFFERENCE_ORDER + 1)
+    weights = 1.0 / np.prod(apart, axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    return np.asarray(usual_size(np.sum(weights * values[places], axis=1)))
+
 
 LARGEST_GRID = 50_000_000
 """Samples, over all channels, that a new grid may have before it is refused."""
 LARGEST_GROWN, MOST_TIMES = 3_000_000, 16
 """The same where it has more than so many times as many as were recorded, which say no more."""
-WORK_OF_IDENTIFYING = Work(4e-5, 170.0)
+BYTES_OF_IDENTIFYING = 170.0
 """What a sample of one channel takes in `riecjax identify`, as measured from 12,000 on."""
-WORK_PER_SAMPLE = Work(2e-6, 60.0)
+BYTES_PER_SAMPLE = 60.0
 """What a sample of one channel on its new grid takes."""
 LONGEST_STEP = 3.0
 """Usual steps of a channel past which samples are missing between two of its stamps."""
@@ -229,15 +418,14 @@ def _common_grid(channels: Mapping[str, _Channel], rate: float) -> np.ndarray:
 
 
 def _expect(samples: float, recorded: int, how: str, remedy: str) -> None:
-    """Say what so many samples of a new grid take, over all channels, or refuse them."""
+    """Refuse so many samples of a new grid, over all channels, that memory does not hold."""
     if samples > min(LARGEST_GRID, max(LARGEST_GROWN, MOST_TIMES * recorded)):
-        whole = Work(*(samples * each for each in WORK_OF_IDENTIFYING))
         raise DataError(
             f"{how} would make {samples:.3g} samples, over all signals, of {recorded} that were "
-            f"recorded and say as much; to identify from them takes {whole.words}. {remedy}"
+            f"recorded and say as much; to identify from them takes about "
+            f"{in_gigabytes(samples * BYTES_OF_IDENTIFYING)} of memory. {remedy}"
         )
-    work = Work(*(samples * each for each in WORK_PER_SAMPLE))
-    expect(f"resampling to {samples:.2g} samples", work, remedy)
+    require_memory(f"resampling to {samples:.2g} samples", samples * BYTES_PER_SAMPLE, remedy)
 
 
 def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.memory import free_memory
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
 from riecjax.whole_files import temporary
-from riecjax.work import free_memory
 
 PATIENCE = 60.0
 """Seconds that reading may take, besides those that the file's size explains."""

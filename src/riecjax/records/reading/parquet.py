@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from riecjax.memory import require_memory
 from riecjax.records.reading.channels import (
     TIME_COLUMNS,
     Channels,
@@ -17,7 +18,6 @@ from riecjax.records.reading.channels import (
 from riecjax.records.reading.child_process import read_apart
 from riecjax.records.reading.numerals import compute, floats
 from riecjax.records.reading.time_stamps import of_text_column, unwrapped
-from riecjax.work import Work, expect
 
 BESIDE = 6
 """Columns of numbers that PyArrow holds beside those that are read, at most: with time stamps."""
@@ -56,7 +56,7 @@ def _read(file: Path) -> Channels:
             check_names(names)
             # Numbers are held here and, once handed over, there.
             held = 8.0 * source.metadata.num_rows * (2 * len(names) + BESIDE)
-            expect("reading its columns", Work(bytes=held), "Read a part of the file.")
+            require_memory("reading its columns", held, "Read a part of the file.")
             # One after the other: a table of all takes as much again as their numbers.
             columns = {name: _numbers(source.read(columns=[name]).column(0)) for name in names}
             units = {name: unit for name in names if (unit := _unit(schema.field(name)))}

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from riecjax.errors import DataError, RiecjaxError, printable
+from riecjax.memory import require_memory
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, called, check_names, size_of
-from riecjax.work import Work, expect
 
 TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm", ".log", ".prn")
 SHEETS = (".xlsx", ".xlsm")
@@ -28,7 +28,8 @@ READERS = {
 }
 """Module and function that read a file, by its name's ending; imported where one is read."""
 
-WORK_PER_BYTE = {"text": Work(6e-8, 8.0), "sheets": Work(4e-6, 20.0), "binary": Work(4e-8, 8.0)}
+MEMORY_PER_BYTE = 8.0
+MEMORY_PER_BYTE_OF_SHEETS = 20.0
 """What reading takes for each byte of a file."""
 METADATA = "metadata.yaml"
 """What makes a folder a bag of ROS 2."""
@@ -55,7 +56,8 @@ def read_channels(
     file = Path(path)
     reader = _reader(file)
     dialect = _dialect(file, delimiter, decimal, columns)
-    expect(f"reading {file.name}", reading_work(file), "Read a part of the file.")
+    each = MEMORY_PER_BYTE_OF_SHEETS if file.suffix.lower() in SHEETS else MEMORY_PER_BYTE
+    require_memory(f"reading {file.name}", each * size_of(file), "Read a part of the file.")
     try:
         return _escaped(reader(file, *dialect))
     except RiecjaxError as error:
@@ -75,13 +77,6 @@ def _escaped(found: Channels) -> Channels:
         notes=list(map(printable, found.notes)),
         parts=list(map(printable, found.parts)),
     )
-
-
-def reading_work(file: Path) -> Work:
-    """What it takes to read a file, by its ending and size."""
-    ending = file.suffix.lower()
-    kind = "text" if ending in TEXT else "sheets" if ending in SHEETS else "binary"
-    return Work(*(size_of(file) * each for each in WORK_PER_BYTE[kind]))
 
 
 def _reader(file: Path) -> Callable[..., Channels]:

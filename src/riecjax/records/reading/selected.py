@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from riecjax.findings import Finding
-from riecjax.records.faults.outliers import Treatment
+from riecjax.records.faults.spikes import Treatment
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record
 

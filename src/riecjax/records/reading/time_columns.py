@@ -15,7 +15,6 @@ from riecjax.records.reading.channels import TIME_COLUMNS, Channels, listed
 from riecjax.records.reading.dialect import NUMBERED
 from riecjax.records.reading.time_stamps import unwrapped
 from riecjax.records.reading.units import SECONDS, split_unit
-from riecjax.work import in_time
 
 TIME_WORDS = frozenset(
     """
@@ -230,8 +229,16 @@ def _other_unit(name: str, seconds: np.ndarray, shortest: float | None) -> str:
         return ""
     for unit, factor in SUBUNITS.items():
         if step * factor <= (shortest or SLOWEST):
-            return _IN_ANOTHER_UNIT.format(name, step, in_time(float(since[-1])), unit, factor)
+            return _IN_ANOTHER_UNIT.format(name, step, _in_time(float(since[-1])), unit, factor)
     return ""
+
+
+def _in_time(seconds: float) -> str:
+    """Seconds in two digits, in the unit that suits."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{float(f'{seconds / size:.2g}'):g} {unit}"
+    return f"{float(f'{seconds:.2g}'):g} s"
 
 
 def is_called_time(name: str, units: Mapping[str, str]) -> bool:

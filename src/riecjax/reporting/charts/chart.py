@@ -23,6 +23,19 @@ PALE = "#dbdbdb"
 PLAIN = (1e-3, 1e5)
 """Numbers on a logarithmic axis between these are written out, others as powers of ten."""
 
+THIN, USUAL, BOLD, WIDE = 0.9, 1.3, 1.8, 4.0
+"""Points across a line of samples, a curve, the main curve, and what lies behind others."""
+SMALL, LARGE = 1.5, 5.0
+"""Sizes of dots in points, of which there are thousands or a few."""
+PANEL = (3.4, 2.4)
+"""Inches across and down that a panel takes in print, with its labels."""
+LOW = 1.6
+"""Inches down of a panel that shares its axis of time with those beneath."""
+CATEGORY = 0.4
+"""Inches of a place that has a name."""
+NARROWEST, AROUND = 7.5, 0.8
+"""Inches across of a figure at the least, and about all panels of one."""
+
 Dashes = Literal["solid", "dashed", "dotted", "dashdot"]
 DASHES: tuple[Dashes, ...] = ("solid", "dashed", "dotted", "dashdot")
 
@@ -58,7 +71,7 @@ class Line:
     label: str = ""
     color: str = BLUE
     dashes: Dashes = "solid"
-    width: float = 1.3
+    width: float = USUAL
     markers: bool = False
     low: ArrayLike | None = None
     high: ArrayLike | None = None
@@ -180,7 +193,8 @@ class Chart:
     **Fields:**
 
     - `caption`: what it shows and how to read it, a sentence or two.
-    - `size` in inches of the printed figure; `heights` of the rows, relative.
+    - `given_size` in inches of the printed figure, by default as its panels need; `heights` of
+      the rows, relative.
     - `share_x`: panels above one another zoom together, and only those whose x axis has a label
       have numbers on it. `share_y`: the same for those of a row.
     - `legend`: of the first panel, once for all, above them.
@@ -188,11 +202,22 @@ class Chart:
 
     rows: Sequence[Sequence[Panel | None]]
     caption: str = ""
-    size: tuple[float, float] = (8.0, 5.0)
+    given_size: tuple[float, float] | None = None
     heights: tuple[float, ...] = ()
     share_x: bool = False
     share_y: bool = False
     legend: bool = False
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Inches of the printed figure."""
+        if self.given_size is not None:
+            return self.given_size
+        across, down = PANEL[0], [LOW if self.share_x else PANEL[1]] * len(self.rows)
+        for row, _, panel in self.places:
+            across = max(across, CATEGORY * len(panel.x.categories))
+            down[row] = max(down[row], CATEGORY * len(panel.y.categories))
+        return max(across * self.columns, NARROWEST) + AROUND, sum(down) + AROUND
 
     @property
     def columns(self) -> int:
@@ -222,9 +247,9 @@ def single(marks: Sequence[Mark], x: Axis, y: Axis, caption: str = "", **setting
     return Chart(((Panel(marks, x, y),),), caption, **settings)  # pyright: ignore[reportArgumentType]
 
 
-def in_rows(panels: Sequence[Panel], most: int) -> list[list[Panel | None]]:
-    """Panels in rows of so many at most, the last filled up with empty places."""
-    columns = min(len(panels), most)
+def in_rows(panels: Sequence[Panel]) -> list[list[Panel | None]]:
+    """Panels two in a row, the last row filled up with an empty place."""
+    columns = min(len(panels), 2)
     places: list[Panel | None] = [*panels, *[None] * (-len(panels) % columns)]
     return [places[i : i + columns] for i in range(0, len(places), columns)]
 

@@ -1,0 +1,209 @@
+"""Equations of bodies with dry friction, where these move alone.
+
+While a body sticks, friction is whatever balances the other forces and no function of the velocity
+v, and next to standstill the sign of a recorded v is noise. Times a weight h(v) that vanishes at
+rest the equation is true throughout, and its acceleration is a time derivative still:
+
+    h(v) (m v' + sum_i c_i g_i) = 0,    h(v) v' = d/dt H(v),    H(v) = int_0^v h(u) du.
+
+So no window is lost, those across a rest included, and every test function goes on to take the
+derivative off. With r = v / width,
+
+    h = r^2 / (1 + r^2),    H = v - width arctan(r).
+
+h sign(v) has a slope everywhere, unlike sign(v): at a width of several standard deviations of the
+noise on v, the correction for curved columns (`noisy_columns`) leaves next to nothing. A wrong sign
+in the middle of a rest counts h, a correct one far from it counts 1.
+
+Signals at whose zero a function jumps, as dry friction does at a velocity's.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, Sampled, both_present
+from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.leaves import Leaf, is_concrete, is_under_trace
+from riecjax.records.faults.at_rest import Rest, rest_of
+from riecjax.records.record import Record
+from riecjax.records.signals import Signals
+
+FAR = 1e6
+"""Widths beyond which a weight is 1."""
+
+
+class InMotion(AbstractTerm):
+    """A term times the weight of a velocity; `accelerates` where it is a derivative of that."""
+
+    term: AbstractTerm
+    velocity: str = eqx.field(static=True)
+    width: Leaf
+    of: Expression = eqx.field(static=True)
+    derivative: int = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Those of the term."""
+        return self.term.parameters
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Those of the term."""
+        return self.term.units
+
+    def expression(self, record: Record, order: int) -> Expression:
+        """What reads all that the samples are made of."""
+        if self._is_of_velocity(order):
+            return self.velocity
+        of = self.term.expression(record, self._below(order))
+
+        def both(signals: Signals) -> Array:
+            return signals[self.velocity] * (signals[of] if isinstance(of, str) else of(signals))
+
+        return both
+
+    def samples(self, record: Record, order: int) -> Sampled:
+        """Samples of the weighted term; see the base class."""
+        velocity = record[self.velocity]
+        ratio = jnp.clip(velocity / self.width, -FAR, FAR)
+        weight = ratio**2 / (1 + ratio**2)
+        if not self._is_of_velocity(order):
+            values, present = self.term.samples(record, self._below(order))
+            return Sampled(
+                values * weight[None], both_present(present, record.present((self.velocity,)))
+            )
+        assert isinstance(self.term, Term)
+        integral = velocity - self.width * jnp.arctan(ratio)
+        of = integral if self.derivative else velocity * weight
+        values = jnp.asarray(self.term.number) * of
+        return Sampled(values[None], record.present((self.velocity,)))
+
+    def _is_of_velocity(self, order: int) -> bool:
+        """Whether this is of the velocity alone, and not of what the term is of."""
+        return self.term.derivative > 0 and order == 0
+
+    def _below(self, order: int) -> int:
+        """The order in which the term itself is read."""
+        return self.term.derivative if order else 0
+
+    def __neg__(self) -> "InMotion":
+        return eqx.tree_at(lambda own: own.term, self, -self.term)
+
+
+def in_motion(procedure: Procedure, record: Record) -> Procedure:
+    """The procedure with equations weighted where a velocity with dry friction rests.
+
+    The same unless rests are to be masked, and under trace; and of hidden elements.
+    """
+    if procedure.at_rest == "keep" or procedure.has_hidden:
+        return procedure
+    rests = rests_of(procedure, record)
+    if not rests:
+        return procedure
+
+    def of(equation: Equation) -> Equation:
+        own = _jumping_at_rest(equation, record, rests)
+        terms = _weighted(equation, own[0], rests[own[0]]) if len(own) == 1 else None
+        if terms is None:
+            return equation
+        return Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
+
+    stages = tuple(tuple(map(of, stage)) for stage in procedure.stages)
+    unchanged = all(a is b for s, t in zip(stages, procedure.stages) for a, b in zip(s, t))
+    return procedure if unchanged else replace(procedure, stages=stages)
+
+
+def rests_of(procedure: Procedure, record: Record) -> dict[str, Rest]:
+    """Rests of the signals at whose zero some equation jumps, by signal; none under trace."""
+    if not is_concrete(procedure, record) or is_under_trace():
+        return {}
+    if next(iter(record.arrays.values())).ndim != 1:
+        return {}
+    # First what costs no call of a user's function.
+    found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}
+    if not found:
+        return {}
+    jumping = {n for e in procedure.equations for n in _jumping_at_rest(e, record, found)}
+    return {name: rest for name, rest in found.items() if name in jumping}
+
+
+def _jumping_at_rest(equation: Equation, record: Record, among: dict[str, Rest]) -> tuple[str, ...]:
+    functions = [(t.of, t.basis if isinstance(t, Terms) else None) for t in equation.terms]
+    return reversing_states(functions, tuple(sorted(among)), tuple(sorted(record.arrays)))
+
+
+def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] | None:
+    """Its terms times the weight; `None` where one is a derivative of something else."""
+    taken = {of: 1 for of, name in equation.derivatives if name == velocity} | {velocity: 0}
+    found = []
+    for term in equation.terms:
+        left = term.derivative
+        if left:
+            left -= taken.get(term.of, -2) if isinstance(term.of, str) else -2
+            if not isinstance(term, Term) or left > 1:
+                return None
+        own = {"of": term.of, "derivative": left}
+        found.append(InMotion(term=term, velocity=velocity, width=np.asarray(rest.width), **own))
+    return found
+
+
+ASIDE, JUMP = 1e-9, 1e-4
+"""A velocity to either side of zero, and the share of itself that a function jumps by there."""
+
+Basis = Callable[[Array], Array]
+
+
+def reversing_states(
+    functions: Sequence[tuple[Expression, Basis | None]],
+    states: Sequence[str],
+    signals: Sequence[str],
+) -> tuple[str, ...]:
+    """States at whose zero a function jumps, as dry friction does of a velocity.
+
+    **Arguments:** expressions, and what bases make of them, of `signals`, the states among these.
+    """
+    found: set[str] = set()
+    for of, basis in functions:
+        if basis is not None:
+            found |= _jumping(of, basis, tuple(states), tuple(signals))
+        elif not isinstance(of, str):
+            found |= _jumping_alone(of, tuple(states), tuple(signals))
+    return tuple(state for state in states if state in found)
+
+
+@functools.lru_cache
+def _jumping_alone(of: Expression, states: tuple[str, ...], signals: tuple[str, ...]) -> set[str]:
+    return _jumping(of, None, states, signals)
+
+
+def _jumping(
+    of: Expression, basis: Basis | None, states: tuple[str, ...], signals: tuple[str, ...]
+) -> set[str]:
+    """The states at whose zero one function jumps (none of a function that is not concrete)."""
+    # Four samples for each state: next to its zero and well away, on both sides.
+    places = np.array([ASIDE, -ASIDE, 1.0, -1.0])
+    levels = np.random.default_rng(0).uniform(0.2, 0.9, (len(signals), 1))
+    at = dict(zip(signals, np.repeat(levels, len(states) * places.size, axis=1)))
+    for i, state in enumerate(states):
+        at[state][i * places.size : (i + 1) * places.size] = places
+    try:
+        with jax.ensure_compile_time_eval():
+            probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
+            samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
+            values = np.asarray(samples if basis is None else basis(samples))
+    except Exception:  # whatever is wrong with a user's function is said where it is used
+        return set()
+    if not values.shape or values.shape[-1] != len(states) * places.size:
+        return set()
+    above, below, far, other = np.moveaxis(values.reshape(-1, len(states), places.size), -1, 0)
+    jumps = np.abs(above - below) > JUMP * np.maximum(np.abs(far), np.abs(other))
+    return {state for state, jump in zip(states, np.atleast_1d(jumps.any(axis=0))) if jump}

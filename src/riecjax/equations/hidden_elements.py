@@ -1,0 +1,511 @@
+"""Oscillators that an equation leaves out, and what they make of its terms.
+
+A mass M on a spring K and a damper B, carried by a body with velocity v, adds to the body's
+equation of motion the force that moves the mass,
+
+    M (1 + q s) / D v',    D = 1 + q s + p s^2,    q = B / K,  p = M / K,
+
+s standing for d/dt. The state of the mass is not recorded. Multiplied by D the equation is linear
+again in the coefficients theta, of known target y and columns a,
+
+    D y = sum_j theta_j D a_j + M (1 + q s) a_v,
+
+with every term at derivatives 0 to 2 higher, which a smooth test function takes off. Its columns
+for any mode are combinations of the same few, so that one Gram matrix holds all. With several
+modes D is the product of theirs, and each mode's own column has those of the others in front.
+
+D is 1 at rest, so that the equation keeps its unit, and for a stiff mode it is the equation as it
+was: M then joins the body's mass.
+
+A spring in series with a linear element is a hidden element of the same form (see
+`series_springs`): c a becomes c N / D a with N = 1 and D = 1 + tau s, where a mode adds M N / D a.
+
+Springs in series with force elements, which an equation leaves out.
+
+A damper pulls through its bushings, whose spring K gives way: of the velocity v across both, the
+damper's own is v - f' / K, with f the force that both carry. So the force follows late, by c / K
+for a linear damper c. Where windows are long beside that, it is a share of some percent of a
+damper's force; where they are not, it bends masses and maps that have to make up for it.
+
+A linear element c v with its spring is c / (1 + tau s) v, tau = c / K, s standing for d/dt. An
+equation times 1 + tau s is linear again in its coefficients: the terms gain a derivative each but
+for the element's own. Of a map F(v) no multiplication rids the equation, since F(v - f' / K) is not
+linear in K.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.equations.bases import AbstractBasis
+from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant
+from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.errors import ModelError, require
+from riecjax.leaves import Leaf, is_number
+
+KNOWN_UNITS = {"N s/m": "N/m", "N": "N/m", "N m s/rad": "N m/rad", "N m": "N m/rad"}
+"""Unit of a spring by that of the element's coefficients."""
+MASSES, STIFFNESSES = ("kg", "kg m^2"), ("N/m", "N m/rad")
+"""Units of coefficients whose terms are no force elements."""
+
+
+class SeriesSpring(eqx.Module):
+    """A spring in series with a force element, a Maxwell element.
+
+    Its stiffness `K_series`, of a further one `K_series_2`, is a parameter of every equation that
+    holds the element. In series with a `Term` it is found by [`identify`][riecjax.identify]; with a
+    map, as of a damper, the equation is not linear in its parameters, and they are found by
+    [`refine`][riecjax.refine], started from what `identify` finds without the spring.
+
+    **Arguments:** `of`, the element, a damper: the name of its coefficient, or of one of its basis,
+    as `F_1` of a damper's map.
+
+    **Raises:** `ModelError` for what is no name.
+    """
+
+    of: str = eqx.field(static=True)
+
+    def __check_init__(self):
+        require("what a spring is in series with", self.of, str, "rx.SeriesSpring(of='c')")
+
+    def element(self, equation: Equation) -> AbstractTerm | None:
+        """The element's term in an equation, if it has one."""
+        return next((term for term in equation.terms if self.of in term.parameters), None)
+
+    def unit(self, equations: Iterable[Equation]) -> str:
+        """Unit of the stiffness, by that of the element's coefficient."""
+        named = [e.units[self.of] for e in equations if self.of in e.units]
+        return KNOWN_UNITS.get(named[0], "") if named else ""
+
+
+class SpringParameters(NamedTuple):
+    """Names of a linear element's coefficient and of the stiffness in series with it."""
+
+    coefficient: str
+    stiffness: str
+
+    @classmethod
+    def of(cls, number: int, spring: SeriesSpring) -> "SpringParameters":
+        """Of the spring with this number, from 0."""
+        return cls(spring.of, stiffness_name(number))
+
+    @property
+    def linear(self) -> str:
+        """The parameter that the force is proportional to, for a given lag."""
+        return self.coefficient
+
+    @property
+    def order(self) -> int:
+        """Of the polynomial D, which has as many coordinates in a search."""
+        return 1
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """Parameters that are positive, and sure, where such an element is found."""
+        return (self.stiffness,)
+
+    def doubted(self, values: Mapping[str, Array], band: tuple[Leaf, Leaf]) -> Float[Array, "1"]:
+        """The error of the stiffness that counts as one: that of a lag by 1 / band[1] seconds.
+
+        From tau = c / K follows d tau = -tau dK / K.
+        """
+        lag = jnp.abs(self.shape(values).tau)
+        return jnp.stack([values[self.stiffness] / (lag * jnp.asarray(band[1]))])
+
+    def shape(self, values: Mapping[str, Array]) -> "Lag":
+        """The lag with these values."""
+        return Lag(values[self.coefficient] / values[self.stiffness])
+
+    @staticmethod
+    def shape_at(at: Float[Array, "1"] | None) -> "Lag":
+        """Of the logarithm of the corner 1 / (2 pi tau) in hertz; `None`: rigid."""
+        return Lag(jnp.zeros(()) if at is None else jnp.exp(-at[0]) / (2 * jnp.pi))
+
+    def values_at(self, at: Float[Array, "1"], values: Mapping[str, Array]) -> dict[str, Array]:
+        """The stiffness of the lag there, the coefficient being among the values."""
+        return {self.stiffness: values[self.coefficient] / self.shape_at(at).tau}
+
+
+class Lag(NamedTuple):
+    """Polynomials 1 and D = 1 + tau s of an element that follows late, by tau = c / K in s."""
+
+    tau: Array
+
+    @property
+    def numerator(self) -> Float[Array, "2"]:
+        """Coefficients, lowest first."""
+        return jnp.stack([jnp.ones_like(self.tau), jnp.zeros_like(self.tau)])
+
+    @property
+    def denominator(self) -> Float[Array, "2"]:
+        """Coefficients of D, lowest first."""
+        return jnp.stack([jnp.ones_like(self.tau), self.tau])
+
+    @property
+    def decay(self) -> Array:
+        """Seconds in which what is free falls to 1 / e: it is exp(-t / tau)."""
+        return self.tau
+
+
+def why_no_element(term: AbstractTerm, equations: Iterable[Equation]) -> str:
+    """Why a spring in series with a term makes no force late; empty where it may.
+
+    A term's unit tells, and where it has none its derivative: of a signal x that some term
+    differentiates twice, x' is a velocity; of another one x' may as well be an acceleration.
+    """
+    units = set(term.units.values())
+    twice = {t.of for e in equations for t in e.terms if t.derivative == 2}
+    guessed = term.derivative == 1 and isinstance(term.of, str) and term.of not in twice
+    guessed = guessed and units == {""}
+    if term.of is constant:
+        return "is a constant, whose force never follows anything"
+    if term.derivative == 2 or units <= {*MASSES} or guessed:
+        unless = " (a damper's term says so by its unit: unit='N s/m')" if guessed else ""
+        return f"is of an acceleration, a mass, whose force no spring makes late{unless}"
+    if units <= {*STIFFNESSES} or (term.derivative == 0 and term.of in twice):
+        return (
+            "is of a position, a stiffness: with a spring in series it is only a softer spring, "
+            "and no recording tells the two apart"
+        )
+    return ""
+
+
+def force_elements(
+    equations: Sequence[Equation], among: Sequence[Equation]
+) -> dict[str, Term | Terms]:
+    """Unknown terms of some equations that a spring may be in series with, by their first
+    coefficient; `equations` are all of the model, which tell what is a velocity."""
+    terms = (t for e in among for t in e.terms if isinstance(t, Term | Terms) and t.parameters)
+    return {t.parameters[0]: t for t in terms if not why_no_element(t, equations)}
+
+
+def stiffness_name(number: int) -> str:
+    """Of the spring with this number, from 0."""
+    return "K_series" if number == 0 else f"K_series_{number + 1}"
+
+
+def is_stiffness_name(name: str) -> bool:
+    """Whether a parameter is called as springs are."""
+    first = stiffness_name(0)
+    return name == first or name.removeprefix(f"{first}_").isdigit()
+
+
+def element_sign(element: AbstractTerm):
+    """What an element's force is multiplied by in its equation."""
+    assert isinstance(element, Term | Terms)
+    return element.number if isinstance(element, Term) else element.sign
+
+
+TARGET = "target"
+"""What a known term is called once it is differentiated."""
+Values = Mapping[str, Array]
+
+
+class HiddenMode(eqx.Module):
+    """An oscillator that a model leaves out, on the body whose velocity is named.
+
+    Its mass `M_mode`, stiffness `K_mode` and damping `B_mode` are parameters of every equation that
+    holds the derivative of that velocity; a further mode's end in `_2`, `_3`.
+
+    **Arguments:** `on`, the signal: a velocity of which a term holds the first derivative, or a
+    position of which one holds the second; `hz`, near which frequency in hertz to look, everywhere
+    if it is not given.
+
+    **Raises:** `ModelError` for a frequency that is not positive.
+    """
+
+    on: str = eqx.field(static=True)
+    hz: float | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        require("what a hidden mode is on", self.on, str, "rx.HiddenMode(on='x4'), a signal")
+        if self.hz is not None and not (
+            is_number(self.hz) and np.isfinite(self.hz) and self.hz > 0
+        ):
+            raise ModelError(f"a mode's frequency is a positive number of hertz; got {self.hz}.")
+
+    def inertia(self, equation: Equation) -> Term | None:
+        """The term of an equation that accelerates the body, if it has one."""
+        for term in equation.terms:
+            if not (isinstance(term, Term) and isinstance(term.of, str)):
+                continue
+            velocity = term.measured[0] if term.measured else f"d{term.of}"
+            if (term.derivative == 1 and term.of == self.on) or (
+                term.derivative == 2 and self.on in (term.of, velocity)
+            ):
+                return term
+        return None
+
+    def units(self, number: int, equations: Sequence[Equation]) -> dict[str, str]:
+        """Units of the parameters of the mode with this number, by the body's own."""
+        terms = [term for e in equations if (term := self.inertia(e)) is not None]
+        mass = next((term.unit for term in terms if term.unit), "")
+        known = {"kg": ("N/m", "N s/m"), "kg m^2": ("N m/rad", "N m s/rad"), "": ("", "")}
+        others = known.get(mass, (f"{mass}/s^2", f"{mass}/s"))
+        return dict(zip(ModeParameters.of(number), (mass, *others)))
+
+
+class ModeParameters(NamedTuple):
+    """Names of a mode's mass, stiffness and damping."""
+
+    mass: str
+    stiffness: str
+    damping: str
+
+    @classmethod
+    def of(cls, number: int) -> "ModeParameters":
+        """Of the mode with this number, from 0."""
+        ending = "" if number == 0 else f"_{number + 1}"
+        return cls(f"M_mode{ending}", f"K_mode{ending}", f"B_mode{ending}")
+
+    @property
+    def linear(self) -> str:
+        """The parameter that the force is proportional to, for a given shape."""
+        return self.mass
+
+    @property
+    def order(self) -> int:
+        """Of the polynomial D, which has as many coordinates in a search."""
+        return 2
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """Parameters that are positive, and sure, where such an element is found."""
+        return self.mass, self.stiffness
+
+    def doubted(self, values: Values, band: tuple[Leaf, Leaf]) -> Float[Array, "2"]:
+        """Errors of what is judged that count as one: its values."""
+        return jnp.stack([values[name] for name in self.judged])
+
+    def shape(self, values: Values) -> "Shape":
+        """p and q with these values."""
+        mass, stiffness, damping = (values[name] for name in self)
+        return Shape(mass / stiffness, damping / stiffness)
+
+    @staticmethod
+    def shape_at(at: Float[Array, "2"] | None) -> "Shape":
+        """Of the logarithm of the frequency in hertz and the damping ratio; `None`: rigid."""
+        if at is None:
+            return Shape(jnp.zeros(()), jnp.zeros(()))
+        rate = 2 * jnp.pi * jnp.exp(at[0])
+        return Shape(1 / rate**2, 2 * at[1] / rate)
+
+    def values_at(self, at: Float[Array, "2"], values: Values) -> dict[str, Array]:
+        """Stiffness and damping of the shape there, the mass being among the values."""
+        shape = self.shape_at(at)
+        stiffness = values[self.mass] / shape.p
+        return {self.stiffness: stiffness, self.damping: stiffness * shape.q}
+
+
+class Shape(NamedTuple):
+    """Polynomials 1 + q s and D = 1 + q s + p s^2 of a mode: p = M / K in s^2, q = B / K in s."""
+
+    p: Array
+    q: Array
+
+    @property
+    def numerator(self) -> Float[Array, "3"]:
+        """Coefficients, lowest first."""
+        return jnp.stack([jnp.ones_like(self.p), self.q, jnp.zeros_like(self.p)])
+
+    @property
+    def denominator(self) -> Float[Array, "3"]:
+        """Coefficients of D, lowest first."""
+        return jnp.stack([jnp.ones_like(self.p), self.q, self.p])
+
+    @property
+    def decay(self) -> Array:
+        """Seconds in which what is free falls to 1 / e: it is exp(-q t / (2 p))."""
+        return jnp.where(self.q > 0, 2 * self.p / jnp.where(self.q > 0, self.q, 1.0), jnp.inf)
+
+
+HiddenParameters = ModeParameters | SpringParameters
+
+
+class Expanded(eqx.Module):
+    """An equation with hidden elements, linear in more columns than it has parameters.
+
+    **Fields:** `equation`, linear, whose terms are those of the equation differentiated 0 to `most`
+    times; `parameters` of the equation without hidden elements; `elements`, of each hidden element
+    its parameters and the column that it filters, of a mode its body's acceleration, among
+    `columns`, the equation's own, which begin with the target. Modes come before springs.
+    """
+
+    equation: Equation
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    columns: tuple[str, ...] = eqx.field(static=True)
+    elements: tuple[tuple[HiddenParameters, str], ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        equation: Equation,
+        modes: Sequence[HiddenMode],
+        springs: Sequence[SeriesSpring] = (),
+    ) -> "Expanded":
+        """An equation with those of some modes whose bodies it accelerates, and of some springs
+        those that are in series with a linear element of it."""
+        terms, carried = list(equation.terms), []
+        for number, mode in enumerate(modes):
+            inertia = mode.inertia(equation)
+            if inertia is None:
+                continue
+            column = inertia.name
+            if column is None:
+                # A known mass is part of the target: the acceleration needs a column of its own.
+                column = f"acceleration of {mode.on}"
+                terms.append(_unit_inertia(inertia, column))
+            carried.append((ModeParameters.of(number), column))
+        for number, spring in enumerate(springs):
+            if isinstance(spring.element(equation), Term):
+                carried.append((SpringParameters.of(number, spring), spring.of))
+        own = Equation(*terms, name=equation.name)
+        columns = (TARGET, *own.parameters) if own.has_target else own.parameters
+        most = sum(names.order for names, _ in carried)
+        raised = [_raised(t, k) for k in range(1, most + 1) for t in terms]
+        linear = Equation(
+            *terms, *raised, name=equation.name, unit=equation.unit, where=equation.where
+        )
+        return cls(linear, equation.parameters, columns, tuple(carried))
+
+    @property
+    def most(self) -> int:
+        """Derivatives that hidden elements put in front of every term."""
+        return sum(names.order for names, _ in self.elements)
+
+    @property
+    def all_parameters(self) -> tuple[str, ...]:
+        """Parameters of the equation and then of its modes and springs."""
+        # A spring's coefficient is the equation's own.
+        hidden = (name for names, _ in self.elements for name in names)
+        return tuple(dict.fromkeys((*self.parameters, *hidden)))
+
+    def residual(self, values: Values, shapes: Sequence[Shape | Lag]) -> Float[Array, " columns"]:
+        """The residual as a combination of the linear equation's columns, the target first.
+
+        It is affine in the coefficients and in the modes' masses, for elements of given shapes.
+
+        **Arguments:** `values` of the equation's coefficients and of the modes' masses, zero where
+        there is none.
+        """
+        each = [shape.denominator for shape in shapes]
+        whole = _product(each)
+        # What a spring is in series with does not act by itself.
+        own = {TARGET: 1.0} | {c: 0.0 for names, c in self.elements if names.linear == c}
+        weights = [own[n] if n in own else -values.get(n, 0.0) for n in self.columns]
+        powers = jnp.stack([jnp.asarray(w, whole.dtype) for w in weights])[:, None] * whole[None, :]
+        for i, (names, column) in enumerate(self.elements):
+            filtered = _product([shapes[i].numerator, *each[:i], *each[i + 1 :]])
+            size = values.get(names.linear, 0.0)
+            powers = powers.at[self.columns.index(column)].add(-size * filtered)
+        return jnp.asarray(self._places) @ powers.ravel()
+
+    @property
+    def _places(self) -> Float[np.ndarray, "linear_columns columns_and_orders"]:
+        """Which column of the linear equation each derivative of a column is."""
+        names = ("", *self.equation.parameters)
+        found = np.zeros((len(names), len(self.columns), self.most + 1))
+        for i, name in enumerate(self.columns):
+            for order in range(self.most + 1):
+                own = "" if (name, order) == (TARGET, 0) else name + "'" * order
+                # A known term that is differentiated has not changed sides.
+                found[names.index(own), i, order] = -1.0 if name == TARGET and order else 1.0
+        return found.reshape(len(names), -1)
+
+    def linearised(self, values: Values) -> Float[Array, "1+p columns"]:
+        """Target and regressors of the equation linearised about these values, as combinations.
+
+        Shapes depend on ratios of parameters only, and for given shapes r - D y is linear in the
+        others: r - D y is homogeneous of degree one in all parameters together. By Euler's theorem
+        the target r - sum theta dr/dtheta is D y, and values that are held fixed join it as in any
+        equation.
+        """
+        names = self.all_parameters
+        at = {name: jnp.asarray(values[name], jnp.result_type(float)) for name in names}
+
+        def residual(values: Values) -> Array:
+            return self.residual(values, [names.shape(values) for names, _ in self.elements])
+
+        slopes = jax.jacfwd(residual)(at)
+        target = residual(at) - sum(at[name] * slopes[name] for name in names)
+        return jnp.stack([target, *(-slopes[name] for name in names)])
+
+
+def _product(polynomials: Sequence[Float[Array, " powers"]]) -> Float[Array, " powers"]:
+    """Coefficients of a product of polynomials; 1 of none."""
+    found = jnp.ones(1)
+    for number, one in enumerate(polynomials):
+        found = one if number == 0 else jnp.convolve(found, one)
+    return found
+
+
+def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]:
+    """Natural frequency in hertz and damping ratio of a mode on a body at rest."""
+    mass, stiffness, damping = (values[name] for name in names)
+    root = jnp.sqrt(jnp.abs(stiffness / mass))
+    return root / (2 * np.pi), damping / (2 * mass * root)
+
+
+def is_mode_name(name: str) -> bool:
+    """Whether a parameter is called as those of modes are."""
+    first = ModeParameters.of(0)
+    return any(name == own or name.removeprefix(f"{own}_").isdigit() for own in first)
+
+
+def is_hidden_name(name: str) -> bool:
+    """Whether a parameter is called as those of modes and of springs are."""
+    return is_mode_name(name) or is_stiffness_name(name)
+
+
+def accelerated(equation: Equation) -> tuple[str, ...]:
+    """Signals of bodies on which an equation could hide a mode."""
+    moving = (t.of for t in equation.terms if isinstance(t, Term) and t.derivative)
+    signals = dict.fromkeys(of for of in moving if isinstance(of, str))
+    return tuple(of for of in signals if HiddenMode(of).inertia(equation) is not None)
+
+
+def inertia_sign(inertia: Term) -> Leaf:
+    """What a mode's mass is multiplied by beside this inertia."""
+    number = inertia.number
+    if inertia.name is not None:
+        return number
+    return np.sign(number) if isinstance(number, np.ndarray) else jnp.sign(number)
+
+
+def _unit_inertia(term: Term, name: str) -> Term:
+    sign = inertia_sign(term)
+    return Term(name, term.of, derivative=term.derivative, measured=term.measured, sign=sign)
+
+
+def _raised(term: AbstractTerm, by: int) -> AbstractTerm:
+    """A term differentiated `by` times, under a name of its own."""
+    changes: dict[str, object] = {"derivative": term.derivative + by}
+    if isinstance(term, Terms):
+        changes["basis"] = _Labelled(term.basis, "'" * by)
+    else:
+        assert isinstance(term, Term)
+        changes |= {"name": (term.name or TARGET) + "'" * by, "known": None}
+    raised = object.__new__(type(term))
+    for field in type(term).__dataclass_fields__:
+        object.__setattr__(raised, field, changes.get(field, getattr(term, field)))
+    return raised
+
+
+class _Labelled(AbstractBasis):
+    """A basis whose labels end in something more."""
+
+    basis: AbstractBasis
+    ending: str = eqx.field(static=True)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(label + self.ending for label in self.basis.labels)
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
+        return self.basis(x)

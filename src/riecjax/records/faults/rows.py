@@ -1,0 +1,364 @@
+"""Rows that stand twice, in a recording or in two, signals that are copies, and rows that are gone.
+
+Noise sees to it that no two measurements are alike to the last digit. So of rows that a logger
+wrote again, of a recording that was given twice and of a column that was copied one question tells:
+which samples are others again? Each row has a key, a combination of its columns that differs where
+any of them does, and rows with one key are held against each other; all keys are sorted together,
+so that the time that takes grows with the number of samples alone.
+
+Rows that all signals lost at once, their time renumbered, leave a jump that no velocity explains.
+Between two samples x changes by the integral of v. What is left of x after that integral, w, moves
+slowly whatever is off between x and v, in time, size or zero; where rows are gone it jumps by what
+x moved in them. A straight line through the samples on either side of each instant, from its ends,
+
+    jump = ahead(0) - behind(0),
+
+is held against what such jumps are all along the record.
+"""
+
+import itertools
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from riecjax.errors import DuplicateRecordingError
+from riecjax.findings import Finding
+from riecjax.records.faults.sampled_signal import SampledSignal
+from riecjax.records.preparation.filtering import with_gaps
+from riecjax.records.record import Record, samples_with_nan
+
+ROUNDED = 1e-3
+"""Share of a standard deviation by which rounding may part a sample from its copy."""
+DIGITS = 1e-9
+"""The same of the last digits of computed values."""
+SMOOTH = 0.9
+"""Correlation of successive differences past which they are physical, and not of rounding."""
+LOOKED_AT = 20_000
+"""Samples that tell most pairs of signals apart."""
+FEWEST = 20
+"""Rows in succession that are the same again; noise repeats not one of them by chance."""
+ALIKE = 0.99
+"""Share of samples that agree in what two recordings have in common."""
+LEAST = 0.1
+"""Share of the shorter recording that they must have in common."""
+SIDES = (8, 24)
+"""Samples of each line; a jump shows in the longer one as in the shorter, and a spike does not."""
+SURE = 9.0
+"""Standard deviations of all jumps, estimated from their median, past which one is none of them."""
+AGREE = 0.3
+"""Share by which a jump may differ between the two lengths."""
+HARMLESS = 0.003
+"""Share of the signal's deviation up to which a jump does no harm."""
+
+
+class NamedRecord(Protocol):
+    """A record and what messages call it, such as a [`Recording`][riecjax.Recording]."""
+
+    @property
+    def record(self) -> Record:
+        """The signals."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        ...
+
+
+class Repetition(NamedTuple):
+    """Rows that are others again: the first of both, and how many there are."""
+
+    first: int
+    again: int
+    rows: int
+
+
+def row_keys(
+    columns: Sequence[Float[np.ndarray, " rows"]], block: int = 1
+) -> Float[np.ndarray, " blocks"]:
+    """A number for each block of successive rows, which differs where one of their samples does.
+
+    Of sums with random weights two that should differ are the same once in 1e16.
+    """
+    weights = np.random.default_rng(0).uniform(1, 2, len(columns) + block)
+    rows = np.zeros(len(columns[0]))
+    for column, weight in zip(columns, weights):
+        rows += weight * column
+    count = max(rows.size - block + 1, 0)
+    shifted = (weight * rows[k : k + count] for k, weight in enumerate(weights[len(columns) :]))
+    return rows if block == 1 else sum(shifted, np.zeros(count))
+
+
+def repetitions(columns: Sequence[Float[np.ndarray, " rows"]]) -> list[Repetition]:
+    """Stretches of rows that stand elsewhere before, to the bit.
+
+    **Arguments:** `columns`, NaN where a sample is missing; such rows are no others'.
+    """
+    sizes = [float(np.max(np.abs(c), where=~np.isnan(c), initial=0.0)) or 1.0 for c in columns]
+    keys = row_keys([column / size for column, size in zip(columns, sizes)])
+    # Mostly no row comes twice, and to sort them is all that it takes.
+    if np.all(np.diff(np.sort(keys)) != 0):
+        return []
+    _, where, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    twice = ~np.isnan(keys) & (counts[where] == 2)
+    # More of them are how the motion is, simulated without noise, or at rest.
+    if not twice.any() or np.mean(counts[where] > 1) > 0.5:
+        return []
+    places = np.flatnonzero(twice)
+    places = places[np.argsort(where[places], kind="stable")].reshape(-1, 2)
+    lags = np.zeros(len(keys), int)
+    lags[places[:, 1]] = places[:, 1] - places[:, 0]
+    edges = np.flatnonzero(np.diff(lags, prepend=0, append=0))
+    return [
+        Repetition(int(start - lags[start]), int(start), int(stop - start))
+        for start, stop in itertools.pairwise(edges)
+        if lags[start] and stop - start >= FEWEST
+    ]
+
+
+def without_repetitions(record: Record) -> tuple[Record, list[Finding]]:
+    """The record with rows that stand in it again as missing, and what is said of them."""
+    columns = {name: samples_with_nan(record, name) for name in record.arrays}
+    repeated = repetitions([*columns.values()])
+    if not repeated:
+        return record, []
+    time, step = np.asarray(record.elapsed), float(record.time_step)
+    for values in columns.values():
+        for stretch in repeated:
+            values[stretch.again : stretch.again + stretch.rows] = np.nan
+    first = repeated[0]
+    more = f", and {len(repeated) - 1} more such stretches" if len(repeated) > 1 else ""
+    said = Finding(
+        "repeated_rows",
+        f"all signals show from {time[first.again]:.6g} s on, for {first.rows * step:.4g} s, what "
+        f"they showed from {time[first.first]:.6g} s on, to the last digit{more}: the logger wrote "
+        f"those rows again. What stood there is lost; they count as missing. Check the logger.",
+    )
+    return with_gaps(record, columns, noise=record.noise), [said]
+
+
+def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
+    """Recordings that hold samples of another one, in all signals that both have.
+
+    Whole, in part, rounded, or with other time stamps. Of several copies each is named beside the
+    one before it. Not under jit.
+    """
+    columns = [{k: np.asarray(v) for k, v in one.record.arrays.items()} for one in recordings]
+    groups: dict[frozenset[str], list[int]] = {}
+    for number, signals in enumerate(columns):
+        groups.setdefault(frozenset(signals), []).append(number)
+    found: dict[tuple[int, int], Finding] = {}
+    for names, others in itertools.combinations_with_replacement(groups, 2):
+        common = sorted(names & others)
+        members = sorted({*groups[names], *groups[others]})
+        if not common or len(members) < 2:
+            continue
+        chosen = [{name: columns[number][name] for name in common} for number in members]
+        for first, second, shift in _candidates(chosen):
+            pair = members[first], members[second]
+            across = names == others or (pair[0] in groups[names]) != (pair[1] in groups[names])
+            if across and pair not in found:
+                starts = max(shift, 0), max(-shift, 0)
+                rows = _rows_in_common(chosen[first], chosen[second], starts)
+                if rows:
+                    found[pair] = _duplicate([recordings[i] for i in pair], starts, rows)
+    return [found[pair] for pair in sorted(found)]
+
+
+def refuse_duplicates(recordings: Sequence[NamedRecord]) -> None:
+    """Refuse recordings that were given twice.
+
+    **Raises:** `DuplicateRecordingError` that names them.
+    """
+    for found in duplicates(recordings):
+        said = f"{found.message} Leave it out, or allow it: --allow-duplicates."
+        raise DuplicateRecordingError(said)
+
+
+def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[int, int, int]]:
+    """Pairs of recordings with blocks in common, and by how many rows later the first has them.
+
+    Samples are rounded to 16 times what rounding may have parted them by, so that most blocks of
+    16 rows are still the same. Offsets come by falling number of blocks, at most three of a pair.
+    """
+    block, coarse, tries = 16, 16 * ROUNDED, 3
+    quanta = {}
+    for name in columns[0]:
+        spreads = [spread for each in columns if (spread := _spread(each[name])) > 0]
+        quanta[name] = coarse * float(np.median(spreads)) if spreads else 1.0
+    keys = [
+        np.unique(row_keys([np.round(v / quanta[n]) for n, v in each.items()], block), True)
+        for each in columns
+    ]
+    key, place = (np.concatenate(parts) for parts in zip(*keys))
+    owner = np.repeat(np.arange(len(keys)), [each.size for each, _ in keys])
+    order = np.lexsort((owner, key))
+    key, place, owner = key[order], place[order], owner[order]
+    same = np.flatnonzero(np.isfinite(key[1:]) & (key[1:] == key[:-1]))
+    span = 2 * max(next(iter(each.values())).size for each in columns)
+    shift = place[same] - place[same + 1] + span // 2
+    codes, votes = np.unique(
+        (owner[same] * len(keys) + owner[same + 1]) * span + shift, return_counts=True
+    )
+    tried: Counter[int] = Counter()
+    for code in codes[np.argsort(-votes, kind="stable")].tolist():
+        pair, shift = divmod(code, span)
+        tried[pair] += 1
+        if tried[pair] <= tries:
+            yield *divmod(pair, len(keys)), shift - span // 2
+
+
+def _spread(values: np.ndarray) -> float:
+    """Standard deviation, of huge values too."""
+    size = float(np.max(np.abs(values))) or 1.0
+    return size * float(np.std(values / size))
+
+
+def _rows_in_common(
+    first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray], starts: tuple[int, int]
+) -> int:
+    """How many rows two recordings have in common from these rows on; 0 if they do not agree."""
+    sizes = [next(iter(columns.values())).size for columns in (first, second)]
+    rows = min(sizes[0] - starts[0], sizes[1] - starts[1])
+    short = second if sizes[1] <= sizes[0] else first
+    near = {name: ROUNDED * _spread(v) for name, v in short.items() if np.ptp(v) > 0}
+    if not near or rows < max(LEAST * min(sizes), FEWEST):
+        return 0
+    # Some rows tell most apart.
+    for stride in (max(rows // 64, 1), 1):
+        for name, within in near.items():
+            one = first[name][starts[0] : starts[0] + rows : stride]
+            other = second[name][starts[1] : starts[1] + rows : stride]
+            if np.mean(np.abs(one - other) <= within) < (ALIKE if stride == 1 else 0.5):
+                return 0
+    return rows
+
+
+def _duplicate(pair: Sequence[NamedRecord], starts: tuple[int, int], rows: int) -> Finding:
+    one, other = pair
+    step, counts = float(one.record.time_step), [each.record.sample_count for each in pair]
+    shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
+    what = (
+        f"all of {shorter.name} lies in {longer.name}"
+        if rows >= min(counts)
+        else f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, are those of "
+        f"{one.name} from {starts[0] * step:.4g} s on"
+    )
+    return Finding(
+        "duplicate_recording",
+        f"{what}, sample by sample: a copy tells nothing new, and makes intervals up to 1.4 times "
+        f"too narrow.",
+    )
+
+
+def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
+    """Pairs of which one is the other times a factor, perhaps with an offset.
+
+    Two sensors have two noises. What parts them here is no more than rounding, which is white,
+    where the little that parts a slow force from its spring is smooth.
+    """
+    for one, other in itertools.combinations(signals, 2):
+        stride = max(one.values.size // LOOKED_AT, 1)
+        if _line(one.values[::stride], other.values[::stride], 1.0) is None:
+            continue
+        line = _line(one.values, other.values, SMOOTH)
+        if line is None:
+            continue
+        factor, offset = line
+        same = abs(factor - 1) < ROUNDED and abs(offset) < ROUNDED * np.nanstd(other.values)
+        said = (
+            f"{other.name} holds the samples of {one.name}"
+            if same
+            else f"{other.name} is {factor:.4g} times {one.name}"
+            + (f" plus {offset:.4g}" if abs(offset) > ROUNDED * np.nanstd(other.values) else "")
+        )
+        yield Finding(
+            "copied_signal",
+            f"{said}, to the last digit or rounding, so that both are one measurement, and nothing "
+            f"tells their terms apart. Check which column is which (on the command line: --map), "
+            f"and leave the copy out.",
+            (one.name, other.name),
+            doubt=1.0,
+        )
+
+
+def _line(first: np.ndarray, second: np.ndarray, smooth: float) -> tuple[float, float] | None:
+    """Factor and offset that make the second of the first, `None` where none do."""
+    both = ~(np.isnan(first) | np.isnan(second))
+    if both.sum() < 3:
+        return None
+    size = [float(np.max(np.abs(v[both]))) or 1.0 for v in (first, second)]
+    x, y = first[both] / size[0], second[both] / size[1]
+    mean_x, mean_y = np.mean(x), np.mean(y)
+    x, y = x - mean_x, y - mean_y
+    energy = float(x @ x)
+    if not energy or not y.any():
+        return None
+    slope = float(x @ y) / energy
+    left = (y - slope * x) / np.std(y)
+    worst = float(np.max(np.abs(left)))
+    if worst > ROUNDED or (worst > DIGITS and left[1:] @ left[:-1] > smooth * (left @ left)):
+        return None
+    factor = slope * (size[1] / size[0])
+    return factor, float(mean_y * size[1] - factor * mean_x * size[0])
+
+
+@np.errstate(all="ignore")
+def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
+    """Whether rows are missing between two samples that follow each other in time. Not under jit.
+
+    **Raises:** `DataError` for a signal that the record lacks.
+    """
+    x, v = samples_with_nan(record, signal), samples_with_nan(record, derivative)
+    step, size = float(record.time_step), float(np.nanstd(x))
+    if x.size < 4 * SIDES[1] or not (np.isfinite(size) and size > 0):
+        return None
+    moved = np.nan_to_num(0.5 * step * (v[1:] + v[:-1]))
+    left = (x - np.concatenate([[0.0], np.cumsum(moved)])) / size
+    left[np.isnan(v)] = np.nan
+    short, long = (_jumps(left, side) for side in SIDES)
+    if np.isnan(short).all() or np.isnan(long).all():  # nowhere so many samples without a gap
+        return None
+    deviation = 1.4826 * float(np.nanmedian(np.abs(short)))
+    least = max(SURE * deviation, HARMLESS)
+    if not np.isfinite(least):
+        return None
+    sure = (np.abs(short) > least) & (np.abs(long - short) < AGREE * np.abs(short))
+    sure &= np.abs(long) > SURE * 1.4826 * float(np.nanmedian(np.abs(long)))
+    # A spike of the derivative moves its integral alone.
+    sure &= np.abs(_jumps(x / size, SIDES[0]) - short) < np.abs(short) / 2
+    if not sure.any():
+        return None
+    place = int(np.argmax(np.where(sure, np.abs(short), 0.0)))
+    jump, side, time = float(short[place]), SIDES[0], np.asarray(record.elapsed)
+    middles = np.median(left[place : place + side]) - np.median(left[place - side : place])
+    if abs(middles - jump) > AGREE * abs(jump):
+        return None
+    lasts = place < x.size / 2
+    return Finding(
+        "lost_rows",
+        f"{signal} jumps by {jump * size:.3g} at {time[place]:.7g} s, which the integral of "
+        f"{derivative} does not follow, and goes on as before: rows of all signals are gone there, "
+        f"and time was numbered anew. Use the record {'from there on' if lasts else 'up to there'},"
+        f" or mark the gap in its time.",
+        (signal, derivative),
+        doubt=min(abs(jump), 1.0),
+        remedy=("--from", f"{time[place + 2]:.7g}")
+        if lasts
+        else ("--to", f"{time[place - 2]:.7g}"),
+        step=f"Leave out what is {'before' if lasts else 'behind'} the jump",
+    )
+
+
+def _jumps(values: np.ndarray, side: int) -> np.ndarray:
+    """At each sample, the line through those from it on less that through those before, midway."""
+    at = np.arange(side) + 0.5
+    # Weights whose sum with values on a straight line is that line's value at 0.
+    weights = 1 / side - np.mean(at) * (at - np.mean(at)) / np.sum((at - np.mean(at)) ** 2)
+    found = np.full(values.size, np.nan)
+    kernel = np.concatenate([-weights[::-1], weights])
+    found[side : values.size - side + 1] = np.convolve(values, kernel[::-1], "valid")
+    return found

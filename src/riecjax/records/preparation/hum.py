@@ -1,0 +1,351 @@
+"""Lines of the mains in a signal's spectrum, and how to tell them from motion.
+
+Sinusoids of the mains, taken off signals.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.special import fdtrc, fdtri, gammaincinv
+
+from riecjax.errors import DataError
+from riecjax.findings import Finding
+from riecjax.records.faults.sampled_signal import (
+    SampledSignal,
+    percent,
+)
+from riecjax.records.preparation.filtering import with_gaps
+from riecjax.records.record import Record, samples_with_nan
+
+MAINS = (50.0, 60.0, 50 / 3)
+"""Hz of grids of countries and of railways."""
+HARMONICS = 5
+DRIFT = 0.004
+"""Share of its frequency by which a grid is off at most."""
+LONGEST = 20.0
+"""Seconds in which a grid's frequency is steady, and to a spectrum."""
+BY_CHANCE = 1e-4
+"""Probability of a false alarm on noise, per signal and grid."""
+AROUND = 20
+"""Bins to each side whose median is what surrounds a bin."""
+ALONE = 6.0
+"""Hz to each side in which no other line may be: drives and friction have them in rows."""
+OUTSHONE = (2.0, 30.0)
+"""Times that a line's power is that of any other bin there, and of another line."""
+LINES = 0.05
+"""Probability that noise makes any of the others look like a line."""
+LOWEST = 3
+"""Order of the lowest harmonic that stands out of a grid's lines, at most."""
+LOBE = 3
+"""Bins to each side over which Hann's window spreads a line."""
+SMALLEST = 3e-3
+"""Amplitude of a line, as a share of the signal's rms, below which it does nothing."""
+MOTION = 2.0
+"""Factor within which amplitudes of a signal and of its derivative are those of one motion."""
+OVERTONES = 20
+"""Multiples of a signal's strongest line that may be its own."""
+
+
+class Line(NamedTuple):
+    """A line of a grid: where it should be, where it is seen, and its amplitude."""
+
+    nominal: float
+    """Hz of the harmonic."""
+    seen: float
+    """Hz, folded where sampling does so."""
+    amplitude: float
+
+
+class Spectrum(NamedTuple):
+    """Power of a signal through Hann's window, the mean over its stretches."""
+
+    power: np.ndarray
+    """Squared amplitude of a line at each bin, over the squared rms."""
+    chance: np.ndarray
+    """Probability that noise stands out of what surrounds a bin as far as it does; 1 for more
+    than 0.01."""
+    resolution: float
+    """Hz between bins."""
+    rms: float
+
+    def folded(self, frequency: float) -> float:
+        """Where a frequency is seen at this sampling rate."""
+        rate = 2 * self.resolution * (self.power.size - 1)
+        return abs(frequency - rate * round(frequency / rate))
+
+    def line(self, frequency: float, drift: float, chance: float) -> Line | None:
+        """The line within `drift` of a frequency, `None` where none stands out alone."""
+        seen, tolerance = self.folded(frequency), drift * frequency
+        low = int(np.floor((seen - tolerance) / self.resolution))
+        high = int(np.ceil((seen + tolerance) / self.resolution))
+        if low < LOBE + 2 or high > self.power.size - 2 - LOBE:
+            return None
+        peak = low + int(np.argmax(self.power[low : high + 1]))
+        if self.power[peak] < max(self.power[[peak - 1, peak + 1]]):
+            return None
+        at = self.interpolated(peak)
+        if self.chance[peak] * (high - low + 1) > chance or not self._is_alone(peak, tolerance):
+            return None
+        if abs(at - seen) > tolerance + 0.2 * self.resolution:
+            return None
+        off = at / self.resolution - peak
+        loss = np.sinc(off) / (1 - off**2)
+        return Line(frequency, at, self.rms * float(np.sqrt(self.power[peak]) / loss))
+
+    def _is_alone(self, peak: int, tolerance: float) -> bool:
+        """Whether no other line is around, but harmonics that sampling folds beside this one."""
+        own = LOBE + int(HARMONICS * tolerance / self.resolution)
+        half = max(int(ALONE / self.resolution), AROUND) + own
+        near = np.arange(max(peak - half, LOBE), min(peak + half, self.power.size - LOBE))
+        others = near[np.abs(near - peak) > own]
+        lines = self.power[others[self.chance[others] * others.size < LINES]]
+        highest, peaked = np.max(self.power[others], initial=0.0), np.max(lines, initial=0.0)
+        return bool(self.power[peak] > max(OUTSHONE[0] * highest, OUTSHONE[1] * peaked))
+
+    def interpolated(self, peak: int) -> float:
+        """Hz of a line, by what Hann's window makes of its two highest bins."""
+        side = 1 if self.power[peak + 1] > self.power[peak - 1] else -1
+        ratio = np.sqrt(self.power[peak + side] / self.power[peak])
+        return float(self.resolution * (peak + side * (2 * ratio - 1) / (ratio + 1)))
+
+    def stands_out(self, frequency: float) -> bool:
+        """Whether there is a line at a frequency, alone or not."""
+        at = round(frequency / self.resolution)
+        return bool(np.min(self.chance[max(at - 1, 0) : at + 2]) < BY_CHANCE)
+
+    def amplitude(self, frequency: float) -> float:
+        """The largest amplitude within a bin of a frequency, line or not."""
+        at = round(frequency / self.resolution)
+        return self.rms * float(np.sqrt(np.max(self.power[max(at - 1, 0) : at + 2])))
+
+
+def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
+    """The spectrum of samples, straight across gaps; `None` where there is none to speak of."""
+    missing = np.isnan(values)
+    if missing.all() or values.size < 4 * AROUND:
+        return None
+    if missing.any():
+        index = np.arange(values.size)
+        values = np.interp(index, index[~missing], values[~missing])
+    size = float(np.max(np.abs(values))) or 1.0
+    values = values / size
+    rms = float(np.std(values))
+    if not rms:
+        return None
+    length = min(values.size, max(int(LONGEST / time_step), 8 * AROUND))
+    length -= length % 2
+    stretches = values.size // length
+    rows = (values[: stretches * length].reshape(stretches, length) - np.mean(values)) / rms
+    rows = rows - np.mean(rows, axis=1, keepdims=True)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    transform = np.fft.rfft(rows * window, axis=1)
+    power = np.mean(np.abs(transform) ** 2, axis=0) * (4 / length) ** 2
+    usual = median_filter(power, 2 * AROUND + 1, mode="nearest")
+    ratio = power / np.maximum(usual * stretches / gammaincinv(stretches, 0.5), 1e-300)
+    # Of so many bins through Hann's window, the median tells as much as the mean of a quarter.
+    freedom = 2 * stretches, 2 * stretches * (2 * AROUND + 1) / 4
+    # Nothing is concluded from more than a hundredth, as most bins have.
+    chance, high = np.ones(ratio.size), ratio > fdtri(*freedom, 0.99)
+    chance[high] = fdtrc(*freedom, ratio[high])
+    return Spectrum(power, chance, 1 / (length * time_step), rms * size)
+
+
+def lines_of(spectrum: Spectrum, grid: float) -> list[Line]:
+    """The lines of a grid that stand out, each once, however sampling folds them."""
+    found: list[Line] = []
+    for harmonic in range(1, HARMONICS + 1):
+        line = spectrum.line(harmonic * grid, DRIFT, BY_CHANCE / HARMONICS)
+        if line is not None and all(
+            abs(line.seen - one.seen) > LOBE * spectrum.resolution for one in found
+        ):
+            found.append(line)
+    return found
+
+
+def hum(
+    signals: Mapping[str, SampledSignal], pairs: Sequence[tuple[str, str]], names: Sequence[str]
+) -> Iterator[Finding]:
+    """Grids whose lines stand in some of these signals and are not what the machine does.
+
+    A machine that turns at 50 Hz moves all channels, a velocity 2 pi 50 times as far as its
+    position. The mains keep to no such ratio; where no pair tells, they are taken for a fault of a
+    channel that is alone with them.
+
+    **Arguments:** `pairs` of a signal and its derivative; `names` of those to report on.
+    """
+    spectra = {name: _spectrum(signal) for name, signal in signals.items()}
+    known = {name: one for name, one in spectra.items() if one is not None}
+    by_grid = {name: _foreign(one) for name, one in known.items()}
+    for grid in MAINS:
+        lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
+        verdicts = {name: _is_motion(name, lines[name], known, pairs) for name in lines}
+        for name in (n for n in names if n in lines):
+            others = {verdicts[other] for other in lines if other != name}
+            hums = not others or (False in others and True not in others)
+            if verdicts[name] is False or (verdicts[name] is None and hums):
+                yield _finding(signals[name], known[name], lines[name], grid)
+
+
+def _spectrum(signal: SampledSignal) -> Spectrum | None:
+    # Steps of commands have lines of their own.
+    if signal.is_command:
+        return None
+    return spectrum_of(signal.values, signal.time_step)
+
+
+def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
+    """By grid its lines that matter, but overtones of the strongest; each of one grid.
+
+    Sampling may fold harmonics of one grid onto another's: lower harmonics come first.
+    """
+    lobe = LOBE * spectrum.resolution
+    strongest = LOBE + 2 + int(np.argmax(spectrum.power[LOBE + 2 : -LOBE - 2]))
+    own = spectrum.interpolated(strongest)
+
+    def is_overtone(line: Line) -> bool:
+        order = line.seen / own
+        off = abs(order - round(order)) * own
+        if spectrum.chance[strongest] > BY_CHANCE:
+            return False
+        return 1.5 < order < OVERTONES and off < 0.1 * order * spectrum.resolution
+
+    found = [
+        (line.nominal / grid, grid, line)
+        for grid in MAINS
+        for line in lines_of(spectrum, grid)
+        if line.amplitude > SMALLEST * spectrum.rms and not is_overtone(line)
+    ]
+    claimed: dict[float, list[Line]] = {}
+    for _, grid, line in sorted(found, key=lambda one: round(one[0])):
+        others = [one for other, of in claimed.items() if other != grid for one in of]
+        if all(abs(line.seen - one.seen) > lobe for one in others):
+            claimed.setdefault(grid, []).append(line)
+    return {grid: of for grid, of in claimed.items() if of[0].nominal < (LOWEST + 0.5) * grid}
+
+
+def _is_motion(
+    name: str,
+    lines: list[Line],
+    spectra: Mapping[str, Spectrum],
+    pairs: Sequence[tuple[str, str]],
+) -> bool | None:
+    """Whether the largest line is motion, by a signal's derivative; `None` if that is hidden."""
+    line = max(lines, key=lambda one: one.amplitude)
+    verdict = None
+    for signal, derivative in pairs:
+        partner = derivative if name == signal else signal
+        if name not in (signal, derivative) or partner not in spectra:
+            continue
+        there = spectra[partner].amplitude(line.seen)
+        # What sampling may have folded may also be motion where it is seen.
+        for omega in {2 * np.pi * line.nominal, 2 * np.pi * line.seen}:
+            expected = line.amplitude * (omega if name == signal else 1 / omega)
+            if expected / MOTION < there < MOTION * expected:
+                return True if spectra[partner].stands_out(line.seen) else verdict
+            # A larger line there, or noise, says nothing against this one.
+            verdict = False if there < expected / MOTION else verdict
+    return verdict
+
+
+def _finding(signal: SampledSignal, spectrum: Spectrum, lines: list[Line], grid: float) -> Finding:
+    largest = max(lines, key=lambda one: one.amplitude)
+    share = sum((one.amplitude / spectrum.rms) ** 2 for one in lines) / 2
+    at = ", ".join(
+        f"{one.nominal:.4g} Hz"
+        + (f" (seen at {one.seen:.4g} Hz)" if abs(one.seen - one.nominal) > 0.1 * grid else "")
+        for one in lines
+    )
+    return signal.finding(
+        "hum",
+        f"a line at {at} stands out, of amplitude {signal.with_unit(largest.amplitude)}, "
+        f"{percent(largest.amplitude, spectrum.rms)} of the signal's rms, as the mains put there. "
+        f"It acts as noise with {percent(share, 1.0)} of the signal's power. Take it out "
+        f"(on the command line: --notch {grid:.4g}), and look at the cable's screen and earth.",
+        doubt=min(share, 1.0),
+        remedy=("--notch", f"{grid:.4g}"),
+    )
+
+
+STEADY = 10.0
+"""Seconds over which a line's amplitude and phase are averaged."""
+
+
+def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
+    """Take a frequency in Hz and those of its harmonics that stand out off all signals.
+
+    Each is a sinusoid whose frequency is found from the samples, and whose amplitude and phase, by
+    least squares through Hann's window, are steady over 10 s; nothing is lost at ends and gaps.
+    `"auto"` takes off the lines of 50, 60 and 16.7 Hz that stand out, and where none does,
+    nothing.
+
+    **Raises:** `DataError` for a frequency that is no positive number, or is seen as none.
+    """
+    if frequency != "auto" and not (np.isfinite(frequency) and frequency > 0):
+        raise DataError(f"the frequency to notch is a positive number of Hz; got {frequency}.")
+    step, columns = float(record.time_step), {}
+    for name in record.arrays:
+        values = samples_with_nan(record, name)
+        spectrum = spectrum_of(values, step)
+        if spectrum is None:
+            continue
+        lines = _lines(spectrum, frequency)
+        if lines:
+            columns[name] = without_lines(values, step, [line.seen for line in lines])
+    return with_gaps(record, columns, noise=record.noise) if columns else record
+
+
+def _lines(spectrum: Spectrum, frequency: float | Literal["auto"]) -> list[Line]:
+    if frequency == "auto":
+        return [line for grid in MAINS for line in lines_of(spectrum, grid)]
+    seen = spectrum.folded(frequency)
+    if not spectrum.resolution < seen < spectrum.resolution * (spectrum.power.size - 2):
+        raise DataError(
+            f"a line of {frequency:g} Hz is seen at {seen:.3g} Hz at this sampling rate and length "
+            f"of record, where it cannot be told from an offset."
+        )
+    harmonics = [line for line in lines_of(spectrum, frequency) if line.nominal > frequency]
+    exact = spectrum.line(frequency, DRIFT, 1.0)
+    return [exact or Line(frequency, seen, 0.0), *harmonics]
+
+
+def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[float]) -> np.ndarray:
+    """Samples, shape (n,), without sinusoids of these frequencies in Hz.
+
+    The amplitude a about a sample is what makes x(t) - Re(a exp(i w t)) smallest there, which is
+    2 <x exp(-i w t)> where w is fast against the window of the mean <.>. Where the window would
+    reach past the record's ends, its size is held and its phase goes on as it did.
+    """
+    known = ~np.isnan(values)
+    size = float(np.max(np.abs(values[known]))) or 1.0
+    left = np.where(known, values / size, 0.0)
+    mean = np.sum(left) / known.sum()
+    length = min((values.size + 1) // 2, int(STEADY / time_step))
+    window = np.hanning(length + 2)[1:-1]
+
+    from scipy.signal import oaconvolve  # takes half a second, which few records need
+
+    weight = oaconvolve(known.astype(float), window, mode="valid")
+    weight = np.maximum(weight, 1e-9 * weight.max())
+    before = (values.size - weight.size) // 2
+    after = values.size - weight.size - before
+    time = np.arange(values.size) * time_step
+    for frequency in dict.fromkeys(frequencies):
+        turn = np.exp(2j * np.pi * frequency * time)
+        centred = np.where(known, left - mean, 0.0)
+        inner = 2 * oaconvolve(centred * turn.conj(), window, mode="valid") / weight
+        reach = min(length, inner.size) - 1
+        first, last = (
+            np.exp(1j * np.angle(inner[k + reach] * inner[k].conj()) / max(reach, 1))
+            for k in (0, inner.size - 1 - reach)
+        )
+        amplitude = np.concatenate(
+            [
+                inner[0] * first ** np.arange(-before, 0),
+                inner,
+                inner[-1] * last ** np.arange(1, after + 1),
+            ]
+        )
+        left = left - np.real(amplitude * turn)
+    return np.where(known, left * size, np.nan)

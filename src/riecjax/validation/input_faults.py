@@ -1,0 +1,193 @@
+"""Whether what an equation leaves grows evenly along a record: an input's sensor that drifts.
+
+Whether an input says nothing while the motion moves: a sensor that was not connected.
+"""
+
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from riecjax.criteria.windows import AbstractWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import Term
+from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding
+from riecjax.records.derived import line_taken_off
+from riecjax.records.noise import noise_level
+from riecjax.records.record import Record
+from riecjax.validation.equation_errors import EquationError, errors_over_records
+from riecjax.validation.window_errors import window_errors
+
+PARTS = 20
+"""Parts of a record whose mean errors are compared."""
+EVEN = 0.7
+"""Share of the scatter of the parts' means that a straight line explains at least; of 20 means by
+chance once in 250,000 records."""
+NOTABLE = 0.02
+"""Change along the record, over the target's rms, from which it matters."""
+MOST_TAKEN = 0.05
+"""Part of a drift that regressors leave at the least, for it to be known."""
+FOLLOWS = 0.999
+"""Correlation of an equation's target with its input past which it is that input."""
+
+
+# Values too large to be squared drift nowhere.
+@np.errstate(over="ignore", invalid="ignore")
+def drifting_inputs(
+    procedure: Procedure,
+    records: Sequence[Record],
+    errors: Sequence[Sequence[EquationError]],
+    estimate: Estimate,
+    again: Callable[[list[Record]], Estimate],
+) -> Iterator[Finding]:
+    """`drifting_signal` of an equation's only input, where a line in time is left.
+
+    Regressors take up a part of a drift, so that less of it is left than there is. Estimates are
+    linear in the input: what is left once a known line, or a constant, is taken off tells which.
+    A constant term takes up a constant wholly, which is then none of the drift's.
+
+    What else changes evenly with time, such as friction of a machine that warms up, looks the same.
+
+    **Arguments:** `errors` of each equation on each record, of which there is to be one; `again`:
+    the estimate from other records.
+    """
+    if len(records) != 1:
+        return
+    (record,) = records
+    time = np.asarray(record.time)
+    line = (time - 0.5 * (time[0] + time[-1])) / (time[-1] - time[0])
+    for index, (equation, (error,)) in enumerate(zip(procedure.equations, errors, strict=True)):
+        inputs = [t.of for t in equation.terms if not t.parameters and isinstance(t, Term)]
+        if len(inputs) != 1 or not isinstance(inputs[0], str):
+            continue
+        name = inputs[0]
+        left = _left(error, np.asarray(error.centred(record[name])))
+        if left is None or not left.stands_out:
+            continue
+        # How much less is left of a line and of a constant, for each that is taken off.
+        unit, response, others = abs(left.line[0]), [], []
+        for shape in (line, np.ones_like(line)):
+            less = record.with_signals({name: record[name] - jnp.asarray(unit * shape)})
+            others.append(again([less]))
+            (still,) = errors_over_records(procedure, [less], others[-1].values)[index]
+            rest = _left(still, np.asarray(still.centred(less[name])))
+            response.append(np.zeros(2) if rest is None else (left.line - rest.line) / unit)
+        drift = np.linalg.lstsq(np.transpose(response), left.line, MOST_TAKEN)[0]
+        moved = {
+            n: abs(float(drift @ [float(o[n]) / float(estimate[n]) - 1 for o in others])) / unit
+            for n in equation.parameters
+            if n in estimate.parameters and float(estimate[n])
+        }
+        yield _finding(equation, record, name, drift, moved)
+
+
+def _finding(
+    equation: Equation, record: Record, name: str, drift: np.ndarray, moved: dict[str, float]
+) -> Finding:
+    change, offset = drift.tolist()
+    time, unit = np.asarray(record.time), dict(record.units).get(name, "")
+    offset = offset if abs(offset) > 1e-3 * abs(change) else 0.0
+    remedy = line_taken_off(name, time, offset, change)
+    most = max(moved, key=lambda n: moved[n], default="")
+    without = f"; without it {most} changes by {100 * moved[most]:.2g} %" if moved else ""
+    return Finding(
+        "drifting_signal",
+        f"what {equation.name} leaves grows evenly with time, as if {name} drifted by "
+        f"{f'{change:.3g} {unit}'.rstrip()} along the record{without}. Take it off (on the command "
+        f"line: {shlex.join(remedy)}), or look for what else changes with time, such as friction "
+        f"of a machine that warms up.",
+        (name,),
+        equation.parameters,
+        doubts=moved,
+        remedy=remedy,
+        step=f"Take the straight line off {name}",
+    )
+
+
+class _Left(NamedTuple):
+    """What is left of a line along the record and of a constant, as changes of the input."""
+
+    line: Float[np.ndarray, "2"]
+    stands_out: bool
+
+
+def _left(error: EquationError, signal: np.ndarray) -> _Left | None:
+    """The line in what is left; `None` of an equation whose target is more than the input."""
+    present, values, target = (np.asarray(v) for v in (error.present, error.error, error.target))
+    parts = np.array_split(np.flatnonzero(present), PARTS)
+    if present.sum() < 10 * PARTS or not np.ptp(target[present]) > 0:
+        return None
+    scale = np.cov(target[present], signal[present])
+    if not scale[0, 1] ** 2 > FOLLOWS**2 * scale[0, 0] * scale[1, 1]:
+        return None
+    time = [float(np.mean(part)) / values.size - 0.5 for part in parts]
+    means = [float(np.mean(values[part])) for part in parts]
+    scatter = np.cov(time, means)
+    slope = scatter[0, 1] / scatter[0, 0]
+    even = slope * scatter[0, 1] > EVEN * scatter[1, 1]
+    size = np.sqrt(np.mean(target[present] ** 2))
+    line = np.array([slope, np.mean(means) - slope * np.mean(time)]) * scale[1, 1] / scale[0, 1]
+    return _Left(line, bool(even and abs(slope) > NOTABLE * size))
+
+
+NOISE_ALONE = 0.8
+"""Share of a signal's deviation past which all of it is noise. A force of white noise is as well,
+and drives the motion, which the equation then explains."""
+NOTHING_EXPLAINED = 0.8
+"""Share of the target, rms over windows, past which no motion answers to it."""
+
+
+def silent_inputs(
+    equations: Sequence[Equation],
+    records: Sequence[Record],
+    errors: Sequence[Sequence[EquationError]],
+    windows: AbstractWindows | None,
+) -> Iterator[Finding]:
+    """`silent_input` of recorded inputs that are constant or only noise, and that explain nothing.
+
+    **Arguments:** `errors` of each equation on each record.
+    """
+    for equation, of_records in zip(equations, errors, strict=True):
+        inputs = [t.of for t in equation.terms if not t.parameters and isinstance(t, Term)]
+        if len(inputs) != 1 or not isinstance(inputs[0], str):
+            continue
+        name = inputs[0]
+        for number, (record, error) in enumerate(zip(records, of_records, strict=True), 1):
+            said = _silence(record, name)
+            if not said or _explained(error, windows):
+                continue
+            where = f" in recording {number}" if len(records) > 1 else ""
+            yield Finding(
+                "silent_input",
+                f"{name} {said}{where}, while the motion of {equation.name} moves: nothing sets "
+                f"the scale of {', '.join(equation.parameters)}, which come out next to zero. "
+                f"Check the sensor of {name}, its cable and its column.",
+                (name,),
+                equation.parameters,
+                doubt=1.0,
+                step=f"Check the sensor of {name}, its cable and its column",
+            )
+
+
+# Values too large to be squared are no silence.
+@np.errstate(over="ignore", invalid="ignore")
+def _silence(record: Record, name: str) -> str:
+    """In words, that a signal says nothing; empty if it says something."""
+    values = np.asarray(record[name], float)
+    missing = record.missing.get(name)
+    present = np.ones(values.size, bool) if missing is None else ~np.asarray(missing)
+    spread = float(np.std(values[present]))
+    if not spread > 1e-12 * float(np.max(np.abs(values))):
+        return "never varies"
+    return "is noise alone" if float(noise_level(values, present)) > NOISE_ALONE * spread else ""
+
+
+def _explained(error: EquationError, windows: AbstractWindows | None) -> bool:
+    found = None if windows is None else window_errors([error], windows)
+    left = float(error.relative_rms) if found is None else found.relative_rms
+    return not left > NOTHING_EXPLAINED

@@ -1,0 +1,92 @@
+"""What the memory does not hold is refused before it starts."""
+
+import json
+import os
+
+import pytest
+from command_line import call, quarter_car_columns, write_csv
+
+from riecjax import memory
+from riecjax.memory import free_memory, require_memory
+
+CAR = ("--model", "quarter-car", "--no-sweep", "--refine", "none")
+
+
+def test_what_the_memory_does_not_hold_is_refused_with_both_numbers(monkeypatch):
+    monkeypatch.setattr(memory, "free_memory", lambda: 2e9)
+    require_memory("reading", 1.9e9)
+    with pytest.raises(MemoryError, match=r"reading takes about 3 GB of memory, and 2 GB are free"):
+        require_memory("reading", 3e9, "Read less.")
+
+
+def test_free_memory_lies_between_what_is_unused_and_all_there_is():
+    page = os.sysconf("SC_PAGE_SIZE")
+    whole = page * os.sysconf("SC_PHYS_PAGES")
+    assert 0.3 * page * os.sysconf("SC_AVPHYS_PAGES") < free_memory() <= whole
+
+
+def test_a_container_may_leave_less_and_cached_files_count_as_free(monkeypatch, tmp_path):
+    monkeypatch.setattr(memory, "CONTROL_GROUP", tmp_path)
+    monkeypatch.setattr(memory, "MEMORY", tmp_path / "none")
+    assert free_memory() == float("inf")
+    (tmp_path / "memory.max").write_text("1000\n")
+    (tmp_path / "memory.current").write_text("700\n")
+    (tmp_path / "memory.stat").write_text("anon 500\ninactive_file 150\n")
+    assert free_memory() == 450
+    (tmp_path / "memory.max").write_text("max\n")
+    assert free_memory() == float("inf")
+
+
+@pytest.fixture
+def drive(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return write_csv(tmp_path / "drive.csv", quarter_car_columns())
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        (("--upsample", "20"), "resampling to 5.6e+04 samples"),
+        (("--windows", "100000"), "assessing the model on 400 samples"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_it_starts(capsys, drive, monkeypatch, options, what):
+    monkeypatch.setattr(memory, "free_memory", lambda: 3e6)
+    result = call(capsys, "identify", drive, *CAR, *options, "--json")
+    assert result.status == 1
+    error = json.loads(result.out)["error"]
+    assert error["code"] == "memory"
+    assert error["message"].startswith(what)
+    assert "0.003 GB are free" in error["message"]
+    assert result.err == f"riecjax: {error['message']}\n"
+
+
+def test_random_windows_are_counted_and_checking_is_named(monkeypatch):
+    """Of 4 parameters and a target, 80 bytes for each window are kept at the very least."""
+    import riecjax as rx
+    from riecjax.assessment.asked import require_memory_to_assess
+
+    monkeypatch.setattr(memory, "free_memory", lambda: 8e8)
+    columns = quarter_car_columns()
+    del columns["t"]
+    record = rx.Record(columns, 0.005)
+    model = rx.find_model("duffing").build_procedure()
+    few, many = (rx.RIEC(rx.RandomWindows(0.05, 0.5, n)) for n in (1000, 10_000_000))
+    require_memory_to_assess(model, [record], few)
+    with pytest.raises(MemoryError, match="checking the model on 400 samples"):
+        require_memory_to_assess(model, [record], many, checking=True)
+
+
+def test_what_xla_cannot_allocate_is_one_line(capsys, drive, monkeypatch):
+    from riecjax.assessment import assess
+
+    def refuse(*_, **__):
+        raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 40402639744 bytes.")
+
+    monkeypatch.setattr(assess, "summarise", refuse)
+    result = call(capsys, "identify", drive, *CAR, "--json")
+    assert result.status == 1
+    error = json.loads(result.out)["error"]
+    assert error["code"] == "memory"
+    assert "40402639744 bytes" in error["message"]
+    assert "--windows" in error["message"] or "fewer windows" in error["message"]
