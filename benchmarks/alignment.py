@@ -18,7 +18,8 @@ from benchmarks.faults.machines import FINE, LEAD, MACHINES, RATE, SAMPLES, moti
 from riecjax.models.catalogue import find_model
 from riecjax.records import align
 from riecjax.records.consistency import check_derivatives
-from riecjax.records.faults.derivative_pairs import compare_pair
+from riecjax.records.faults.derivative_pairs import compare
+from riecjax.records.faults.relations import Relation
 from riecjax.runtime import start_jax
 
 NAMES = tuple(name for name in MACHINES if name != "car")
@@ -63,7 +64,9 @@ def errors(seeds: int) -> None:
     for name, noise in itertools.product(NAMES, NOISE):
         off, within, named = [], 0, 0
         for delay, seed in itertools.product(DELAYS, range(seeds)):
-            pair = compare_pair(recorded(name, seed, noise, delay), *pair_of(name))
+            signal, derivative = pair_of(name)
+            relation = Relation(signal, ((derivative, 1.0),))
+            pair = compare(recorded(name, seed, noise, delay), relation)
             if pair is None:
                 continue
             off.append(pair.fit.delay + pair.fit.lag - delay)

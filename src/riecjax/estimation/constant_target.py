@@ -35,8 +35,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
 from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import constant
 from riecjax.estimation.parameters import Sharing
 from riecjax.findings import Finding
 from riecjax.linear_algebra import Factor, factor_of_gram
@@ -243,7 +243,7 @@ class _Averaged:
         self.names = set(sharing.everywhere(equation.parameters)) - settled
         length = float(summary.criterion.typical_length)
         self.independent = sum(
-            float(one.samples) * min(float(one.time_step) / length, 1.0) if length else one.samples
+            float(one.samples) * (min(float(one.time_step) / length, 1.0) if length else 1.0)
             for one in summary.recordings
         )
         individual = bool(sharing.own.intersection(equation.parameters))

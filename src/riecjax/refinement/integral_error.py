@@ -40,9 +40,8 @@ from jaxtyping import Array, Bool, Float, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import both_present
 from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip, told_apart
-from riecjax.equations.term import AbstractTerm, Term
+from riecjax.equations.term import AbstractTerm, Term, both_present
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import Sharing
 from riecjax.estimation.stages import all_normal_equations
@@ -52,11 +51,14 @@ from riecjax.records.signals import Signals
 from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,
+    AbstractParametric,
+    ByFields,
+    ByFunction,
     Expansion,
     Parameters,
     Specification,
+    Values,
 )
-from riecjax.refinement.parametric import AbstractParametric, ByFields, ByFunction, Values
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
 
 Levels = dict[int, Float[Array, " n"]]

@@ -21,7 +21,7 @@ from riecjax.records.derived import line_taken_off
 from riecjax.records.noise import noise_level
 from riecjax.records.record import Record
 from riecjax.validation.equation_errors import EquationError, errors_over_records
-from riecjax.validation.window_errors import window_errors
+from riecjax.validation.residuals import window_errors
 
 PARTS = 20
 """Parts of a record whose mean errors are compared."""
@@ -159,7 +159,11 @@ def silent_inputs(
         name = inputs[0]
         for number, (record, error) in enumerate(zip(records, of_records, strict=True), 1):
             said = _silence(record, name)
-            if not said or _explained(error, windows):
+            if not said:
+                continue
+            over_windows = None if windows is None else window_errors([error], windows)
+            left = error.relative_rms if over_windows is None else over_windows.relative_rms
+            if not float(left) > NOTHING_EXPLAINED:
                 continue
             where = f" in recording {number}" if len(records) > 1 else ""
             yield Finding(
@@ -185,9 +189,3 @@ def _silence(record: Record, name: str) -> str:
     if not spread > 1e-12 * float(np.max(np.abs(values))):
         return "never varies"
     return "is noise alone" if float(noise_level(values, present)) > NOISE_ALONE * spread else ""
-
-
-def _explained(error: EquationError, windows: AbstractWindows | None) -> bool:
-    found = None if windows is None else window_errors([error], windows)
-    left = float(error.relative_rms) if found is None else found.relative_rms
-    return not left > NOTHING_EXPLAINED

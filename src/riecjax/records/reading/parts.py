@@ -12,8 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.channels import Channels, listed
-from riecjax.records.reading.time_columns import is_called_time
+from riecjax.records.reading.channels import Channels
+from riecjax.records.reading.times import is_called_time, listed
 from riecjax.records.reading.units import split_unit
 
 _INDEXED = re.compile(

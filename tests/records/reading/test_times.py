@@ -7,7 +7,7 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.models.catalogue import find_model
-from riecjax.records.reading.time_columns import find_time
+from riecjax.records.reading.times import find_time
 from riecjax.records.recording import read_recording
 from riecjax.records.time_base import time_base
 
@@ -35,22 +35,6 @@ def test_a_column_called_time_or_the_first_that_rises_evenly_is_time(tmp_path, n
     recording = read(tmp_path, {f'"{name}"': T, "x": X})
     assert set(recording.record.arrays) == {"x"}
     np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-12)
-
-
-COUNTED = {
-    "time_ms": 1e3,
-    "timestamp_us": 1e6,
-    "time [ms]": 1e3,
-    "t/ms": 1e3,
-    "Time in min": 1 / 60,
-}
-
-
-@pytest.mark.parametrize("name", COUNTED)
-def test_units_of_time_in_its_name(tmp_path, name):
-    recording = read(tmp_path, {name: T * COUNTED[name], "x": X})
-    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
-    assert not recording.findings
 
 
 EPOCHS = {
@@ -91,11 +75,6 @@ def test_of_several_columns_the_samples_decide(tmp_path, case):
     np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-6)
     assert time not in recording.record.arrays
     np.testing.assert_allclose(recording.record["x"], X)
-
-
-def test_which_of_several_is_said(tmp_path):
-    recording = read(tmp_path, {"timestamp": np.full(N, 7.0), "t": T, "x": X})
-    assert "time is column 't', not timestamp" in recording.steps
 
 
 def test_a_row_number_alone_is_no_time():
@@ -182,6 +161,7 @@ def test_a_channel_that_no_equation_reads_does_not_decide_the_common_time(tmp_pa
 
 
 SPELLED = {
+    "time_ms": 1e3, "timestamp_us": 1e6, "t/ms": 1e3, "Time in min": 1 / 60,
     "timeMs": 1e3, "time.us": 1e6, "Time ms": 1e3, "Time - ms": 1e3, "Time(mSec)": 1e3,
     "TIME [MS]": 1e3, "millis": 1e3, "time [Seconds]": 1, "t [d]": 1 / 86400,
     "time (days)": 1 / 86400, "Time_Minutes": 1 / 60,
@@ -194,13 +174,10 @@ def test_more_spellings_of_units_of_time(tmp_path, name):
     recording = read(tmp_path, {name: stamps, "x": X})
     np.testing.assert_allclose(recording.record.time_step, STEP, rtol=2e-5)
     assert not recording.findings
+    scaled = read(tmp_path, {name: stamps, "x": X}, scale={name: 1 / SPELLED[name]})
+    np.testing.assert_allclose(scaled.record.time_step, STEP, rtol=2e-5)
     mapped = read(tmp_path, {"n": range(N), name: stamps, "x": X}, rename={"t": name})
     np.testing.assert_allclose(mapped.record.time_step, STEP, rtol=2e-5)
-
-
-def test_a_scaled_time_is_in_seconds_whatever_its_name_says(tmp_path):
-    recording = read(tmp_path, {"time_ms": 1e3 * T, "x": X}, scale={"time_ms": 0.001})
-    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-12)
 
 
 def test_a_unit_that_is_none_of_time_is_named(tmp_path):
@@ -251,13 +228,6 @@ def test_durations_of_python_past_a_day(tmp_path):
     recording = read(tmp_path, {"time": stamps, "x": X})
     np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
     assert recording.record.sample_count == N
-
-
-def test_fractions_of_unequal_length_that_rise_are_decimals(tmp_path):
-    stamps = [f"12:00:0{i // 4}.{(0, 25, 5, 75)[i % 4]}" for i in range(N)][:36]
-    rows = [f"{stamp},{i}" for i, stamp in enumerate(stamps)]
-    (tmp_path / "a.csv").write_text("\n".join(["time,x", *rows]) + "\n")
-    assert float(read_recording(tmp_path / "a.csv").record.time_step) == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize("rate", [667, 700, 800, 950, 1024])

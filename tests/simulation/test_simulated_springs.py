@@ -1,6 +1,5 @@
-"""Force elements with a spring in series, against matrices written by hand and SciPy."""
+"""Springs in series, simulated: against matrices and SciPy."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,8 +9,9 @@ from tests.machines import LAG_TRUTH as TRUTH
 from tests.machines import body_matrix
 
 import riecjax as rx
-from riecjax.equations.expressions import difference
 from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import difference
+from riecjax.refinement.objective import ByCoefficients
 from riecjax.simulation.linearisation import linearise
 
 POINTS = (-1.0, -0.3, 0.0, 0.3, 1.0)
@@ -92,40 +92,6 @@ def test_a_map_moves_as_scipy_says():
     assert float(np.max(truth["series_force"])) > MAP["F_5"]
 
 
-def test_a_mode_and_a_spring_are_simulated_together():
-    mode = {"M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
-    model = MODEL.with_modes(rx.HiddenMode("v"))
-    made = rx.equation_system(model, {**TRUTH, **mode}, rates={"x": "v"})
-    assert made.state_names == ("v", "x", "mode_deflection", "mode_velocity", "series_force")
-    heavy, stiff, loss = mode.values()
-    found = np.sort_complex(np.linalg.eigvals(np.asarray(linearise(made)[0])))
-    expected = np.sort_complex(
-        np.linalg.eigvals(body_matrix(TRUTH["c"], (heavy, stiff, loss), TRUTH["K_series"]))
-    )
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-
-
-def test_slope_by_a_force_of_the_map_is_that_of_a_difference():
-    record = recorded(0.5).select("F", "u")
-
-    def last(force):
-        system = rx.equation_system(wheel(), {**WHEEL, "F_4": force}, rates=RATES)
-        return rx.simulate(system, record).record["v"][-1]
-
-    slope = jax.jacfwd(last)(jnp.asarray(400.0))
-    rise = (last(400.1) - last(399.9)) / 0.2
-    assert abs(float(rise)) > 1e-6
-    np.testing.assert_allclose(slope, rise, rtol=1e-4)
-
-
-def test_a_map_that_falls_is_simulated_with_a_least_slope():
-    falling = {**WHEEL, "F_4": -100.0, "F_5": -100.0}
-    record = recorded(0.5).select("F", "u")
-    run = rx.simulate(rx.equation_system(wheel(), falling, rates=RATES), record)
-    assert bool(run.successful)
-    assert np.all(np.isfinite(np.asarray(run.record["v"])))
-
-
 @pytest.mark.slow
 def test_validation_starts_a_spring_at_the_map():
     record = recorded(2.0)
@@ -169,3 +135,85 @@ def test_refinement_finds_spring_and_map():
     assert bool(refined.converged)
     for name, value in WHEEL.items():
         np.testing.assert_allclose(refined.values[name], value, rtol=1e-3, atol=0.1, err_msg=name)
+
+
+VALUES = {"m": 2.0, "c": 12.0, "k": 90.0, "K_series": 400.0}
+
+
+def body(damper: rx.Term | rx.Terms) -> rx.Equation:
+    """m v' + c v + k x = u, the position another state."""
+    return rx.Equation(
+        rx.Term("m", "v", derivative=1, unit="kg"),
+        damper,
+        rx.Term("k", "x", unit="N/m"),
+        -rx.Term(1.0, "u"),
+        name="body",
+        unit="N",
+    )
+
+
+LINEAR = body(rx.Term("c", "v", unit="N s/m"))
+
+
+def test_what_cannot_be_asked():
+    procedure = rx.staged(LINEAR)
+    with pytest.raises(rx.ModelError, match=r"no equation has a coefficient 'b'.*m, c, k"):
+        procedure.with_series_springs(rx.SeriesSpring("b"))
+    with pytest.raises(rx.ModelError, match="SeriesSpring"):
+        procedure.with_series_springs("c")  # pyright: ignore[reportArgumentType]
+    friction = rx.staged(body(rx.Terms("f", rx.friction(), of="v")))
+    with pytest.raises(rx.ModelError, match="roof functions"):
+        rx.equation_system(
+            friction.with_series_springs(rx.SeriesSpring("f_viscous")),
+            {"m": 1.0, "k": 1.0, "f_viscous": 1.0, "f_coulomb": 1.0, "K_series": 9.0},
+            rates={"x": "v"},
+        )
+    other = rx.Equation(
+        rx.Term("n", "w", derivative=1), rx.Term("c", difference("w", "v")), name="other"
+    )
+    with pytest.raises(rx.ModelError, match="no one element"):
+        rx.equation_system(
+            rx.staged(LINEAR, other).with_series_springs(rx.SeriesSpring("c")),
+            {**VALUES, "n": 1.0},
+            rates={"x": "v"},
+        )
+    sprung = procedure.with_series_springs(rx.SeriesSpring("c"))
+    with pytest.raises(rx.ModelError, match="c, a spring in series, is zero"):
+        rx.equation_system(sprung, {**VALUES, "c": 0.0}, rates={"x": "v"})
+
+
+def test_the_quarter_car_with_spring_and_mode_moves_over_a_road_as_its_matrix_says():
+    """With a linear damper, as eq. (19) with one: states x3, x4, x1, x2, d, w, f."""
+    k_t, m_u, m_s, k_s, c, series = 178e3, 25.0, 200.0, 20e3, 1500.0, 500e3
+    mass, k, b = 100.0, 300e3, 4000.0
+    values = {"K_t": k_t, "M_us": m_u, "M_s": m_s, "K_s": k_s, "K_series": series}
+    values |= {f"F_{i}": c * v for i, v in enumerate((-0.8, -0.3, 0.3, 0.8), 1)}
+    values |= {"M_mode": mass, "K_mode": k, "B_mode": b}
+    model = rx.find_model("quarter-car").with_modes(rx.HiddenMode("x4"))
+    model = model.with_series_springs(rx.SeriesSpring("F_1"))
+    road = rx.Record({"v_r": np.zeros(9)}, 0.005)
+    numbers = {name: jnp.asarray(value) for name, value in values.items()}
+    made = model.identified_system(numbers, road)
+    expected = {
+        "x3": {"x1": k_t / m_u, "x2": -k_s / m_u, "series_force": -1 / m_u},
+        "x4": {
+            "x2": k_s / m_s,
+            "series_force": 1 / m_s,
+            "mode_deflection": -k / m_s,
+            "x4": -b / m_s,
+            "mode_velocity": b / m_s,
+        },
+        "x1": {"x3": -1.0},
+        "x2": {"x3": 1.0, "x4": -1.0},
+        "mode_deflection": {"x4": 1.0, "mode_velocity": -1.0},
+        "mode_velocity": {"mode_deflection": k / mass, "x4": b / mass, "mode_velocity": -b / mass},
+        "series_force": {"x3": series, "x4": -series, "series_force": -series / c},
+    }
+    assert set(made.state_names) == set(expected)
+    state, inputs = linearise(made)
+    matrix = [[expected[row].get(n, 0.0) for n in made.state_names] for row in made.state_names]
+    np.testing.assert_allclose(state, matrix, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(inputs[:, 0], [float(n == "x1") for n in made.state_names])
+    every = model.parametric_system(road)
+    assert isinstance(every, ByCoefficients)
+    assert every.build(numbers).state_names == made.state_names

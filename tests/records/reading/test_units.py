@@ -6,7 +6,7 @@ import pytest
 import riecjax as rx
 from riecjax.errors import DataError
 from riecjax.models.model import Model, Quantity
-from riecjax.records.reading.unit_expressions import readings, same
+from riecjax.records.reading.units import readings, same, split_unit
 
 POUND_FORCE, INCH, DEGREE = 4.4482216152605, 0.0254, np.pi / 180
 SPELLED = {
@@ -15,8 +15,8 @@ SPELLED = {
     "m/s": {"mm s^-1": 1e-3, "mm·s⁻¹": 1e-3, "km/hr": 1 / 3.6, "kts": 1852 / 3600, "m/min": 1 / 60,
             "in/sec": INCH, "fps": 0.3048, "m s**-1": 1, "m.s-1": 1},
     "m/s^2": {"m/s/s": 1, "m·s⁻²": 1, "m/(s^2)": 1, "mm/s²": 1e-3, "G": 9.80665,
-              "g-force": 9.80665},
-    "N": {"kgf": 9.80665, "kp": 9.80665, "kips": 1e3 * POUND_FORCE, "KN": 1e3, "Newtons": 1,
+              "g-force": 9.80665, "Gal": 0.01, "mGal": 1e-5},
+    "N": {"kgf": 9.80665, "tf": 9806.65, "kips": 1e3 * POUND_FORCE, "KN": 1e3, "Newtons": 1,
           "µN": 1e-6, "klbf": 1e3 * POUND_FORCE, "dyn": 1e-5},
     "N m": {"N·mm": 1e-3, "kN-m": 1e3, "N∙m": 1, "ft-lb": POUND_FORCE * 0.3048,
             "in·lbf": POUND_FORCE * INCH, "lb-in": POUND_FORCE * INCH, "Newton meters": 1,
@@ -46,7 +46,8 @@ def test_spellings(si, text, factor):
     assert unit.factor == pytest.approx(factor, rel=1e-9)
 
 
-NAMES = ["x", "left", "Mm", "m/s*s", "N/m s", "°C", "mms-1x", "m//s", "(m", "m)", "", "2", "2 m"]
+NAMES = ["x", "left", "Mm", "m/s*s", "N/m s", "°C", "mms-1x", "m//s", "(m", "m)", "", "2", "2 m",
+         "(" * 500 + "m" + ")" * 500]  # fmt: skip
 
 
 @pytest.mark.parametrize("text", NAMES)
@@ -131,3 +132,75 @@ def test_names_of_columns_state_units_in_every_format(tmp_path):
 def test_an_unknown_unit_that_is_typed_is_refused(tmp_path):
     with pytest.raises(DataError, match=r"unit 'furlong' of 'x' is not known.*--scale x=FACTOR"):
         read(tmp_path, "x", "m", units={"x": "furlong"})
+
+
+STATED = {
+    "Force [kN]": ("Force", "kN"),
+    "Force (daN)": ("Force", "daN"),
+    "Force / kN": ("Force", "kN"),
+    "F/kN": ("F", "kN"),
+    "Force in daN": ("Force", "daN"),
+    "Spring travel, mm": ("Spring travel", "mm"),
+    "v / (m/s)": ("v", "m/s"),
+    "Speed, km/h": ("Speed", "km/h"),
+    "front/left/mm": ("front/left", "mm"),
+    "t/ms": ("t", "ms"),
+}
+PLAIN = ["m/s", "rad/s", "N/m", "speed, left", "left/right", "speed (left)", "x[3]", "a in b", "x"]
+
+
+@pytest.mark.parametrize("column", STATED)
+def test_units_in_names(column):
+    assert split_unit(column) == STATED[column]
+
+
+@pytest.mark.parametrize("column", PLAIN)
+def test_names_without_a_unit(column):
+    assert split_unit(column) == (column, None)
+
+
+def test_a_unit_with_two_meanings_is_asked_about_and_never_dropped(tmp_path):
+    """Of a model that does not say what it reads, as of one that does."""
+    asked = r"'x' is in g, which may be gn \(m/s\^2\) or gram \(kg\); say which.*--unit x=gn or"
+    for given in ({"units": {"x": "g"}}, {"rename": {"x": "x"}}, {}):
+        with pytest.raises(DataError, match=asked):
+            read(tmp_path, "x [g]", "", **given)
+    silent = Model("m", "")
+    path = tmp_path / "a.csv"
+    path.write_text("t;x [g];y [m]\n" + "".join(f"{i};{i};{i}\n" for i in range(60)))
+    recording = rx.read_recording(path, model=silent)
+    assert list(recording.record.arrays) == ["y"]
+    with pytest.raises(DataError, match=rf"column 'x \[g\]' was left out: {asked}"):
+        rx.check(rx.Equation(rx.Term("k", "x"), -rx.Term("F", "y")), recording)
+    record = rx.read_recording(path, model=silent, units={"x": "gn"}).record
+    np.testing.assert_allclose(record["x"], 9.80665 * np.arange(60), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("head", "unit", "factor"), [("g", "m/s^2", 9.80665), ("g", "kg", 1e-3),
+                                                      ("Gal", "m/s^2", 0.01), ("tf", "N", 9806.65),
+                                                      ("lb", "N", POUND_FORCE)])  # fmt: skip
+def test_a_model_that_says_what_it_reads_decides(tmp_path, head, unit, factor):
+    recording = read(tmp_path, f"x [{head}]", unit)
+    np.testing.assert_allclose(recording.record["x"][0], factor, rtol=1e-9)
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_signed_numbers_that_were_read_as_unsigned_are_put_right(tmp_path, bits):
+    i = np.arange(400)
+    current = np.round(900 * np.sin(i / 20) + 400 * np.sin(i / 7)).astype(np.int64)
+    others = {
+        "counter": (i * 2**bits // 300) % 2**bits,
+        "on and off": np.where(i % 40 < 20, 0, 2**bits - 1),
+        "fractions": (current + 0.5) % 2**bits,
+        "never below zero": np.abs(current) + 1,
+    }
+    wrapped = current % 2**bits
+    names = ["t", "i [mA]", *others]
+    columns = [i, wrapped, *others.values()]
+    rows = ["\t".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns))]
+    (tmp_path / "a.csv").write_text("\n".join(["\t".join(names), *rows]) + "\n")
+    recording = rx.read_recording(tmp_path / "a.csv", outliers="keep")
+    np.testing.assert_allclose(recording.record["i"], 1e-3 * current, atol=1e-12)
+    assert f"i: signed numbers of {bits} bits, read as unsigned, put right" in recording.steps
+    for name, values in others.items():
+        np.testing.assert_array_equal(recording.record[name], values.astype(float))
