@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from tests.machines import BODY, STANDARD
 from tests.machines import MODE_MODEL as MODEL
 from tests.machines import MODE_TRUTH as TRUTH
+from tests.machines import STANDARD
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from riecjax.models.model import as_model
 from riecjax.reporting.charts.chart import Line
 from riecjax.reporting.identification import identification_document, modes_in_words
 from riecjax.reporting.identification_figures import identification_figures
@@ -45,14 +44,6 @@ def test_everything_is_asked_of_it(assessed):
 
 
 @pytest.mark.slow
-def test_without_the_mode_it_predicts_worse_and_says_why(assessed, noisy):
-    plain = rx.assess(BODY, noisy, hold_out=0.2, refine=None)
-    (run,), (better,) = plain.validations, assessed.validations
-    assert 100 - float(run.held.signals["v"].fit) > 4 * (100 - float(better.held.signals["v"].fit))
-    assert "unmodelled_mode" in {finding.code for finding in plain.findings()}
-
-
-@pytest.mark.slow
 def test_document_words_and_map(assessed):
     document = identification_document(assessed)
     (mode,) = document["modes"]
@@ -75,11 +66,3 @@ def test_a_right_model_is_told_to_leave_it_out():
     with pytest.raises(rx.IdentifiabilityError, match="do not carry this mode") as refused:
         rx.assess(MODEL, rx.Record(motion(False), STANDARD.step))
     assert refused.value.code == "mode_not_carried"
-
-
-@pytest.mark.slow
-def test_a_check_sees_the_mode_s_own_regressors(noisy):
-    checked = rx.check(as_model(MODEL), noisy)
-    shares = dict(zip(checked.excitations[0].parameters, checked.excitations[0].own_share))
-    assert set(shares) == set(TRUTH)
-    assert all(0.02 < float(share) <= 1 for share in shares.values())

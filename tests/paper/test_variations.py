@@ -15,7 +15,6 @@ from riecjax.paper.reproduction import (
     identification_record,
     road_keys,
     run_road,
-    training_noise,
 )
 from riecjax.paper.variations import BANDWIDTHS, Hysteresis, RoadVariations, hysteresis, vary_road
 from riecjax.simulation.inputs import low_passed
@@ -82,18 +81,3 @@ def test_hysteresis_is_the_damper_s_distance_from_its_curve(damper):
     place = BANDWIDTHS.index(TABLE_2.bandwidth)
     np.testing.assert_allclose(damper.width[0, place], expected, rtol=1e-6)
     np.testing.assert_allclose(damper.force[place], force, rtol=1e-6, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_a_stiffer_damper_and_a_narrower_input_have_less_hysteresis(damper):
-    width = np.asarray(damper.width)
-    assert (width[1] < width[0]).all()
-    assert (np.diff(width, axis=1) > 0).all()
-
-
-def test_every_study_uses_the_same_noise():
-    noise = np.asarray(training_noise(road_keys(KEY).training))
-    record = identification_record(
-        quarter_car_source(SHAPES), road_keys(KEY).training, method=METHOD
-    )
-    np.testing.assert_array_equal(record.record["v_r"], noise)

@@ -1,6 +1,7 @@
 """Objects print, draw, leave and come back with the numbers that they hold."""
 
 import json
+import os
 import re
 import sys
 import zipfile
@@ -260,6 +261,18 @@ def test_files_that_are_no_estimate_say_what_they_are(estimate, tmp_path):
                 archive.writestr(name, of.replace(old, new) if name == "estimate.npy" else of)
         with pytest.raises(rx.DataError, match=words):
             rx.load(file)
+
+
+def test_what_is_no_file_of_text_is_not_read(tmp_path):
+    (tmp_path / "results.json").write_bytes(b'{"schema": "\xff"}')
+    os.mkfifo(tmp_path / "pipe")
+    for name, words in (
+        ("results.json", "byte 12 is not UTF-8"),
+        ("pipe", "neither a file nor a folder"),
+        (5000 * "a", "a"),
+    ):
+        with pytest.raises(rx.DataError, match=words):
+            rx.load(tmp_path / name)
 
 
 def test_results_of_the_command_line_are_read(assessed, tmp_path):
