@@ -29,9 +29,8 @@ from riecjax.simulation.inputs import band_limited_noise, harmonics
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem
-from riecjax.studies.input_design import design_input
+from riecjax.studies.input_design import design_input, predicted_standard_errors
 from riecjax.studies.monte_carlo import over_keys
-from riecjax.studies.output_information import predicted_standard_errors
 
 DRAG = {"m": 1.5, "r": 0.8, "r2": 0.5, "k": 20.0}
 QUARTER_CAR = {"K_t": 178e3, "M_us": 23.2, "M_s": 302.7, "K_s": 20.7e3}

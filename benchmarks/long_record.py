@@ -14,8 +14,7 @@ import jax
 import numpy as np
 
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term

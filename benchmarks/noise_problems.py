@@ -22,8 +22,8 @@ from benchmarks import drag_problem
 from riecjax.paper.published import TABLE_2
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.system import AbstractSystem
+from riecjax.studies.input_design import inverse, levels_of, plan_experiment
 from riecjax.studies.monte_carlo import over_keys
-from riecjax.studies.output_information import inverse, levels_of, plan_experiment
 
 Signals = Mapping[str, np.ndarray]
 CAR_SENSORS: tuple[str, ...] = ("x1", "x2", "x3", "x4", "F_t")

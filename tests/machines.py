@@ -3,7 +3,7 @@
 A machine moves in closed form (`MACHINES`: the motion is given, its force follows from the
 equation), by SciPy (`DRAG`, `PROBLEMS`, `joint`, `body_with_mode`, `body_with_lag`) or by the
 package's own simulator (`simulated`: quarter cars, two masses). Only the last compiles a function.
-Three shapes of record, `SHORT`, `STANDARD` and `LONG`, so that what one test compiles serves others:
+Three record shapes, `SHORT`, `STANDARD` and `LONG`: what one test compiles serves others:
 
     record = MACHINES["duffing"].record(noise=0.01, seed=3, shape=SHORT)
     assert_close(rx.identify(MACHINES["duffing"].model, record), MACHINES["duffing"].truth)

@@ -6,8 +6,7 @@ from pathlib import Path
 import jax
 
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import AllWindows
 from riecjax.records.preparation import upsample
 

@@ -14,7 +14,7 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
-from riecjax.estimation.least_squares import solve
+from riecjax.estimation.stages import solve
 from riecjax.models.quarter_car.identification import body_equation
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record

@@ -13,7 +13,7 @@ from benchmarks.drag_problem import START, TRUTH, oscillator, record
 from benchmarks.suite.all_windows import identified
 from benchmarks.timing import Comparison, Size, compare
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.smooth_test_functions import Bump
+from riecjax.criteria.test_functions import Bump
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term

@@ -14,8 +14,8 @@ from .assessment.assess import assess as assess
 from .assessment.assessment import Assessment as Assessment
 from .criteria.criterion import DOLS as DOLS
 from .criteria.criterion import RIEC as RIEC
-from .criteria.smooth_test_functions import Bump as Bump
 from .criteria.test_functions import Boxcar as Boxcar
+from .criteria.test_functions import Bump as Bump
 from .criteria.test_functions import Hat as Hat
 from .criteria.windows import AllWindows as AllWindows
 from .criteria.windows import RandomWindows as RandomWindows

@@ -89,7 +89,7 @@ CODES: dict[str, FindingCode] = {
         "undetermined",
         "{parameters} is seldom excited",
         "bootstrap replicates that leave a parameter open",
-        "estimation.estimated_parameters:LOST_SHARE",
+        "estimation.estimate:LOST_SHARE",
     ),
     "prior_disagrees": FindingCode(
         "sensors",
@@ -279,7 +279,7 @@ CODES: dict[str, FindingCode] = {
         "model",
         "estimates drift with window length",
         "estimates of bands of window lengths, and their joint covariance",
-        "studies.drift:SMALLEST_DRIFT",
+        "studies.sweep:SMALLEST_DRIFT",
     ),
     "uneven_errors": FindingCode(
         "model",
@@ -297,7 +297,7 @@ CODES: dict[str, FindingCode] = {
         "model",
         "the recordings disagree",
         "scatter between recordings against that within them",
-        "estimation.estimated_parameters:NOTABLE_INFLATION",
+        "estimation.estimate:NOTABLE_INFLATION",
     ),
     "no_known_term": FindingCode(
         "model",

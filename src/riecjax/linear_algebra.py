@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from riecjax.leaves import Leaf
 
@@ -129,29 +129,18 @@ _one_by_one = jax.custom_batching.sequential_vmap(_eigen)
 Factor = Float[np.ndarray, "columns columns"]
 
 
-def factor_of_rows(
-    rows: Float[np.ndarray, "rows columns"], valid: Bool[np.ndarray, " rows"]
-) -> Factor:
-    """The triangular factor of `[1, rows]` for those that are valid (not under jit).
-
-    Its first row holds the columns' means times the root of the rows' number: the first column of
-    Q is the unit vector along the constant, and R = Q^T [1, rows].
-    """
-    there = rows[valid].astype(float)
-    return _factor(np.concatenate([np.ones((len(there), 1)), there], axis=1))
-
-
 def factor_of_gram(gram: Float[Array | np.ndarray, "columns columns"]) -> Factor:
     """A triangular factor of which this is the square, to half of its digits (not under jit).
 
     By eigenvalues: gram = V diag(s^2) V^T is the square of diag(s) V^T, whose QR is triangular.
-    Cholesky's factor would fail where rounding has left an eigenvalue below zero. NaN throughout
-    where the square is not finite.
+    Cholesky's factor would fail where rounding has left an eigenvalue below zero. Zero for a column
+    that is, and NaN throughout where the square is not finite.
     """
     if not np.isfinite(gram).all():
         return np.full(np.shape(gram), np.nan)
     squares, vectors = np.linalg.eigh(np.asarray(gram))
-    return _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T)
+    factor = _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T)
+    return np.where(np.diagonal(gram) > 0, factor, 0.0)
 
 
 def joined_factor(factors: Sequence[Float[Leaf, "columns columns"]]) -> Factor:

@@ -9,8 +9,7 @@ import pytest
 from nightly import nightly
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import DensityLaw, SteppedLaw
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Boxcar, Hat
+from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import sampled_columns

@@ -69,7 +69,7 @@ def record(motion, noise=0.0, mean=0.0, seed=0):
 def findings(model, records, criterion=HATS, **settings):
     records = records if isinstance(records, list) else [records]
     procedure = as_procedure(model)
-    sums = summarise(model, records, criterion).recordings
+    sums = summarise(model, records, criterion)
     given = {"known": None, "per_record": (), **settings}
     asked = plan_parameters(procedure, len(records), given["known"], given["per_record"])
     return constant_targets(procedure, asked.sharing, sums, asked.given)

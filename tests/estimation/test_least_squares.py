@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from riecjax.criteria.criterion import DOLS
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import IdentifiabilityError
-from riecjax.estimation import least_squares
+from riecjax.estimation import stages
 from riecjax.estimation.identify import identify
-from riecjax.estimation.least_squares import solve
+from riecjax.estimation.stages import solve
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations
@@ -29,10 +28,10 @@ def as_rows(A, y):
 
 @eqx.filter_jit
 def by_gram(rows):
-    return least_squares.solve(NormalEquations.of_rows(rows).total())
+    return stages.solve(NormalEquations.of_rows(rows).total())
 
 
-solve_rows = eqx.filter_jit(least_squares.solve_rows)
+solve_rows = eqx.filter_jit(stages.solve_rows)
 
 
 def random_problem(count=40, seed=0):

@@ -25,8 +25,8 @@ from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
 from riecjax.reporting.fleet import sentence
-from riecjax.summaries.reduced import in_blocks
 from riecjax.summaries.summarise import summarise
+from riecjax.summaries.summary import in_blocks
 
 MODEL = find_model("drag-oscillator")
 SAMPLES = 1500

@@ -9,8 +9,7 @@ from conftest import measured_data
 from nightly import nightly
 from riecjax.cli.main import run
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import pendulum_equation

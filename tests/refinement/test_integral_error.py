@@ -9,8 +9,7 @@ from jaxtyping import Array
 
 from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import simultaneous

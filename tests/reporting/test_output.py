@@ -15,8 +15,7 @@ from rich.console import Console
 
 from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import Hat
+from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation

@@ -16,8 +16,13 @@ from riecjax.simulation.inputs import band_limited_noise, harmonics, multisine
 from riecjax.simulation.method import Adaptive, FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem, Quantities
-from riecjax.studies.input_design import DesignStatus, _task, design_input
-from riecjax.studies.output_information import plan_experiment, predicted_standard_errors
+from riecjax.studies.input_design import (
+    DesignStatus,
+    _task,
+    design_input,
+    plan_experiment,
+    predicted_standard_errors,
+)
 
 COUNT, STEP, NOISE = 200, 0.05, 0.01
 DRAG = {"r2": 0.5, "m": 1.5, "k": 20.0, "r": 0.8}

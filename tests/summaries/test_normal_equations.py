@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import Rows
 from riecjax.errors import ModelError
 from riecjax.summaries.normal_equations import NormalEquations
 

@@ -8,16 +8,15 @@ from tests.machines import STANDARD
 from tests.machines import drag_fleet as drives
 
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.smooth_test_functions import Bump
+from riecjax.criteria.test_functions import Bump
 from riecjax.criteria.windows import AllWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import estimate
 from riecjax.models.catalogue import find_model
 from riecjax.records.record import Record
 from riecjax.summaries.one_pass import stretch_starts
-from riecjax.summaries.reduced import in_blocks, pooled, together
 from riecjax.summaries.summarise import summarise, summed
-from riecjax.summaries.summary import Summary
+from riecjax.summaries.summary import Summary, in_blocks, pooled, together
 from riecjax.summaries.task import task
 
 MODEL = find_model("drag-oscillator")
@@ -82,18 +81,6 @@ def test_of_more_recordings_than_there_is_room_neighbours_share_a_block(binned):
     assert int(one.blocks) == 1024
     expected = 300 * np.asarray(few.stages[0][0].moments).sum(1)
     np.testing.assert_allclose(np.asarray(one.stages[0][0].moments).sum(1), expected, rtol=1e-10)
-
-
-@pytest.mark.slow
-def test_triangular_factors_of_all_rows_are_joined(records):
-    apart = summarise(MODEL, [with_accelerations(r) for r in records], DOLS())
-    joined = apart.of_recordings([pooled(apart.recordings)])
-    np.testing.assert_allclose(theta(joined), theta(apart), rtol=1e-8)
-
-
-def with_accelerations(record: Record) -> Record:
-    ddx = np.gradient(np.asarray(record["dx"]), STANDARD.step)
-    return Record.from_samples({**record.arrays, "ddx": ddx}, time_step=STANDARD.step)
 
 
 def test_bytes_hold_all_and_are_the_same_for_the_same(binned):

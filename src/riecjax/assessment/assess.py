@@ -29,8 +29,8 @@ from riecjax.estimation.check import (
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
-from riecjax.estimation.linearised import linearised
 from riecjax.estimation.mode_evidence import mode_evidence
+from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding

@@ -10,8 +10,7 @@ from jaxtyping import Array, Key
 from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.models.model import Model
@@ -19,7 +18,7 @@ from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.shows import Drawn, opened
 from riecjax.studies.choice import WindowChoice
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.whiteness import Whiteness

@@ -20,8 +20,7 @@ from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
 from riecjax.assessment.trust import horizons, seen, system_of, unseen, validated
 from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion

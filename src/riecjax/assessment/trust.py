@@ -15,8 +15,7 @@ from riecjax.assessment.assessment import ValidationRun
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import DataError, IdentifiabilityError, RiecjaxError
 from riecjax.estimation.check import Check
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.parameters import values_of_record
 from riecjax.findings import Finding
 from riecjax.models.model import Model

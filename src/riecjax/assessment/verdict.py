@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from riecjax.assessment.asked import size_of
 from riecjax.assessment.doubt import TRUSTED, Doubt, concerned, doubts
-from riecjax.criteria.smooth_test_functions import AbstractSmoothTestFunction
+from riecjax.criteria.test_functions import AbstractSmoothTestFunction
 from riecjax.equations.expressions import constant
 from riecjax.equations.hidden_elements import is_hidden_name
 from riecjax.equations.term import Term
 from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
 from riecjax.findings import Finding
 from riecjax.shows import Shown
-from riecjax.studies.drift import MOST, WindowSweep
+from riecjax.studies.sweep import MOST, WindowSweep
 from riecjax.validation.residuals import EquationResidual
 
 if TYPE_CHECKING:

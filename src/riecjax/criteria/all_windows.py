@@ -58,8 +58,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.chunks import StartBlocks
-from riecjax.criteria.laws import LagBins, sum_over_bins
-from riecjax.criteria.length_bins import each_bin
+from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins
 from riecjax.criteria.quadrature import Primitives, running_sum, sum_between
 from riecjax.leaves import Leaf
 

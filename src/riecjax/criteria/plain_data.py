@@ -16,8 +16,7 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import AbstractLaw
-from riecjax.criteria.smooth_test_functions import Bump
-from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Hat
+from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Bump, Hat
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.errors import DataError, ModelError
 

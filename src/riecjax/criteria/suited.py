@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.smooth_test_functions import Bump, GradedBump
+from riecjax.criteria.test_functions import Bump, GradedBump
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure

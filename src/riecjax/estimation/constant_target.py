@@ -18,16 +18,16 @@
 # they agree: if least squares on b leave hardly more of b' than least squares on b' alone do.
 #
 # A target that is zero throughout is fitted by zero for all, unless another equation of the stage
-# has a target and shares a parameter with it. What the criterion reads of an equation is averaged
-# by hats as long as its windows; for `DOLS` each sample counts.
+# has a target and shares a parameter with it. All this is of the criterion's own rows, and what a
+# constant is in each of them stands for the mean.
 #
-# All of this asks for lengths of the columns b, a_j and angles between them, of which least squares
-# are made. Where [1, b, a] = Q R, the columns of R have the same, since Q keeps both. The constant
-# is the first column of R, (sqrt(n), 0, ...) of n rows, so that R's first row holds the means times
-# sqrt(n), and the rows below it stand for the deviations b', a'. With the factors of several
-# records on top of each other, the constant over all of them holds each one's sqrt(n_i); deviations
-# are what is left when columns are projected off it, or off each record's part of it where means
-# are its own.
+# It asks for lengths of the columns b, a_j and angles between them, of which least squares are
+# made. Where [1, b, a] = Q R, the columns of R have the same, since Q keeps both, and R is a factor
+# of the rows' moments, R^T R. The constant is the first column of R, (c, 0, ...), so that R's first
+# row holds the means times its size c, and the rows below it stand for the deviations b', a'. With
+# the factors of several records on top of each other, the constant over all of them holds each
+# one's c_i; deviations are what is left when columns are projected off it, or off each record's
+# part of it where means are its own.
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -39,7 +39,9 @@ from riecjax.equations.expressions import constant
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.parameters import Sharing
 from riecjax.findings import Finding
-from riecjax.summaries.sums import EquationSums, RecordingSums
+from riecjax.linear_algebra import Factor, factor_of_gram
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.sums import EquationSums
 
 CONSTANT = 0.1
 """Share of a target, rms, that may vary where it counts as constant."""
@@ -65,16 +67,16 @@ Rows = Float[np.ndarray, " rows"]
 def constant_targets(
     procedure: Procedure,
     sharing: Sharing,
-    recordings: Sequence[RecordingSums],
+    summary: Summary,
     given: Mapping[str, Array],
 ) -> list[Finding]:
     """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
-    **Arguments:** `recordings`, with averages of all equations; `given`, known values by name over
-    all records.
+    **Arguments:** `summary`, with a constant beside all equations; `given`, known values by name
+    over all records.
     """
     findings = []
-    for seen in _averaged(procedure, sharing, recordings, given):
+    for seen in _averaged(procedure, sharing, summary, given):
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
@@ -89,7 +91,7 @@ def constant_targets(
 def wrong_zeros(
     procedure: Procedure,
     sharing: Sharing,
-    recordings: Sequence[RecordingSums],
+    summary: Summary,
     given: Mapping[str, Array],
 ) -> Iterator[Finding]:
     """`wrong_zero` of equations that motion explains, and a fit with the means does not.
@@ -97,7 +99,7 @@ def wrong_zeros(
     Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
     are left out that read what an earlier stage finds.
     """
-    for seen in _averaged(procedure, sharing, recordings, given):
+    for seen in _averaged(procedure, sharing, summary, given):
         for one in seen:
             if {*sharing.everywhere(one.equation.parameters)} <= {*one.names, *given}:
                 yield from _wrong_zero(one)
@@ -106,14 +108,14 @@ def wrong_zeros(
 def _averaged(
     procedure: Procedure,
     sharing: Sharing,
-    recordings: Sequence[RecordingSums],
+    summary: Summary,
     given: Mapping[str, Array],
 ) -> Iterator[list["_Averaged"]]:
     """The equations of each stage."""
     settled = set(given)
     for number, stage in enumerate(procedure.stages):
-        sums = zip(*(recording.stages[number] for recording in recordings))
-        yield [_Averaged(e, sharing, of, given, settled) for e, of in zip(stage, sums)]
+        sums = zip(*(recording.stages[number] for recording in summary.recordings))
+        yield [_Averaged(e, sharing, summary, of, given, settled) for e, of in zip(stage, sums)]
         settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
 
 
@@ -232,18 +234,21 @@ class _Averaged:
         self,
         equation: Equation,
         sharing: Sharing,
+        summary: Summary,
         recordings: Sequence[EquationSums],
         given: Mapping[str, Array],
         settled: set[str],
     ):
         self.equation, self.sharing = equation, sharing
         self.names = set(sharing.everywhere(equation.parameters)) - settled
-        averages = [recording.averages for recording in recordings if recording.averages]
-        self.independent = sum(float(one.independent) for one in averages)
+        length = float(summary.criterion.typical_length)
+        self.independent = sum(
+            float(one.samples) * (min(float(one.time_step) / length, 1.0) if length else 1.0)
+            for one in summary.recordings
+        )
         individual = bool(sharing.own.intersection(equation.parameters))
         names = [sharing.of_record(one.parameters, i) for i, one in enumerate(recordings)]
-        rows = [np.asarray(one.rows) for one in averages]
-        noise = [np.asarray(one.noise) for one in averages]
+        rows, noise = zip(*(_factors(one, slice(*summary.band)) for one in recordings))
         self.target, self.columns = _columns(rows, names, self.names, given)
         self.noise = _columns(noise, names, self.names, given)
         self.constants = _constants(rows, individual)
@@ -302,6 +307,17 @@ class _Averaged:
                 groups.append(names)
         groups.sort(key=lambda names: max(self.share(self.columns[name]) for name in names))
         return [*groups, [name for name, c in self.columns.items() if self.share(c) <= STILL]]
+
+
+def _factors(equation: EquationSums, band: slice) -> tuple[Factor, Factor]:
+    """Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them."""
+    gram, added = (np.zeros((2 + len(equation.parameters),) * 2) for _ in range(2))
+    constant = np.asarray(equation.constant)[band].sum((0, 1))
+    gram[1:, 1:] = np.asarray(equation.moments)[band].sum((0, 1))
+    gram[0], gram[:, 0] = constant, constant
+    if equation.noise is not None:
+        added[1:, 1:] = np.asarray(equation.noise)[band].sum((0, 1))
+    return factor_of_gram(gram), factor_of_gram(added)
 
 
 def _columns(

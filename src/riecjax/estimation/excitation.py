@@ -1,25 +1,115 @@
-"""Whether a record tells a model's parameters apart, known before any of them is estimated."""
+"""What a fit refuses once the sums are there: no rows, no numbers, or nothing to tell by."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from riecjax.compilation import kept_jit
+from riecjax.equations.hidden_elements import is_mode_name, is_stiffness_name
+from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import combination, weighing
 from riecjax.estimation.noise_level import largest_share
 from riecjax.estimation.parameters import ParameterPlan
-from riecjax.estimation.refusals import not_excited, raise_if_nothing_to_fit
-from riecjax.estimation.remedies import excite_or_hold
-from riecjax.estimation.stages import stages_over_records
+from riecjax.estimation.stages import StageSolution, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summary import Summary
+
+
+def raise_if_nothing_to_fit(
+    plan: ParameterPlan, counts: Sequence[ArrayLike], sums: Sequence[ArrayLike]
+) -> None:
+    """Refuse a stage without rows, or with sums that are not finite numbers (not under jit).
+
+    **Arguments:** of each stage of the plan, `counts` of its rows and `sums` of their products.
+
+    **Raises:** `DataError` naming the stage.
+    """
+    for (label, unknown), count in zip(plan.stages, counts):
+        if unknown and not bool(np.sum(np.asarray(count)) > 0):
+            raise DataError(
+                f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
+                f"or repair the record's gaps."
+            )
+    for (label, _), values in zip(plan.stages, sums):
+        if not bool(np.all(np.isfinite(values))):
+            raise DataError(
+                f"{label}: its terms are not finite numbers on this record: a division by zero, a "
+                f"root of a negative number, or values too large to be squared. Scale the signals "
+                f"to SI units and check the equation's expressions."
+            )
+
+
+def not_excited(stage_name: str, name: str) -> Finding:
+    """That a parameter's regressor is zero throughout."""
+    return Finding(
+        "not_excited",
+        f"{stage_name}: nothing in the record tells of {name}; its regressor is zero throughout. "
+        f"{excite_or_hold([name], name)}",
+        parameters=(name,),
+    )
+
+
+def raise_if_unidentifiable(solutions: list[StageSolution], plan: ParameterPlan) -> None:
+    """Raise `IdentifiabilityError` for a stage whose regressors are collinear."""
+    for stage in solutions:
+        if int(stage.solution.rank) == len(stage.parameters):
+            continue
+        label, _ = plan.stages[stage.stage]
+        for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
+            if size == 0:
+                silent = not_excited(label, name)
+                raise IdentifiabilityError(silent.message, silent.code)
+        direction = np.asarray(stage.solution.weakest_direction)
+        which = combination(stage.parameters, direction)
+        raise IdentifiabilityError(
+            f"{label}: the record cannot tell these apart (collinear regressors): {which}, in "
+            f"units of each regressor's size. "
+            f"{excite_or_hold(weighing(stage.parameters, direction))}"
+        )
+
+
+# What to do where recordings do not tell of some parameters, or not of one by itself.
+
+
+def excite_or_hold(names: Sequence[str], hold: str = "") -> str:
+    """A sentence on parameters that cannot be told apart.
+
+    Parts of a hidden element are known together or not at all, and where nothing tells of them the
+    likeliest reason is that there is none: it is left out rather than held.
+
+    **Arguments:** `hold`, the one that is named to hold; by default none is.
+    """
+    hidden = [
+        (any(map(is_mode_name, names)), "the hidden mode", "--add-mode"),
+        (any(map(is_stiffness_name, names)), "the spring in series", "--add-spring"),
+    ]
+    found = [(what, option) for there, what, option in hidden if there]
+    if found:
+        what, options = (" and ".join(words) for words in zip(*found))
+        return (
+            f"Leave {what} out (on the command line: without {options}): the recordings may carry "
+            f"none; if there is one, excite the system more richly."
+        )
+    if len(names) == 1:
+        return (
+            f"Excite it, or hold it at a known value (on the command line: --set {names[0]}=VALUE)."
+        )
+    return (
+        f"Excite the system more richly, or hold one of them at a known value (on the command "
+        f"line: --set {hold or 'NAME'}=VALUE)."
+    )
+
+
+# Whether a record tells a model's parameters apart, known before any of them is estimated.
 
 UNIDENTIFIABLE = 1e-6
 """Share of a regressor that is its own, below which no sensor could see it."""

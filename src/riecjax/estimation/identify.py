@@ -1,45 +1,40 @@
 """Estimate a model's parameters, from records (`identify`) or from their sums (`estimate`)."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation import kept_jit
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, as_procedure
 from riecjax.errors import IdentifiabilityError, ModelError, renamed, require
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.estimate import MATTERING_SHARE, Estimate
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.mode_windows import find_modes
 from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
-from riecjax.estimation.refusals import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
     found_values,
-    sizes_in_bursts,
     solve_stages,
     stages_over_records,
 )
-from riecjax.findings import Finding
-from riecjax.leaves import Leaf, is_concrete, on_host
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
 from riecjax.records.recording import as_recordings
-from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
-from riecjax.summaries.task import Task, signals_read, task
+from riecjax.summaries.task import signals_read, task
 from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
@@ -48,9 +43,6 @@ from riecjax.uncertainty.intervals import (
     Uncertainty,
     estimate_uncertainty,
 )
-
-DOUBTFUL = 5.0
-"""Standard errors within which an estimate of zero leaves its interval's width in doubt."""
 
 
 @renamed(own="per_record")
@@ -109,16 +101,17 @@ def identify(
         return _estimated(procedure, other, plan, intervals)
 
     resting = at_rest_findings(asked.procedure, asked.records, found, otherwise)
-    doubts = (*_doubts(asked, records), *resting)
+    # What recordings say of signals that are read; bare records say nothing.
+    doubts = [
+        finding
+        for one in as_recordings(records)
+        if one.findings
+        for finding in one.concerning(
+            signals_read(asked.procedure, one.record, asked.criterion)
+        ).findings
+    ]
+    doubts = (*doubts, *resting)
     return dataclasses.replace(found, doubts=doubts) if doubts else found
-
-
-def _doubts(asked: Task, records: Records) -> Iterator[Finding]:
-    """What recordings say of signals that are read; bare records say nothing."""
-    for one in as_recordings(records):
-        if one.findings:
-            read = signals_read(asked.procedure, one.record, asked.criterion)
-            yield from one.concerning(read).findings
 
 
 @renamed(own="per_record")
@@ -177,28 +170,29 @@ def _estimated(
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = (intervals or BlockBootstrap()).drawn(short.number.shape[0])
-    settings = (sources, summary.noise_freedom, given, window, short, sharing, drawn)
-    fit = _solve(equations, *settings, None)
+    settings = given, sharing, drawn
+    sums = _Sums(equations, sources, summary.noise_freedom, short, window)
+    fit = _solve(sums, *settings, None)
     if modes is not None:
         other = find_modes(procedure, summary, given, rank=1)
-        beside = _solve(other.equations, other.sources, *settings[1:], None)
+        beside = _solve(
+            sums._replace(equations=other.equations, sources=other.sources), *settings, None
+        )
         apart = _apart(fit, beside, other.shown)
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
-        # Sums that were made under jit have no averages to tell a constant target by.
-        averaged = all(one.stages[0][0].averages is not None for one in summary.recordings)
-        if averaged and modes is None:
-            for finding in constant_targets(procedure, sharing, summary.recordings, given):
+        # Sums that were made under jit have no constant to tell means from motion by.
+        with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
+        if with_constant and modes is None:
+            for finding in constant_targets(procedure, sharing, summary, given):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
         poor = modes is None and condition > gram_condition_limit(window.dtype)
         if poor and (rows := _rows(summary, equations)):
-            fit = _solve(equations, *settings, rows)
+            fit = _solve(sums, *settings, rows)
         raise_if_unidentifiable(fit.stages, plan)
-        if modes is None:
-            fit = fit._replace(stages=_with_sizes_in_bursts(fit, procedure, plan, summary))
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
     whole = [summary.band == summary.in_law] * len(procedure.stages)
@@ -254,19 +248,31 @@ class _Fit(NamedTuple):
     totals: list[Float[Array, "columns columns"]]
 
 
+class _Sums(NamedTuple):
+    """What a fit is solved from.
+
+    **Fields:** of each equation of each stage `equations`, and what each source of noise adds to
+    them, `sources`; `freedom` of these sources' variances; the `short` blocks of time, and seconds
+    of the `longest_window`.
+    """
+
+    equations: list[list[NormalEquations]]
+    sources: list[list[NormalEquations]]
+    freedom: Float[Leaf, "records sources"]
+    short: ShortBlocks
+    longest_window: Float[Array, ""]
+
+
 @kept_jit
 def _solve(
-    equations: list[list[NormalEquations]],
-    sources: list[list[NormalEquations]],
-    freedom: Float[Leaf, "records sources"],
+    sums: _Sums,
     known: Mapping[str, Array],
-    longest_window: Float[Array, ""],
-    short: ShortBlocks,
     sharing: Sharing,
     intervals: AbstractIntervals,
     rows: list[list[list[Rows]]] | None,
 ) -> _Fit:
-    both = [[borne_out(*pair) for pair in zip(*stage)] for stage in zip(equations, sources)]
+    pairs = zip(sums.equations, sums.sources)
+    both = [[borne_out(*pair) for pair in zip(*stage)] for stage in pairs]
     equations = [[e for e, _ in stage] for stage in both]
     stages, shared = stages_over_records(equations, sharing)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
@@ -278,10 +284,10 @@ def _solve(
     # What belongs to one recording cannot differ between recordings.
     common = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
-        stages, known, values, short, longest_window, common, intervals
+        stages, known, values, sums.short, sums.longest_window, common, intervals
     )
     by_source, _ = stages_over_records([[s for _, s in stage] for stage in both], sharing)
-    of_level = level_covariance(statistics, by_source, freedom, values)
+    of_level = level_covariance(statistics, by_source, sums.freedom, values)
     uncertainty = uncertainty.widened(of_level)
     block_count = jnp.sum(statistics.used)
     totals = [stage.flattened().total() for stage in stages]
@@ -292,7 +298,7 @@ def _solve(
         jnp.sqrt(jnp.diagonal(naive_covariance(statistics))),
         inflation,
         block_count,
-        jnp.sum(short.durations) / block_count,
+        jnp.sum(sums.short.durations) / block_count,
         [total.count for total in totals],
         [total.moments for total in totals],
     )
@@ -329,30 +335,3 @@ def _stacked(rows: list[list[Rows]], sharing: Sharing, names: tuple[str, ...]) -
             for i, own in enumerate(of_equation)
         ]
     )
-
-
-def _with_sizes_in_bursts(
-    fit: _Fit, procedure: Procedure, plan: ParameterPlan, summary: Summary
-) -> list[StageSolution]:
-    """The stages, with the size of terms in doubt where they act, if that is in bursts."""
-    values = found_values(on_host(fit.stages), plan.given)
-    names = [name for stage in fit.stages for name in stage.parameters]
-    errors = dict(zip(names, np.sqrt(np.diagonal(fit.uncertainty.covariance))))
-    stages = []
-    for stage in fit.stages:
-        sizes = np.asarray(stage.relative_size)
-        # What is large enough to matter over the whole record needs no closer look.
-        doubtful = [
-            name
-            for name, size in zip(stage.parameters, sizes)
-            if abs(float(values[name])) < DOUBTFUL * errors[name]
-            and errors[name] * size < MATTERING_SHARE
-        ]
-        if doubtful:
-            active = sizes_in_bursts(
-                stage.stage, plan.sharing, summary.recordings, values, stage.parameters, doubtful
-            )
-            larger = np.maximum(sizes, [active.get(name, 0.0) for name in stage.parameters])
-            stage = eqx.tree_at(lambda s: s.relative_size, stage, larger)
-        stages.append(stage)
-    return stages

@@ -6,7 +6,7 @@ noise. A mode that is not there explains nothing of a fold but by chance, wherev
 put it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,9 +17,9 @@ from jaxtyping import Array, Float
 
 from riecjax.compilation import kept_jit
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_elements import Expanded, ModeParameters, mode_frequency
+from riecjax.equations.hidden_elements import Expanded, HiddenMode, ModeParameters, mode_frequency
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import ModelError
+from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.hidden_modes import (
     ZOOMS,
@@ -29,9 +29,11 @@ from riecjax.estimation.hidden_modes import (
     mode_map,
     polished,
 )
+from riecjax.estimation.identify import identify
 from riecjax.estimation.mode_windows import find_modes, search_band
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, on_host
+from riecjax.records.record import Records
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import NormalEquations
 
@@ -102,12 +104,6 @@ class ModeEvidence(Drawn):
         return much and self.oscillates
 
     @property
-    def _or_close(self) -> str:
-        if self.parameters == ModeParameters.of(0):
-            return ""
-        return ", or cannot tell it from another that lies close"
-
-    @property
     def _shares(self) -> str:
         # Less than nothing is left where more noise was taken off than there was.
         if not float(self.without) > 0:
@@ -136,6 +132,8 @@ class ModeEvidence(Drawn):
         if self.carried:
             return []
         names = self.parameters
+        first = names == ModeParameters.of(0)
+        close = "" if first else ", or cannot tell it from another that lies close"
         mode = f"the hidden mode on {self.on} ({names.mass})"
         if not self.oscillates and self.explained > LITTLE:
             return [
@@ -150,7 +148,7 @@ class ModeEvidence(Drawn):
         return [
             Finding(
                 "mode_not_carried",
-                f"{self.stage}: the recordings do not carry this mode{self._or_close}: on time "
+                f"{self.stage}: the recordings do not carry this mode{close}: on time "
                 f"that it was not found from, {mode} explains "
                 f"{100 * max(self.explained, 0.0):.2g} % of what is left without it "
                 f"({self._shares}). Leave it out; something else is missing, such as friction or a "
@@ -291,3 +289,53 @@ def _in_folds(sums: NormalEquations) -> Float[Array, "folds columns columns"]:
     before = jnp.cumsum(flat.count) - 0.5 * flat.count
     place = jnp.clip(FOLDS * before / jnp.sum(flat.count), 0, FOLDS - 1).astype(int)
     return jax.ops.segment_sum(flat.clean, place, num_segments=FOLDS)
+
+
+# How many hidden modes recordings carry: one more as long as it is carried.
+
+MOST = 2
+"""Modes that are tried unless more are asked for: each takes two more derivatives of the motion."""
+
+
+class CarriedModes(NamedTuple):
+    """Hidden modes that recordings carry.
+
+    **Fields:** `procedure` with as many modes as are carried, and its `estimate`; `evidence` for
+    each mode that was tried, of which the last may not be carried.
+    """
+
+    procedure: Procedure
+    estimate: Estimate
+    evidence: tuple[ModeEvidence, ...]
+
+
+def carried_modes(
+    model: Equation | Procedure | HasProcedure,
+    records: Records,
+    on: str,
+    *,
+    most: int = MOST,
+    known: Mapping[str, float | Array] | None = None,
+) -> CarriedModes:
+    """Add hidden modes on one body as long as they predict time that they were not found from.
+
+    **Arguments:** `on`, the body's velocity, see [`HiddenMode`][riecjax.HiddenMode]; `most` modes
+    to try; `model`, `records` and `known` as for [`identify`][riecjax.identify].
+
+    **Raises:** as [`identify`][riecjax.identify] of the model without modes.
+    """
+    procedure = as_procedure(model)
+    estimate, evidence = identify(procedure, records, known=known), []
+    for _ in range(most):
+        further = procedure.with_modes(HiddenMode(on))
+        try:
+            tried = identify(further, records, known=known)
+        except IdentifiabilityError:
+            break  # it cannot be told from those that are there
+        names = ModeParameters.of(len(procedure.modes))
+        new = next(one for one in mode_evidence(further, tried) if one.parameters == names)
+        evidence.append(new)
+        if not new.carried:
+            break
+        procedure, estimate = further, tried
+    return CarriedModes(procedure, estimate, tuple(evidence))

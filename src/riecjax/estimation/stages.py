@@ -1,25 +1,102 @@
-"""Normal equations of stages over records, solved in turn, and what is left of every equation."""
+"""Linear least squares with scaled columns, and what can be said of its conditioning."""
 
 import operator
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float, Int, Key
 
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.procedure import Procedure
-from riecjax.estimation.least_squares import Solution, solve, solve_rows
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import namespace
-from riecjax.linear_algebra import solve_scaled
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
 from riecjax.summaries.stage_sums import stage_normal_equations, sum_of_equations
-from riecjax.summaries.sums import RecordingSums
+
+
+class Solution(eqx.Module):
+    """A least-squares solution.
+
+    **Fields:**
+
+    - `theta`: parameters, shape `(p,)`; of least norm in scaled columns where they are not unique.
+    - `condition_number`: of the regressor matrix with its columns scaled to unit length.
+    - `rank`: numerical rank of that matrix.
+    - `weakest_direction`: unit vector over the parameters, each in units of one over its column's
+      length, along which the residual changes least: the combination the data tells least about.
+    """
+
+    theta: Float[Array, " p"]
+    condition_number: Float[Array, ""]
+    rank: Int[Array, ""]
+    weakest_direction: Float[Array, " p"]
+
+
+def solve(equations: NormalEquations) -> Solution:
+    """Solve normal equations (without a leading axis of blocks).
+
+    Columns are scaled to unit length first, which makes the condition number independent of units
+    and, among diagonal scalings, close to the least possible. The derivative with respect to the
+    equations is the implicit one, of any order, also where the rank is deficient.
+    """
+    # G theta = m differentiates to G dtheta = dm - dG theta: one more solve with the same G, here
+    # with its eigenvectors, which are not differentiated themselves (their derivative divides by
+    # differences of eigenvalues). Where the rank is deficient, the pseudo-inverse keeps theta in
+    # the range of G. lax's linear solve rather than lineax's: the latter's derivative raises on
+    # numbers that are not finite, which optimisers and diverged lanes of a batch may pass through.
+    gram, scale = unit_diagonal(equations.gram)
+    # Rounding of the Gram matrix hides singular values of A below sqrt(eps) of the largest.
+    tolerance = float(jnp.finfo(gram.dtype).eps) * gram.shape[0]
+    eigenvalues, vectors = symmetric_eigen(jax.lax.stop_gradient(gram))
+    valid = eigenvalues > tolerance * eigenvalues[-1]
+    inverse = jnp.where(valid, 1 / jnp.where(valid, eigenvalues, 1.0), 0.0)
+    theta = jax.lax.custom_linear_solve(
+        lambda x: gram @ x,
+        equations.moment * scale,
+        lambda _, right: vectors @ (inverse * (vectors.T @ right)),
+        symmetric=True,
+    )
+    singular_values = jnp.sqrt(jnp.maximum(eigenvalues, 0))
+    return _solution(theta * scale, singular_values, vectors[:, 0], tolerance**0.5)
+
+
+FACTORED = 2**13
+"""Rows whose rounding a triangular factor may hold, and which decides about its rank."""
+
+
+def solve_rows(rows: Rows) -> Solution:
+    """Solve rows by a singular value decomposition: slower, accurate to eps times cond."""
+    scale = unit_scale(jnp.sum(rows.regressors**2, axis=0))
+    matrix = rows.regressors * scale[None, :]
+    tolerance = float(jnp.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)
+    theta = lx.linear_solve(
+        lx.MatrixLinearOperator(matrix), rows.target, solver=lx.SVD(rcond=tolerance), throw=False
+    ).value
+    # With fewer rows than parameters the missing singular values are zero.
+    missing = max(matrix.shape[1] - matrix.shape[0], 0)
+    _, singular_values, right = jnp.linalg.svd(
+        jax.lax.stop_gradient(matrix), full_matrices=missing > 0
+    )
+    singular_values = jnp.pad(singular_values, (0, missing))
+    return _solution(theta * scale, singular_values[::-1], right[-1], tolerance)
+
+
+def _solution(
+    theta: Array, ascending: Float[Array, " p"], weakest: Array, tolerance: float
+) -> Solution:
+    largest, smallest = ascending[-1], ascending[0]
+    floor = jnp.finfo(ascending.dtype).tiny
+    rank = jnp.sum(ascending > tolerance * largest)
+    return Solution(theta, largest / jnp.maximum(smallest, floor), rank, weakest)
+
+
+# Normal equations of stages over records, solved in turn, and what is left of every equation.
 
 
 class EquationFit(eqx.Module):
@@ -219,47 +296,3 @@ def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquatio
         for i in range(equations.count.shape[0])
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
-
-
-STEADY = 3.0
-"""Kurtosis of a signal without bursts: a Gaussian's. A sinusoid's is half of it."""
-
-
-def sizes_in_bursts(
-    stage: int,
-    sharing: Sharing,
-    recordings: Sequence[RecordingSums],
-    values: Mapping[str, Array],
-    found: Collection[str],
-    names: Collection[str],
-) -> dict[str, float]:
-    """r.m.s. of terms where they act over the target's, sample by sample (not under jit).
-
-    Each sample of a term weighs as much as its energy: 10 times the plain r.m.s. for what acts 1 %
-    of the time, and no more than it for what is as steady as noise. A friction that differs just
-    before and just after a reversal cancels in windows, and not here. Terms under a derivative are
-    left out: differentiated noise comes in bursts as well.
-
-    **Arguments:** `stage`, its place in the procedure; `values` of all parameters; of `found`,
-    which this stage finds, those of `names` are asked for.
-    """
-    powers = dict.fromkeys(names, (0.0, 0.0, 0.0))
-    for i, recording in enumerate(recordings):
-        for equation in recording.stages[stage]:
-            seen = equation.activity
-            if seen is None:
-                continue
-            called = sharing.of_record(equation.parameters, i)
-            mix = np.array([1.0, *(0.0 if n in found else -float(values[n]) for n in called)])
-            gram = np.asarray(seen.gram, float)
-            target = float(mix @ gram @ mix) / max(float(seen.samples), 1.0)
-            squares, fourths = np.asarray(seen.square)[1:], np.asarray(seen.fourth)[1:]
-            for name, square, fourth in zip(called, squares, fourths):
-                if name in powers:
-                    before = powers[name]
-                    both = before[0] + float(square), before[1] + float(fourth)
-                    powers[name] = (*both, max(before[2], target))
-    return {
-        name: float(np.sqrt(fourth / STEADY / square / target)) if square * target > 0 else 0.0
-        for name, (square, fourth, target) in powers.items()
-    }

@@ -16,8 +16,7 @@ from riecjax.errors import DataError, reason_of
 from riecjax.findings import Finding
 from riecjax.fleets.order import Order, unpacked
 from riecjax.fleets.sums import DONE, Row
-from riecjax.summaries.reduced import in_blocks, pooled
-from riecjax.summaries.summary import Summary
+from riecjax.summaries.summary import Summary, in_blocks, pooled
 from riecjax.summaries.sums import RecordingSums
 from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
 

@@ -11,8 +11,8 @@ from riecjax.fleets.order import Order, unpacked
 from riecjax.fleets.sources import Piece, at_hand, recordings_of, rows_at_hand
 from riecjax.records.recording import Recording
 from riecjax.runtime import release_memory
-from riecjax.summaries.reduced import in_blocks, together
 from riecjax.summaries.summarise import summed
+from riecjax.summaries.summary import in_blocks, together
 from riecjax.summaries.task import task
 
 DONE = "ok"

@@ -57,8 +57,7 @@ from riecjax.refinement.objective import (
     Specification,
 )
 from riecjax.refinement.parametric import AbstractParametric, ByFields, ByFunction, Values
-from riecjax.summaries.blocks import ShortBlocks, short_blocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
 
 Levels = dict[int, Float[Array, " n"]]
 """Samples of what is left to be differentiated so many times."""

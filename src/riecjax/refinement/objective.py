@@ -17,13 +17,12 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.errors import ModelError
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import Sharing, Value, local_name, require_numbers
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.refinement.parametric import Values
-from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.task import record_keys
 
 

@@ -47,8 +47,7 @@ from riecjax.refinement.parametric import AbstractParametric
 from riecjax.refinement.shots import Recorded, over_windows
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.system import AbstractSystem
-from riecjax.summaries.blocks import ShortBlocks
-from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
 
 THRESHOLD = 1.345
 """Standard deviations of the noise: 95 % as precise as squares where all of it is normal."""

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation import kept_jit
 from riecjax.errors import renamed, require
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import require_settings
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Array
 from rich.console import Console
 
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import in_rich, print_table

@@ -9,8 +9,7 @@ import numpy as np
 
 from riecjax.assessment.assessment import Assessment
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.reporting.document import Document, finite

@@ -30,7 +30,7 @@ from riecjax.reporting.estimate import (
     print_estimate,
 )
 from riecjax.reporting.verdict import as_typed, print_verdict, verdict_entries
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 
 
 def identification_document(result: Assessment, command: Sequence[str] = ()) -> Document:

@@ -11,14 +11,13 @@ from jaxtyping import Array, Float
 
 from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment, ValidationRun
-from riecjax.criteria.criterion import DOLS
-from riecjax.criteria.rows import Rows
+from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
 from riecjax.equations.term import Terms
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.linearised import linearised
+from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import values_of_record
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.reporting.charts.chart import (
@@ -45,7 +44,7 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.reporting.identification import mode_map_figure
 from riecjax.studies.choice import WindowChoice
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import EquationResidual, ResidualTests
 from riecjax.validation.time_series import CrossCorrelation, ErrorSpectrum, unbroken

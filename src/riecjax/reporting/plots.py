@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.assessment.assessment import Assessment
-from riecjax.estimation.estimated_parameters import AbstractEstimate
+from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
@@ -43,7 +43,7 @@ from riecjax.reporting.identification_figures import (
 )
 from riecjax.reporting.identification_page import write_report
 from riecjax.reporting.tables import with_error
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 

@@ -18,10 +18,8 @@ import numpy as np
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, printable
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate
-from riecjax.estimation.least_squares import Solution
-from riecjax.estimation.stages import EquationFit, StageSolution
+from riecjax.estimation.estimate import AbstractEstimate, Estimate
+from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
 from riecjax.refinement.optimum import RefinementStatus
@@ -41,7 +39,7 @@ from riecjax.whole_files import read_plain
 NAME = "estimate"
 """Name of the JSON document among the arrays."""
 FORMAT = "riecjax.Estimate"
-SCHEMA = 1
+SCHEMA = 2
 """Of what the file of an estimate holds; another one is refused."""
 KINDS = (Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding)
 """What an estimate is made of, beside arrays, names, a criterion and a Summary."""

@@ -12,8 +12,7 @@ from riecjax.discovery.discovery import Discovery
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.estimated_parameters import AbstractEstimate, span
+from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.fleets.fleet import Fleet
@@ -43,7 +42,7 @@ from riecjax.reporting.fleet import differing_table, fleet_document, left_out_ta
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
-from riecjax.studies.drift import WindowSweep
+from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests

@@ -1,15 +1,18 @@
-"""The multisine that makes one parameter's interval tightest, within the travel that a rig allows.
+"""Fisher information of a recording on a model's parameters, before it is made.
 
-The cost is the logarithm of one diagonal entry of the inverse information, v = [I^-1]_jj, so that
-a step is worth the same whatever the units. With x = I^-1 e_j its slope is d log v = -x' dI x / v:
-what counts is information along x, the direction in which the data tell least about the parameter.
-Sensitivities go forward through the simulation, since parameters are few, and the slope by the
-input in reverse, since the amplitudes and phases of a multisine are many.
+With white Gaussian noise of standard deviation sigma_c on each channel, y_c(k) = h_c(k; u) + noise
+for unknown parameters and initial state u, and the log-likelihood is, up to a constant,
+-1/2 sum ((y_c - h_c) / sigma_c)^2. Its slope by u is J'r, with r the residuals and J the
+sensitivities dh/du, both in units of sigma, and the covariance of that slope is the information
 
-For a linear model in steady state over whole periods, I = sum_i a_i^2 M(f_i): phases do not
-matter, powers add up, and p (p + 1) / 2 frequencies suffice, as many as I has entries. Phases
-decide about travel, which is the peak of a state, and about non-linear models. There are many
-local optima, hence several starts.
+    I = E J'r r'J = J'J.
+
+No unbiased estimate has a covariance below I^-1 (Cramer and Rao); output error attains it on all
+but short records. With all of u unknown the parameters' part of I^-1 is (I_pp - I_ps I_ss^-1
+I_sp)^-1: what could as well be another initial state tells nothing.
+
+Everything is in units of the values: with u_i = v_i theta_i the information on v is theta_i I_ij
+theta_j, and [I_v^-1]_jj is the square of a relative standard error, whatever the units.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,11 +27,211 @@ from jaxtyping import Array, Bool, Float, Key
 
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete
+from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
-from riecjax.refinement.parametric import as_parametric_system
+from riecjax.refinement.output_misfit import observed
+from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
 from riecjax.simulation.inputs import multisine
-from riecjax.simulation.method import AbstractMethod
-from riecjax.studies.output_information import Experiment, inverse, plan_experiment
+from riecjax.simulation.linearisation import suitable_steps
+from riecjax.simulation.method import AbstractMethod, FixedStep
+from riecjax.simulation.system import AbstractSystem
+
+
+class Experiment(eqx.Module):
+    """A model that is to be excited, and what is measured of it.
+
+    **Fields:**
+
+    - `system` for every value of its parameters; `values` of the `parameters` that will be
+      estimated; `known`, values held.
+    - `initial_state`, which will be estimated too.
+    - `sigma`: standard deviation of the white noise on each of `channels`.
+    - `time_step` in seconds; `method` of simulation.
+    """
+
+    system: AbstractParametric
+    values: Float[Array, " p"]
+    known: dict[str, Array]
+    initial_state: Float[Array, " states"]
+    sigma: Float[Array, " channels"]
+    time_step: Float[Array, ""]
+    method: AbstractMethod
+    channels: tuple[str, ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = eqx.field(static=True)
+
+    def built(self, values: Float[Array, " p"] | None = None) -> AbstractSystem:
+        """The system at its values, or at others."""
+        chosen = self.values if values is None else values
+        return self.system.build({**self.known, **dict(zip(self.parameters, chosen))})
+
+    def trajectory(self, levels: Float[Array, "n inputs"]) -> Float[Array, "n states"]:
+        """States from the initial one, along the inputs."""
+        return self._states(self.built(), self.initial_state, levels)
+
+    def information(
+        self, levels: Float[Array, "n inputs"]
+    ) -> tuple[Float[Array, "p+s p+s"], Float[Array, "n states"]]:
+        """Information matrix of the parameters and, after them, the initial state; and the states.
+
+        Of parameters in units of their values, where these are not zero, and of states in theirs.
+        """
+        p, size = self.values.shape[0], self._size()
+        # A share of a value; from a value of zero, one unit.
+        unknown = jnp.concatenate([self.values / size, self.initial_state])
+
+        def simulated(unknown: Array) -> tuple[Array, Array]:
+            system = self.built(unknown[:p] * size)
+            states = self._states(system, unknown[p:], levels)
+            return observed(system, states, levels, self.channels) / self.sigma[None, :], states
+
+        slopes, states = jax.jacfwd(simulated, has_aux=True)(unknown)
+        return jnp.einsum("nci,ncj->ij", slopes, slopes), states
+
+    def standard_errors(self, information: Float[Array, "p+s p+s"]) -> Float[Array, " p"]:
+        """Least standard deviation of each parameter in its unit, all others being unknown."""
+        p = self.values.shape[0]
+        return jnp.sqrt(jnp.diagonal(inverse(information))[:p]) * self._size()
+
+    def _size(self) -> Float[Array, " p"]:
+        return jnp.where(self.values != 0, jnp.abs(self.values), 1.0)
+
+    def _states(
+        self, system: AbstractSystem, start: Float[Array, " states"], levels: Array
+    ) -> Float[Array, "n states"]:
+        return self.method.trajectory(system, levels, self.time_step, start)[0]
+
+
+def inverse(information: Float[Array, "k k"]) -> Float[Array, "k k"]:
+    """Inverse of an information matrix; huge, not infinite, where there is no information."""
+    k = information.shape[0]
+    rounding = 8 * k * float(jnp.finfo(information.dtype).eps)
+    return solve_scaled(information, jnp.eye(k, dtype=information.dtype), ridge=rounding)
+
+
+def plan_experiment(
+    model: Any,
+    values: Mapping[str, float | Array],
+    record: Record,
+    *,
+    channels: Sequence[str],
+    sigma: Mapping[str, float | Array],
+    known: Mapping[str, float | Array] | None = None,
+    initial_state: Mapping[str, float | Array] | None = None,
+    method: AbstractMethod | None = None,
+) -> Experiment:
+    """An experiment, checked.
+
+    **Arguments:** as of [`predicted_standard_errors`][].
+
+    **Raises:** `ModelError` for unknown names, no parameter, no channel, or noise that is not
+    given; `DataError` for a missing input.
+    """
+    system = as_parametric_system(model, record)
+    named = {**dict(known or {}), **values}
+    if unknown := [n for n in named if system.parameters and n not in system.parameters]:
+        raise ModelError(
+            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(system.parameters)}."
+        )
+    if not values or not channels:
+        raise ModelError("an experiment needs a parameter to estimate and a channel to measure.")
+    held = {**system.defaults, **dict(known or {})}
+    held = {name: jnp.asarray(value) for name, value in held.items() if name not in values}
+    free = {name: jnp.asarray(value, float) for name, value in values.items()}
+    built: AbstractSystem = system.build({**held, **free})
+    if missing := [name for name in channels if name not in sigma]:
+        raise ModelError(f"no noise (sigma) is given for {', '.join(missing)}.")
+    made = built.simulated_names
+    if unknown := [name for name in channels if name not in made]:
+        raise ModelError(
+            f"the simulation has no signal '{unknown[0]}' to measure; it has: {', '.join(made)}."
+        )
+    built.require_states(initial_state or {})
+    start = [jnp.asarray((initial_state or {}).get(name, 0.0), float) for name in built.state_names]
+    experiment = Experiment(
+        system,
+        jnp.stack(list(free.values())),
+        held,
+        jnp.stack(start),
+        jnp.stack([jnp.asarray(sigma[name], float) for name in channels]),
+        record.time_step,
+        FixedStep() if method is None else method,
+        tuple(channels),
+        tuple(free),
+    )
+    if method is not None or not is_concrete(experiment, record):
+        return experiment
+    # Steps that are short enough along the motion that this record excites.
+    levels = levels_of(experiment, record)
+    states = eqx.filter_jit(Experiment.trajectory)(experiment, levels)
+    steps = suitable_steps(built, states, levels, float(record.time_step))
+    return eqx.tree_at(lambda e: e.method, experiment, FixedStep(steps))
+
+
+def predicted_standard_errors(
+    model: Any,
+    values: Mapping[str, float | Array],
+    record: Record,
+    *,
+    channels: Sequence[str],
+    sigma: Mapping[str, float | Array],
+    known: Mapping[str, float | Array] | None = None,
+    initial_state: Mapping[str, float | Array] | None = None,
+    method: AbstractMethod | None = None,
+) -> dict[str, Float[Array, ""]]:
+    """Standard errors that output error would have of a recording under these inputs.
+
+    Differentiable and vmappable over records.
+
+    **Arguments:**
+
+    - `model`: something to simulate, as for [`refine`][] by output error.
+    - `values`: of the parameters that will be estimated; the information depends on them.
+    - `record`: holds the inputs.
+    - `channels`: signals that will be measured: states, their derivatives, outputs.
+    - `sigma`: standard deviation of the white noise on each, in its unit.
+    - `known`: values that will be held. Parameters named nowhere keep the model's own.
+    - `initial_state`: state name to value; those not named start at zero. It will be estimated.
+    - `method`: as for [`simulate`][]; by default steps short enough for the model.
+
+    **Raises:** as [`plan_experiment`][].
+    """
+    experiment = plan_experiment(
+        model,
+        values,
+        record,
+        channels=channels,
+        sigma=sigma,
+        known=known,
+        initial_state=initial_state,
+        method=method,
+    )
+    return dict(
+        zip(experiment.parameters, _standard_errors(experiment, levels_of(experiment, record)))
+    )
+
+
+def levels_of(experiment: Experiment, record: Record) -> Float[Array, "n inputs"]:
+    """The inputs of the system, side by side."""
+    return jnp.stack([record.signals[name] for name in experiment.built().input_names], axis=-1)
+
+
+@eqx.filter_jit
+def _standard_errors(experiment: Experiment, levels: Array) -> Float[Array, " p"]:
+    return experiment.standard_errors(experiment.information(levels)[0])
+
+
+# The multisine that makes one parameter's interval tightest, within the travel that a rig allows.
+#
+# The cost is the logarithm of one diagonal entry of the inverse information, v = [I^-1]_jj, so that
+# a step is worth the same whatever the units. With x = I^-1 e_j its slope is d log v = -x' dI x /
+# v: what counts is information along x, the direction in which the data tell least about the
+# parameter. Sensitivities go forward through the simulation, since parameters are few, and the
+# slope by the input in reverse, since the amplitudes and phases of a multisine are many.
+#
+# For a linear model in steady state over whole periods, I = sum_i a_i^2 M(f_i): phases do not
+# matter, powers add up, and p (p + 1) / 2 frequencies suffice, as many as I has entries. Phases
+# decide about travel, which is the peak of a state, and about non-linear models. There are many
+# local optima, hence several starts.
 
 PENALTIES = (1.0, 1e2, 1e4)
 """Weights of the excess of travel, in turn. With the last one, a single sample that is 1 % beyond
@@ -180,11 +383,17 @@ def design_input(
     phases = jax.random.uniform(key, (starts, grid.shape[0]), maxval=2 * jnp.pi)
     wave = multisine(jnp.ones_like(grid), phases[0], grid, sample_count, time_step)
     wave = wave * (rms / _rms(wave))
-    name = _input_name(model, {**dict(known or {}), **values}, Record({"": wave}, time_step))
+    family = as_parametric_system(model, Record({"": wave}, time_step))
+    inputs = family.build({**family.defaults, **dict(known or {}), **values}).input_names
+    if len(inputs) != 1:
+        raise ModelError(
+            f"the input of a system with one input can be designed; this one has {len(inputs)}: "
+            f"{', '.join(inputs)}. Give a system in which the others are known."
+        )
     experiment = plan_experiment(
         model,
         values,
-        Record({name: wave}, time_step),
+        Record({inputs[0]: wave}, time_step),
         channels=channels,
         sigma=sigma,
         known=known,
@@ -196,22 +405,11 @@ def design_input(
     settled = jnp.zeros(starts, bool)
     for penalty in PENALTIES if travel else PENALTIES[:1]:
         found, settled = _search(task, found, jnp.asarray(penalty), max_steps)
-    return _best(task, found, settled, name, parameter)
+    return _best(task, found, settled, inputs[0], parameter)
 
 
 def _rms(wave: Float[Array, " n"]) -> Float[Array, ""]:
     return jnp.sqrt(jnp.mean(wave**2))
-
-
-def _input_name(model: Any, values: Mapping[str, Any], record: Record) -> str:
-    family = as_parametric_system(model, record)
-    inputs = family.build({**family.defaults, **values}).input_names
-    if len(inputs) != 1:
-        raise ModelError(
-            f"the input of a system with one input can be designed; this one has {len(inputs)}: "
-            f"{', '.join(inputs)}. Give a system in which the others are known."
-        )
-    return inputs[0]
 
 
 def _task(
@@ -288,6 +486,9 @@ def _best(
     wave = levels[best, :, 0]
     experiment = task.experiment
     states = experiment.built().state_names
+    status = DesignStatus.where(settled[best], DesignStatus.converged, DesignStatus.out_of_steps)
+    status = DesignStatus.where(jnp.any(within), status, DesignStatus.travel_exceeded)
+    status = DesignStatus.where(jnp.any(finite), status, DesignStatus.not_finite)
     return Design(
         record=Record({name: wave}, experiment.time_step, units=experiment.built().inputs),
         frequencies=task.frequencies,
@@ -298,12 +499,6 @@ def _best(
         rms=_rms(wave),
         peaks={states[i]: peak for i, peak in zip(task.limited, peaks[best])},
         starts=promised,
-        status=_status(settled[best], jnp.any(within), jnp.any(finite)),
+        status=status,
         parameter=parameter,
     )
-
-
-def _status(settled: Array, within: Array, finite: Array) -> DesignStatus:
-    status = DesignStatus.where(settled, DesignStatus.converged, DesignStatus.out_of_steps)
-    status = DesignStatus.where(within, status, DesignStatus.travel_exceeded)
-    return DesignStatus.where(finite, status, DesignStatus.not_finite)

@@ -1,13 +1,19 @@
-"""Estimates at several window lengths: the standard test of whether a model is exact enough."""
+"""Estimates at several window lengths: how far they drift, and whether chance explains it.
+
+With an exact model every window length finds the same parameters, up to scatter. What a model
+leaves out weighs differently at different lengths, and the estimates drift.
+"""
 
 import itertools
 from collections.abc import Mapping, Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from riecjax import tails
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
@@ -15,15 +21,197 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, renamed, require
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
 from riecjax.estimation.stages import found_values, solve_stages, stages_over_records
-from riecjax.leaves import namespace
+from riecjax.findings import Finding
+from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record, Records
-from riecjax.studies.drift import WindowSweep
-from riecjax.summaries.blocks import FEWEST_WINDOWS, ShortBlocks, blocks_in_use, merge_blocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.shows import Drawn
+from riecjax.summaries.normal_equations import (
+    FEWEST_WINDOWS,
+    NormalEquations,
+    ShortBlocks,
+    blocks_in_use,
+    merge_blocks,
+)
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import task
 from riecjax.uncertainty.block_statistics import block_influence
+
+# How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
+# time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
+# matrix, e_b the block's residuals), and independent blocks give it the variance
+# n / (n - 1) sum_b d_b^2: the scores of n blocks sum to zero at the solution, which takes one
+# degree of freedom. Two estimates from the same record are far from independent, since they share
+# its noise and its motion. But the difference of the two has the influence d_b1 - d_b2, block by
+# block, and the variance n / (n - 1) sum_b (d_b1 - d_b2)^2: a paired test, in which whatever both
+# share cancels. So a drift is seen that is much smaller than either standard error. Of all pairs of
+# lengths the most significant is tested, at the level over the number of pairs (Bonferroni).
+
+SMALLEST_DRIFT = 0.005
+"""Share of a parameter below which a drift does not matter."""
+LEVEL = 0.05
+STEADY = 0.01
+"""Share within which estimates at neighbouring lengths are called steady."""
+MOST = 0.5
+"""Share of what is left from which its noise explains a drift."""
+SMALL_NOISE = 0.1
+"""Share of what is left below which its noise is not worth a word."""
+
+
+class WindowSweep(Drawn, eqx.Module):
+    """Estimates at several window lengths, from the same records.
+
+    **Fields:**
+
+    - `alpha`, `beta`: shortest and longest window of each band in seconds, shape `(bands,)`.
+    - `theta`: estimates, shape `(bands, p)`; NaN at lengths that hardly fit between the record's
+      gaps.
+    - `influence`: how far each block of time moves each estimate, shape `(bands, blocks, p)`; the
+      blocks are the same at every length, so that estimates can be compared pairwise.
+    - `relative_rms`: residual of each stage, and `noise_rms`, what of it the sensors' known noise
+      makes, shape `(bands, stages)`.
+    - `block_count`: blocks that hold rows.
+    - `parameters`, `units`, `stage_names`: as in an estimate.
+    """
+
+    alpha: Float[Leaf, " bands"]
+    beta: Float[Leaf, " bands"]
+    theta: Float[Array, "bands p"]
+    influence: Float[Array, "bands blocks p"]
+    relative_rms: Float[Array, "bands stages"]
+    noise_rms: Float[Array, "bands stages"]
+    block_count: Int[Array, ""]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    stage_names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def standard_errors(self) -> Float[Array, "bands p"]:
+        """Standard error of each estimate."""
+        xp = namespace(self.influence)
+        return xp.sqrt(self._factor * xp.sum(xp.square(self.influence), axis=1))
+
+    @property
+    def _factor(self) -> Array:
+        xp = namespace(self.block_count)
+        return xp.divide(self.block_count, xp.maximum(self.block_count - 1, 1))
+
+    def drift(self, name: str) -> tuple[int, int, float, float]:
+        """The two lengths between which a parameter differs most significantly (not under jit).
+
+        Lengths without an estimate are skipped.
+
+        **Returns:** their indices, the difference of the estimates, and its standard error, in
+        which what is common to both lengths cancels.
+        """
+        j = self.parameters.index(name)
+        theta, influence = np.asarray(self.theta[:, j]), np.asarray(self.influence[:, :, j])
+        difference = theta[None, :] - theta[:, None]
+        apart = influence[None, :, :] - influence[:, None, :]
+        error = np.sqrt(float(self._factor) * np.sum(apart**2, axis=-1))
+        significance = np.where(error > 0, np.abs(difference) / np.where(error > 0, error, 1), 0)
+        largest = np.max(np.abs(theta), where=np.isfinite(theta), initial=0.0)
+        relevant = np.abs(difference) > SMALLEST_DRIFT * largest
+        first, last = np.unravel_index(np.argmax(significance * relevant), difference.shape)
+        first, last = sorted((int(first), int(last)))
+        return first, last, float(difference[first, last]), float(error[first, last])
+
+    def away(self, name: str, value: float) -> float:
+        """How far estimates lie from a value at most, beyond scatter (not under jit).
+
+        Scatter is that of the difference from the length whose estimate is nearest to the value.
+        """
+        j = self.parameters.index(name)
+        theta, influence = np.asarray(self.theta[:, j]), np.asarray(self.influence[:, :, j])
+        if not np.isfinite(theta).any():
+            return 0.0
+        nearest = int(np.nanargmin(np.abs(theta - value)))
+        apart = influence - influence[nearest]
+        error = np.sqrt(float(self._factor) * np.sum(apart**2, axis=-1))
+        dof = max(int(self.block_count) - 1, 1)
+        limit = float(tails.student(LEVEL / (2 * max(theta.size - 1, 1)), dof))
+        return float(np.nanmax(np.maximum(np.abs(theta - value) - limit * error, 0.0)))
+
+    def findings(self) -> list[Finding]:
+        """`window_sensitive`, once, if parameters drift by more than their uncertainty.
+
+        A paired test at the 5 % level, corrected for the number of pairs (Bonferroni), of a drift
+        of at least half a percent.
+        """
+        bands = self.theta.shape[0]
+        pairs = bands * (bands - 1) / 2
+        dof = max(int(self.block_count) - 1, 1)
+        limit = float(tails.student(LEVEL / (2 * pairs), dof))
+        shares = {}
+        for name in self.parameters:
+            _, _, difference, error = self.drift(name)
+            if abs(difference) > limit * error and error > 0:
+                shares[name] = self._range(name)[2]
+        if not shares:
+            return []
+        names = sorted(shares, key=lambda name: -shares[name])
+        first, *others = names
+        low, high = sorted(self._range(first)[:2])
+        theta, unit = self.theta[:, self.parameters.index(first)], dict(self.units).get(first)
+        course = (
+            f"{first} goes from {float(theta[low]):.4g} with windows of {self._band(low)} to "
+            f"{float(theta[high]):.4g}{f' {unit}' if unit else ''} with {self._band(high)}"
+        )
+        listed = ", ".join(f"{name} by {100 * shares[name]:.2g} %" for name in others)
+        if others:
+            course += f"; so do{'es' if len(others) == 1 else ''} {listed}"
+        steadiness = f"At no two lengths do estimates agree to {100 * STEADY:g} %"
+        if (steady := self.steady(names)) is not None:
+            shortest, longest = steady
+            steadiness = (
+                f"In windows of {shortest:.3g} to {longest:.3g} s all are steady to "
+                f"{100 * STEADY:g} %"
+            )
+        share = self.noise_share(first)
+        cause = f"Noise makes {100 * share:.0f} % of what the shorter ones leave"
+        if share <= MOST:
+            makes = f"{cause}: the" if share > SMALL_NOISE else "The"
+            cause = f"{makes} model leaves something out"
+        message = f"{course}. {steadiness}. {cause}."
+        return [Finding("window_sensitive", message, parameters=tuple(names))]
+
+    def _range(self, name: str) -> tuple[int, int, float]:
+        """Lengths with the least and the largest estimate, and their distance as a share."""
+        theta = np.asarray(self.theta[:, self.parameters.index(name)])
+        low, high = int(np.nanargmin(theta)), int(np.nanargmax(theta))
+        return low, high, float((theta[high] - theta[low]) / np.nanmax(np.abs(theta)))
+
+    def steady(self, names: Sequence[str]) -> tuple[float, float] | None:
+        """The most neighbouring lengths at which parameters stay within a percent, in seconds.
+
+        `None` where no two do. Of ranges of as many lengths the later one: long windows are what a
+        reduced model is for.
+        """
+        theta = np.asarray(self.theta[:, [self.parameters.index(name) for name in names]])
+        scale = np.nanmax(np.abs(theta), axis=0)
+        runs = [
+            (i, j)
+            for i in range(len(theta))
+            for j in range(i + 1, len(theta))
+            if np.all(np.ptp(theta[i : j + 1], axis=0) <= STEADY * scale)
+        ]
+        if not runs:
+            return None
+        first, last = max(runs, key=lambda run: (run[1] - run[0], run[0]))
+        return float(self.alpha[first]), float(self.beta[last])
+
+    def noise_share(self, name: str) -> float:
+        """How much of what windows leave is the sensors' noise, as energy.
+
+        At the shorter of the two lengths between which a parameter goes farthest.
+        """
+        band = min(self._range(name)[:2])
+        left, noise = np.asarray(self.relative_rms[band]), np.asarray(self.noise_rms[band])
+        return min(float(np.sum(noise**2) / max(np.sum(left**2), 1e-300)), 1.0)
+
+    def _band(self, index: int) -> str:
+        return f"{float(self.alpha[index]):.3g} to {float(self.beta[index]):.3g} s"
+
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window of a sweep spans at least."""

@@ -1,4 +1,331 @@
-"""One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept."""
+"""One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept.
+
+Every equation's columns are sampled once, chunk by chunk, and sums over blocks of starts are made
+of them: moments of all windows, and, on request, a survey for checks and figures.
+"""
+
+# What the signals' noise adds to a row has no formula, since terms may be any expressions of the
+# signals. So it is measured: white noise of each signal's level is added to the samples, and the
+# columns without it are subtracted. The difference is exact where terms are linear in the signals,
+# and right to first order in the noise where they are not.
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from riecjax.compilation import kept_jit
+from riecjax.criteria.chunks import StartBlocks, in_chunks
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion, Rows
+from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
+from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
+from riecjax.equations.dry_friction import InMotion
+from riecjax.equations.equation import Equation, mixing_expressions
+from riecjax.equations.expressions import evaluate
+from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
+from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import Terms
+from riecjax.errors import ModelError
+from riecjax.leaves import Leaf
+from riecjax.linear_algebra import gram_suffices
+from riecjax.records.record import Record, filled_up
+from riecjax.summaries.digest import digest_of
+from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.stage_sums import moments_of_drawn, sum_of_equations
+from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
+
+PART = 2**17
+"""Starts to a part of a long recording."""
+FILLED = (2**12, 2**15)
+"""Samples that shorter recordings are filled up to."""
+NOISE = np.random.default_rng(0).standard_normal(2**16)
+"""White noise of unit size, which is sent through the equations."""
+APART = 9973
+"""Samples between where two signals begin to take their noise."""
+
+
+class Lengths(NamedTuple):
+    """Window lengths whose sums are kept apart: bins by the first axis.
+
+    **Fields:** `lags`, the law in each bin; `reach`, no window of them is longer in samples.
+    """
+
+    lags: LagBins
+    reach: int
+
+
+class Request(NamedTuple):
+    """What to sum, as far as it is compiled in.
+
+    **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
+    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `surveyed`,
+    none unless a survey is asked for.
+    """
+
+    block: Int[Array, ""] | int
+    blocks: int
+    surveyed: int
+
+
+class Part(NamedTuple):
+    """Samples of a recording, filled up behind, and which of its starts are summed here.
+
+    **Fields:** `record`; `first` of the starts; `held`, samples that are the recording's (`None`:
+    all of them, a number that is compiled in).
+    """
+
+    record: Record
+    first: Int[Array, ""] | int
+    held: Int[Array, ""] | None
+
+
+class PartSums(NamedTuple):
+    """What a part says of one equation, by blocks of starts.
+
+    **Fields:** `moments`, of windows that reach ever further; `survey`.
+    """
+
+    moments: tuple["BlockSums", ...]
+    survey: "Surveyed | None"
+
+
+class BlockSums(NamedTuple):
+    """Sums over windows of some lengths, blocks first (of `of_source` chunks) and then bins.
+
+    **Fields:** `moments`, `number` of windows, what `noise` adds to the moments, and each source of
+    it; `constant`, see `EquationSums`.
+    """
+
+    moments: Array
+    number: Array
+    constant: Array
+    noise: Array | None
+    of_source: Array | None
+
+
+class Surveyed(NamedTuple):
+    """Rows of some windows in each block, and where they start; the same by the finest quadrature,
+    and what noise adds to them; least and largest argument of each basis."""
+
+    rows: Float[Array, "blocks rows columns"]
+    finer: Float[Array, "blocks rows columns"]
+    noise: Float[Array, "blocks rows columns"]
+    start: Float[Array, "blocks rows"]
+    valid: Bool[Array, "blocks rows"]
+    reach: dict[str, Float[Array, "1 2"]]
+
+
+@kept_jit
+def of_all_windows(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    lengths: tuple[Lengths, ...],
+    band: tuple[Int[Array, ""], Int[Array, ""]],
+    request: Request,
+) -> list[list[PartSums]]:
+    """What blocks of starts of a part say of each equation of each stage, where windows are summed.
+
+    **Arguments:** `band`, shortest and longest lag of the law.
+    """
+
+    def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
+        return tuple(_in_blocks(criterion, noisy, record, which, blocks) for which in lengths)
+
+    def some_windows(blocks: StartBlocks) -> WindowSet:
+        # In each block, at places and of lengths that are drawn once for all.
+        share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
+        start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
+        start = start + (share[0] * blocks.size).astype(int)
+        lag = band[0] + (share[1] * (band[1] - band[0] + 1)).astype(int)
+        return WindowSet(start, start + criterion.test_function.length_multiple * lag)
+
+    reach = lengths[-1].reach
+    return _in_chunks(procedure, criterion, part, sums_of, some_windows, reach, request)
+
+
+def _in_blocks(
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    record: Record,
+    lengths: Lengths,
+    blocks: StartBlocks,
+) -> BlockSums:
+    """Moments and numbers of windows of some lengths, and what noise adds.
+
+    The closed form sums the windows that start in a block from running sums over the block and its
+    reach, so that a block shorter than a window costs as much as one as long. Where windows are
+    longer, neighbouring blocks are summed as one, and the first of them holds the sums.
+    """
+    size, wider = blocks.size, 1
+    if isinstance(size, int):
+        while wider * size < lengths.reach and blocks.number % (2 * wider) == 0:
+            wider *= 2
+        blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
+
+    def spread(sums: Array) -> Array:
+        apart = jnp.swapaxes(sums, 0, 1)[:, None]
+        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
+        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
+
+    columns = with_constant(noisy.columns)
+    found, number = criterion.moments_of(columns, lengths.lags, blocks, lengths.reach)
+    noise = criterion.noise_of(noisy, record.noise, lengths.lags, blocks, lengths.reach)
+    total, of_source = (None, None) if noise is None else (noise.total, noise.of_source[None])
+    moments, constant = without_constant(found)
+    sums = jax.tree.map(spread, BlockSums(moments, number, constant, total, None))
+    return sums._replace(of_source=of_source)
+
+
+def with_constant(columns: Columns) -> Columns:
+    """The same with a column behind that is 1 at every sample."""
+    ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
+    values = jnp.concatenate([columns.values, ones], axis=1)
+    return Columns(values, columns.present, columns.time_step, (*columns.parameters, ""))
+
+
+def without_constant(moments: Array) -> tuple[Array, Array]:
+    """Moments without their last column, a constant, and its products: with itself first."""
+    return moments[..., :-1, :-1], jnp.roll(moments[..., -1, :], 1, axis=-1)
+
+
+@kept_jit
+def of_rows(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    key: Key[Array, ""] | None,
+    request: Request,
+) -> list[list[PartSums]]:
+    """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
+    drawn = criterion.draw(part.record, key, part.held)
+
+    def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
+        beside = noisy._replace(columns=with_constant(noisy.columns))
+        (found, number), added = moments_of_drawn(criterion, beside, record, drawn, blocks)
+        total, of_source = None, None
+        if added is not None:
+            total, of_source = (each[..., :-1, :-1] for each in (added.total, added.of_source))
+            total, of_source = total[:, None], of_source[None, None]
+        moments, constant = without_constant(found)
+        return (BlockSums(moments[:, None], number[:, None], constant[:, None], total, of_source),)
+
+    every = WindowSet(drawn.start[None], drawn.stop[None])
+    return _in_chunks(procedure, criterion, part, sums_of, lambda _: every, 0, request)
+
+
+@kept_jit
+def all_rows(
+    procedure: Procedure, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
+) -> list[list[Rows]]:
+    """Every row of each equation of each stage."""
+    drawn = criterion.draw(part.record, key, part.held)
+
+    def rows(equation: Equation) -> Rows:
+        columns = sampled_columns(equation, part.record, criterion.smoothness)
+        return criterion.rows_of(columns, drawn, part.held)
+
+    return [[rows(equation) for equation in stage] for stage in procedure.stages]
+
+
+def _in_chunks(
+    procedure: Procedure,
+    criterion: AbstractCriterion,
+    part: Part,
+    sums_of: Callable[[NoisyColumns, Record, StartBlocks], tuple[BlockSums, ...]],
+    surveyed_windows: Callable[[StartBlocks], WindowSet],
+    reach: int,
+    request: Request,
+) -> list[list[PartSums]]:
+    def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
+        # Every survey has noisy rows: what they are made of is evaluated once, for all.
+        disturbed = _disturbed(record) if request.surveyed else None
+
+        def of_equation(equation: Equation) -> PartSums:
+            noisy, survey = criterion.noisy_columns(equation, record), None
+            if disturbed is not None:
+                added = sampled_columns(equation, disturbed, criterion.smoothness)
+                added = added - sampled_columns(equation, record, criterion.smoothness)
+                windows = surveyed_windows(blocks)
+                columns = noisy.columns, added
+                survey = _surveyed(criterion, equation, columns, windows, record, blocks)
+            return PartSums(sums_of(noisy, record, blocks), survey)
+
+        return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
+
+    block = request.block
+    if not isinstance(block, int):
+        held = part.record.sample_count if part.held is None else part.held
+        return of_chunk(part.record, StartBlocks(part.first, block, request.blocks, held))
+    return in_chunks(
+        part.record,
+        of_chunk,
+        block=block,
+        reach=reach,
+        margin=criterion.test_function.margin,
+        unpadded=part.held,
+        first=part.first,
+        number=request.blocks,
+    )
+
+
+def _surveyed(
+    criterion: AbstractCriterion,
+    equation: Equation,
+    both: tuple[Columns, Columns],
+    windows: WindowSet,
+    record: Record,
+    blocks: StartBlocks,
+) -> Surveyed:
+    """Rows of some windows, of an equation's columns and of what noise adds to them."""
+    columns, added = both
+    shape = windows.start.shape
+    last = columns.sample_count - 1
+    inside = (windows.stop < blocks.unpadded).ravel()
+    flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
+
+    def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
+        found = by.rows_of(of, flat, blocks.unpadded)
+        valid = inside if found.valid is None else inside & found.valid
+        values = jnp.where(valid[:, None], found.columns.T, 0.0)
+        return values.reshape(*shape, -1), valid.reshape(shape)
+
+    values, valid = rows(columns, criterion)
+    finer, reaches = criterion.finest(), {}
+    real = jnp.arange(record.sample_count) < blocks.unpadded
+    for term in equation.terms:
+        term = term.term if isinstance(term, InMotion) else term
+        if isinstance(term, Terms):
+            argument, _ = evaluate(term.of, record)
+            low = jnp.min(argument, where=real, initial=jnp.inf)
+            high = jnp.max(argument, where=real, initial=-jnp.inf)
+            reaches[term.prefix] = jnp.stack([low, high])[None]
+    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
+    return Surveyed(
+        values,
+        values if finer is criterion else rows(columns, finer)[0],
+        rows(added, criterion)[0],
+        record.elapsed[at].reshape(shape),
+        valid,
+        reaches,
+    )
+
+
+def _disturbed(record: Record) -> Record:
+    """The record with white noise of its size on each signal; any stretch has the same."""
+    first = jnp.round(record.skipped / record.time_step).astype(int)
+    place = first + jnp.arange(record.sample_count)
+    names = sorted(record.arrays)
+    each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
+    sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
+    noise = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
+    added = {name: record.arrays[name] + own for name, own in zip(names, noise)}
+    return record.with_signals(added, missing=record.missing)
+
 
 # A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide
 # the blocks, and a part holds, beside the samples of its own starts, those that windows from them
@@ -17,45 +344,6 @@
 # rows (drawn windows, samples), and their moments are that nearly collinear, a triangular factor R
 # of the rows is kept beside them: R^T R are the moments, and R has the rows' singular values.
 
-import dataclasses
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
-
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Key
-
-from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
-from riecjax.criteria.laws import LagBins
-from riecjax.criteria.length_bins import LengthBins, law_in_bins
-from riecjax.criteria.windows import AllWindows, power_of_two
-from riecjax.equations.equation import Equation, mixing_expressions
-from riecjax.equations.procedure import Procedure
-from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
-from riecjax.linear_algebra import factor_of_gram, factor_of_rows, gram_suffices
-from riecjax.records.record import Record, filled_up
-from riecjax.summaries.averages import hat_half
-from riecjax.summaries.digest import digest_of
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.parts import (
-    FILLED,
-    PART,
-    Lengths,
-    Part,
-    PartSums,
-    Request,
-    Surveyed,
-    all_rows,
-    of_all_windows,
-    of_rows,
-)
-from riecjax.summaries.stage_sums import sum_of_equations
-from riecjax.summaries.sums import Averages, EquationSums, RecordingSums, Survey
-
-AVERAGED = 1024
-"""Averaged rows of a recording, about."""
 SURVEYED = 2048
 """Rows of a recording that a survey looks at, about."""
 SHOWN = 2000
@@ -92,32 +380,36 @@ class _Layout(NamedTuple):
     request: Request
 
 
+@dataclasses.dataclass(frozen=True)
 class OnePass:
     """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][].
 
-    `averaged`, whether rows averaged by hats are kept: columns of high derivatives have none.
     `starts`, first of the starts that are summed and one beyond the last; all, unless others see
     to the rest: then see [`stretch_starts`][].
     """
 
-    def __init__(
-        self,
-        procedure: Procedure,
-        record: Record,
-        criterion: AbstractCriterion,
-        key: Key[Array, ""] | None,
-        bins: LengthBins | None,
-        survey: bool,
-        averaged: bool = True,
-        starts: tuple[int, int] | None = None,
-    ):
-        self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
-        self.record, self.survey, self.averaged = record, survey, averaged
-        self.step, self.count = float(record.time_step), record.sample_count
-        self.first, self.last = starts or (0, self.count)
-        self.half = int(hat_half(criterion, self.count, np.asarray(self.step)))
-        # Hats of four means to a side at the least.
-        self.thin = next((by for by in (16, 4) if self.half >= 4 * by), 1)
+    procedure: Procedure
+    record: Record
+    criterion: AbstractCriterion
+    key: Key[Array, ""] | None
+    bins: LengthBins | None
+    survey: bool
+    starts: tuple[int, int] | None = None
+
+    @property
+    def step(self) -> float:
+        """Seconds between samples."""
+        return float(self.record.time_step)
+
+    @property
+    def count(self) -> int:
+        """Samples of the record."""
+        return self.record.sample_count
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """First of the starts that are summed, and one beyond the last."""
+        return self.starts or (0, self.count)
 
     # What overflows is for the fit to refuse.
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -137,7 +429,8 @@ class OnePass:
         closed = self.criterion.in_closed_form
         # What mixes samples would mix those that the record is filled up with.
         block, stages = (self._all_windows if closed else self._rows)(not mixing)
-        whole = self.last - self.first == self.count
+        first, last = self.ends
+        whole = last - first == self.count
         # Of some starts it is not known how many windows there would be without gaps.
         offered = self.criterion.row_count(self.record) if whole else None
         sums = RecordingSums(
@@ -145,7 +438,7 @@ class OnePass:
             np.asarray(stages[0][0].count.shape[-1]),
             np.asarray(block * self.step),
             np.asarray(np.nan if offered is None else float(offered)),
-            np.asarray(self.last - self.first),
+            np.asarray(last - first),
             np.asarray(self.step),
             digest_of(self.procedure, self.record, self.criterion, self.key, self.bins),
             self.record.noise,
@@ -165,10 +458,9 @@ class OnePass:
             self.count, self.record.time_step, self.criterion.test_function.length_multiple
         )
         band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
-        half, request = jnp.asarray(self.half), layout.request
         given = (self.procedure, self.criterion)
         parts = [
-            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, half, band, request))
+            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, band, layout.request))
             for part in self._parts(layout, reach)
         ]
         grouped = windows.block(self.count) // layout.block
@@ -178,7 +470,7 @@ class OnePass:
         self, parts: list[list[list[PartSums]]], block: int, grouped: int
     ) -> list[list[EquationSums]]:
         """Sums of all equations from those of each part, with so many blocks to one."""
-        count = -(-(self.last - self.first) // block)
+        count = -(-(self.ends[1] - self.ends[0]) // block)
 
         def of_equation(i: int, j: int) -> EquationSums:
             every = [part[i][j] for part in parts]
@@ -204,8 +496,8 @@ class OnePass:
                     else None
                 )
 
-            names = {"moments": "moments", "count": "number", "noise": "noise"}
-            sums = {name: joined(of) for name, of in names.items()}
+            sums = {name: joined(name) for name in ("moments", "noise", "constant")}
+            sums["count"] = joined("number")
             equation = self.procedure.stages[i][j]
             return self._equation(equation, every, **sums, noise_of_source=of_sources())
 
@@ -232,8 +524,7 @@ class OnePass:
         n = self.count
         longest = windows.reach(n)
         if (block := windows.block(n)) < longest:
-            averaged, surveyed = self.averaged * AVERAGED // 2, self.survey * SURVEYED // 2
-            request = Request(jnp.asarray(block), 2, self.thin, averaged, surveyed)
+            request = Request(jnp.asarray(block), 2, self.survey * SURVEYED // 2)
             return _Layout(block, n, _filled(n) if fill else None, request)
         starts = max(PART, 4 * longest)
         filled = starts + reach + 2 * self.criterion.test_function.margin
@@ -243,9 +534,7 @@ class OnePass:
             starts = filled = _filled(n)
         blocks = -(-starts // longest)
         size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
-        averaged, surveyed = (max(k * longest // size, 1) for k in (AVERAGED, SURVEYED))
-        averaged, surveyed = averaged * self.averaged, surveyed * self.survey
-        request = Request(longest, blocks, self.thin, averaged, surveyed)
+        request = Request(longest, blocks, self.survey * max(SURVEYED * longest // size, 1))
         return _Layout(longest, starts, filled, request)
 
     def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
@@ -255,7 +544,7 @@ class OnePass:
             yield Part(record, 0, None)
             return
         margin = self.criterion.test_function.margin
-        for start in range(self.first, self.last, layout.starts):
+        for start in range(*self.ends, layout.starts):
             begin = max(start - margin, 0)
             stop = min(start + layout.starts + reach + margin, self.count)
             yield Part(
@@ -268,17 +557,11 @@ class OnePass:
         """Starts to a block, and sums over rows: samples, or windows that are drawn."""
         n = self.count
         block = self.criterion.block_samples(self.record)
-        request = Request(
-            jnp.asarray(block),
-            SHORT_BLOCKS_OF_ROWS,
-            self.thin,
-            AVERAGED // SHORT_BLOCKS_OF_ROWS,
-            int(self.survey),
-        )
+        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(self.survey))
         layout = _Layout(block, n, _filled(n) if fill else None, request)
         (part,) = self._parts(layout, 0)
         given = (self.procedure, self.criterion, part, self.key)
-        found = jax.tree.map(np.asarray, of_rows(*given, jnp.asarray(self.half), request))
+        found = jax.tree.map(np.asarray, of_rows(*given, request))
         stages = self._stages([found], block, 1)
         if not self._moments_suffice(stages):
             rows = all_rows(*given)
@@ -302,22 +585,8 @@ class OnePass:
         return True
 
     def _equation(self, equation: Equation, parts: list[PartSums], **sums: Any) -> EquationSums:
-        rows = np.concatenate([p.averaged.reshape(-1, p.averaged.shape[-1]) for p in parts])
-        # Some chunks tell of noise; their sum is brought to the number of all rows.
-        noise, valid = np.sum([p.noise.sum(0) for p in parts], axis=0), rows[:, 0] > 0
-        share = float(np.sum(rows[:, 0])) / noise[0, 0] if noise[0, 0] > 0 else 0.0
-        averages = None
-        if self.averaged:
-            averages = Averages(
-                factor_of_rows(rows[:, 1:], valid),
-                factor_of_gram(noise * share),
-                np.asarray(self.count / max(2 * self.half, 1)),
-            )
-        active = [jax.tree.map(lambda leaf: leaf.sum(0), p.activity) for p in parts]
         surveys = [p.survey for p in parts if p.survey is not None]
         return EquationSums(
-            averages=averages,
-            activity=jax.tree.map(lambda *leaves: np.sum(leaves, axis=0), *active),
             survey=_survey(surveys, float(self.record.skipped)) if surveys else None,
             factor=None,
             parameters=equation.parameters,

@@ -19,8 +19,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import Columns, NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
-from riecjax.summaries.blocks import short_blocks
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, short_blocks
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 
@@ -75,8 +74,6 @@ def traced_sums(
             EquationSums(
                 in_bins(e.moments),
                 in_bins(e.count),
-                None,
-                None,
                 None,
                 None,
                 e.parameters,

@@ -5,7 +5,7 @@ from jaxtyping import Array, Key
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.length_bins import LengthBins
+from riecjax.criteria.laws import LengthBins
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
@@ -86,9 +86,7 @@ def summed(
         read = with_less_noise(in_motion(procedure, record), record, criterion)
         if traced:
             return traced_sums(read, record, criterion, key, own is not None)
-        averaged = not asked.procedure.has_hidden
-        one = OnePass(read, record, criterion, key, kept_apart, survey, averaged, starts)
-        return one.sums()
+        return OnePass(read, record, criterion, key, kept_apart, survey, starts).sums()
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)

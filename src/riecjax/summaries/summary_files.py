@@ -28,14 +28,14 @@ from riecjax.records.noise import Noise
 from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.writing import write_npz, write_whole
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.sums import Activity, Averages, EquationSums, RecordingSums, Survey
+from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
 
 DOCUMENT = "summary"
 """Name of the JSON document among the arrays."""
 EDGES = "edges"
 """Name of the array of the bins' edges."""
 FORMAT = "riecjax.Summary"
-SCHEMA = 3
+SCHEMA = 4
 """Of what a Summary holds; another one is refused."""
 LARGEST = 2**31
 """Bytes that a file may unpack to: it is refused by what it declares, before it is read."""
@@ -223,11 +223,10 @@ def _structure(equation: EquationSums) -> Document:
     """Names, and which of the optional parts there are; of a survey, whose reaches it has."""
     return {
         "parameters": equation.parameters,
-        "averages": equation.averages is not None,
-        "activity": equation.activity is not None,
         "survey": None if equation.survey is None else sorted(equation.survey.reach),
         "factor": equation.factor is not None,
         "noise": equation.noise is not None,
+        "constant": equation.constant is not None,
     }
 
 
@@ -323,12 +322,11 @@ def _skeleton(stages: list[list[Document]], noise: dict[str, list[str]]) -> Reco
         reach = equation["survey"]
         return zeros(
             EquationSums,
-            averages=zeros(Averages) if equation["averages"] else None,
-            activity=zeros(Activity) if equation["activity"] else None,
             survey=None if reach is None else zeros(Survey, reach=dict.fromkeys(reach, 0)),
             factor=0 if equation["factor"] else None,
             noise=0 if equation["noise"] else None,
             noise_of_source=0 if equation["noise"] else None,
+            constant=0 if equation["constant"] else None,
             parameters=tuple(equation["parameters"]),
         )
 

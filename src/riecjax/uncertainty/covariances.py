@@ -14,15 +14,37 @@
 #   their errors, and a record holds about duration / beta independent ones, however many are
 #   summed: this is too small by orders of magnitude. Beside the others it counts those.
 
+import functools
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from riecjax import tails
-from riecjax.linear_algebra import eliminate_with_pivots, solve_scaled, unit_scale
-from riecjax.summaries.blocks import MOST_BLOCKS
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.uncertainty.block_statistics import BlockStatistics, scores, slope
+from riecjax.linear_algebra import (
+    eliminate,
+    eliminate_with_pivots,
+    solve_scaled,
+    unit_diagonal,
+    unit_scale,
+)
+from riecjax.summaries.normal_equations import (
+    MOST_BLOCKS,
+    NormalEquations,
+    ShortBlocks,
+    merge_blocks,
+)
+from riecjax.uncertainty.block_statistics import (
+    BlockStatistics,
+    Unknowns,
+    as_vector,
+    scores,
+    slope,
+    staged_values,
+)
 
 LEVEL = 0.01
 """Level of the test of whether recordings disagree."""
@@ -151,3 +173,238 @@ def record_inflation(
     student = float(tails.student(0.025, count - 1)) / tails.normal(0.025)
     factor = student * jnp.sqrt(between / jnp.where(known, pooled, 1.0))
     return jnp.where(disagree & known, jnp.maximum(factor, 1.0), 1.0)
+
+
+# Bell and McCaffrey's sandwich for few blocks of time, with its degrees of freedom.
+#
+# Residuals are small where few stretches decide an estimate, since it follows their errors: blocks
+# then scatter too little, whatever their number. The blocks' Gram matrices tell by how much, and
+# how many degrees of freedom are left.
+#
+# Let s_b be the scores of block b at the truth, G_b its Gram matrix (in the slope's coordinates,
+# see `block_statistics`), H = (sum G)^-1, and h^T the row of H that belongs to one parameter.
+# Residuals at the estimate, which is H sum_c s_c away from the truth, give the block the influence
+#
+#     u_b = h^T (s_b - G_b H sum_c s_c).
+#
+# The variance is estimated by the quadratic form u^T B u, B = 1 on the diagonal and 1/2 between
+# half blocks that follow one another: Newey and West's weights for a lag of two. Half blocks are
+# taken since one cut between long blocks is as arbitrary as the next; half blocks with weight 1/2
+# are the mean over the two cuts, and tell twice as many differences of so few blocks.
+#
+# Working model: errors alike all along, so that s_b has the covariance W_bb = sigma^2 G_b, and
+# `OVERLAP` / 2 of the sum of both between neighbours. With r_b = W_b h and W_b, W the sums of W_bc
+# over c, and over all, the influences then have the covariance
+#
+#     M_bc = h^T W_bc h - r_b^T q_c - q_b^T r_c + q_b^T W q_c,    q_b = H G_b h.
+#
+# So the form expects trace(B M), where it should expect h^T W h; the ratio, `seen`, is what it sees
+# of the variance and is divided out. Its own variance, for Gaussian scores, is 2 trace(B M B M),
+# that of a chi-square with `trace(B M)^2 / trace(B M B M)` degrees of freedom (Satterthwaite); they
+# go to Student's t. Both are functions of the design alone. Errors that are not alike change what u
+# is, and the form follows them; only the correction rests on the working model (Bell and McCaffrey,
+# 2002; Imbens and Kolesar, 2016).
+
+MOST_HALVES = 128
+"""Half blocks of all records together: more, and nothing is few."""
+OVERLAP = 0.15
+"""Correlation of neighbouring half blocks' scores, as windows reach from one into the next: 0.19
+for white errors, windows of any length up to half a block and a constant regressor, less for one
+that moves."""
+TOLD_BY_OTHERS = 1e-3
+"""Weight of what all parameters' blocks say together, for one of which its own say nothing."""
+TOLD_BY_NONE = 1e-6
+"""Weight of the worst case, for where no parameter's blocks say anything."""
+
+
+class FewBlocks(NamedTuple):
+    """The corrected sandwich.
+
+    **Fields:** `covariance`; `degrees_of_freedom` behind each variance; `seen`, the share of each
+    variance that the scatter between blocks shows before it is corrected.
+    """
+
+    covariance: Float[Array, "p p"]
+    degrees_of_freedom: Float[Array, " p"]
+    seen: Float[Array, " p"]
+
+
+def few_blocks_sandwich(
+    short_blocks: list[NormalEquations],
+    unknowns: Unknowns,
+    values: Mapping[str, Array],
+    short: ShortBlocks,
+    used: Int[Array, " records"],
+) -> FewBlocks:
+    """Covariance and degrees of freedom by Bell and McCaffrey's (2002) rule.
+
+    A parameter that one stretch alone tells of has no scatter between blocks: its variance is the
+    other parameters' ratio to the working model, and without any the case that a half block's rows
+    all err alike.
+
+    **Arguments:** `short_blocks`, of each stage, leading axes `(records, short blocks)`;
+    `used`, long blocks of each record, which are halved where short blocks are short enough.
+    """
+    records = short.number.shape[0]
+    most = max(MOST_HALVES // records, 2)
+    halves = jnp.minimum(2 * used, jnp.minimum(short.number, most))
+    stages = [merge_blocks(stage, short, halves, most) for stage in short_blocks]
+    totals = [stage.total() for stage in stages]
+    whole, scale = unit_diagonal(slope(totals, unknowns))
+    inverse = eliminate(whole, jnp.eye(scale.shape[0]))
+    each = jax.vmap(lambda *blocks: slope(list(blocks), unknowns))(*stages)
+    each = each * (scale[:, None] * scale[None, :])[None]
+    variance = _working_variance(totals, unknowns, values)
+    largest = jnp.max(variance)
+    largest = jnp.where(largest > 0, largest, 1.0)
+    working = each * (variance / largest)[None]
+    beside = _beside(halves, used, most)
+
+    # Sums of the working covariance over one block's neighbours, and over both.
+    near = OVERLAP / 2 * (jnp.sum(beside, axis=1)[:, None, None] * working)
+    near = working + near + OVERLAP / 2 * jnp.tensordot(beside, working, axes=1)
+    everywhere = jnp.sum(near, axis=0)
+    should = jnp.einsum("ji,ik,jk->j", inverse, everywhere, inverse)
+    # Of unit variance, or fourth powers would be lost in 32-bit.
+    rows = inverse / jnp.sqrt(should)[:, None]
+
+    def expected(row: Float[Array, " p"]) -> tuple[Array, Array]:
+        own = jnp.einsum("i,bij,j->b", row, working, row)
+        both = near @ row
+        follows = jnp.einsum("i,bij->bj", row, each) @ inverse
+        covariance = jnp.diag(own) + OVERLAP / 2 * beside * (own[:, None] + own[None, :])
+        shared = both @ follows.T
+        covariance = covariance - shared - shared.T + follows @ everywhere @ follows.T
+        form = covariance + beside @ covariance / 2
+        return jnp.trace(form), jnp.sum(form * form.T)
+
+    seen, scatter = jax.vmap(expected)(rows)
+    moved = (scores(stages, unknowns, values) * scale[None, :]) @ rows.T
+    shown = moved.T @ (moved + beside @ moved / 2)
+    alike = largest * jnp.max(jnp.stack([total.count for total in totals])) / jnp.sum(halves)
+    together = jnp.trace(shown) + TOLD_BY_NONE * alike
+    together = together / (jnp.sum(seen) + TOLD_BY_NONE)
+    share = jnp.sqrt(seen + TOLD_BY_OTHERS)
+    covariance = (shown + jnp.diag(jnp.full(scale.shape, TOLD_BY_OTHERS * together))) / (
+        share[:, None] * share[None, :]
+    )
+    size = scale * jnp.sqrt(should)
+    some = scatter > 0
+    freedom = jnp.where(some, seen**2 / jnp.where(some, scatter, 1.0), 1.0)
+    return FewBlocks(covariance * size[:, None] * size[None, :], jnp.maximum(freedom, 1.0), seen)
+
+
+def _working_variance(
+    totals: list[NormalEquations], unknowns: Unknowns, values: Mapping[str, Array]
+) -> Float[Array, "p p"]:
+    """Variance of one row's error, between parameters of one stage; zero between stages."""
+    parts = []
+    for i, names in unknowns:
+        total = totals[i]
+        at = jnp.stack([jnp.asarray(values[name]) for name in total.parameters])
+        # Exact data leave no more than rounding.
+        rounding = jnp.finfo(at.dtype).eps * total.energy
+        left = jnp.maximum(total.residual_energy(at), rounding) / jnp.maximum(total.count, 1)
+        parts.append(jnp.full((len(names), len(names)), left))
+    return jax.scipy.linalg.block_diag(*parts)
+
+
+def _beside(
+    halves: Int[Array, " records"], used: Int[Array, " records"], most: int
+) -> Float[Array, "blocks blocks"]:
+    """1 for two half blocks that follow one another in a record; 0 where they are long blocks."""
+    record, place = np.divmod(np.arange(most * halves.shape[0]), most)
+    follow = (record[:, None] == record) & (np.abs(place[:, None] - place) == 1)
+    inside = (place < halves[record]) & (halves > used)[record]
+    return jnp.where(follow & inside[:, None] & inside[None, :], 1.0, 0.0)
+
+
+# Bootstrap over blocks of time: whole procedures solved again from resampled normal equations.
+#
+# A replicate draws blocks with replacement: block b counts w_b times, and the staged fit is solved
+# from `sum w_b M_b`, M_b a block's moments. Its estimate theta* is divided by its own standard
+# error, `t* = (theta* - theta) / s*`, and the quantiles of t* make the interval `theta - t*_hi s,
+# theta - t*_lo s`. To divide is worth it: t has about the same law whatever the errors' size is (a
+# pivot), so that ends are right to O(1/n) of n blocks rather than O(n^-1/2) (Hall, 1988, of
+# one-sided ones), and lean where estimates are skewed. Blocks rather than rows are drawn since
+# errors are correlated within a block (Kunsch, 1989). A replicate costs a weighted sum of a few
+# dozen small matrices and an elimination; no row is seen again.
+
+AT_ONCE = 250
+"""Replicates worked on together: they share vector instructions, and memory stays small."""
+
+
+def studentized_replicates(
+    statistics: BlockStatistics, draws: Float[Array, "replicates records blocks_of_record"]
+) -> Float[Array, "replicates p"]:
+    """(estimate - value) / standard error of each replicate, for all parameters of all stages.
+
+    A replicate draws as many blocks as a record has, with replacement, from each record. Its
+    standard error is the sandwich of its own blocks, about the mean of each record: records are
+    not drawn, so what differs between them does not move a replicate. NaN where a replicate leaves
+    a parameter undetermined.
+
+    **Arguments:** `draws`, see [`uniform_draws`][].
+    """
+    stages, unknowns, used = statistics.blocks, statistics.unknowns, statistics.used
+    found = statistics.estimate
+    moments = [stage.clean.reshape(stage.count.shape[0], -1) for stage in stages]
+
+    def solved(equations: NormalEquations) -> Float[Array, " p"]:
+        return solve_scaled(equations.gram, equations.moment[:, None])[:, 0]
+
+    def replicate(drawn: Float[Array, "records blocks_of_record"]) -> Float[Array, " p"]:
+        weights = drawn_counts(drawn, used).astype(found.dtype).ravel()
+        totals = [
+            NormalEquations(
+                (weights @ m).reshape(s.moments.shape[1:]), weights @ s.count, s.parameters
+            )
+            for m, s in zip(moments, stages)
+        ]
+        again = staged_values(totals, unknowns, statistics.known, solved)
+        error = _standard_errors(
+            scores(stages, unknowns, again),
+            weights.reshape(used.shape[0], -1),
+            slope(totals, unknowns),
+        )
+        moved = as_vector(unknowns, again) - found
+        usable = (error > 0) & jnp.isfinite(error) & jnp.isfinite(moved)
+        return jnp.where(usable, moved / jnp.where(usable, error, 1.0), jnp.nan)
+
+    return jax.lax.map(replicate, draws, batch_size=AT_ONCE)
+
+
+@functools.lru_cache(maxsize=4)
+def uniform_draws(seed: int, replicates: int, records: int) -> np.ndarray:
+    """Numbers from 0 to 1, one for each block that each replicate draws of each record.
+
+    NumPy's: the same for every fit, so nothing is gained by compiling how they are made.
+    """
+    shape = (replicates, records, MOST_BLOCKS)
+    return np.random.default_rng(seed).random(shape, np.float32)
+
+
+def drawn_counts(
+    drawn: Float[Array, "records blocks_of_record"], used: Int[Array, " records"]
+) -> Int[Array, "records blocks_of_record"]:
+    """How often each block is drawn, with as many draws from each record as it has blocks."""
+    block = jnp.minimum((drawn * used[:, None]).astype(jnp.int32), used[:, None] - 1)
+    place = np.arange(MOST_BLOCKS)
+    # Eight bits hold them all, and four times as many are compared at once.
+    asked = jnp.where(place[None, :] < used[:, None], block, -1).astype(jnp.int8)
+    same = asked[:, :, None] == place.astype(np.int8)[None, None, :]
+    return jnp.sum(same, axis=1, dtype=jnp.int8).astype(jnp.int32)
+
+
+def _standard_errors(
+    scores: Float[Array, "blocks p"],
+    weights: Float[Array, "records blocks_of_record"],
+    slope: Float[Array, "p p"],
+) -> Float[Array, " p"]:
+    # Elimination with every block's score on the right would take half as long again.
+    inverse = solve_scaled(slope, jnp.eye(slope.shape[0], dtype=slope.dtype))
+    moved = (scores @ inverse.T).reshape(*weights.shape, -1)
+    total = jnp.einsum("rb,rbp->rp", weights, moved)
+    squares = jnp.einsum("rb,rbp->rp", weights, moved**2)
+    drawn = jnp.sum(weights, axis=1)[:, None]
+    return jnp.sqrt(jnp.sum(jnp.maximum(squares - total**2 / drawn, 0.0), axis=0))

@@ -90,9 +90,15 @@ MATLAB: dict[str, object] = {
 def test_matlab_files_by_name(tmp_path, version):
     channels = read_channels(WRITERS[version](tmp_path / "a.mat", MATLAB))
     expected = {
-        "t": TIME, "row": TIME**2, "wide[0]": X, "wide[1]": -X,
-        "pieces{1}[0]": X, "pieces{1}[1]": 4 * X, "pieces{2}": X[:-2] + 1,
-        "logged.time": 2 * TIME, "logged.signals.values": 7 * X,
+        "t": TIME,
+        "row": TIME**2,
+        "wide[0]": X,
+        "wide[1]": -X,
+        "pieces{1}[0]": X,
+        "pieces{1}[1]": 4 * X,
+        "pieces{2}": X[:-2] + 1,
+        "logged.time": 2 * TIME,
+        "logged.signals.values": 7 * X,
     }
     assert set(channels.columns) == set(expected)
     for name, values in expected.items():

@@ -393,7 +393,7 @@ def test_limits_count_eight_bytes_a_number(tmp_path, monkeypatch):
         read_channels(tmp_path / "a.npz")
     monkeypatch.undo()
     monkeypatch.setattr("riecjax.memory.free_memory", lambda: 10**7)
-    with pytest.raises(MemoryError, match="reading its arrays takes about 0.016 GB"):
+    with pytest.raises(MemoryError, match=r"reading its arrays takes about 0\.016 GB"):
         read_channels(tmp_path / "a.npz")
 
 
