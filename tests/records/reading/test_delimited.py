@@ -85,7 +85,7 @@ NAMELESS = {
 @pytest.mark.parametrize("case", NAMELESS)
 def test_columns_without_names_have_numbers_or_those_given(tmp_path, case):
     numbered = values(tmp_path, NAMELESS[case])
-    assert numbered["column 1"], numbered["column 2"] == (TX["t"], TX["x"])
+    assert (numbered["column 1"], numbered["column 2"]) == (TX["t"], TX["x"])
     found = columns(tmp_path, NAMELESS[case], columns=("t", "x")).columns
     assert {k: v.tolist() for k, v in found.items()} == TX
     with pytest.raises(DataError, match=r"4 names are given for \d columns"):
