@@ -216,17 +216,6 @@ def test_an_injured_file_is_a_sound_record_or_one_line(tmp_path, content, case):
     assert sum(message is not None for message in refused) >= count / 6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", MAKERS)
-def test_flipped_bits(tmp_path, content, case):
-    ending, whole = content(case)
-    rng = np.random.default_rng(7)
-    for place in rng.integers(0, len(whole), 60):
-        flipped = bytearray(whole)
-        flipped[place] ^= 1 << int(rng.integers(0, 8))
-        outcome(tmp_path / f"a{ending}", bytes(flipped))
-
-
 @pytest.mark.parametrize("case", ["CSV", "NPZ", "MAT", "HDF5", "Parquet", "JSON lines", "TDMS"])
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mat", ".parquet", ".json"])
 def test_a_wrong_ending_is_read_alike_or_said(tmp_path, content, case, ending):
