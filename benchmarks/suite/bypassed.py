@@ -29,17 +29,17 @@ from benchmarks.drag_problem import START, oscillator, record
 from benchmarks.timing import Comparison, Size, compare
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
-from riecjax.refinement.arrowhead import LevenbergMarquardt, Point
-from riecjax.refinement.coordinates import Constraints
 from riecjax.refinement.optimum import (
+    Constraints,
+    LevenbergMarquardt,
+    Point,
     Problem,
     Solver,
     default_solver,
     find_optimum,
     residual_variance,
 )
-from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.shots import Tiles
+from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import CLASSICAL_RUNGE_KUTTA, AbstractMethod, Adaptive, FixedStep
 

@@ -64,22 +64,3 @@ def test_it_may_be_asked_for_inside_of_jit():
     _, truth, signals, _ = noise_problems.linear_motion()
     force = signals["u"] - truth["c"] * np.gradient(signals["x"], STEP)
     assert float(mass(signals["x"], force)) == pytest.approx(truth["m"], rel=0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_it_is_about_as_good_as_the_best_of_those_chosen_by_hand(noise):
-    equation, truth, signals, step = noise_problems.linear_motion()
-    by_hand = [
-        rx.RIEC(rx.AllWindows(alpha, beta), function)
-        for function in (rx.Hat(), rx.Bump(lengths=8))
-        for alpha, beta in ((0.06, 0.5), (0.25, 1.0), (0.5, 2.0), (1.0, 4.0))
-    ]
-
-    def error(criterion):
-        recordings = noise_problems.recordings(equation, signals, {"x": noise}, step, 12)
-        fits = [rx.identify(equation, one, criterion, intervals=rx.Naive()) for one in recordings]
-        off = np.array([[float(fit[n]) / truth[n] - 1 for n in truth] for fit in fits])
-        return np.exp(np.mean(np.log(np.mean(off**2, axis=0)) / 2))
-
-    assert error(None) < 1.3 * min(error(criterion) for criterion in by_hand)

@@ -13,7 +13,7 @@ from riecjax.records.faults.derivative_pairs import GROSS, PPM, Pair, compare
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise import noise_level
-from riecjax.records.reading.unit_expressions import readings
+from riecjax.records.reading.units import readings
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.remembered import remembered
 

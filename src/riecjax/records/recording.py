@@ -17,14 +17,13 @@ from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs
 from riecjax.records.preparation.steps import prepare
-from riecjax.records.reading.channels import TIME_COLUMNS, Channels
+from riecjax.records.reading.channels import Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
-from riecjax.records.reading.selected import Selection
 from riecjax.records.reading.selection import record_from_channels
-from riecjax.records.reading.unit_expressions import same
-from riecjax.records.reading.units import split_unit
-from riecjax.records.reading_settings import ReadingSettings, sorted_settings
+from riecjax.records.reading.times import TIME_COLUMNS
+from riecjax.records.reading.units import same, split_unit
+from riecjax.records.reading_settings import ReadingSettings, Selection, sorted_settings
 from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
 
@@ -87,6 +86,17 @@ class Recording(Drawn):
     def explaining_errors(self) -> contextlib.AbstractContextManager[None]:
         """Name the file in errors about its record, and say why a signal is missing."""
         return _explaining(self.source, self.renamed, self.left_out, self.part)
+
+
+@contextlib.contextmanager
+def explaining_errors(recordings: Sequence[Recording]) -> Iterator[None]:
+    """Say of a signal that is missing which recording lacks it, and why."""
+    try:
+        yield
+    except MissingSignalError as error:
+        lacking = [one for one in recordings if error.signal not in one.record.arrays]
+        with lacking[0].explaining_errors() if lacking else contextlib.nullcontext():
+            raise
 
 
 def as_recordings(records: Records) -> list[Recording]:
@@ -221,7 +231,7 @@ def _recording(
             band = getattr(model, "band", None)
             shortest = 0.5 / band[1] if band else None
             selected = record_from_channels(channels, selection, read_by, shortest)
-            record = selected.record
+            record, left_out = selected.record, left_out | selected.left_out
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
         read = tuple(record.arrays)
