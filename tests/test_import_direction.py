@@ -69,6 +69,10 @@ PUBLIC = {
 }
 
 
+def read(module: Path) -> str:
+    return (ROOT / module).read_text(encoding="utf-8")
+
+
 def belongs_to_the_study(module: Path) -> bool:
     return module.as_posix().startswith(STUDY)
 
@@ -112,9 +116,9 @@ def test_every_folder_is_a_stage():
     assert {module.parts[0] for module in MODULES} <= set(STAGES)
 
 
-@pytest.mark.parametrize("module", MODULES, ids=str)
-def test_a_module_imports_only_from_its_own_or_an_earlier_stage(module):
-    assert violations((ROOT / module).read_text(), module) == []
+def test_a_module_imports_only_from_its_own_or_an_earlier_stage():
+    wrong = {str(module): violations(read(module), module) for module in MODULES}
+    assert {module: names for module, names in wrong.items() if names} == {}
 
 
 def test_modules_beside_the_stages_are_shared_and_import_none_of_these():
@@ -153,9 +157,10 @@ def test_an_earlier_import_is_not(source):
     assert not violations(source, Path("criteria/windows.py"))
 
 
-@pytest.mark.parametrize("module", [m for m in MODULES if belongs_to_the_study(m)], ids=str)
-def test_the_papers_study_needs_nothing_private(module):
-    assert private_imports((ROOT / module).read_text(), module) == []
+def test_the_papers_study_needs_nothing_private():
+    study = filter(belongs_to_the_study, MODULES)
+    wrong = {str(module): private_imports(read(module), module) for module in study}
+    assert {module: names for module, names in wrong.items() if names} == {}
 
 
 @pytest.mark.parametrize(

@@ -62,17 +62,16 @@ from riecjax.paper.reproduction import (
     paper_criteria,
 )
 from riecjax.records.record import Record, stack_records
-from riecjax.refinement.arrowhead import LevenbergMarquardt
 from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.parametric import ByFunction
+from riecjax.refinement.objective import ByFunction
+from riecjax.refinement.optimum import LevenbergMarquardt
+from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.refinement.refine import Refined, refine
-from riecjax.refinement.shots import Tiles
 from riecjax.simulation.inputs import band_limited_noise, robson_road
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
-from riecjax.validation.goodness_of_fit import percentage_error
+from riecjax.validation.held_out import percentage_error
 
 STEP = 1 / TABLE_2.rate
 PLACES: dict[str, float] = dict(zip(VELOCITIES, BREAK_POINTS))

@@ -34,9 +34,8 @@ from riecjax.models.catalogue import built_in_model
 from riecjax.paper.published import TABLE_2
 from riecjax.records.record import Record
 from riecjax.refinement.optimum import RefinementStatus
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.refinement.refine import Refined, refine
-from riecjax.refinement.shots import Tiles
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate

@@ -28,9 +28,8 @@ from benchmarks.recorded import FOLDER, write_json
 from benchmarks.speed.baselines import scipy_drag
 from riecjax.records.record import Record, stack_records
 from riecjax.refinement.objective import AbstractObjective
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.refinement.refine import Refined, refine
-from riecjax.refinement.shots import Tiles
 from riecjax.runtime import start_jax
 from riecjax.simulation.method import FixedStep
 from riecjax.studies.recovery import recovery_map

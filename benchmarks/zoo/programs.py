@@ -146,7 +146,7 @@ def numpy_savetxt(file: Path) -> Truth:
     return truth
 
 
-@case(".txt")
+@case(".txt", refused="'[' stands before the numbers; take brackets and labels off")
 def table_in_brackets(file: Path) -> Truth:
     """A script's print of a list of lists: brackets around the table and each row."""
     c, truth = written(t="%.3f", x="%.6f", u="%.5f")

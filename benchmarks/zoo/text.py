@@ -197,7 +197,7 @@ def arduino_bare(file: Path) -> Truth:
     return truth
 
 
-@case(".txt")
+@case(".txt", refused="Take off brackets and labels")
 def arduino_plotter(file: Path) -> Truth:
     """Arduino serial plotter: `name:value` pairs in each line."""
     c, truth = written(t="%.3f", x="%.5f", u="%.4f")

@@ -171,9 +171,18 @@ def users_code(name: object) -> Iterator[None]:
         words = " ".join(str(error).split("See https")[0].split())
         if len(words) > MOST_WORDS:
             words = f"{words[:MOST_WORDS].rpartition(' ')[0]} ..."
+        kind = type(error).__name__
         raise ModelError(
-            f"{name} failed{_line_of(error)}{_hint(error)}{type(error).__name__}: {words}"
+            f"{name} failed{_line_of(error)}{HINTS.get(kind, ': ')}{kind}: {words}"
         ) from error
+
+
+HINTS = {
+    "TracerArrayConversionError": ". Use functions of jax.numpy, such as jnp.sin, in place of "
+    "NumPy's. ",
+    "TracerBoolConversionError": ". Use jnp.where(condition, a, b) in place of if. ",
+}
+"""What to write instead, before JAX's own words where they explain the slip at length."""
 
 
 def _line_of(error: BaseException) -> str:
@@ -195,13 +204,3 @@ def _is_users_own(filename: str) -> bool:
     ]
     path = Path(os.path.abspath(filename))
     return not any(path.is_relative_to(folder) for folder in folders)
-
-
-def _hint(error: BaseException) -> str:
-    """What to write instead, before JAX's own words where they explain the slip at length."""
-    kind = type(error).__name__
-    if kind == "TracerArrayConversionError":
-        return ". Use functions of jax.numpy, such as jnp.sin, in place of NumPy's. "
-    if kind == "TracerBoolConversionError":
-        return ". Use jnp.where(condition, a, b) in place of if. "
-    return ": "

@@ -1,8 +1,8 @@
 """Files that appear whole or not at all.
 
-What is written stands under a temporary name until it is whole. The process that writes it holds a
-lock on it, which the system takes away with the process, however that ends: so the next one that
-writes beside it knows what was left behind, and removes it.
+What is written stands under a temporary name until it is whole. What a process that was killed left
+behind goes a day later, with the next one that writes beside it; nothing that stands there under
+such a name is opened.
 """
 
 # This module imports little: it is there before all that takes long.
@@ -11,21 +11,22 @@ import contextlib
 import os
 import re
 import shutil
+import stat
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-try:
-    import fcntl
-except ImportError:  # on Windows, where an open file can be neither renamed nor removed
-    fcntl = None
-
 LEFT_BEHIND = re.compile(r"\.riecjax-[0-9a-f]{32}(\.\w+)?")
 """Temporary names."""
 OLD = 86400.0
-"""Seconds after which, where there are no locks, no one is writing to a file any more."""
+"""Seconds after which no one is writing to a file any more."""
+MOST_SEARCHED = 2**16
+"""Bytes at each end of a file among which a stamp is looked for."""
+
+LARGEST_DOCUMENT = 2**28
+"""Bytes of a file of settings or results."""
 
 committing = threading.RLock()
 """Held while finished files take their places: whoever ends the process waits for it."""
@@ -45,58 +46,50 @@ def temporary(
     **Raises:** `OSError` where there can be none.
     """
     sweep(folder)
-    path, lock = _begin(folder, suffix, mode if is_folder else None)
+    path = folder / f".riecjax-{os.urandom(16).hex()}{suffix}"
+    _begun.add(path)
     try:
+        if is_folder:
+            path.mkdir(mode)
+        else:
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
         yield path
     finally:
         _remove(path)
         _begun.discard(path)
-        if lock is not None:
-            os.close(lock)
-
-
-def _begin(folder: Path, suffix: str, mode: int | None) -> tuple[Path, int | None]:
-    """A path, and a descriptor that holds its lock; of a folder where there is a mode."""
-    while True:
-        path = folder / f".riecjax-{os.urandom(16).hex()}{suffix}"
-        _begun.add(path)
-        if mode is not None:
-            path.mkdir(mode)
-        else:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-        if fcntl is None:
-            return path, None
-        with contextlib.suppress(OSError):
-            lock = os.open(path, os.O_RDONLY)
-            with contextlib.suppress(OSError):  # as on some network drives
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            if path.exists():
-                return path, lock
-            # Somebody swept it before it was locked.
-            os.close(lock)
-        _begun.discard(path)
 
 
 def sweep(folder: Path) -> None:
-    """Remove what processes that are gone have left in a folder."""
+    """Remove what processes that are gone have left in a folder, files and folders of theirs."""
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            if LEFT_BEHIND.fullmatch(entry.name):
-                _remove_if_left(Path(entry.path))
+            if not LEFT_BEHIND.fullmatch(entry.name):
+                continue
+            with contextlib.suppress(OSError):
+                told = entry.stat(follow_symlinks=False)
+                is_plain = stat.S_ISREG(told.st_mode) or stat.S_ISDIR(told.st_mode)
+                if is_plain and time.time() - told.st_mtime > OLD:
+                    _remove(Path(entry.path))
 
 
-def _remove_if_left(path: Path) -> None:
-    with contextlib.suppress(OSError):
-        if fcntl is None:
-            if time.time() - path.stat().st_mtime > OLD:
-                _remove(path)
-            return
-        lock = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _remove(path)
-        finally:
-            os.close(lock)
+def require_plain(file: Path) -> None:
+    """Raise `OSError` where a file could not take this place: a folder or a device stands there."""
+    with contextlib.suppress(FileNotFoundError):
+        if not stat.S_ISREG(file.stat().st_mode):
+            raise OSError(0, "it is no plain file")
+
+
+def read_plain(file: Path) -> bytes:
+    """What a plain file of settings or results holds.
+
+    **Raises:** `OSError` for anything else, such as a device, and one that is too large to be that.
+    """
+    told = file.stat()
+    if not stat.S_ISREG(told.st_mode):
+        raise OSError(0, "it is no plain file")
+    if told.st_size > LARGEST_DOCUMENT:
+        raise OSError(0, f"it has more than {LARGEST_DOCUMENT} bytes")
+    return file.read_bytes()
 
 
 def _remove(path: Path) -> None:
@@ -120,6 +113,7 @@ def write_whole(file: Path, content: bytes) -> None:
 
     **Raises:** `OSError` where it cannot be written.
     """
+    require_plain(file)
     with temporary(file.parent) as new:
         new.write_bytes(content)
         new.replace(file)
@@ -131,8 +125,15 @@ def stamp(file: Path) -> str:
 
 
 def is_stamped(file: Path) -> bool:
-    """Whether a file was written under this name with its [`stamp`][]."""
-    return file.is_file() and stamp(file).encode() in file.read_bytes()
+    """Whether a plain file was written under this name with its [`stamp`][], at either end."""
+    with contextlib.suppress(OSError):
+        if not stat.S_ISREG(file.lstat().st_mode):
+            return False
+        with file.open("rb") as stream:
+            ends = stream.read(MOST_SEARCHED)
+            stream.seek(max(file.stat().st_size - MOST_SEARCHED, 0))
+            return stamp(file).encode() in ends + b"\0" + stream.read(MOST_SEARCHED)
+    return False
 
 
 class Store(NamedTuple):

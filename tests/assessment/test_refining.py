@@ -1,8 +1,5 @@
 """Refinement that follows by itself: taken where it leaves white noise, declined elsewhere."""
 
-import json
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,7 +8,6 @@ from tests.machines import (
     DRAG_BOUND,
     DRAG_TRUTH,
     UPRIGHT,
-    car_signals,
     drag_record,
     drag_signals,
     noisy,
@@ -23,17 +19,9 @@ from riecjax.assessment import refining
 from riecjax.assessment.assess import check_answering
 from riecjax.records.recording import as_recordings
 from riecjax.reporting.checking import check_document
-from riecjax.reporting.identification import identification_document
 
 DRAG = rx.find_model("drag-oscillator")
 QUICK = {"sweep": False, "intervals": rx.Sandwich()}
-
-
-def reduced_car(noise: float) -> rx.Record:
-    """The source model's sensors, whose engine the reduced model lacks; the road is a command."""
-    signals = car_signals("quarter-car-source")
-    shares = {name: noise for name in signals if name != "v_r"}
-    return rx.Record.from_samples(noisy(signals, shares, 901), time_step=0.005)
 
 
 def refinement_of(*arguments, **settings):
@@ -88,30 +76,6 @@ def test_straight_lines_between_samples_are_taken_on_evidence():
 
 
 @pytest.mark.slow
-def test_of_a_reduced_model_the_linear_estimate_stays():
-    found, refinement = refinement_of(rx.find_model("quarter-car"), reduced_car(0.05))
-    assert found.answer is found.estimate
-    assert refinement.whiteness is not None
-    assert refinement.whiteness.largest > 50 * refinement.whiteness.threshold
-    assert "not white" in refinement.declined
-    codes = {finding.code for finding in refinement.findings()}
-    assert codes == set()
-    document = json.loads(json.dumps(identification_document(found)))
-    assert document["refinement"]["chosen"] is False
-    values = {name: entry["value"] for name, entry in document["parameters"].items()}
-    assert values == {name: float(v) for name, v in found.estimate.values.items()}
-    assert document["refinement"]["refined"]["M_s"]["value"] != values["M_s"]
-
-
-@pytest.mark.slow
-def test_where_noise_hides_nothing_of_what_a_model_leaves_out_none_is_sought():
-    found, refinement = refinement_of(rx.find_model("quarter-car"), reduced_car(0.0))
-    assert found.answer is found.estimate
-    assert refinement.refined is None
-    assert "values would bend to make up" in refinement.declined
-
-
-@pytest.mark.slow
 def test_an_unstable_motion_is_refined_and_validated_over_windows():
     disturbed = noisy(upright_signals(), {"theta": 0.01, "dtheta": 0.01}, 902)
     upright = rx.Record.from_samples(disturbed, time_step=0.01)
@@ -125,14 +89,6 @@ def test_an_unstable_motion_is_refined_and_validated_over_windows():
     (run,) = found.validations
     assert run.held.predicts
     assert run.held.horizon == pytest.approx(0.57, abs=0.05)
-
-
-@pytest.mark.slow
-def test_a_horizon_that_is_given_holds_for_refinement_and_validation():
-    found, refinement = refinement_of(DRAG, drag_record(0), hold_out=0.3, horizon=2.0)
-    assert refinement.refined is not None
-    assert dict(refinement.refined.by)["seconds"] == 2.0
-    assert found.validations[0].held.horizon == 2.0
 
 
 @pytest.mark.slow
@@ -273,16 +229,6 @@ def test_an_output_that_an_input_reaches_at_once_is_not_compared():
     driven = record.with_signals({"v_r": jnp.cos(jnp.arange(40.0))})
     system = model.identified_system({n: jnp.asarray(v) for n, v in values.items()}, driven)
     assert refining._channels(system, [driven]) == ("x1", "x2", "x3", "x4", "F_t")
-
-
-@pytest.mark.slow
-def test_single_precision_is_declined_or_right():
-    with jax.enable_x64(False):
-        signals = {n: np.float32(x) for n, x in drag_signals(2).items()}
-        record = rx.Record.from_samples(signals, time_step=0.01)
-        found = rx.assess(DRAG, record, **QUICK)
-        for name, true in DRAG_TRUTH.items():
-            assert float(found.answer[name]) == pytest.approx(true, rel=0.15)
 
 
 @pytest.mark.slow

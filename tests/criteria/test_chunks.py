@@ -12,10 +12,8 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
-from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
-from riecjax.summaries import one_pass
 from riecjax.summaries.stage_sums import stage_normal_equations
 
 EQUATION = Equation(Term("m", "v", derivative=1), Term("k", lambda s: s["x"]), -Term(1.0, "u"))
@@ -87,17 +85,3 @@ def test_a_long_record_equals_its_running_sums_in_exact_arithmetic():
         rows = np.stack([other[lag:] - other[:-lag], walk[lag:] - walk[:-lag]])
         expected += rows @ rows.T
     np.testing.assert_allclose(found.total().moments, expected, rtol=1e-12)
-
-
-def test_an_expression_that_mixes_samples_is_refused_where_it_would_see_only_a_chunk(monkeypatch):
-    mixing = Equation(
-        Term("m", "v", derivative=1),
-        Term("k", lambda s: s["x"] - jnp.mean(s["x"])),
-        -Term(1.0, "u"),
-    )
-    record = Record(arrays_of(5000), STEP)
-    criterion = RIEC(AllWindows(0.1, 0.9))
-    assert np.isfinite(identify(mixing, record, criterion)["k"])
-    monkeypatch.setattr(one_pass, "PART", 700)
-    with pytest.raises(ModelError, match="mixes samples"):
-        identify(mixing, record, criterion)

@@ -5,14 +5,11 @@ import numpy as np
 import pytest
 
 from riecjax.criteria.criterion import DOLS, RIEC, Rows
-from riecjax.criteria.quadrature import running_integral
 from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import RandomWindows, WindowSet
-from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.term import Term, Terms
-from riecjax.errors import ModelError
+from riecjax.equations.term import Polynomial, Term, Terms
 from riecjax.records.record import Record
 
 DURATION = 2.0
@@ -108,17 +105,6 @@ def test_window_integrals_are_those_of_the_polygon_through_the_samples(kind):
     )
 
 
-@pytest.mark.parametrize("kind", ["on samples", "between samples"])
-def test_windows_that_end_on_the_last_sample_are_whole(kind):
-    samples = np.random.default_rng(1).normal(size=11)
-    record = Record.from_samples({"s": samples}, time_step=1.0)
-    dtype = np.int32 if kind == "on samples" else np.float64
-    start, stop = np.array([0, 7], dtype), np.array([10, 10], dtype)
-    found = increments(Term("k", "s"), record, start, stop)
-    expected = [np.trapezoid(samples), np.trapezoid(samples[7:])]
-    np.testing.assert_allclose(found, np.array(expected), rtol=0, atol=1e-14)
-
-
 @pytest.mark.parametrize("frequency", [0.3, 1.0, 2.0, 4.0, 5.0, 9.0])
 @pytest.mark.parametrize("derivative", [0, 1])
 def test_the_sampled_boxcar_has_the_gain_of_eq_13(frequency, derivative):
@@ -148,11 +134,6 @@ def test_a_large_offset_costs_window_integrals_no_accuracy_beyond_its_own_roundi
     expected = 1e11 + np.array([np.trapezoid(rounded[t : t + 101]) for t in start])
     # 1e11 itself has a spacing of 1.5e-5; the running integral reaches 2e13, spacing 4e-3.
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
-
-
-def test_the_running_integral_starts_at_zero_and_adds_trapezoids():
-    found = running_integral(jnp.array([[1.0, 3.0, -1.0, 0.0]]))
-    np.testing.assert_array_equal(found, [[0.0, 2.0, 3.0, 2.5]])
 
 
 EQUATION = Equation(
@@ -195,24 +176,6 @@ def test_riec_takes_the_integral_of_every_term_over_every_window(between_samples
         np.testing.assert_allclose(rows.target[i], -0.01 * trapezoid(s["u"], a, b), atol=1e-13)
     # Compiled as a whole, a product and a sum may round once instead of twice.
     np.testing.assert_allclose(rows.position, drawn.start, rtol=1e-14)
-
-
-def test_equations_share_the_windows_of_one_key():
-    record, _ = oscillator_record()
-    criterion = RIEC(RandomWindows(0.05, 0.3, 50))
-    key = jax.random.key(5)
-    one = criterion.rows(EQUATION, record, key)
-    other = criterion.rows(Equation(Term("d", "v")), record, key)
-    np.testing.assert_array_equal(one.position, other.position)
-    np.testing.assert_allclose(one.regressors[:, 1], -other.regressors[:, 0], rtol=1e-12)
-
-
-def test_random_windows_without_a_key_are_refused():
-    record, _ = oscillator_record()
-    criterion = RIEC(RandomWindows(0.05, 0.3, 50))
-    assert criterion.needs_key
-    with pytest.raises(ModelError, match=r"need a key: key=jax.random.key\(seed\)"):
-        criterion.rows(EQUATION, record, None)
 
 
 def test_criteria_describe_themselves_as_plain_data():

@@ -3,7 +3,6 @@ import pytest
 import scipy.integrate
 
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat, expected_gain
-from riecjax.errors import ModelError
 
 FREQUENCY = np.array([0.0, 0.3, 1.0, 3.7, 10.0, 42.0])
 WEIGHTS = {
@@ -49,8 +48,3 @@ def test_expected_gains_are_averages_over_many_lengths(alpha, beta, name, power)
     brute = np.mean(test_function.gain(frequency, length) ** power, axis=1)
     found = expected_gain(frequency, alpha, beta, test_function, power=power)
     np.testing.assert_allclose(found, brute, rtol=1e-4, atol=1e-6 * brute[0])
-
-
-def test_what_is_no_test_function_is_refused():
-    with pytest.raises(ModelError, match="the test function is an int"):
-        expected_gain(FREQUENCY, 0.1, 1.0, 3)  # pyright: ignore[reportArgumentType]

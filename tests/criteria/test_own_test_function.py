@@ -8,18 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 
 import riecjax as rx
-from riecjax.assessment.assessment import Assessment
 from riecjax.cli.main import run
 from riecjax.cli.options import TEST_FUNCTION_NAMES, CriterionOptions
 from riecjax.criteria.plain_data import TEST_FUNCTIONS
-from riecjax.equations.procedure import staged
-from riecjax.estimation.check import Check
-from riecjax.models.model import Model, as_model
-from riecjax.records.recording import Recording
-from riecjax.reporting.identification_figures import identification_figures
+from riecjax.models.model import Model
 
 KEY = jax.random.key(0)
 MODEL = Model("any", "Any model.")
@@ -36,19 +30,6 @@ class Cosine(rx.criteria.AbstractSmoothTestFunction):
 
     def weight(self, tau, length):
         return 0.5 * length * jnp.cos(0.5 * jnp.pi * tau) ** 4
-
-
-def integral_size(frequency: float, length: float) -> float:
-    """Size of the weight's Fourier integral, by adaptive quadrature."""
-    found, _ = scipy.integrate.quad(
-        lambda t: (
-            0.5 * length * np.cos(np.pi * t / length) ** 4 * np.cos(2 * np.pi * frequency * t)
-        ),
-        -length / 2,
-        length / 2,
-        limit=200,
-    )
-    return abs(found)
 
 
 def oscillator() -> tuple[rx.Equation, rx.Record]:
@@ -89,56 +70,6 @@ def test_it_identifies_from_positions(windows):
     estimate = rx.identify(equation, record, rx.RIEC(windows, Cosine()), key=KEY)
     assert [float(estimate[name]) for name in "mdk"] == pytest.approx([2.0, 0.7, 30.0], rel=1e-4)
     assert estimate.criterion.describe()["test_function"] == "cosine"
-
-
-def test_windows_are_chosen_by_its_gain():
-    """A force of 1 Hz with an error of 3 Hz: in windows, each by its Fourier integral."""
-    t = np.arange(16_000) * 0.005
-    motion, error = np.sin(2 * np.pi * t), 0.5 * np.sin(2 * np.pi * 3 * t)
-    record = rx.Record({"x": motion, "F": 4 * motion + error}, 0.005)
-    choice = rx.studies.window_choice(
-        rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "F")),
-        record,
-        {"k": 4.0},
-        windows=rx.AllWindows(0.45, 0.4501),
-        test_function=Cosine(),
-    )
-    (spring,) = choice.equations
-
-    def share(length: float) -> float:
-        force, lost = 4 * integral_size(1.0, length), 0.5 * integral_size(3.0, length)
-        return lost / np.hypot(force, lost)
-
-    assert spring.current_share == pytest.approx(share(0.45), rel=0.02)
-    for length in (0.1, 0.3, 0.6):
-        found = np.interp(length, choice.length, spring.error_share)
-        assert found == pytest.approx(share(length), rel=0.02)
-
-
-def test_figures_show_its_unit():
-    equation, record = oscillator()
-    procedure = staged(equation)
-    criterion = rx.RIEC(rx.RandomWindows(0.2, 0.8, 300), Cosine())
-    summary = rx.summarise(procedure, record, criterion, key=KEY, survey=True)
-    estimate = rx.estimate(procedure, summary)
-    result = Assessment(
-        model=as_model(procedure),
-        procedure=procedure,
-        recordings=[Recording(record)],
-        validated_on=[],
-        failures=[],
-        estimate=estimate,
-        checked=Check([], [], ()),
-        sweep=None,
-        residuals=None,
-        choice=None,
-        seeds=None,
-        validations=[],
-        refinement=None,
-        key=KEY,
-    )
-    fit = identification_figures(result)["fit"].panels[0]
-    assert fit.x.label == "explained by the model / (N s^2)"
 
 
 def options(**given: str) -> CriterionOptions:

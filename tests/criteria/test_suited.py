@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from tests.machines import MACHINES, SHORT, noisy
+from tests.machines import MACHINES, SHORT
 
 import riecjax as rx
 from riecjax.criteria.suited import suited
@@ -64,25 +64,3 @@ def test_it_may_be_asked_for_inside_of_jit():
     truth, signals = MACHINES["linear"].truth, MACHINES["linear"].signals(shape=SHORT)
     force = signals["u"] - truth["c"] * np.gradient(signals["x"], STEP)
     assert float(mass(signals["x"], force)) == pytest.approx(truth["m"], rel=0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_it_is_about_as_good_as_the_best_of_those_chosen_by_hand(noise):
-    truth, signals = MACHINES["linear"].truth, MACHINES["linear"].signals(shape=SHORT)
-    signals = {name: signals[name] for name in ("x", "u")}
-    damped = rx.Equation(*OSCILLATOR.terms, rx.Term("c", "x", derivative=1))
-    by_hand = [
-        rx.RIEC(rx.AllWindows(alpha, beta), function)
-        for function in (rx.Hat(), rx.Bump(lengths=8))
-        for alpha, beta in ((0.06, 0.5), (0.25, 1.0), (0.5, 2.0), (1.0, 4.0))
-    ]
-
-    def error(criterion):
-        drawn = (noisy(signals, {"x": noise}, seed) for seed in range(12))
-        recordings = [rx.Record.from_samples(one, time_step=STEP) for one in drawn]
-        fits = [rx.identify(damped, one, criterion, intervals=rx.Naive()) for one in recordings]
-        off = np.array([[float(fit[n]) / truth[n] - 1 for n in truth] for fit in fits])
-        return np.exp(np.mean(np.log(np.mean(off**2, axis=0)) / 2))
-
-    assert error(None) < 1.3 * min(error(criterion) for criterion in by_hand)

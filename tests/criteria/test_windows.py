@@ -75,16 +75,6 @@ def test_between_samples_windows_follow_the_papers_rejection_sampler(of, t_max):
     assert two_sample_p_value(drawn, rejected) > LEVEL
 
 
-@pytest.mark.parametrize("of", ["start", "length", "end"])
-def test_on_samples_windows_follow_the_rejection_sampler_to_within_rounding(of):
-    alpha, beta, t_max, step, count = 0.05, 0.5, 0.6, 0.0005, 20_000
-    start, stop = draw(RandomWindows(alpha, beta, count), round(t_max / step) + 1, step)
-    drawn = {"start": start * step, "length": (stop - start) * step, "end": stop * step}[of]
-    t0, T = rejection_sampler(count, alpha, beta, t_max, seed=1)
-    rejected = {"start": t0, "length": T, "end": t0 + T}[of]
-    assert two_sample_p_value(drawn, rejected) > LEVEL
-
-
 def test_pairs_stay_equally_likely_on_ten_minutes_at_ten_kilohertz():
     # 2.7e10 admissible pairs, more than 32-bit integers count.
     sample_count, step = 6_000_000, 1e-4
@@ -95,14 +85,6 @@ def test_pairs_stay_equally_likely_on_ten_minutes_at_ten_kilohertz():
     assert scipy.stats.kstest(start, scipy.stats.uniform(0, sample_count).cdf).pvalue > LEVEL
 
 
-@pytest.mark.parametrize("between_samples", [False, True])
-def test_the_same_key_draws_the_same_windows_and_another_key_others(between_samples):
-    windows = RandomWindows(0.05, 0.5, 100, between_samples=between_samples)
-    first, again, other = (draw(windows, 1000, 0.005, seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(first, again)
-    assert (first[0] != other[0]).any()
-
-
 def test_lags_round_to_samples_and_stay_within_the_record():
     def lags(alpha, beta, sample_count):
         found = RandomWindows(alpha, beta, 1).lags(sample_count, jnp.asarray(0.01))
@@ -111,19 +93,6 @@ def test_lags_round_to_samples_and_stay_within_the_record():
     assert lags(0.05, 0.5, 8000) == (5, 50)
     assert lags(0.001, 0.5, 8000) == (1, 50)
     assert lags(0.05, 0.5, 21) == (5, 20)
-
-
-def test_draws_vmap_over_keys_and_trace_alpha_and_beta():
-    keys = jax.random.split(jax.random.key(0), 3)
-
-    @jax.jit
-    def starts(alpha, beta):
-        windows = RandomWindows(alpha, beta, 10)
-        return jax.vmap(lambda key: windows.draw(key, 500, jnp.asarray(0.01)).start)(keys)
-
-    eager = RandomWindows(0.05, 0.5, 10)
-    expected = [eager.draw(key, 500, jnp.asarray(0.01)).start for key in keys]
-    np.testing.assert_array_equal(starts(0.05, 0.5), expected)
 
 
 @pytest.mark.parametrize(

@@ -139,15 +139,6 @@ def batch():
     return CASES["keys, and in them known values"][0]()
 
 
-def test_conditioning_is_read_by_member(batch):
-    for place in np.ndindex(3, 2):
-        member = batch.member(*place)
-        assert_close(batch.condition_number[place], member.condition_number)
-        assert_close(batch.effective_windows[place], member.effective_windows)
-        assert batch.rank[place] == 2
-    assert batch.condition_number.shape == (3, 2)
-
-
 def test_a_batch_prints_its_distribution(case):
     batch, _ = case
     heading, columns, *lines = str(batch).splitlines()
@@ -177,14 +168,6 @@ def test_findings_of_a_batch_say_how_many_members_they_concern(batch):
     assert len(found) == 1
     assert found[0].startswith("in 2 of 6 members, first in member 1, 0: m is below zero")
     assert f"warning [negative_value] {found[0]}" in str(wrong)
-
-
-def test_members_without_numbers_are_left_out_of_the_table_and_counted(batch):
-    lost = eqx.tree_at(lambda e: e.theta, batch, batch.theta.at[0, 0].set(jnp.nan))
-    heading, _, line, *_ = str(lost).splitlines()
-    assert heading.endswith("estimates, 1 of them not finite and left out of this table")
-    finite = np.asarray(batch["m"]).ravel()[1:]
-    assert float(line.split()[1]) == pytest.approx(finite.mean(), rel=1e-5)
 
 
 def gapped(missing: slice, damped: float = 1.0) -> Record:

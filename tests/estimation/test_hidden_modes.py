@@ -79,36 +79,6 @@ def test_a_known_mode_is_no_unknown(with_mode):
     assert float(estimate["m"]) == pytest.approx(20.0, rel=1e-3)
 
 
-def test_linearised_equations_leave_the_residual_itself():
-    # By Euler's theorem: a mode's three regressors, times its parameters, are its own term.
-    modes = [rx.HiddenMode("v"), rx.HiddenMode("v")]
-    expanded = Expanded.of(BODY, modes)
-    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
-    values |= {"M_mode_2": jnp.asarray(2.0), "K_mode_2": jnp.asarray(9e4)}
-    values |= {"B_mode_2": jnp.asarray(50.0)}
-    mix = expanded.linearised(values)
-    theta = jnp.stack([jnp.asarray(1.0), *(-values[n] for n in expanded.all_parameters)])
-    shapes = [names.shape(values) for names, _ in expanded.elements]
-    np.testing.assert_allclose(theta @ mix, expanded.residual(values, shapes), rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_gradients_and_batches(with_mode):
-    weight = rx.criteria.GradedBump(lengths=1)
-    criterion = rx.RIEC(rx.AllWindows(0.16, 0.17), weight)
-    force = with_mode["F"]
-
-    def stiffness(scale: jax.Array) -> jax.Array:
-        record = with_mode.with_signals({"F": scale * force}, missing=with_mode.missing)
-        found = rx.identify(MODEL, record, criterion, intervals=Sandwich(), noise="none")
-        return found["K_mode"]
-
-    # Every stiffness is proportional to the force that moves the same way.
-    value, slope = jax.jit(jax.value_and_grad(stiffness))(jnp.asarray(1.0))
-    assert float(value) == pytest.approx(21000.0, rel=5e-3)
-    assert float(slope) == pytest.approx(float(value), rel=1e-6)
-
-
 FEW_LENGTHS = rx.RIEC(rx.AllWindows(0.14, 0.3), rx.criteria.GradedBump(lengths=3))
 
 

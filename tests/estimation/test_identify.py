@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 
 from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
@@ -19,7 +18,7 @@ from riecjax.estimation.identify import identify
 from riecjax.models.quarter_car.identification import quarter_car_by_body, quarter_car_by_wheel
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
-from riecjax.records.record import Record, stack_records
+from riecjax.records.record import Record
 from riecjax.uncertainty.intervals import Naive
 
 fit = partial(identify, intervals=Naive())
@@ -160,36 +159,10 @@ def share_of_error(step, between_samples):
     return error / ((FASTEST * step) ** 2 / 12)
 
 
-@pytest.mark.slow
-def test_riec_on_samples_finds_the_same_with_an_error_of_second_order_in_the_step():
-    coarse, fine = share_of_error(0.02, False), share_of_error(0.005, False)
-    assert (coarse < 1).all()
-    np.testing.assert_allclose(fine, coarse, rtol=0.05)
-
-
 @pytest.mark.parametrize("step", [0.02, 0.005])
 def test_riec_between_samples_finds_the_same_with_a_tenth_of_that_error(step):
     # Interpolation damps a wave by the same share in every term, so that most of the error cancels.
     assert (share_of_error(step, True) < 0.1).all()
-
-
-@pytest.mark.slow
-def test_riec_recovers_a_simulated_oscillator_from_displacement_velocity_and_force():
-    def force(t):
-        return 30 * np.sin(3 * t) + 20 * np.sin(5.3 * t + 1) + 10 * np.cos(9.1 * t)
-
-    def slope(t, y):
-        return [y[1], (force(t) - TRUTH["d"] * y[1] - TRUTH["k"] * y[0]) / TRUTH["m"]]
-
-    t = np.linspace(0, 20, 10_001)
-    solved = scipy.integrate.solve_ivp(
-        slope, (0, 20), [0.3, -1.0], method="DOP853", t_eval=t, rtol=1e-10, atol=1e-12
-    )
-    signals = {"x": solved.y[0], "v": solved.y[1], "u": force(t)}
-    record = Record.from_samples(signals, time=t)
-    found = fit(oscillator(), record, windows(), key=KEY)
-    # (w h)^2 / 12 is 3e-5 at 9.1 rad/s and 2 ms.
-    assert_relative(found.theta, list(TRUTH.values()), 3e-4)
 
 
 # Several records, known values, stages together.
@@ -284,17 +257,6 @@ def test_a_stage_whose_parameters_are_all_known_is_passed_over():
     assert found.stage_names == ("oscillator",)
 
 
-def test_residuals_agree_with_numpy():
-    record = noisy(5.0, 0)
-    stage = fit(oscillator(), record, DOLS()).stages[0]
-    A = np.stack([record["a"], record["v"], record["x"]], axis=1)
-    u = np.asarray(record["u"])
-    residual = u - A @ np.linalg.lstsq(A, u)[0]
-    assert float(stage.residual_rms) == pytest.approx(np.sqrt(np.mean(residual**2)), rel=1e-10)
-    share = np.linalg.norm(residual) / np.linalg.norm(u)
-    assert float(stage.relative_rms) == pytest.approx(share, rel=1e-10)
-
-
 # Transformations.
 
 
@@ -329,16 +291,6 @@ def test_jit_and_vmap_over_keys_equal_a_loop():
         for found, expected in zip(batch, values):
             np.testing.assert_allclose(found[i], expected, rtol=1e-9)
     assert np.abs(np.diff(batch[0], axis=0)).min() > 0
-
-
-@pytest.mark.slow
-def test_vmap_over_records_equals_a_loop():
-    records = [noisy(5.0, seed) for seed in range(2)]
-    batch = jax.vmap(lambda r: fit(oscillator(), r, windows(), key=KEY).theta)(
-        stack_records(records)
-    )
-    loop = [fit(oscillator(), r, windows(), key=KEY).theta for r in records]
-    np.testing.assert_allclose(batch, loop, rtol=1e-9)
 
 
 def test_the_covariance_of_a_traced_record_is_that_of_the_record_itself():

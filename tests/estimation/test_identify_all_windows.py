@@ -13,13 +13,11 @@ from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.procedure import staged
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.models.model import Model
 from riecjax.records.record import Record
-from riecjax.studies.sweep import window_sweep
 
 EQUATION = Equation(
     Term("m", "x", derivative=2, measured=("dx",)),
@@ -130,44 +128,11 @@ def test_random_windows_converge_to_it_at_the_monte_carlo_rate(weight):
     assert np.all(np.abs(many.mean(0)) < 4 * many.std(0) / np.sqrt(24))
 
 
-@pytest.mark.slow
-def test_several_records_of_unequal_length_and_their_sum():
-    records = [record_of(700), record_of(400, seed=1, gaps=2)]
-    together = identify(EQUATION, records, RIEC(AllWindows(0.05, 0.3)))
-    rows = []
-    for record in records:
-        windows = AllWindows(0.05, 0.3)
-        lags = [int(v) for v in windows.lags(record.sample_count, record.time_step)]
-        columns, whole = Boxcar().integrals(
-            sampled_columns(EQUATION, record, 1), every_window(record, Boxcar(), *lags)
-        )
-        rows.append(np.asarray(columns)[:, slice(None) if whole is None else np.asarray(whole)])
-    stacked = np.concatenate(rows, axis=1)
-    expected = np.linalg.lstsq(stacked[1:].T, stacked[0], rcond=None)[0]
-    np.testing.assert_allclose(together.theta, expected, rtol=1e-9)
-    assert float(together.inflation.max()) >= 1
-
-
 def test_no_key_is_needed_and_the_answer_is_always_the_same():
     record = record_of(900)
     first, again = (identify(EQUATION, record, RIEC(AllWindows(0.05, 0.3))) for _ in range(2))
     np.testing.assert_array_equal(first.theta, again.theta)
     assert first.criterion.describe()["windows"] == "all"
-
-
-@pytest.mark.slow
-def test_it_differentiates_and_vmaps_over_data():
-    record = record_of(600)
-    criterion = RIEC(AllWindows(0.05, 0.3, longest_samples=64), Hat(4))
-
-    def mass(scale):
-        scaled = record.with_signals({"u": scale * record["u"]})
-        return identify(EQUATION, scaled, criterion)["m"]
-
-    slope = jax.grad(mass)(1.0)
-    assert float(slope) == pytest.approx(float(mass(1.01) - mass(0.99)) / 0.02, rel=1e-6)
-    batch = jax.vmap(mass)(jnp.array([1.0, 2.0]))
-    np.testing.assert_allclose(batch, [mass(1.0), mass(2.0)], rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -178,19 +143,6 @@ def test_intervals_are_those_of_many_random_windows():
         EQUATION, record, RIEC(RandomWindows(0.05, 0.3, 100_000), Hat()), key=jax.random.key(0)
     )
     np.testing.assert_allclose(every.standard_errors, drawn.standard_errors, rtol=0.25)
-
-
-@pytest.mark.slow
-def test_the_sweep_takes_all_windows():
-    record = record_of(3000)
-    sweep = window_sweep(EQUATION, record, RIEC(AllWindows(0.1, 0.5), Hat()), bands=4)
-    for i in (0, 3):
-        alone = identify(
-            EQUATION,
-            record,
-            RIEC(AllWindows(float(sweep.alpha[i]), float(sweep.beta[i])), Hat()),
-        )
-        np.testing.assert_allclose(sweep.theta[i], alone.theta, rtol=1e-8)
 
 
 def test_by_default_windows_are_half_periods_of_the_models_band():
@@ -207,19 +159,3 @@ def test_by_default_windows_are_half_periods_of_the_models_band():
 def test_a_band_that_is_none_is_refused(band):
     with pytest.raises(ModelError, match="0 < low < high"):
         RIEC.of_band(band)
-
-
-@pytest.mark.slow
-def test_the_whole_procedure_is_resampled_so_a_known_mass_narrows_what_follows_it():
-    rng = np.random.default_rng(4)
-    record = record_of(4000)
-    force = 2.0 * np.gradient(np.asarray(record["dx"]), STEP) + 60 * rng.normal(size=4000)
-    record = record.with_signals({"f": jnp.asarray(force)}, missing={})
-    first = Equation(Term("m", "dx", derivative=1), -Term(1.0, "f"), name="mass")
-    stages = staged(first, EQUATION)
-    criterion = RIEC(AllWindows(0.05, 0.3))
-    free, fixed = (
-        identify(stages, record, criterion),
-        identify(stages, record, criterion, known={"m": 2.0}),
-    )
-    assert float(free.standard_error("k")) > 1.2 * float(fixed.standard_error("k"))

@@ -11,6 +11,7 @@ from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.errors import IdentifiabilityError
+from riecjax.estimation import stages
 from riecjax.estimation.identify import identify
 from riecjax.estimation.stages import solve
 from riecjax.linear_algebra import gram_condition_limit
@@ -27,10 +28,10 @@ def as_rows(A, y):
 
 @eqx.filter_jit
 def by_gram(rows):
-    return least_squares.solve(NormalEquations.of_rows(rows).total())
+    return stages.solve(NormalEquations.of_rows(rows).total())
 
 
-solve_rows = eqx.filter_jit(least_squares.solve_rows)
+solve_rows = eqx.filter_jit(stages.solve_rows)
 
 
 def random_problem(count=40, seed=0):

@@ -128,23 +128,6 @@ def test_both_doubts_of_a_mode_are_raised():
     assert raised.value.code == "mode_not_carried"
 
 
-def test_evidence_and_summaries_are_short(record):
-    estimate = rx.identify(MODEL, record)
-    (evidence,) = mode_evidence(MODEL, estimate)
-    said = repr(evidence)
-    assert "hidden mode on v (M_mode), carried by the recordings" in said
-    assert "9.41" in said
-    assert len(said) < 400
-    assert "hidden mode on v" in evidence._repr_html_()
-    summary = repr(estimate.summary)
-    assert "sums of 1 recording by RIEC" in summary
-    assert "parameters: m [kg], c [N s/m], k [N/m]\n" in summary
-    assert "6000 samples at 200 Hz" in summary
-    assert len(summary) < 600
-    assert estimate.summary is not None
-    assert "sums of 1 recording" in estimate.summary._repr_html_()
-
-
 def test_names_of_hidden_parameters():
     hidden = ["M_mode", "K_mode_2", "B_mode_13", "K_series", "K_series_2"]
     assert all(map(is_hidden_name, hidden))

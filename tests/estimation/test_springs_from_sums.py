@@ -1,6 +1,5 @@
 """Springs in series with linear elements: systems solved by SciPy, found from sums."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ import riecjax as rx
 from riecjax.equations.hidden_elements import Expanded
 from riecjax.equations.hidden_motion import with_hidden_motion
 from riecjax.models.model import as_model
-from riecjax.uncertainty.intervals import Sandwich
 from riecjax.validation import equation_error
 
 
@@ -60,42 +58,11 @@ def test_no_lag_is_no_spring():
     assert sum("series_spring_not_carried" in of for of in codes) >= 5
 
 
-@pytest.mark.slow
-def test_a_spring_and_a_mode_are_found_together():
-    mode = {"M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
-    heavy, stiff, loss = mode.values()
-    record = rx.Record(motion(mode=(heavy, stiff, loss)), STANDARD.step)
-    model = MODEL.with_modes(rx.HiddenMode("v"))
-    estimate = rx.identify(model, record)
-    assert estimate.parameters == ("m", "c", "k", *mode, "K_series")
-    for name, value in (TRUTH | mode).items():
-        assert float(estimate[name]) == pytest.approx(value, rel=0.01), name
-    evidence = rx.estimation.mode_evidence(model, estimate)[0]
-    assert evidence.carried
-    assert evidence.parameters.mass == "M_mode"
-
-
 def test_a_spring_that_is_known_is_no_unknown(clean):
     known = {name: TRUTH[name] for name in ("c", "K_series")}
     estimate = rx.identify(MODEL, clean, known=known)
     assert estimate.parameters == ("m", "k")
     assert float(estimate["m"]) == pytest.approx(TRUTH["m"], rel=1e-3)
-
-
-@pytest.mark.slow
-def test_a_spring_is_found_beside_a_damper_that_is_known(clean):
-    beside = rx.identify(MODEL, clean, known={"c": TRUTH["c"]})
-    assert float(beside["K_series"]) == pytest.approx(TRUTH["K_series"], rel=1e-3)
-
-
-@pytest.mark.slow
-def test_two_equations_share_a_spring():
-    """As of a damper between two bodies: here the same equation twice, once negative."""
-    record = rx.Record(motion(), STANDARD.step)
-    other = rx.Equation(*(-term for term in BODY.terms), name="other")
-    model = rx.simultaneous(BODY, other).with_series_springs(rx.SeriesSpring("c"))
-    estimate = rx.identify(model, record)
-    assert float(estimate["K_series"]) == pytest.approx(TRUTH["K_series"], rel=1e-3)
 
 
 def test_linearised_equations_leave_the_residual_itself():
@@ -125,22 +92,6 @@ def test_residual_is_the_product_of_polynomials():
     assert found == {}
 
 
-@pytest.mark.slow
-def test_gradients_and_batches(clean):
-    weight = rx.criteria.GradedBump(lengths=1, derivatives=2)
-    criterion = rx.RIEC(rx.AllWindows(0.16, 0.17), weight)
-
-    def stiffness(scale: jax.Array) -> jax.Array:
-        record = clean.with_signals({"F": scale * clean["F"]}, missing=clean.missing)
-        found = rx.identify(MODEL, record, criterion, intervals=Sandwich(), noise="none")
-        return found["K_series"]
-
-    # Every stiffness is proportional to the force that moves the same way.
-    value, slope = jax.jit(jax.value_and_grad(stiffness))(jnp.asarray(1.0))
-    assert float(value) == pytest.approx(TRUTH["K_series"], rel=5e-3)
-    assert float(slope) == pytest.approx(float(value), rel=1e-6)
-
-
 def test_what_lags_closes_the_equation(clean):
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
     (left,) = equation_error(MODEL, clean, values)
@@ -149,14 +100,6 @@ def test_what_lags_closes_the_equation(clean):
     plain, record = with_hidden_motion(MODEL, clean, values)
     assert not plain.has_hidden
     assert "v behind K_series" in record.arrays
-
-
-@pytest.mark.slow
-def test_a_spring_is_assessed_like_any_parameter(clean):
-    assessed = rx.assess(MODEL, clean, hold_out=0.3, refine=None)
-    low, high = assessed.estimate.interval("K_series")
-    assert 0.99 * TRUTH["K_series"] < float(low) < float(high) < 1.01 * TRUTH["K_series"]
-    assert assessed.validations[0].held.predicts
 
 
 def test_a_model_has_its_springs():
@@ -185,16 +128,3 @@ def test_what_cannot_be_asked(clean):
         equation_error(procedure, clean, dict.fromkeys(procedure.parameters, 1.0))
     with pytest.raises(rx.ModelError, match=r"refine by rx\.OutputError"):
         rx.refine(MODEL, clean, dict(TRUTH), rx.IntegralError())
-
-
-@pytest.mark.slow
-def test_beside_a_mode_a_damper_is_named_that_a_spring_may_be_in_series_with(clean):
-    model = rx.staged(BODY).with_modes(rx.HiddenMode("v"))
-    left = rx.validation.residual_tests(model, clean, dict.fromkeys(model.parameters, 1.0))["body"]
-    assert (left.carrying, left.dampers, left.maps) == (("v",), ("c",), ())
-    assert "--add-spring c; rx.SeriesSpring('c')" in left._add()
-    sprung = model.with_series_springs(rx.SeriesSpring("c"))
-    left = left._replace(dampers=(), maps=("F_1",))
-    assert "in Python: rx.SeriesSpring('F_1')" in left._add()
-    values = dict.fromkeys(sprung.parameters, 1.0)
-    assert rx.validation.residual_tests(sprung, clean, values)["body"].dampers == ()

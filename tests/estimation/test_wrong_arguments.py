@@ -61,6 +61,12 @@ ASKED = {
         for value in (None, [1.0, 2.0], "2", np.ones(2))
     },
     "per record, one name": ((EQUATION, RECORD, ALL), {"per_record": "k"}, "per_record=('k',)"),
+    "per record, a number": ((TWO, RECORD, ALL), {"per_record": [1]}, "a name in per_record is an"),
+    "per record, a list": (
+        (TWO, RECORD, ALL),
+        {"per_record": [["k"]]},
+        "a name in per_record is a",
+    ),
 }
 
 
@@ -78,6 +84,38 @@ def test_identify_and_check(case, verb):
 def test_intervals_are_an_object():
     with pytest.raises(rx.ModelError, match=r"the class Sandwich.*rx\.BlockBootstrap\(\)"):
         rx.identify(EQUATION, RECORD, ALL, intervals=rx.Sandwich)
+
+
+@pytest.fixture(scope="module")
+def summary() -> rx.Summary:
+    return rx.summarise(EQUATION, RECORD, ALL, bins=2)
+
+
+READ = {
+    "a level in per cent": (lambda s: rx.estimate(EQUATION, s).interval("k", 95), "0.95; got 95"),
+    "a level of two": (lambda s: rx.estimate(EQUATION, s).intervals(2), "0.95; got 2"),
+    "a level of nan": (lambda s: rx.estimate(EQUATION, s).interval_by_name(np.nan), "got nan"),
+    "a level as text": (lambda s: rx.estimate(EQUATION, s).interval("k", "95"), "got '95'"),
+    "a list of names": (lambda s: rx.estimate(EQUATION, s)[["k"]], "there are: k"),
+    "a number's interval": (lambda s: rx.estimate(EQUATION, s).interval(0), "there are: k"),
+    "a stretch backwards": (lambda s: s.leave_out(5, 1), "starts before it ends; got 5 to 1"),
+    "a stretch from nan": (lambda s: s.leave_out(np.nan, 1), "got nan to 1 s"),
+    "a recording's name": (lambda s: s.select("a.csv"), "recording's number is the text 'a.csv'"),
+    "a million bins": (lambda s: rx.summarise(EQUATION, RECORD, ALL, bins=10**6), "too much mem"),
+    "a million edges": (
+        lambda s: rx.summarise(EQUATION, RECORD, ALL, bins=np.linspace(0.1, 0.5, 10**6)),
+        "at most 1024",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", READ)
+def test_what_is_asked_of_sums_and_estimates(summary, case):
+    ask, words = READ[case]
+    with pytest.raises(rx.ModelError) as refused:
+        ask(summary)
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
 MADE = {

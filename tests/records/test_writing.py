@@ -1,4 +1,5 @@
 import csv
+import os
 import re
 import tempfile
 from pathlib import Path
@@ -10,11 +11,11 @@ import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from riecjax.errors import DataError
+from riecjax.errors import DataError, printable
 from riecjax.records import writing
 from riecjax.records.record import Record
 from riecjax.records.recording import read_record
-from riecjax.records.writing import write_record, write_whole
+from riecjax.records.writing import check_writable, write_record
 
 ENDINGS = (".csv", ".npz", ".mat", ".parquet")
 TIME = np.arange(5) * 0.1
@@ -29,23 +30,6 @@ def no_temporaries(folder: Path, *expected: str) -> None:
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-@given(st.lists(st.tuples(finite, finite), min_size=2, max_size=12), st.floats(1e-6, 1e3))
-@settings(max_examples=25, deadline=None)
-def test_round_trip_is_exact_to_the_bit(ending, samples, step):
-    first, second = np.array(samples).T
-    record = Record({"b": first, "a_2": second}, step)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"record{ending}"
-        write_record(path, record)
-        back = read_record(path)
-    assert set(back.arrays) == {"a_2", "b"}
-    assert bits(back["b"]) == bits(first)
-    assert bits(back["a_2"]) == bits(second)
-    # The step is not in the file but formed from the times: two roundings.
-    np.testing.assert_allclose(back.time_step, step, rtol=1e-14)
 
 
 sample = st.one_of(finite, st.just(np.nan))
@@ -92,19 +76,6 @@ def samples(record: Record) -> tuple[list[list[int]], list[bool]]:
     return [bits(row) for row in rows], (np.diff(filled) > 1).tolist()
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_parts_of_a_record_with_pauses_can_be_written(tmp_path, ending):
-    time = np.concatenate([np.arange(10) * 0.1, 5 + np.arange(10) * 0.1])
-    whole = Record.from_samples({"x": time**2, "y": time}, time=time)
-    for part in (whole.part(3, 18), whole.part(10, 18), whole.part(2, 11), whole.every(3)):
-        write_record(tmp_path / f"a{ending}", part)
-        back = read_record(tmp_path / f"a{ending}")
-        there = np.asarray(part.present(["x"])) if part.missing else slice(None)
-        again = np.asarray(back.present(["x"])) if back.missing else slice(None)
-        assert back["x"][again].tolist() == part["x"][there].tolist()
-        np.testing.assert_allclose(back.time[again], part.time[there], atol=1e-12)
-
-
 def test_missing_samples_are_written_as_others_read_them(tmp_path):
     record = Record.from_samples({"x": [1.0, np.nan, 3.0], "y": [1, 2, 3]}, time_step=0.5)
     write_record(tmp_path / "a.csv", record)
@@ -120,29 +91,6 @@ def test_parquet_keeps_units(tmp_path):
     assert dict(read_record(tmp_path / "a.parquet").units) == {"x": "m/s"}
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_start_time_is_kept(tmp_path, ending):
-    write_record(tmp_path / f"a{ending}", Record({"x": np.zeros(4)}, 0.25, 3.5))
-    assert read_record(tmp_path / f"a{ending}").time.tolist() == [3.5, 3.75, 4.0, 4.25]
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_written_files_are_read_by_their_own_tools(tmp_path, ending):
-    path = tmp_path / f"a{ending}"
-    values = np.array([1 / 3, -2e-308, 1e300])
-    write_record(path, Record({"x": values}, 0.5))
-    if ending == ".csv":
-        table = np.genfromtxt(path, delimiter=",", names=True)
-    elif ending == ".npz":
-        table = np.load(path)
-    elif ending == ".parquet":
-        table = {k: v.to_numpy() for k, v in pandas.read_parquet(path).items()}
-    else:
-        table = {k: v.ravel() for k, v in scipy.io.loadmat(path).items() if k in ("t", "x")}
-    assert table["t"].tolist() == [0.0, 0.5, 1.0]
-    assert bits(table["x"]) == bits(values)
-
-
 def refusal(path: Path, record: Record) -> str | None:
     try:
         write_record(path, record)
@@ -151,33 +99,18 @@ def refusal(path: Path, record: Record) -> str | None:
     return None
 
 
+NAMES = (
+    "speed, left", "file", "allow_pickle", "_hidden", "größe", "a;b", 'say "no"', " x",
+    "line\nend", "", "m", "7", "F (left)", "#1", "-", "=1+1", "@A1", "a;\t=HYPERLINK(0)",
+    "/etc/x", "a/../../x", "C:x", "a/..b", "../x", "a\\..\\x", "C:\\x", "x\x00.exe",
+)  # fmt: skip
+"""Of signals, as no format and all of them can hold."""
+
+
 @pytest.mark.parametrize("ending", ENDINGS)
 @pytest.mark.parametrize(
     "name",
-    [
-        "speed, left",
-        "file",
-        "allow_pickle",
-        "_hidden",
-        "größe",
-        "a;b",
-        'say "no"',
-        " x",
-        "line\nend",
-        "",
-        "m",
-        "7",
-        "F (left)",
-        "#1",
-        "-",
-        "=1+1",
-        "@A1",
-        "a;\t=HYPERLINK(0)",
-        "/etc/x",
-        "a/../../x",
-        "C:x",
-        "a/..b",
-    ],
+    NAMES,
 )
 def test_signal_names_survive_or_are_refused(tmp_path, ending, name):
     # Whatever a name may hold, a signal is never lost or mixed up without a word.
@@ -186,15 +119,9 @@ def test_signal_names_survive_or_are_refused(tmp_path, ending, name):
     if message is None:
         assert set(read_record(path).arrays) == {name, "y"}
     else:
-        assert name in message
+        assert printable(name) in message
+        assert message.isprintable()
         no_temporaries(tmp_path)
-
-
-@pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
-def test_a_unit_in_a_name_is_read_as_a_unit(tmp_path, ending):
-    path = tmp_path / f"a{ending}"
-    write_record(path, Record({"F (N)": TIME}, 0.1))
-    assert set(read_record(path).arrays) == {"F"}
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -202,16 +129,6 @@ def test_a_signal_called_t_does_not_replace_the_time(tmp_path, ending):
     path = tmp_path / f"a{ending}"
     with pytest.raises(DataError, match="'t'"):
         write_record(path, Record({"t": np.array([5.0, 4.0, 7.0]), "x": np.zeros(3)}, 0.1))
-    no_temporaries(tmp_path)
-
-
-def test_failing_writer_leaves_nothing(tmp_path):
-    def fail(temporary: Path) -> None:
-        temporary.write_text("half of it")
-        raise RuntimeError("out of ideas")
-
-    with pytest.raises(RuntimeError, match="out of ideas"):
-        write_whole(tmp_path / "a.csv", fail)
     no_temporaries(tmp_path)
 
 
@@ -230,39 +147,6 @@ def test_full_disk_is_reported_and_leaves_the_old_file(tmp_path, monkeypatch):
     no_temporaries(tmp_path, "a.csv")
 
 
-@pytest.mark.portable
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_an_existing_file_is_replaced_whole(tmp_path, ending):
-    path = tmp_path / f"a{ending}"
-    path.write_bytes(b"x" * 100_000)
-    write_record(path, Record({"x": TIME}, 0.1))
-    assert set(read_record(path).arrays) == {"x"}
-    no_temporaries(tmp_path, path.name)
-
-
-def test_written_file_has_the_usual_permissions(tmp_path):
-    ordinary = tmp_path / "ordinary"
-    ordinary.touch()
-    write_record(tmp_path / "a.csv", Record({"x": TIME}, 0.1))
-    assert (tmp_path / "a.csv").stat().st_mode == ordinary.stat().st_mode
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("a.xlsx", "ending must be one of .csv, .npz, .mat"), ("no/a.csv", "there is no folder")],
-)
-def test_unwritable_targets(tmp_path, name, message):
-    with pytest.raises(DataError, match=message):
-        write_record(tmp_path / name, Record({"x": TIME}, 0.1))
-    no_temporaries(tmp_path)
-
-
-def test_a_folder_is_no_target(tmp_path):
-    (tmp_path / "a.csv").mkdir()
-    with pytest.raises(DataError, match="it is a folder"):
-        write_record(tmp_path / "a.csv", Record({"x": TIME}, 0.1))
-
-
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(1)", "a;=1+1", "a, =1+1"])
 def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path, name):
     write_record(tmp_path / "a.csv", Record({name: TIME, "x=y-z": TIME}, 0.1))
@@ -272,10 +156,44 @@ def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path, name):
         assert cell.strip()[0] not in "=+-@"
 
 
-@pytest.mark.parametrize("name", ["../x", "/etc/x", "a/../../x", "a\\..\\x", "C:\\x", "x\0.exe"])
-def test_no_member_of_an_archive_leaves_its_folder(tmp_path, name):
-    message = refusal(tmp_path / "a.npz", Record({name: TIME}, 0.1))
-    assert message is not None
-    assert "rename it" in message
-    assert message.isprintable()
-    no_temporaries(tmp_path)
+def unwritable(folder: Path) -> dict[Path, str]:
+    (folder / "folder.csv").mkdir()
+    (folder / "device.csv").symlink_to("/dev/null")
+    os.mkfifo(folder / "pipe.csv")
+    return {
+        folder / "a.xlsx": "ending must be one of .csv, .npz, .mat",
+        folder / "no" / "a.csv": "No such file or directory",
+        folder / ("a" * 300 + ".csv"): "File name too long",
+        folder / "folder.csv": "it is no plain file",
+        folder / "device.csv": "it is no plain file",
+        folder / "pipe.csv": "it is no plain file",
+    }
+
+
+def test_what_cannot_be_written_is_refused_before_any_work_and_stays(tmp_path):
+    for path, words in unwritable(tmp_path).items():
+        for write in (check_writable, lambda file: write_record(file, Record({"x": TIME}, 0.1))):
+            with pytest.raises(DataError, match=words):
+                write(path)
+    no_temporaries(tmp_path, "device.csv", "folder.csv", "pipe.csv")
+
+
+@pytest.mark.portable
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_written_file_replaces_the_old_one_whole_and_others_read_it(tmp_path, ending):
+    path, values = tmp_path / f"a{ending}", np.array([1 / 3, -2e-308, 1e300])
+    path.write_bytes(b"x" * 100_000)
+    mode = path.stat().st_mode
+    write_record(path, Record({"x": values}, 0.25, 3.5))
+    assert path.stat().st_mode == mode
+    no_temporaries(tmp_path, path.name)
+    if ending == ".csv":
+        table = np.genfromtxt(path, delimiter=",", names=True)
+    elif ending == ".npz":
+        table = np.load(path)
+    elif ending == ".parquet":
+        table = {k: v.to_numpy() for k, v in pandas.read_parquet(path).items()}
+    else:
+        table = {k: v.ravel() for k, v in scipy.io.loadmat(path).items() if k in ("t", "x")}
+    assert table["t"].tolist() == [3.5, 3.75, 4.0]
+    assert bits(table["x"]) == bits(values)

@@ -43,25 +43,11 @@ def test_more_repetitions_extend_a_study(fewer):
     assert_equal_trees(shorter, jax.tree.map(lambda leaf: leaf[:fewer], longer))
 
 
-def test_every_repetition_has_a_key_of_its_own_and_another_key_another_study():
-    values = np.asarray(over_keys(draw, KEY, 50)["sum"])
-    assert np.unique(values).size == 50
-    assert not np.any(np.isin(values, over_keys(draw, jax.random.key(43), 50)["sum"]))
-
-
 def test_each_result_is_the_experiment_with_its_folded_key():
     found = over_keys(draw, KEY, 5, 2.0, chunk=3)
     for i in range(5):
         alone = draw(jax.random.fold_in(KEY, i), 2.0)
         np.testing.assert_allclose(found["values"][i], alone["values"], rtol=1e-12)
-
-
-def test_draws_over_keys_are_independent_standard_normals():
-    values = np.asarray(over_keys(draw, KEY, 4000, chunk=4000)["values"])
-    covariance = np.cov(values.T)
-    assert np.max(np.abs(covariance - np.eye(3))) < 5 * np.sqrt(2 / 4000)
-    lagged = np.corrcoef(values[:-1, 0], values[1:, 0])[0, 1]
-    assert abs(lagged) < 5 / np.sqrt(4000)
 
 
 def test_progress_counts_finished_repetitions_up_to_the_asked_number():

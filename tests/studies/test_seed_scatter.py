@@ -46,18 +46,6 @@ def test_known_values_are_not_scattered():
     assert scatter.parameters == ("k",)
 
 
-@pytest.mark.slow
-def test_more_windows_scatter_less_and_the_parameters_stay_as_uncertain_as_they_are():
-    record, key = record_of(), jax.random.key(1)
-    few, many = (
-        seed_scatter(MODEL, record, RIEC(RandomWindows(0.05, 0.4, n)), key=key, seeds=40).spread
-        for n in (200, 12800)
-    )
-    assert np.all((few / many > 5) & (few / many < 13))  # 8 expected for 64 times as many
-    every = identify(MODEL, record, RIEC(AllWindows(0.05, 0.4)))
-    assert np.all(every.standard_errors > 2 * many)
-
-
 def test_what_draws_nothing_has_no_seeds():
     with pytest.raises(ModelError, match="only random windows"):
         seed_scatter(MODEL, record_of(), RIEC(AllWindows(0.05, 0.4)), key=jax.random.key(0))

@@ -1,5 +1,3 @@
-import json
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,23 +49,6 @@ def test_the_predicted_share_of_error_is_that_of_fits_at_other_lengths(
         np.testing.assert_allclose(at, [float(s.relative_rms) for s in fit.stages], rtol=0.12)
 
 
-@pytest.mark.slow
-def test_the_quarter_car_wants_windows_longer_than_its_engine_swings(quarter_car):
-    estimate = identify(
-        quarter_car_by_body(), quarter_car, RIEC(law(0.05, 0.5), Boxcar(8)), intervals=Naive()
-    )
-    choice = window_choice(quarter_car_by_body(), quarter_car, estimate)
-    low, high = choice.recommended
-    assert 1 / 13.3 < low < 0.25
-    assert 0.3 < high < 1.0
-    assert choice.seen_best == (1.0, 10.0)
-    assert "shorter ones are ruled out by masses" in choice.reason
-    assert "longer ones are ruled out by tyre" in choice.reason
-    document = json.loads(json.dumps(choice.describe(), allow_nan=False))
-    assert document["recommended_s"] == [low, high]
-    assert document["equations"]["body"]["least_error_share"] < 0.08
-
-
 def spring(disturbance) -> tuple[Equation, Record]:
     n = 12_000
     motion = np.asarray(band_limited_noise(jax.random.key(1), n, 0.005, bandwidth=10.0, rms=1.0))
@@ -100,15 +81,3 @@ def test_without_an_estimate_windows_must_be_given():
     model, record = spring(lambda t: 0 * t)
     with pytest.raises(ModelError, match="needs some to start from"):
         window_choice(model, record, {"k": 4.0})
-
-
-def test_what_is_no_test_function_is_refused_before_spectra_are_formed():
-    model, record = spring(lambda t: 0 * t)
-    with pytest.raises(ModelError, match="the class Hat, not an object"):
-        window_choice(
-            model,
-            record,
-            {"k": 4.0},
-            windows=AllWindows(0.1, 0.4),
-            test_function=Hat,  # pyright: ignore[reportArgumentType]
-        )

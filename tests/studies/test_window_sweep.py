@@ -7,7 +7,6 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
@@ -38,16 +37,6 @@ def linear_oscillator() -> Equation:
         Term("r", "x", derivative=1),
         -Term(1.0, "u"),
     )
-
-
-@pytest.mark.slow
-def test_an_exact_model_finds_the_same_at_every_length():
-    sweep = window_sweep(drag_oscillator_equation(), oscillator(), CRITERION, key=KEY)
-    assert sweep.parameters == ("m", "r", "r2", "k")
-    np.testing.assert_allclose(
-        sweep.theta, np.broadcast_to([1.5, 0.8, 0.5, 20.0], sweep.theta.shape), rtol=5e-3
-    )
-    assert sweep.findings() == []
 
 
 @pytest.mark.slow
@@ -133,26 +122,6 @@ def test_the_sweep_reaches_from_alpha_to_twice_beta():
     # Two bins each, in about equal ratios; lengths are rounded to two samples.
     assert np.all((sweep.beta / sweep.alpha > 1.4) & (sweep.beta / sweep.alpha < 2.6))
     assert np.all(np.diff(sweep.alpha) > 0)
-
-
-@pytest.mark.slow
-def test_lengths_that_are_given_are_those_of_the_sweep():
-    given = window_sweep(
-        drag_oscillator_equation(), oscillator(), CRITERION, key=KEY, shortest=0.1, longest=0.8
-    )
-    # Of two bins that meet, the shorter one holds the length between them.
-    assert float(given.alpha[0]) == pytest.approx(0.1 + 2 * 0.005)
-    assert float(given.beta[-1]) == pytest.approx(0.8)
-
-
-@pytest.mark.slow
-def test_several_records_with_offsets_of_their_own():
-    one, two = oscillator(0), oscillator(1, count=6000)
-    two = two.with_signals({"u": two["u"] + 3.0})
-    model = Equation(*drag_oscillator_equation().terms, Term("offset", constant))
-    sweep = window_sweep(model, [one, two], CRITERION, key=KEY, per_record=["offset"], bands=3)
-    assert sweep.parameters[-2:] == ("offset[1]", "offset[2]")
-    np.testing.assert_allclose(sweep.theta[:, -1], 3.0, rtol=1e-2)
 
 
 def test_a_record_too_short_for_two_bands_is_refused():

@@ -8,7 +8,6 @@ import pytest
 import riecjax as rx
 from nightly import nightly
 from riecjax.criteria.chunks import StartBlocks
-from riecjax.records import judged, stack_records
 from riecjax.summaries.summary import load
 from riecjax.summaries.task import task
 
@@ -80,22 +79,6 @@ def test_a_record_in_chunks_adds_up_to_the_same_in_one_piece(count, test_functio
         np.testing.assert_allclose(ours / size, theirs / size, rtol=0, atol=error)
 
 
-@pytest.mark.slow
-def test_bins_of_lengths_add_up_and_a_band_is_that_of_its_windows():
-    apart = rx.summarise(EQUATION, record(), BOXCAR, bins=[0.05, 0.1, 0.2, 0.4], noise=STD)
-    whole = rx.summarise(EQUATION, record(), BOXCAR, noise=STD)
-    np.testing.assert_allclose(
-        noise_of(apart.recordings[0]).sum((0, 1)),
-        noise_of(whole.recordings[0]).sum((0, 1)),
-        rtol=1e-9,
-    )
-    # The middle bin's windows, without those of both edges' samples: just any band of one bin.
-    low, high = apart.lengths_of((1, 2))
-    band = rx.estimate(EQUATION, apart.between(0.1, 0.2), intervals=rx.Sandwich())
-    alone = rx.identify(EQUATION, record(), rx.RIEC(rx.AllWindows(low, high)), **GIVEN)
-    np.testing.assert_allclose(band.theta, alone.theta, rtol=1e-9)
-
-
 def test_summaries_are_merged_saved_scaled_selected_and_cut(tmp_path):
     records = [record(1500, 1), record(2200, 2)]
     one, other = (rx.summarise(EQUATION, r, BOXCAR, noise=STD) for r in records)
@@ -141,24 +124,6 @@ def test_noise_none_is_least_squares_and_a_parameter_of_each_record_is_that_of_i
     expected = np.linalg.solve(moments[1:, 1:], moments[1:, 0])
     np.testing.assert_allclose(plain.theta, expected, rtol=1e-9)
     assert (np.abs(found.theta - plain.theta) > 0.2 * np.asarray(plain.standard_errors)).any()
-
-
-@pytest.mark.slow
-def test_batches_and_compiled_functions_say_the_same_and_have_finite_gradients():
-    records = [judged(record(1500, seed), STD) for seed in range(3)]
-
-    def theta(one, alpha=0.05, beta=0.4):
-        criterion = rx.RIEC(rx.AllWindows(alpha, beta, longest_samples=64))
-        return rx.identify(EQUATION, one, criterion, intervals=rx.Sandwich()).theta
-
-    alone = np.array([theta(one) for one in records])
-    batch = jax.jit(jax.vmap(theta))(stack_records(records))
-    np.testing.assert_allclose(batch, alone, rtol=1e-9)
-    gradients = jax.jit(jax.grad(lambda *a: theta(*a)[1], argnums=(0, 1, 2), allow_int=True))
-    by_record, by_alpha, by_beta = gradients(records[0], jnp.asarray(0.05), jnp.asarray(0.4))
-    for leaf in (*by_record.arrays.values(), by_alpha, by_beta):
-        assert np.isfinite(leaf).all()
-        assert np.any(leaf != 0)
 
 
 @pytest.mark.slow

@@ -83,18 +83,6 @@ def test_of_more_recordings_than_there_is_room_neighbours_share_a_block(binned):
     np.testing.assert_allclose(np.asarray(one.stages[0][0].moments).sum(1), expected, rtol=1e-10)
 
 
-@pytest.mark.slow
-def test_triangular_factors_of_all_rows_are_joined(records):
-    apart = summarise(MODEL, [with_accelerations(r) for r in records], DOLS())
-    joined = apart.of_recordings([pooled(apart.recordings)])
-    np.testing.assert_allclose(theta(joined), theta(apart), rtol=1e-8)
-
-
-def with_accelerations(record: Record) -> Record:
-    ddx = np.gradient(np.asarray(record["dx"]), STANDARD.step)
-    return Record.from_samples({**record.arrays, "ddx": ddx}, time_step=STANDARD.step)
-
-
 def test_bytes_hold_all_and_are_the_same_for_the_same(binned):
     written = binned.to_bytes()
     read = Summary.from_bytes(written)

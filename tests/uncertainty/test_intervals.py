@@ -9,7 +9,6 @@ import scipy.stats
 from riecjax.criteria.criterion import Rows
 from riecjax.errors import ModelError
 from riecjax.estimation.stages import solve
-from riecjax.linear_algebra import eliminate
 from riecjax.summaries.normal_equations import (
     MOST_BLOCKS,
     NormalEquations,
@@ -265,15 +264,6 @@ def test_the_block_length_rule_is_the_published_one(rho):
     np.testing.assert_allclose(found, [0.01 * plain_politis_white(series)], rtol=1e-6)
 
 
-def test_correlated_errors_call_for_longer_blocks():
-    short = ShortBlocks(np.array([ROWS]), jnp.array([0.01]))
-    lengths = [
-        float(politis_white(autoregression(jax.random.key(3), rho)[None, :, None], short)[0])
-        for rho in (0.0, 0.8, 0.98)
-    ]
-    assert lengths[0] < 0.1 < lengths[1] < lengths[2]
-
-
 def test_blocks_are_four_windows_long_unless_errors_last_longer_or_records_are_short():
     short = ShortBlocks(np.array([400]), jnp.array([0.1]))
     window = jnp.asarray(0.3)
@@ -282,14 +272,6 @@ def test_blocks_are_four_windows_long_unless_errors_last_longer_or_records_are_s
     # Forty seconds hold twenty blocks of two.
     assert float(block_length(short, window, jnp.array([30.0]))) == pytest.approx(2.0)
     assert float(block_length(short, jnp.asarray(3.0), jnp.array([1.0]))) == pytest.approx(6.0)
-
-
-def test_elimination_solves():
-    rng = np.random.default_rng(2)
-    half = rng.normal(size=(6, 9))
-    matrix, right = half @ half.T, rng.normal(size=(6, 2))
-    found = eliminate(jnp.array(matrix), jnp.array(right))
-    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9)
 
 
 def test_too_few_replicates_are_refused():

@@ -17,7 +17,7 @@ from riecjax.cli.job import JobCommand, given, key_of
 if TYPE_CHECKING:
     from riecjax.models.model import Model, Quantity
     from riecjax.records.reading.channels import Channels
-    from riecjax.records.reading.selection import Selection
+    from riecjax.records.reading_settings import Selection
 
 NUMBERS = ("number", "share", "float", "integer", "integer range")
 """What types of options call a number."""
@@ -32,7 +32,7 @@ def _print_job(**arguments: Any) -> None:
     from riecjax.models.catalogue import find_model
     from riecjax.records.reading.parts import recordings_in
     from riecjax.records.reading.read import read_channels
-    from riecjax.records.reading.selection import Selection
+    from riecjax.records.reading_settings import Selection
 
     ctx = click.get_current_context()
     model = find_model(arguments["model_name"])
@@ -143,7 +143,7 @@ def _map_lines(model: "Model", channels: "Channels", selection: "Selection") -> 
     """A line for each signal that a model reads: its column, and how it was found."""
     from riecjax.errors import DataError
     from riecjax.records.reading.selection import column_named, record_from_channels
-    from riecjax.records.reading.time_columns import is_called_time
+    from riecjax.records.reading.times import is_called_time
 
     given, read = selection.rename, {}
     times = [c for c in channels.columns if is_called_time(c, channels.units)]
@@ -185,7 +185,7 @@ def _unit_lines(
 ) -> Iterator[str]:
     """The unit of each column, or in which one it is `read` where the file states none."""
     from riecjax.errors import DataError
-    from riecjax.records.reading.time_columns import find_time
+    from riecjax.records.reading.times import find_time
     from riecjax.records.reading.units import split_unit
 
     read = dict(read)
@@ -231,8 +231,7 @@ def _signals(model: "Model") -> "list[Quantity]":
 
 def _guess(signal: "Quantity", columns: list[str], channels: "Channels") -> tuple[str | None, str]:
     """The column that may be a signal, if one alone may, and why."""
-    from riecjax.records.reading.unit_expressions import readings
-    from riecjax.records.reading.units import split_unit, unit_behind
+    from riecjax.records.reading.units import readings, split_unit, unit_behind
 
     def plain(name: str) -> str:
         return re.sub(r"[\W_]", "", split_unit(name)[0].lower())

@@ -224,6 +224,18 @@ def sum_over_lengths(
 # Bins of window lengths whose sums are kept apart, so that a band can be chosen afterwards.
 
 
+MOST_BINS = 2**10
+"""Bins of window lengths: memory grows with each, and neighbours hardly differ."""
+
+
+def _require_memory(bins: int) -> None:
+    if bins > MOST_BINS:
+        raise ModelError(
+            f"sums of {bins} bins of window lengths would take too much memory: give at most "
+            f"{MOST_BINS}, bins=12 as a rule."
+        )
+
+
 class LengthBins(NamedTuple):
     """Stretches of window lengths in seconds, among whose edges are alpha and beta.
 
@@ -238,11 +250,12 @@ class LengthBins(NamedTuple):
     def around(cls, alpha: float, beta: float, edges: ArrayLike) -> "LengthBins":
         """Bins with these edges, in seconds, and with alpha and beta.
 
-        **Raises:** `ModelError` unless edges are positive and finite.
+        **Raises:** `ModelError` unless edges are positive and finite, and for too many.
         """
         given = np.asarray(edges, float).ravel()
         if not (np.isfinite(given).all() and (given > 0).all()):
             raise ModelError("edges of bins of window lengths are positive numbers of seconds.")
+        _require_memory(given.size - 1)
         # Edges that are alpha or beta but for rounding would make bins of nothing.
         near = np.isclose(given, alpha, rtol=1e-9) | np.isclose(given, beta, rtol=1e-9)
         every = np.unique([*given[~near], alpha, beta])
@@ -253,10 +266,11 @@ class LengthBins(NamedTuple):
     def of_number(cls, alpha: float, beta: float, number: int) -> "LengthBins":
         """So many bins from alpha to beta, in equal ratios.
 
-        **Raises:** `ModelError` for fewer than one.
+        **Raises:** `ModelError` for fewer than one, and for too many.
         """
         if number < 1:
             raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
+        _require_memory(number)
         return cls.around(alpha, beta, np.geomspace(alpha, beta, number + 1))
 
     def lags(

@@ -8,16 +8,15 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.equations.term import Terms
+from riecjax.equations.term import RoofFunctions, Terms
 from riecjax.errors import IdentifiabilityError, renamed
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.estimation.mode_windows import linearised
-from riecjax.estimation.parameters import ParameterPlan, plan_parameters
+from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.faults.rows import duplicates
@@ -155,6 +154,11 @@ def check(
     summary = summed(asked, survey=True) if summary is None else summary
     summary = linearised(procedure, summary, plan.given)
     excited = excitations(summary, plan) if excited is None else excited
+    settings = procedure, plan.sharing, summary, plan.given
+    # Deviations from the mean are no regressors of hidden elements.
+    constant = (
+        () if procedure.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
+    )
     findings = [
         *(f for one, names in zip(recordings, read) for f in one.concerning(names).findings),
         *duplicates(recordings),
@@ -162,16 +166,10 @@ def check(
         *_windows(plain, criterion),
         *_quadrature(summary),
         *_break_points(procedure, summary),
-        *(() if procedure.has_hidden else _constant(procedure, plan, summary)),
+        *constant,
         *(finding for stage in excited for finding in stage.findings()),
     ]
     return Check(findings, excited, tuple(dict.fromkeys(n for names in read for n in names)))
-
-
-def _constant(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
-    asked = (procedure, plan.sharing, summary, plan.given)
-    yield from constant_targets(*asked)
-    yield from wrong_zeros(*asked)
 
 
 def read_of(

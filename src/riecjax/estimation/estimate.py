@@ -64,7 +64,7 @@ class AbstractEstimate(Saved, eqx.Module):
     units: eqx.AbstractVar[tuple[tuple[str, str], ...]]
 
     def __getitem__(self, name: str) -> Float[Array, "*batch"]:
-        if name not in self.known:
+        if not isinstance(name, str) or name not in self.known:
             return self._of(self.theta, name)
         if not self.batch_shape:
             return _single(self.known[name])

@@ -246,8 +246,12 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
     at = jnp.zeros(0)
     for number, (names, band) in enumerate(zip(stage.sought, bands), start=1):
         part = stage._replace(sought=stage.sought[:number])
-        of_mode = isinstance(names, ModeParameters)
-        best = _best_mode(part, band, at) if of_mode else _best_lag(part, band, at)
+        if isinstance(names, ModeParameters):
+            found = mode_map(part, band, at)
+            place = jnp.argmin(found.unexplained)
+            best = jnp.stack([jnp.log(found.frequency[place]), found.damping[place]])
+        else:
+            best = _best_lag(part, band, at)
         at = polished(part, jnp.concatenate([at, best]))
     return at
 
@@ -269,14 +273,6 @@ def as_asked(
         far = jnp.nansum(jnp.abs(rows[orders, 0] - jnp.asarray(logs, at.dtype)[None, :]), axis=1)
         rows = rows.at[np.array(place)].set(rows[jnp.asarray(orders)[jnp.argmin(far)]])
     return jnp.concatenate([rows.ravel(), at[2 * len(modes) :]])
-
-
-def _best_mode(
-    stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]
-) -> Float[Array, "2"]:
-    found = mode_map(stage, band, others)
-    best = jnp.argmin(found.unexplained)
-    return jnp.stack([jnp.log(found.frequency[best]), found.damping[best]])
 
 
 def _best_lag(

@@ -1,7 +1,7 @@
 """Estimate a model's parameters, from records (`identify`) or from their sums (`estimate`)."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -26,16 +26,15 @@ from riecjax.estimation.stages import (
     solve_stages,
     stages_over_records,
 )
-from riecjax.findings import Finding
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
-from riecjax.records.recording import as_recordings
+from riecjax.records.recording import as_recordings, explaining_errors
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
-from riecjax.summaries.task import Task, signals_read, task
+from riecjax.summaries.task import signals_read, task
 from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
@@ -95,23 +94,25 @@ def identify(
     asked = task(model, records, criterion, key, noise, at_rest)
     plan = plan_parameters(asked.procedure, len(asked.records), known, per_record)
     _require_intervals(intervals)
-    found = _estimated(asked.procedure, summed(asked), plan, intervals)
+    with explaining_errors(as_recordings(records)):
+        found = _estimated(asked.procedure, summed(asked), plan, intervals)
 
     def otherwise(procedure: Procedure) -> Estimate:
         other = summed(asked._replace(procedure=procedure))
         return _estimated(procedure, other, plan, intervals)
 
     resting = at_rest_findings(asked.procedure, asked.records, found, otherwise)
-    doubts = (*_doubts(asked, records), *resting)
+    # What recordings say of signals that are read; bare records say nothing.
+    doubts = [
+        finding
+        for one in as_recordings(records)
+        if one.findings
+        for finding in one.concerning(
+            signals_read(asked.procedure, one.record, asked.criterion)
+        ).findings
+    ]
+    doubts = (*doubts, *resting)
     return dataclasses.replace(found, doubts=doubts) if doubts else found
-
-
-def _doubts(asked: Task, records: Records) -> Iterator[Finding]:
-    """What recordings say of signals that are read; bare records say nothing."""
-    for one in as_recordings(records):
-        if one.findings:
-            read = signals_read(asked.procedure, one.record, asked.criterion)
-            yield from one.concerning(read).findings
 
 
 @renamed(own="per_record")
@@ -170,11 +171,14 @@ def _estimated(
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = (intervals or BlockBootstrap()).drawn(short.number.shape[0])
-    settings = (sources, summary.noise_freedom, given, window, short, sharing, drawn)
-    fit = _solve(equations, *settings, None)
+    settings = given, sharing, drawn
+    sums = _Sums(equations, sources, summary.noise_freedom, short, window)
+    fit = _solve(sums, *settings, None)
     if modes is not None:
         other = find_modes(procedure, summary, given, rank=1)
-        beside = _solve(other.equations, other.sources, *settings[1:], None)
+        beside = _solve(
+            sums._replace(equations=other.equations, sources=other.sources), *settings, None
+        )
         apart = _apart(fit, beside, other.shown)
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
@@ -188,7 +192,7 @@ def _estimated(
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
         poor = modes is None and condition > gram_condition_limit(window.dtype)
         if poor and (rows := _rows(summary, equations)):
-            fit = _solve(equations, *settings, rows)
+            fit = _solve(sums, *settings, rows)
         raise_if_unidentifiable(fit.stages, plan)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
@@ -245,19 +249,31 @@ class _Fit(NamedTuple):
     totals: list[Float[Array, "columns columns"]]
 
 
+class _Sums(NamedTuple):
+    """What a fit is solved from.
+
+    **Fields:** of each equation of each stage `equations`, and what each source of noise adds to
+    them, `sources`; `freedom` of these sources' variances; the `short` blocks of time, and seconds
+    of the `longest_window`.
+    """
+
+    equations: list[list[NormalEquations]]
+    sources: list[list[NormalEquations]]
+    freedom: Float[Leaf, "records sources"]
+    short: ShortBlocks
+    longest_window: Float[Array, ""]
+
+
 @kept_jit
 def _solve(
-    equations: list[list[NormalEquations]],
-    sources: list[list[NormalEquations]],
-    freedom: Float[Leaf, "records sources"],
+    sums: _Sums,
     known: Mapping[str, Array],
-    longest_window: Float[Array, ""],
-    short: ShortBlocks,
     sharing: Sharing,
     intervals: AbstractIntervals,
     rows: list[list[list[Rows]]] | None,
 ) -> _Fit:
-    both = [[borne_out(*pair) for pair in zip(*stage)] for stage in zip(equations, sources)]
+    pairs = zip(sums.equations, sums.sources)
+    both = [[borne_out(*pair) for pair in zip(*stage)] for stage in pairs]
     equations = [[e for e, _ in stage] for stage in both]
     stages, shared = stages_over_records(equations, sharing)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
@@ -269,10 +285,10 @@ def _solve(
     # What belongs to one recording cannot differ between recordings.
     common = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
-        stages, known, values, short, longest_window, common, intervals
+        stages, known, values, sums.short, sums.longest_window, common, intervals
     )
     by_source, _ = stages_over_records([[s for _, s in stage] for stage in both], sharing)
-    of_level = level_covariance(statistics, by_source, freedom, values)
+    of_level = level_covariance(statistics, by_source, sums.freedom, values)
     uncertainty = uncertainty.widened(of_level)
     block_count = jnp.sum(statistics.used)
     totals = [stage.flattened().total() for stage in stages]
@@ -283,7 +299,7 @@ def _solve(
         jnp.sqrt(jnp.diagonal(naive_covariance(statistics))),
         inflation,
         block_count,
-        jnp.sum(short.durations) / block_count,
+        jnp.sum(sums.short.durations) / block_count,
         [total.count for total in totals],
         [total.moments for total in totals],
     )

@@ -104,12 +104,6 @@ class ModeEvidence(Drawn):
         return much and self.oscillates
 
     @property
-    def _or_close(self) -> str:
-        if self.parameters == ModeParameters.of(0):
-            return ""
-        return ", or cannot tell it from another that lies close"
-
-    @property
     def _shares(self) -> str:
         # Less than nothing is left where more noise was taken off than there was.
         if not float(self.without) > 0:
@@ -138,6 +132,8 @@ class ModeEvidence(Drawn):
         if self.carried:
             return []
         names = self.parameters
+        first = names == ModeParameters.of(0)
+        close = "" if first else ", or cannot tell it from another that lies close"
         mode = f"the hidden mode on {self.on} ({names.mass})"
         if not self.oscillates and self.explained > LITTLE:
             return [
@@ -152,7 +148,7 @@ class ModeEvidence(Drawn):
         return [
             Finding(
                 "mode_not_carried",
-                f"{self.stage}: the recordings do not carry this mode{self._or_close}: on time "
+                f"{self.stage}: the recordings do not carry this mode{close}: on time "
                 f"that it was not found from, {mode} explains "
                 f"{100 * max(self.explained, 0.0):.2g} % of what is left without it "
                 f"({self._shares}). Leave it out; something else is missing, such as friction or a "

@@ -145,7 +145,10 @@ def require_settings(key: object, known: object, per_record: object) -> None:
     require("known", {} if known is None else known, Mapping, write)
     name = per_record if isinstance(per_record, str) else "offset"
     kinds = (list, tuple, set, frozenset)
-    require("per_record", per_record, kinds, f"per_record=('{name}',): a tuple of names")
+    write = f"per_record=('{name}',): a tuple of names"
+    require("per_record", per_record, kinds, write)
+    for name in per_record if isinstance(per_record, kinds) else ():
+        require("a name in per_record", name, str, write)
 
 
 def _given_values(

@@ -1,6 +1,7 @@
 """Signals computed from others by a formula of the user's: `35.15 * vir - mean(vir)`."""
 
 import ast
+import warnings
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -65,7 +66,9 @@ def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     if len(formula) > LONGEST_FORMULA:
         raise ModelError(f"a formula may have {LONGEST_FORMULA} characters, not {len(formula)}.")
     try:
-        tree = ast.parse(formula.strip(), mode="eval")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of `1if`, which is refused
+            tree = ast.parse(formula.strip(), mode="eval")
         with np.errstate(all="ignore"):
             value = _value(tree.body, formula.strip(), columns)
     except (SyntaxError, ValueError) as error:

@@ -8,10 +8,11 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.noise_judgement import GivenNoise
-from riecjax.records.reading.channels import TIME_COLUMNS, Channels, seconds_of, vectors
-from riecjax.records.reading.selected import Selection
+from riecjax.records.reading.channels import Channels, seconds_of, vectors
 from riecjax.records.reading.selection import record_from_channels
+from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import split_unit
+from riecjax.records.reading_settings import Selection
 from riecjax.records.record import Record
 
 

@@ -2,13 +2,30 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, NamedTuple, TypedDict
 
 from riecjax.errors import DataError, require
 from riecjax.records.faults.spikes import Treatment
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.preparation.steps import Preparation
-from riecjax.records.reading.selected import Selection
+
+
+class Selection(NamedTuple):
+    """Which of a file's channels a user wants as signals, and how they are converted.
+
+    **Fields:** `rename`, signal to column; `scale`, column or signal to factor; `units`, signal to
+    unit; `derive`, signal to formula; `time_step` in s; `resample` in Hz; `noise`, on the signals
+    as measured; `outliers`, what becomes of spikes, before anything else is made of a signal.
+    """
+
+    rename: Mapping[str, str] = {}
+    scale: Mapping[str, float] = {}
+    units: Mapping[str, str] = {}
+    derive: Mapping[str, str] = {}
+    time_step: float | None = None
+    resample: float | None = None
+    noise: GivenNoise = "auto"
+    outliers: Treatment = "keep"
 
 
 class ReadingSettings(TypedDict, total=False):
@@ -97,6 +114,8 @@ MAPPINGS = (
     "clocks",
     "lags",
 )
+TEXTS = ("rename", "units", "derive", "derivatives")
+"""Those mappings whose values are names, units or formulas."""
 NAMES = ("offsets", "drifts", "columns", "notches", "left_out")
 
 
@@ -113,10 +132,15 @@ def sorted_settings(
     for name in (n for n in MAPPINGS if n in given):
         given[name] = given[name] or {}
         require(name, given[name], Mapping, f"{name}={{'x': ...}}, by the signal's name", DataError)
+        for signal, value in given[name].items():
+            require(f"a name in {name}", signal, str, "names as text, 'x'", DataError)
+            if name in TEXTS:
+                require(f"{name} of '{signal}'", value, str, "it as text, 'x'", DataError)
     for name in (n for n in NAMES if n in given):
         require(name, given[name], (list, tuple), f"{name}=('x',), a tuple of names", DataError)
         given[name] = tuple(given[name])
-
+        for signal in given[name] if name != "notches" else ():
+            require(f"a name in {name}", signal, str, "names as text, 'x'", DataError)
     if not isinstance(given.get("align", ""), str):
         given["align"] = tuple(given["align"])
 

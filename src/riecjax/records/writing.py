@@ -3,6 +3,7 @@
 import csv
 import os
 import re
+import stat
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from riecjax.errors import DataError, printable
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import STEP_TOLERANCE
-from riecjax.whole_files import temporary
+from riecjax.whole_files import require_plain, temporary
 
 Columns = Mapping[str, np.ndarray]
 FORMULA = r"(^|[;|,\t]\s*)(?=[=+@-])"
@@ -45,15 +46,20 @@ def check_writable(file: Path) -> None:
         raise DataError(
             f"cannot write '{file.name}': its ending must be one of {', '.join(WRITERS)}."
         )
-    if not file.parent.is_dir():
-        raise DataError(f"cannot write '{file}': there is no folder '{file.parent}'.")
-    if file.is_dir():
-        raise DataError(f"cannot write '{file}': it is a folder.")
+    try:
+        if not stat.S_ISDIR(file.parent.stat().st_mode):
+            raise OSError(0, f"'{file.parent}' is no folder")
+        require_plain(file)
+    except OSError as error:
+        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
+    if not os.access(file.parent, os.W_OK):
+        raise DataError(f"cannot write '{file}': its folder may not be written to.")
 
 
 def write_whole(file: Path, write: Callable[[Path], None]) -> None:
     """Let `write` fill a temporary file beside `file`, then rename it: whole or not at all."""
     try:
+        require_plain(file)
         with temporary(file.parent, file.suffix) as new:
             write(new)
             mask = os.umask(0)

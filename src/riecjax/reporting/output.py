@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -118,7 +119,14 @@ def require_folder(folder: Path) -> None:
     """
     require_report_packages()
     with _folder_beside(folder):
-        pass
+        try:
+            if not folder.is_dir() and folder.exists():
+                raise DataError(f"cannot write to '{folder}': it is no folder.")
+            if folder.is_dir() and not os.access(folder, os.W_OK):
+                raise DataError(f"cannot write to '{folder}': it may not be written to.")
+            folder.lstat()
+        except FileNotFoundError:
+            pass
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """Results in files: an estimate with its Summary, and what `riecjax identify --out` wrote."""
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -16,7 +17,7 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import DataError, ModelError, printable
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
@@ -33,6 +34,7 @@ from riecjax.summaries import summary as summaries
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.summary_files import naming, packed, read_checked, unpacked, write_checked
 from riecjax.uncertainty.intervals import Uncertainty
+from riecjax.whole_files import read_plain
 
 NAME = "estimate"
 """Name of the JSON document among the arrays."""
@@ -137,6 +139,9 @@ def load(path: str | os.PathLike[str]) -> Any:
     """
     if isinstance(path, str | os.PathLike):
         file = Path(path)
+        with _unreadable(file):
+            if not (file.is_dir() or file.is_file()) and file.exists():
+                raise OSError(0, "it is no plain file")
         if file.is_dir() or file.suffix == ".json":
             return _results(file / RESULTS if file.is_dir() else file)
         if _holds_an_estimate(file):
@@ -146,13 +151,22 @@ def load(path: str | os.PathLike[str]) -> Any:
     return summaries.load(path)
 
 
-def _results(file: Path) -> Results:
-    if not file.is_file():
-        raise DataError(f"there is no file '{file}'.")
+@contextlib.contextmanager
+def _unreadable(file: Path) -> Iterator[None]:
+    """Errors of the system, and of text that is none, as `DataError` of one line."""
     try:
-        text = file.read_text(encoding="utf-8")
+        yield
     except OSError as error:
-        raise DataError(f"cannot read '{file}': {error.strerror}.") from None
+        raise DataError(f"cannot read '{printable(str(file))}': {error.strerror}.") from None
+    except UnicodeDecodeError as error:
+        raise DataError(f"cannot read '{file}': byte {error.start} is not UTF-8.") from None
+
+
+def _results(file: Path) -> Results:
+    if not os.path.isfile(file):
+        raise DataError(f"there is no file '{file}'.")
+    with _unreadable(file):
+        text = read_plain(file).decode()
     with naming(file, "results"):
         try:
             document = json.loads(text)

@@ -320,19 +320,15 @@ class Adaptive(AbstractMethod):
         states = jnp.where(
             lost[:, None], solution.ys[jnp.maximum(reached - 1, 0)][None], solution.ys
         )
-        return states, _status_of(solution.result, reached > last), reached
-
-
-def _status_of(result: DIFFRAX_RESULTS, complete: Array) -> SimulationStatus:
-    failed = SimulationStatus.where(
-        result == DIFFRAX_RESULTS.max_steps_reached,
-        SimulationStatus.max_steps_reached,
-        SimulationStatus.solver_failed,
-    )
-    finished = SimulationStatus.where(
-        complete, SimulationStatus.successful, SimulationStatus.diverged
-    )
-    return SimulationStatus.where(result == DIFFRAX_RESULTS.successful, finished, failed)
+        result, choose = solution.result, SimulationStatus.where
+        failed = choose(
+            result == DIFFRAX_RESULTS.max_steps_reached,
+            SimulationStatus.max_steps_reached,
+            SimulationStatus.solver_failed,
+        )
+        finished = choose(reached > last, SimulationStatus.successful, SimulationStatus.diverged)
+        status = choose(result == DIFFRAX_RESULTS.successful, finished, failed)
+        return states, status, reached
 
 
 _State = tuple[Array, ...]

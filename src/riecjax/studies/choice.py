@@ -27,7 +27,7 @@ from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Records, as_records
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined
-from riecjax.validation.time_series import ErrorSpectrum, error_spectrum
+from riecjax.validation.residuals import ErrorSpectrum, error_spectrum
 
 PARTS = 8
 """A segment of the spectra is this part of the records: long, for the sake of long windows."""
@@ -201,29 +201,17 @@ def _recommend(
     if high < LEAST_SPREAD * low:
         middle = np.sqrt(low * high * LEAST_SPREAD)
         low, high = float(middle / LEAST_SPREAD), float(middle)
-    limits = [
-        f"{which} ones are ruled out by {_limit(equations, above, length, edge, end)}"
-        for which, edge, end in (("shorter", first - 1, 0), ("longer", last + 1, -1))
-        if 0 <= edge < length.size
-    ]
+    limits = []
+    for which, edge, end in (("shorter", first - 1, 0), ("longer", last + 1, -1)):
+        if 0 <= edge < length.size:
+            limiting = equations[int(np.argmax(above[:, edge]))]
+            share = 100 * limiting.error_share
+            limits.append(
+                f"{which} ones are ruled out by {limiting.name} ({share[end]:.3g} % at "
+                f"{length[end]:.2g} s, {np.min(share):.2g} % at its least)"
+            )
     ruled = f"; {' and '.join(limits)}" if limits else ", and so at all other lengths"
     return (low, high), (
         f"In windows of {low:.2g} to {high:.2g} s the error of no equation is far above its least "
         f"share of the signal{ruled}."
-    )
-
-
-def _limit(
-    equations: Sequence[EquationWindows],
-    above: Float[np.ndarray, "equations lengths"],
-    length: Float[np.ndarray, " lengths"],
-    edge: int,
-    end: int,
-) -> str:
-    """The equation whose share passes the limit at the index `edge`, and what it comes to."""
-    limiting = equations[int(np.argmax(above[:, edge]))]
-    share = 100 * limiting.error_share
-    return (
-        f"{limiting.name} ({share[end]:.3g} % at {length[end]:.2g} s, {np.min(share):.2g} % at its "
-        f"least)"
     )

@@ -29,8 +29,8 @@ from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
-from riecjax.refinement.output_misfit import observed
-from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
+from riecjax.refinement.objective import AbstractParametric, as_parametric_system
+from riecjax.refinement.output_error import observed
 from riecjax.simulation.inputs import multisine
 from riecjax.simulation.linearisation import suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep
@@ -140,7 +140,12 @@ def plan_experiment(
     built: AbstractSystem = system.build({**held, **free})
     if missing := [name for name in channels if name not in sigma]:
         raise ModelError(f"no noise (sigma) is given for {', '.join(missing)}.")
-    _check_names(built, channels, initial_state or {})
+    made = built.simulated_names
+    if unknown := [name for name in channels if name not in made]:
+        raise ModelError(
+            f"the simulation has no signal '{unknown[0]}' to measure; it has: {', '.join(made)}."
+        )
+    built.require_states(initial_state or {})
     start = [jnp.asarray((initial_state or {}).get(name, 0.0), float) for name in built.state_names]
     experiment = Experiment(
         system,
@@ -155,7 +160,11 @@ def plan_experiment(
     )
     if method is not None or not is_concrete(experiment, record):
         return experiment
-    return eqx.tree_at(lambda e: e.method, experiment, _resolving(experiment, built, record))
+    # Steps that are short enough along the motion that this record excites.
+    levels = levels_of(experiment, record)
+    states = eqx.filter_jit(Experiment.trajectory)(experiment, levels)
+    steps = suitable_steps(built, states, levels, float(record.time_step))
+    return eqx.tree_at(lambda e: e.method, experiment, FixedStep(steps))
 
 
 def predicted_standard_errors(
@@ -209,24 +218,6 @@ def levels_of(experiment: Experiment, record: Record) -> Float[Array, "n inputs"
 @eqx.filter_jit
 def _standard_errors(experiment: Experiment, levels: Array) -> Float[Array, " p"]:
     return experiment.standard_errors(experiment.information(levels)[0])
-
-
-def _check_names(
-    system: AbstractSystem, channels: Sequence[str], initial_state: Mapping[str, Any]
-) -> None:
-    made = system.simulated_names
-    if unknown := [name for name in channels if name not in made]:
-        raise ModelError(
-            f"the simulation has no signal '{unknown[0]}' to measure; it has: {', '.join(made)}."
-        )
-    system.require_states(initial_state)
-
-
-def _resolving(experiment: Experiment, system: AbstractSystem, record: Record) -> FixedStep:
-    """Steps that are short enough along the motion that this record excites."""
-    levels = levels_of(experiment, record)
-    states = eqx.filter_jit(Experiment.trajectory)(experiment, levels)
-    return FixedStep(suitable_steps(system, states, levels, float(record.time_step)))
 
 
 # The multisine that makes one parameter's interval tightest, within the travel that a rig allows.
@@ -392,11 +383,17 @@ def design_input(
     phases = jax.random.uniform(key, (starts, grid.shape[0]), maxval=2 * jnp.pi)
     wave = multisine(jnp.ones_like(grid), phases[0], grid, sample_count, time_step)
     wave = wave * (rms / _rms(wave))
-    name = _input_name(model, {**dict(known or {}), **values}, Record({"": wave}, time_step))
+    family = as_parametric_system(model, Record({"": wave}, time_step))
+    inputs = family.build({**family.defaults, **dict(known or {}), **values}).input_names
+    if len(inputs) != 1:
+        raise ModelError(
+            f"the input of a system with one input can be designed; this one has {len(inputs)}: "
+            f"{', '.join(inputs)}. Give a system in which the others are known."
+        )
     experiment = plan_experiment(
         model,
         values,
-        Record({name: wave}, time_step),
+        Record({inputs[0]: wave}, time_step),
         channels=channels,
         sigma=sigma,
         known=known,
@@ -408,22 +405,11 @@ def design_input(
     settled = jnp.zeros(starts, bool)
     for penalty in PENALTIES if travel else PENALTIES[:1]:
         found, settled = _search(task, found, jnp.asarray(penalty), max_steps)
-    return _best(task, found, settled, name, parameter)
+    return _best(task, found, settled, inputs[0], parameter)
 
 
 def _rms(wave: Float[Array, " n"]) -> Float[Array, ""]:
     return jnp.sqrt(jnp.mean(wave**2))
-
-
-def _input_name(model: Any, values: Mapping[str, Any], record: Record) -> str:
-    family = as_parametric_system(model, record)
-    inputs = family.build({**family.defaults, **values}).input_names
-    if len(inputs) != 1:
-        raise ModelError(
-            f"the input of a system with one input can be designed; this one has {len(inputs)}: "
-            f"{', '.join(inputs)}. Give a system in which the others are known."
-        )
-    return inputs[0]
 
 
 def _task(
@@ -500,6 +486,9 @@ def _best(
     wave = levels[best, :, 0]
     experiment = task.experiment
     states = experiment.built().state_names
+    status = DesignStatus.where(settled[best], DesignStatus.converged, DesignStatus.out_of_steps)
+    status = DesignStatus.where(jnp.any(within), status, DesignStatus.travel_exceeded)
+    status = DesignStatus.where(jnp.any(finite), status, DesignStatus.not_finite)
     return Design(
         record=Record({name: wave}, experiment.time_step, units=experiment.built().inputs),
         frequencies=task.frequencies,
@@ -510,12 +499,6 @@ def _best(
         rms=_rms(wave),
         peaks={states[i]: peak for i, peak in zip(task.limited, peaks[best])},
         starts=promised,
-        status=_status(settled[best], jnp.any(within), jnp.any(finite)),
+        status=status,
         parameter=parameter,
     )
-
-
-def _status(settled: Array, within: Array, finite: Array) -> DesignStatus:
-    status = DesignStatus.where(settled, DesignStatus.converged, DesignStatus.out_of_steps)
-    status = DesignStatus.where(within, status, DesignStatus.travel_exceeded)
-    return DesignStatus.where(finite, status, DesignStatus.not_finite)

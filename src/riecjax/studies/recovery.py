@@ -1,7 +1,7 @@
 """The basin of attraction of a refinement's optimum, mapped by random starts."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -83,9 +83,7 @@ def recovery_map(
         starts,
         model,
         record,
-        optimum.theta,
-        dict(optimum.known),
-        tuple(optimum.parameters),
+        optimum,
         tuple(objectives),
         farthest,
         max_steps,
@@ -102,22 +100,22 @@ def _from_random_start(
     key: Key[Array, ""],
     model: Any,
     record: Record,
-    optimum: Float[Array, " p"],
-    known: Mapping[str, Array],
-    names: tuple[str, ...],
+    optimum: Refined,
     objectives: tuple[AbstractObjective, ...],
     farthest: float,
     max_steps: int,
 ) -> tuple[Array, Array, Array, Array, Array]:
     far, parts, signs, which = jax.random.split(key, 4)
-    p = optimum.shape[0]
+    p = optimum.theta.shape[0]
     distance = farthest ** jax.random.uniform(far)
     share = jax.random.uniform(parts, (p,)).at[jax.random.randint(which, (), 0, p)].set(1.0)
     sign = jnp.where(jax.random.bernoulli(signs, shape=(p,)), 1.0, -1.0)
-    start = optimum * distance ** (sign * share)
+    start = optimum.theta * distance ** (sign * share)
     theta, steps, cost = start, jnp.array(0), jnp.zeros(())
     for objective in objectives:
-        values = dict(zip(names, theta))
-        refined = refine(model, record, values, objective, known=known, max_steps=max_steps)
+        values = dict(zip(optimum.parameters, theta))
+        refined = refine(
+            model, record, values, objective, known=dict(optimum.known), max_steps=max_steps
+        )
         theta, steps, cost = refined.theta, steps + refined.steps, refined.cost
     return start, theta, distance, cost, steps

@@ -1,4 +1,4 @@
-"""How far estimates drift with the length of windows, and whether chance explains it.
+"""Estimates at several window lengths: how far they drift, and whether chance explains it.
 
 With an exact model every window length finds the same parameters, up to scatter. What a model
 leaves out weighs differently at different lengths, and the estimates drift.
@@ -150,29 +150,36 @@ class WindowSweep(Drawn, eqx.Module):
         if not shares:
             return []
         names = sorted(shares, key=lambda name: -shares[name])
-        return [
-            Finding(
-                "window_sensitive",
-                f"{self._course(names[0])}{_others(names[1:], shares)}. {self._steadiness(names)}. "
-                f"{self._cause(names[0])}.",
-                parameters=tuple(names),
+        first, *others = names
+        low, high = sorted(self._range(first)[:2])
+        theta, unit = self.theta[:, self.parameters.index(first)], dict(self.units).get(first)
+        course = (
+            f"{first} goes from {float(theta[low]):.4g} with windows of {self._band(low)} to "
+            f"{float(theta[high]):.4g}{f' {unit}' if unit else ''} with {self._band(high)}"
+        )
+        listed = ", ".join(f"{name} by {100 * shares[name]:.2g} %" for name in others)
+        if others:
+            course += f"; so do{'es' if len(others) == 1 else ''} {listed}"
+        steadiness = f"At no two lengths do estimates agree to {100 * STEADY:g} %"
+        if (steady := self.steady(names)) is not None:
+            shortest, longest = steady
+            steadiness = (
+                f"In windows of {shortest:.3g} to {longest:.3g} s all are steady to "
+                f"{100 * STEADY:g} %"
             )
-        ]
+        share = self.noise_share(first)
+        cause = f"Noise makes {100 * share:.0f} % of what the shorter ones leave"
+        if share <= MOST:
+            makes = f"{cause}: the" if share > SMALL_NOISE else "The"
+            cause = f"{makes} model leaves something out"
+        message = f"{course}. {steadiness}. {cause}."
+        return [Finding("window_sensitive", message, parameters=tuple(names))]
 
     def _range(self, name: str) -> tuple[int, int, float]:
         """Lengths with the least and the largest estimate, and their distance as a share."""
         theta = np.asarray(self.theta[:, self.parameters.index(name)])
         low, high = int(np.nanargmin(theta)), int(np.nanargmax(theta))
         return low, high, float((theta[high] - theta[low]) / np.nanmax(np.abs(theta)))
-
-    def _course(self, name: str) -> str:
-        low, high = sorted(self._range(name)[:2])
-        j, unit = self.parameters.index(name), dict(self.units).get(name)
-        return (
-            f"{name} goes from {float(self.theta[low, j]):.4g} with windows of {self._band(low)} "
-            f"to {float(self.theta[high, j]):.4g}{f' {unit}' if unit else ''} with "
-            f"{self._band(high)}"
-        )
 
     def steady(self, names: Sequence[str]) -> tuple[float, float] | None:
         """The most neighbouring lengths at which parameters stay within a percent, in seconds.
@@ -193,13 +200,6 @@ class WindowSweep(Drawn, eqx.Module):
         first, last = max(runs, key=lambda run: (run[1] - run[0], run[0]))
         return float(self.alpha[first]), float(self.beta[last])
 
-    def _steadiness(self, names: Sequence[str]) -> str:
-        steady = self.steady(names)
-        if steady is None:
-            return f"At no two lengths do estimates agree to {100 * STEADY:g} %"
-        low, high = steady
-        return f"In windows of {low:.3g} to {high:.3g} s all are steady to {100 * STEADY:g} %"
-
     def noise_share(self, name: str) -> float:
         """How much of what windows leave is the sensors' noise, as energy.
 
@@ -209,26 +209,9 @@ class WindowSweep(Drawn, eqx.Module):
         left, noise = np.asarray(self.relative_rms[band]), np.asarray(self.noise_rms[band])
         return min(float(np.sum(noise**2) / max(np.sum(left**2), 1e-300)), 1.0)
 
-    def _cause(self, name: str) -> str:
-        share = self.noise_share(name)
-        if share > MOST:
-            return f"Noise makes {100 * share:.0f} % of what the shorter ones leave"
-        makes = f"Noise makes {100 * share:.0f} % of what the shorter ones leave: the"
-        return f"{makes if share > SMALL_NOISE else 'The'} model leaves something out"
-
     def _band(self, index: int) -> str:
         return f"{float(self.alpha[index]):.3g} to {float(self.beta[index]):.3g} s"
 
-
-def _others(names: Sequence[str], shares: Mapping[str, float]) -> str:
-    """Further parameters that drift, each with its share in percent."""
-    if not names:
-        return ""
-    listed = ", ".join(f"{name} by {100 * shares[name]:.2g} %" for name in names)
-    return f"; so do{'es' if len(names) == 1 else ''} {listed}"
-
-
-# Estimates at several window lengths: the standard test of whether a model is exact enough.
 
 FEWEST_SAMPLES = 4
 """Samples that the shortest window of a sweep spans at least."""

@@ -35,7 +35,11 @@ class Outline(eqx.Module):
     def of(cls, procedure: Procedure) -> "Outline":
         """Of a procedure."""
         stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in procedure.stages)
-        fingerprint = _fingerprint(procedure) if is_concrete(procedure) else ""
+        fingerprint = ""
+        if is_concrete(procedure):
+            equations = [[_described(e) for e in stage] for stage in procedure.stages]
+            written = json.dumps(equations, sort_keys=True, default=_without_address)
+            fingerprint = hashlib.sha256(written.encode()).hexdigest()
         return cls(stages, tuple(procedure.units.items()), fingerprint)
 
     def is_of(self, other: "Outline") -> bool:
@@ -71,13 +75,6 @@ def digest_of(
     }
     digest.update(json.dumps(settings, sort_keys=True, default=_without_address).encode())
     return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)
-
-
-def _fingerprint(procedure: Procedure) -> str:
-    """SHA-256 of what a procedure's sums depend on, without the samples (not under jit)."""
-    equations = [[_described(e) for e in stage] for stage in procedure.stages]
-    written = json.dumps(equations, sort_keys=True, default=_without_address)
-    return hashlib.sha256(written.encode()).hexdigest()
 
 
 def _described(equation: Equation) -> list[object]:

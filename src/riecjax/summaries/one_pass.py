@@ -1,8 +1,7 @@
-"""What one part of a recording says of each equation: the compiled half of the one pass.
+"""One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept.
 
 Every equation's columns are sampled once, chunk by chunk, and sums over blocks of starts are made
-of them: moments of all windows, and, on request, a survey for checks and figures. How a recording
-is cut into parts is the other half's, `one_pass`.
+of them: moments of all windows, and, on request, a survey for checks and figures.
 """
 
 # What the signals' noise adds to a row has no formula, since terms may be any expressions of the
@@ -12,7 +11,6 @@ is cut into parts is the other half's, `one_pass`.
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -27,10 +25,9 @@ from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
 from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
 from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
-from riecjax.equations.expressions import evaluate
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Terms
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
@@ -48,8 +45,6 @@ NOISE = np.random.default_rng(0).standard_normal(2**16)
 """White noise of unit size, which is sent through the equations."""
 APART = 9973
 """Samples between where two signals begin to take their noise."""
-Noise = Callable[[], Columns]
-"""What noise adds to an equation's columns, evaluated only where it is asked for."""
 
 
 class Lengths(NamedTuple):
@@ -137,17 +132,19 @@ def of_all_windows(
     **Arguments:** `band`, shortest and longest lag of the law.
     """
 
-    def equation_sums(
-        equation: Equation, noisy: NoisyColumns, noise: Noise, record: Record, blocks: StartBlocks
-    ) -> PartSums:
-        moments = tuple(_in_blocks(criterion, noisy, record, which, blocks) for which in lengths)
-        if not request.surveyed:
-            return PartSums(moments, None)
-        windows = _some_windows(criterion, blocks, band, request.surveyed)
-        survey = _surveyed(criterion, equation, noisy.columns, noise, windows, record, blocks)
-        return PartSums(moments, survey)
+    def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
+        return tuple(_in_blocks(criterion, noisy, record, which, blocks) for which in lengths)
 
-    return _in_chunks(procedure, criterion, part, equation_sums, lengths[-1].reach, request)
+    def some_windows(blocks: StartBlocks) -> WindowSet:
+        # In each block, at places and of lengths that are drawn once for all.
+        share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
+        start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
+        start = start + (share[0] * blocks.size).astype(int)
+        lag = band[0] + (share[1] * (band[1] - band[0] + 1)).astype(int)
+        return WindowSet(start, start + criterion.test_function.length_multiple * lag)
+
+    reach = lengths[-1].reach
+    return _in_chunks(procedure, criterion, part, sums_of, some_windows, reach, request)
 
 
 def _in_blocks(
@@ -206,9 +203,7 @@ def of_rows(
     """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
     drawn = criterion.draw(part.record, key, part.held)
 
-    def equation_sums(
-        equation: Equation, noisy: NoisyColumns, noise: Noise, record: Record, blocks: StartBlocks
-    ) -> PartSums:
+    def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
         beside = noisy._replace(columns=with_constant(noisy.columns))
         (found, number), added = moments_of_drawn(criterion, beside, record, drawn, blocks)
         total, of_source = None, None
@@ -216,14 +211,10 @@ def of_rows(
             total, of_source = (each[..., :-1, :-1] for each in (added.total, added.of_source))
             total, of_source = total[:, None], of_source[None, None]
         moments, constant = without_constant(found)
-        sums = BlockSums(moments[:, None], number[:, None], constant[:, None], total, of_source)
-        if not request.surveyed:
-            return PartSums((sums,), None)
-        every = WindowSet(drawn.start[None], drawn.stop[None])
-        survey = _surveyed(criterion, equation, noisy.columns, noise, every, record, blocks)
-        return PartSums((sums,), survey)
+        return (BlockSums(moments[:, None], number[:, None], constant[:, None], total, of_source),)
 
-    return _in_chunks(procedure, criterion, part, equation_sums, 0, request)
+    every = WindowSet(drawn.start[None], drawn.stop[None])
+    return _in_chunks(procedure, criterion, part, sums_of, lambda _: every, 0, request)
 
 
 @kept_jit
@@ -244,7 +235,8 @@ def _in_chunks(
     procedure: Procedure,
     criterion: AbstractCriterion,
     part: Part,
-    equation_sums: Callable[[Equation, NoisyColumns, Noise, Record, StartBlocks], PartSums],
+    sums_of: Callable[[NoisyColumns, Record, StartBlocks], tuple[BlockSums, ...]],
+    surveyed_windows: Callable[[StartBlocks], WindowSet],
     reach: int,
     request: Request,
 ) -> list[list[PartSums]]:
@@ -253,12 +245,14 @@ def _in_chunks(
         disturbed = _disturbed(record) if request.surveyed else None
 
         def of_equation(equation: Equation) -> PartSums:
-            noisy = criterion.noisy_columns(equation, record)
-            noise = partial(_added_by_noise, equation, record, disturbed, criterion.smoothness)
-            if request.surveyed:
-                added = noise()
-                noise = lambda: added  # noqa: E731
-            return equation_sums(equation, noisy, noise, record, blocks)
+            noisy, survey = criterion.noisy_columns(equation, record), None
+            if disturbed is not None:
+                added = sampled_columns(equation, disturbed, criterion.smoothness)
+                added = added - sampled_columns(equation, record, criterion.smoothness)
+                windows = surveyed_windows(blocks)
+                columns = noisy.columns, added
+                survey = _surveyed(criterion, equation, columns, windows, record, blocks)
+            return PartSums(sums_of(noisy, record, blocks), survey)
 
         return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
 
@@ -278,30 +272,16 @@ def _in_chunks(
     )
 
 
-def _some_windows(
-    criterion: AbstractCriterion,
-    blocks: StartBlocks,
-    band: tuple[Int[Array, ""], Int[Array, ""]],
-    each: int,
-) -> WindowSet:
-    """Windows in each block, at places and of lengths that are drawn once for all."""
-    place, length = np.random.default_rng(1).random((2, blocks.number, each))
-    shortest, longest = band
-    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
-    start = start + (place * blocks.size).astype(int)
-    lag = shortest + (length * (longest - shortest + 1)).astype(int)
-    return WindowSet(start, start + criterion.test_function.length_multiple * lag)
-
-
 def _surveyed(
     criterion: AbstractCriterion,
     equation: Equation,
-    columns: Columns,
-    noise: Noise,
+    both: tuple[Columns, Columns],
     windows: WindowSet,
     record: Record,
     blocks: StartBlocks,
 ) -> Surveyed:
+    """Rows of some windows, of an equation's columns and of what noise adds to them."""
+    columns, added = both
     shape = windows.start.shape
     last = columns.sample_count - 1
     inside = (windows.stop < blocks.unpadded).ravel()
@@ -314,39 +294,24 @@ def _surveyed(
         return values.reshape(*shape, -1), valid.reshape(shape)
 
     values, valid = rows(columns, criterion)
-    finer = criterion.finest()
-    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
-    return Surveyed(
-        values,
-        values if finer is criterion else rows(columns, finer)[0],
-        rows(noise(), criterion)[0],
-        record.elapsed[at].reshape(shape),
-        valid,
-        {name: reach[None] for name, reach in _reaches(equation, record, blocks.unpadded).items()},
-    )
-
-
-def _reaches(
-    equation: Equation, record: Record, held: Int[Array, ""] | int
-) -> dict[str, Float[Array, "2"]]:
-    """Least and largest argument of each basis."""
-    real = jnp.arange(record.sample_count) < held
-    found = {}
+    finer, reaches = criterion.finest(), {}
+    real = jnp.arange(record.sample_count) < blocks.unpadded
     for term in equation.terms:
         term = term.term if isinstance(term, InMotion) else term
         if isinstance(term, Terms):
             argument, _ = evaluate(term.of, record)
             low = jnp.min(argument, where=real, initial=jnp.inf)
-            found[term.prefix] = jnp.stack([low, jnp.max(argument, where=real, initial=-jnp.inf)])
-    return found
-
-
-def _added_by_noise(
-    equation: Equation, record: Record, disturbed: Record | None, smoothness: int
-) -> Columns:
-    """What noise of its signals' sizes adds to an equation's columns."""
-    noisy = sampled_columns(equation, disturbed or _disturbed(record), smoothness)
-    return noisy - sampled_columns(equation, record, smoothness)
+            high = jnp.max(argument, where=real, initial=-jnp.inf)
+            reaches[term.prefix] = jnp.stack([low, high])[None]
+    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
+    return Surveyed(
+        values,
+        values if finer is criterion else rows(columns, finer)[0],
+        rows(added, criterion)[0],
+        record.elapsed[at].reshape(shape),
+        valid,
+        reaches,
+    )
 
 
 def _disturbed(record: Record) -> Record:
@@ -361,8 +326,6 @@ def _disturbed(record: Record) -> Record:
     return record.with_signals(added, missing=record.missing)
 
 
-# One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept.
-#
 # A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide
 # the blocks, and a part holds, beside the samples of its own starts, those that windows from them
 # reach (and a margin for quadrature of higher order). So each pair of start and length counts once,
@@ -416,6 +379,7 @@ class _Layout(NamedTuple):
     request: Request
 
 
+@dataclasses.dataclass(frozen=True)
 class OnePass:
     """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][].
 
@@ -423,20 +387,28 @@ class OnePass:
     to the rest: then see [`stretch_starts`][].
     """
 
-    def __init__(
-        self,
-        procedure: Procedure,
-        record: Record,
-        criterion: AbstractCriterion,
-        key: Key[Array, ""] | None,
-        bins: LengthBins | None,
-        survey: bool,
-        starts: tuple[int, int] | None = None,
-    ):
-        self.procedure, self.criterion, self.key, self.bins = procedure, criterion, key, bins
-        self.record, self.survey = record, survey
-        self.step, self.count = float(record.time_step), record.sample_count
-        self.first, self.last = starts or (0, self.count)
+    procedure: Procedure
+    record: Record
+    criterion: AbstractCriterion
+    key: Key[Array, ""] | None
+    bins: LengthBins | None
+    survey: bool
+    starts: tuple[int, int] | None = None
+
+    @property
+    def step(self) -> float:
+        """Seconds between samples."""
+        return float(self.record.time_step)
+
+    @property
+    def count(self) -> int:
+        """Samples of the record."""
+        return self.record.sample_count
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """First of the starts that are summed, and one beyond the last."""
+        return self.starts or (0, self.count)
 
     # What overflows is for the fit to refuse.
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -456,7 +428,8 @@ class OnePass:
         closed = self.criterion.in_closed_form
         # What mixes samples would mix those that the record is filled up with.
         block, stages = (self._all_windows if closed else self._rows)(not mixing)
-        whole = self.last - self.first == self.count
+        first, last = self.ends
+        whole = last - first == self.count
         # Of some starts it is not known how many windows there would be without gaps.
         offered = self.criterion.row_count(self.record) if whole else None
         sums = RecordingSums(
@@ -464,7 +437,7 @@ class OnePass:
             np.asarray(stages[0][0].count.shape[-1]),
             np.asarray(block * self.step),
             np.asarray(np.nan if offered is None else float(offered)),
-            np.asarray(self.last - self.first),
+            np.asarray(last - first),
             np.asarray(self.step),
             digest_of(self.procedure, self.record, self.criterion, self.key, self.bins),
             self.record.noise,
@@ -496,7 +469,7 @@ class OnePass:
         self, parts: list[list[list[PartSums]]], block: int, grouped: int
     ) -> list[list[EquationSums]]:
         """Sums of all equations from those of each part, with so many blocks to one."""
-        count = -(-(self.last - self.first) // block)
+        count = -(-(self.ends[1] - self.ends[0]) // block)
 
         def of_equation(i: int, j: int) -> EquationSums:
             every = [part[i][j] for part in parts]
@@ -570,7 +543,7 @@ class OnePass:
             yield Part(record, 0, None)
             return
         margin = self.criterion.test_function.margin
-        for start in range(self.first, self.last, layout.starts):
+        for start in range(*self.ends, layout.starts):
             begin = max(start - margin, 0)
             stop = min(start + layout.starts + reach + margin, self.count)
             yield Part(

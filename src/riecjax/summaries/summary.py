@@ -109,6 +109,8 @@ class Summary(Shown, eqx.Module):
         **Raises:** `ModelError` if there are none of these numbers, or none at all.
         """
         count = len(self.recordings)
+        for index in indices:
+            require("a recording's number", index, (int, np.integer), "summary.select(0)")
         if not indices or any(not -count <= i < count for i in indices):
             raise ModelError(f"recordings are numbered from 0 to {count - 1}; got {indices}.")
         return self.of_recordings(self.recordings[i] for i in indices)
@@ -120,8 +122,12 @@ class Summary(Shown, eqx.Module):
         remains is as one recording, shorter by them.
 
         **Raises:** `DataError` if fewer than two blocks remain; `ModelError` if there is no such
-        recording.
+        recording, and for a stretch that does not end after it starts.
         """
+        if not start < stop:
+            raise ModelError(
+                f"a stretch to leave out starts before it ends; got {start} to {stop} s."
+            )
         (one,) = self.select(recording).recordings
         edges = float(one.block_seconds) * np.arange(int(one.blocks) + 1)
         outside = (edges[1:] <= start) | (edges[:-1] >= stop)
@@ -158,7 +164,11 @@ class Summary(Shown, eqx.Module):
             )
         band = bins.nearest(alpha, beta)
         asked = (float(alpha), float(beta))
-        snapped = any(self._lags(band, one) != self._lags_of(asked, one) for one in self.recordings)
+
+        def lags_asked(one: RecordingSums) -> tuple[int, ...]:
+            return tuple(max(round(x / self._lag_seconds(one)), 1) for x in asked)
+
+        snapped = any(self._lags(band, one) != lags_asked(one) for one in self.recordings)
         return dataclasses.replace(
             self,
             # Lengths that round to the same samples are the same windows: those asked for.
@@ -182,11 +192,6 @@ class Summary(Shown, eqx.Module):
         assert self.bins is not None
         first, last = self.bins.lags(self._lag_seconds(one), np.iinfo(np.int32).max)
         return int(first[band[0]]), int(last[band[1] - 1])
-
-    def _lags_of(self, lengths: tuple[float, float], one: RecordingSums) -> tuple[int, int]:
-        """Shortest and longest lag of a criterion with windows of these lengths in seconds."""
-        shortest, longest = (max(round(x / self._lag_seconds(one)), 1) for x in lengths)
-        return shortest, longest
 
     @property
     def short_blocks(self) -> ShortBlocks:
@@ -469,8 +474,7 @@ def _pooled(
         if one.noise_of_source is not None:
             by_source[:, [sources.index(name) for name in names]] += np.asarray(one.noise_of_source)
     known = any(one.noise is not None for one in every)
-    constant = [one.constant for one in every]
-    constant = None if any(of is None for of in constant) else constant
+    constant = [one.constant for one in every if one.constant is not None]
     return EquationSums(
         moments=np.concatenate([one.moments for one in every], axis=1),
         count=np.concatenate([one.count for one in every], axis=1),
@@ -479,7 +483,7 @@ def _pooled(
         parameters=every[0].parameters,
         noise=np.concatenate(noise, axis=1) if known else None,
         noise_of_source=by_source if known else None,
-        constant=None if constant is None else np.concatenate(constant, axis=1),
+        constant=np.concatenate(constant, axis=1) if len(constant) == len(every) else None,
     )
 
 

@@ -350,6 +350,9 @@ def studentized_replicates(
     found = statistics.estimate
     moments = [stage.clean.reshape(stage.count.shape[0], -1) for stage in stages]
 
+    def solved(equations: NormalEquations) -> Float[Array, " p"]:
+        return solve_scaled(equations.gram, equations.moment[:, None])[:, 0]
+
     def replicate(drawn: Float[Array, "records blocks_of_record"]) -> Float[Array, " p"]:
         weights = drawn_counts(drawn, used).astype(found.dtype).ravel()
         totals = [
@@ -358,7 +361,7 @@ def studentized_replicates(
             )
             for m, s in zip(moments, stages)
         ]
-        again = staged_values(totals, unknowns, statistics.known, _solve_definite)
+        again = staged_values(totals, unknowns, statistics.known, solved)
         error = _standard_errors(
             scores(stages, unknowns, again),
             weights.reshape(used.shape[0], -1),
@@ -405,8 +408,3 @@ def _standard_errors(
     squares = jnp.einsum("rb,rbp->rp", weights, moved**2)
     drawn = jnp.sum(weights, axis=1)[:, None]
     return jnp.sqrt(jnp.sum(jnp.maximum(squares - total**2 / drawn, 0.0), axis=0))
-
-
-def _solve_definite(equations: NormalEquations) -> Float[Array, " p"]:
-    """Solution of normal equations of full rank; see [`solve_scaled`][]."""
-    return solve_scaled(equations.gram, equations.moment[:, None])[:, 0]

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax import tails
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, is_number
 from riecjax.summaries.normal_equations import MOST_BLOCKS, NormalEquations, ShortBlocks
 from riecjax.uncertainty.block_statistics import BlockStatistics, block_statistics
 from riecjax.uncertainty.covariances import (
@@ -86,7 +86,11 @@ class Uncertainty(eqx.Module):
         law for so few degrees of freedom: replicates of few blocks know too little of the tails.
 
         **Returns:** two arrays of shape `(..., p)`, with the leading axes of a batch.
+
+        **Raises:** `ModelError` for a level that is not between 0 and 1.
         """
+        if not (is_number(level) and 0 < level < 1):
+            raise ModelError(f"a confidence level is a share between 0 and 1, 0.95; got {level!r}.")
         tail = (1 - level) / 2
         dof = np.maximum(np.asarray(self.degrees_of_freedom), 1)
         student = tails.student(tail, dof)

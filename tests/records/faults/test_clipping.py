@@ -63,14 +63,3 @@ def test_a_few_visits_are_enough_where_no_value_comes_twice(share):
         assert clips({"u": values}) == []
         found += "u" in clips({"u": np.clip(values, -limit, limit)})
     assert found >= 19
-
-
-@pytest.mark.no_finding("stuck_sensor")
-def test_a_slow_signal_with_noise_at_its_limit_is_clipped_and_not_stuck():
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        values = np.convolve(rng.normal(size=6400), np.hanning(401), "valid")
-        values = values + 0.01 * values.std() * rng.normal(size=values.size)
-        limit = 0.8 * np.max(np.abs(values))
-        record = rx.Record.from_samples({"u": np.clip(values, -limit, limit)}, time_step=1 / RATE)
-        assert {f.code for f in check_signals(record, ["u"])} == {"clipped"}

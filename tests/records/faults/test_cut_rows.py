@@ -46,18 +46,6 @@ def test_a_jump_is_found_at_its_time(lost, noise):
 
 
 @pytest.mark.raises_finding("lost_rows")
-@pytest.mark.parametrize("earlier", [0.0, 3600.0])
-def test_times_count_from_the_recordings_first_sample(earlier):
-    part = record(rows(1), 40).part(500, COUNT)
-    moved = Record(part.arrays, part.time_step, skipped=part.skipped + earlier)
-    finding = cut_rows(moved, "x", "v")
-    assert finding is not None
-    after = float(finding.remedy[1]) - earlier
-    assert AT / RATE <= after <= (AT + 5) / RATE
-    assert f"at {AT / RATE + earlier:.7g} s" in finding.message
-
-
-@pytest.mark.raises_finding("lost_rows")
 @pytest.mark.parametrize("seed", [9, 14])
 def test_lost_rows_are_not_taken_for_a_delay(seed):
     gone = record(rows(seed, 0.0), 100)

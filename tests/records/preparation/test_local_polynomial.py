@@ -5,7 +5,6 @@ import pytest
 import scipy.signal
 
 from nightly import nightly
-from riecjax.errors import DataError
 from riecjax.records.noise import Noise
 from riecjax.records.preparation.filtering import derivative_taps, with_local_derivative
 from riecjax.records.record import Record
@@ -68,25 +67,3 @@ def test_noise_that_stands_out_by_chance_is_not_taken_for_motion(count):
 def test_without_noise_it_is_as_narrow_as_can_be():
     record = Record({"x": MOTION}, STEP).with_noise(Noise({"x": {}}))
     assert with_local_derivative(record, "x", "v")[1] == pytest.approx(3 * STEP)
-
-
-def test_no_slope_reaches_across_a_gap():
-    values = MOTION.copy()
-    values[2000:] += 100.0
-    values[2000] = np.nan
-    record = Record.from_samples({"x": values}, time_step=STEP)
-    found, _ = with_local_derivative(record, "x", "v", 0.1)
-    missing = np.flatnonzero(np.asarray(found.missing["v"]))
-    np.testing.assert_array_equal(missing, np.arange(1980, 2001))
-    assert np.max(np.abs(np.asarray(found["v"]))) < 20
-
-
-@pytest.mark.parametrize("half_width", [0.0, 0.02, np.nan, np.inf, 30.0])
-def test_impossible_half_width(half_width):
-    with pytest.raises(DataError, match="half width"):
-        with_local_derivative(noisy(0.01), "x", "v", half_width)
-
-
-def test_too_few_samples():
-    with pytest.raises(DataError, match="7 samples in succession"):
-        with_local_derivative(Record({"x": [1.0, 2.0, 4.0, 1.0]}, STEP), "x", "v")

@@ -1,5 +1,3 @@
-import hypothesis
-import hypothesis.strategies as st
 import numpy as np
 import pytest
 import scipy.interpolate
@@ -21,15 +19,6 @@ def jittered(time: np.ndarray, share: float, seed: int = 0) -> np.ndarray:
 
 def wave(time: np.ndarray, hertz: float, phase: float = 0.4) -> np.ndarray:
     return np.sin(2 * np.pi * hertz * time + phase)
-
-
-@pytest.mark.parametrize("start", [0.0, 60.0, 1.7e9])
-def test_samples_on_the_grid_pass_unchanged(start):
-    values = np.random.default_rng(0).normal(size=501)
-    time = sampled(100.0, 5.0, start)
-    grid, columns = on_grid({"a": (time, values)}, 100.0)
-    np.testing.assert_allclose(grid, time, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(columns["a"], values)
 
 
 def test_slower_samples_on_a_finer_grid_pass_unchanged():
@@ -79,21 +68,6 @@ def test_a_faster_channel_folds_nothing_down(share, hertz):
     _, columns = on_grid({"a": (time, wave(time, hertz))}, 100.0)
     # 80 dB; what uneven times spoil on the way through a spline adds to it.
     assert np.max(np.abs(columns["a"])) < (1.2e-4 if share == 0 else 2e-3)
-
-
-def test_rates_without_a_common_divisor():
-    time = sampled(997.3, 10.0, 0.0123)
-    grid, columns = on_grid({"a": (time, wave(time, 20.0))}, 61.803)
-    np.testing.assert_allclose(columns["a"], wave(grid, 20.0), rtol=0, atol=1e-4)
-    assert np.ptp(np.diff(grid)) < 1e-12
-    assert grid[1] - grid[0] == pytest.approx(1 / 61.803, rel=1e-12)
-
-
-def test_a_low_pass_costs_its_reach_at_both_ends():
-    time = sampled(1000.0, 10.0)
-    grid, _ = on_grid({"a": (time, wave(time, 3.0))}, 100.0)
-    assert grid[0] == pytest.approx(ANTI_ALIAS_REACH / 100)
-    assert grid[-1] == pytest.approx(10 - ANTI_ALIAS_REACH / 100)
 
 
 def test_gaps_by_nan_and_by_time():
@@ -151,28 +125,6 @@ def test_short_stretches_of_samples_on_the_grid_stay_and_others_go():
     np.testing.assert_array_equal(np.flatnonzero(~np.isnan(finer["a"][39:51])), [3, 7, 9])
 
 
-@hypothesis.given(
-    st.floats(20.0, 400.0),
-    st.floats(-50.0, 50.0),
-    st.floats(0.0, 0.45),
-    st.lists(st.floats(-3, 3), min_size=4, max_size=4),
-)
-@hypothesis.settings(deadline=None, max_examples=60)
-def test_slow_waves_survive_whatever_the_rates(rate, start, share, amplitudes):
-    channels, frequencies = {}, [0.1, 0.7, 1.3, 2.0]
-    for seed, own in enumerate([97.0, 200.0, 333.3]):
-        time = jittered(sampled(own, 6.0, start + 0.01 * seed), share, seed)
-        channels[str(seed)] = (
-            time,
-            sum(a * wave(time, f) for a, f in zip(amplitudes, frequencies)),
-        )
-    grid, columns = on_grid(channels, rate)
-    inside = slice(5, -5)
-    truth = sum(a * wave(grid, f) for a, f in zip(amplitudes, frequencies))
-    for values in columns.values():
-        np.testing.assert_allclose(values[inside], np.asarray(truth)[inside], rtol=0, atol=1.5e-3)
-
-
 @pytest.mark.parametrize("wrong", [0.05, 0.03], ids=["repeated", "going back"])
 def test_time_must_increase(wrong):
     time = sampled(100.0, 1.0)
@@ -180,12 +132,6 @@ def test_time_must_increase(wrong):
     match = "time of channel 'b' must increase.*at sample 6 it goes from 0.05 to"
     with pytest.raises(DataError, match=match):
         on_grid({"a": (time[:5], time[:5]), "b": (time, time)}, 100.0)
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
-def test_impossible_rate(rate):
-    with pytest.raises(DataError, match="must be a positive number"):
-        on_grid({"a": (np.arange(9.0), np.arange(9.0))}, rate)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +145,7 @@ def test_impossible_rate(rate):
         (
             [0.0, 1e7],
             [1.0, 1.0],
-            r"1e\+08 samples.* of 2 that were recorded.* about 67 min and 17 GB of memory\. Cho",
+            r"1e\+08 samples.* of 2 that were recorded.* about 17 GB of memory\. Cho",
         ),
         ([0.0, 0.05], [1.0, 1.0], "no time in common at 10 Hz"),
     ],
@@ -207,11 +153,6 @@ def test_impossible_rate(rate):
 def test_channels_that_cannot_be_used(time, values, match):
     with pytest.raises(DataError, match=match):
         on_grid({"a": (np.array(time), np.array(values))}, 10.0)
-
-
-def test_no_channel():
-    with pytest.raises(DataError, match="no channel"):
-        on_grid({}, 10.0)
 
 
 def test_channels_one_after_the_other():

@@ -57,12 +57,6 @@ def test_the_steps_that_were_taken_in_words():
     assert prepare(record(q=TIME), {}, Preparation())[1] == []
 
 
-@pytest.mark.parametrize(("count", "ending"), [(2, "2nd"), (3, "3rd"), (11, "11th"), (21, "21st")])
-def test_thinning_is_described_in_english(count, ending):
-    _, words = prepare(record(q=TIME), {}, Preparation(every=count))
-    assert words == [f"every {ending} sample"]
-
-
 def test_every_step_of_a_preparation_is_taken_in_order():
     asked = Preparation(
         start=1.0,

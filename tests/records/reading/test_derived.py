@@ -56,6 +56,7 @@ REFUSED = {
     "sin + 1": "'sin'",
     "sin(q, q)": "sin takes 1",
     "maximum(q)": "maximum takes 2",
+    "1if": "cannot be read",
     "q +": "cannot be read",
     "q; q": "cannot be read",
     "": "cannot be read",

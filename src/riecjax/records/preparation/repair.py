@@ -22,7 +22,6 @@ from riecjax.records.faults.spikes import (
 )
 from riecjax.records.faults.stuck_sensor import stuck_runs
 from riecjax.records.preparation.filtering import with_gaps
-from riecjax.records.reading.selected import Selection
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -32,6 +31,8 @@ QUICKEST = 0.25
 """Turns from sample to sample past which nothing tells which way it went."""
 MOST = 0.05
 """Share of samples that begin a turn at most."""
+REGISTERS = (16, 32)
+"""Bits of registers of signed numbers."""
 
 
 def unwrapped(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], int]:
@@ -53,6 +54,29 @@ def unwrapped(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"],
             whole = values.copy()
             whole[known] -= turn * np.cumsum(np.append(0, np.where(jumps, np.sign(steps), 0)))
             return whole, int(jumps.sum())
+    return values, 0
+
+
+def signed(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], int]:
+    """A register of signed numbers that was read as unsigned put right, and its bits; 0 if none.
+
+    Below zero it counts down from 2^bits: it holds whole numbers, and leaps from one end of that
+    range to the other where the signed number passes zero by no more than it steps elsewhere.
+    """
+    known = values[~np.isnan(values)]
+    for bits in REGISTERS:
+        count = 2.0**bits
+        if known.size < 2 or not (known.max() > count / 2 and (known >= 0).all()):
+            continue
+        if known.max() >= count or (known != np.floor(known)).any():
+            continue
+        below = values >= count / 2
+        whole = np.where(below, values - count, values)
+        leaps = np.abs(np.diff(known)) > count / 2
+        steps = np.abs(np.diff(whole[~np.isnan(values)]))
+        usual = np.max(steps[~leaps], initial=0.0)
+        if leaps.any() and usual < count / 4 and np.max(steps[leaps]) <= 2 * usual:
+            return whole, bits
     return values, 0
 
 
@@ -122,23 +146,25 @@ def leave_out(record: Record, *signals: str) -> Record:
 def treat_all(
     columns: Mapping[str, Float[np.ndarray, " n"]],
     times: Mapping[str, Float[np.ndarray, " n"]],
-    selection: Selection,
     units: Mapping[str, str],
+    step: float | None,
+    how: Treatment,
+    formulas: Mapping[str, str],
 ) -> tuple[dict[str, np.ndarray], list[str], list[Finding]]:
     """Columns of a file without their spikes, what was done in words, and what is amiss with them.
 
     Angles that begin anew with each turn go on, or each would be a spike or a jump. A finding
     concerns what is computed from a column too.
 
-    **Arguments:** `times` of those that have stamps, the others are at the selection's time step.
+    **Arguments:** `times` of those that have stamps, the others are at time `step`; `how`, what
+    becomes of spikes; `formulas` of signals that are computed of columns.
 
     **Raises:** `DataError` for another treatment.
     """
     turns = {name: unwrapped(column) for name, column in columns.items()}
     columns = {name: column for name, (column, _) in turns.items()}
-    step = selection.time_step or 1.0
-    even = {name: step * np.arange(column.size) for name, column in columns.items()}
-    every, how, findings = {**even, **times}, selection.outliers, []
+    even = {name: (step or 1.0) * np.arange(column.size) for name, column in columns.items()}
+    every, findings = {**even, **times}, []
     words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
     treated = _treated(tuple(columns), columns, every, how)
     for name, one in treated.items():
@@ -150,7 +176,7 @@ def treat_all(
             continue
         done = "repaired" if how == "repair" else "marked as missing"
         words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
-        used = [k for k, f in selection.derive.items() if name in re.findall(r"\w+", f)]
+        used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
         unit = units.get(name, "")
         found = finding_of(name, one.spikes, columns[name], time - time[0], unit, how)
         findings.append(found._replace(signals=(name, *used)))

@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.util
+import math
 import re
 import warnings
 import zipfile
@@ -13,13 +14,16 @@ from typing import IO
 import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.records.reading.time_stamps import of_texts
+from riecjax.memory import require_memory
+from riecjax.records.reading.times import TIME_COLUMNS, of_texts
 from riecjax.records.reading.units import split_unit
 
 LARGEST_FILE = 4 * 2**30
 """Bytes a file may hold, unpacked, before it is refused."""
 MOST_COLUMNS = 10_000
 """Columns a file may hold before it is refused."""
+NUMBERED = "column {}"
+"""What a column without a name is called, by its number from 1."""
 HIGHEST_PACKING = 1100
 """Bytes that one byte of a deflated file can hold (1032), with its headers."""
 
@@ -59,18 +63,24 @@ def check_extra(module: str, kind: str, extra: str) -> None:
 
 
 @contextlib.contextmanager
-def foreign_reader(kind: str) -> Iterator[None]:
+def foreign_reader(kind: str, is_trusted: bool = True) -> Iterator[None]:
     """Run a library on a file that may be damaged: any error becomes one `DataError`.
 
-    Libraries raise whatever a damaged file leads them to. `MemoryError` passes: it need not be the
-    file's fault.
+    Libraries raise whatever a damaged file leads them to. `MemoryError` passes, as it need not be
+    the file's fault, unless the library is not trusted: one that asks for whatever size stands in a
+    damaged file before it finds that the file ends.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
-    except (RiecjaxError, MemoryError):
+    except RiecjaxError:
         raise
+    except MemoryError:
+        if is_trusted:
+            raise
+        said = f"not a readable {kind} file: it declares more than memory holds."
+        raise DataError(said) from None
     except Exception as error:
         raise DataError(f"not a readable {kind} file: {first_sentence(error)}") from None
 
@@ -82,14 +92,8 @@ def first_sentence(error: BaseException) -> str:
     return said if said and not isinstance(error, KeyError) else f"{type(error).__name__} {said}"
 
 
-TIME_COLUMNS = ("t", "time", "Time", "time_s", "t_s", "TIME", "timestamp", "Timestamp", "T")
-"""Column names taken as time, in this order of preference; `--map t=COLUMN` names another."""
-BY_ATTRIBUTE = ", as counts with an attribute "
-"""What stands between the unit of counts and an attribute that may be their factor."""
 WIDEST_MATRIX = 1000
 """Columns of a matrix past which it is a picture and not a set of channels."""
-MOST_LISTED = 30
-"""Names in a message past which the rest is counted."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +125,6 @@ class Channels:
         """A column's name without its unit, and the unit that the file or the name states."""
         name, unit = split_unit(column, self.nested)
         return name, self.units.get(column) or unit
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names for a message, the first thirty of them."""
-    every = list(names)
-    more = len(every) - MOST_LISTED
-    return ", ".join(every[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def check_names(names: Iterable[str]) -> None:
@@ -187,17 +184,13 @@ def _real(array: np.ndarray) -> tuple[np.ndarray | None, bool]:
 
 def seconds_of(stamps: np.ndarray) -> np.ndarray:
     """NumPy's date-times as seconds from the first, and durations in seconds; NaN for NaT."""
-    unit, ticks = np.datetime_data(stamps.dtype)
-    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-    if unit not in per_second:
+    if np.datetime_data(stamps.dtype)[0] not in ("s", "ms", "us", "ns"):
         stamps = stamps.astype(f"{stamps.dtype.kind}8[us]")
-        unit, ticks = "us", 1
     missing = np.isnat(stamps)
-    counts = stamps.astype("int64")
     # Counted from the first before they become floats, which hold only 16 digits.
-    first = counts[~missing][0] if stamps.dtype.kind == "M" and not missing.all() else 0
-    since = (counts - first) * float(ticks) / per_second[unit]
-    return np.where(missing, np.nan, since)
+    if stamps.dtype.kind == "M":
+        stamps = stamps - (stamps[~missing][0] if not missing.all() else stamps[:1])
+    return np.where(missing, np.nan, stamps / np.timedelta64(1, "s"))
 
 
 def with_units_beside(channels: Channels, texts: Mapping[str, str]) -> Channels:
@@ -284,6 +277,14 @@ def read_npz(file: Path) -> Channels:
         check_column_count(len(members))
         check_unpacked(sum(member.file_size for member in members), file.stat().st_size)
         check_names(member.filename.removesuffix(".npy") for member in members)
+        made = 0
+        for member in members:
+            with archive.open(member) as stream:
+                shape, _, dtype = _header(stream)
+            is_table = sum(side > 1 for side in shape) <= 2
+            made += 8 * math.prod(shape) * max(len(dtype.names or ()), 1) * is_table
+        check_unpacked(made)
+        require_memory("reading its arrays", 2 * made, "Read a part of the file.")
         arrays: dict[str, np.ndarray] = {}
         left_out = {}
         for member in members:
@@ -308,6 +309,18 @@ def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:
 
     **Raises:** `ValueError` if it does not fit.
     """
+    shape, fortran, dtype = _header(stream)
+    if dtype.hasobject:
+        return None
+    count = math.prod(shape)
+    if min(shape, default=1) < 0 or count * dtype.itemsize > size:
+        raise ValueError("an array is larger than its file.")
+    flat = np.frombuffer(stream.read(), dtype=dtype, count=count)
+    return flat.reshape(shape, order="F" if fortran else "C")
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether it runs along columns, and type of the array that follows."""
     version = np.lib.format.read_magic(stream)
     header = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -315,13 +328,4 @@ def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:
     }.get(version)
     if header is None:
         raise ValueError(f"arrays of version {version} are not read.")
-    shape, fortran, dtype = header(stream)
-    if dtype.hasobject:
-        return None
-    count = 1
-    for side in shape:
-        count *= side
-    if min(shape, default=1) < 0 or count * dtype.itemsize > size:
-        raise ValueError("an array is larger than its file.")
-    flat = np.frombuffer(stream.read(), dtype=dtype, count=count)
-    return flat.reshape(shape, order="F" if fortran else "C")
+    return header(stream)

@@ -117,10 +117,11 @@ def _surroundings() -> tuple[int, str]:
 
 
 def _reader() -> _Reader:
-    if _readers and (
-        _readers[0].made_for != _surroundings() or _readers[0].process.poll() is not None
-    ):
-        _end()
+    if _readers:
+        reader = _readers[0]
+        is_alive = reader.process.poll() is None and reader.out.parent.is_dir()
+        if reader.made_for != _surroundings() or not is_alive:
+            _end()
     if not _readers:
         _readers.append(_Reader())
     return _readers[0]

@@ -1,8 +1,11 @@
-"""Reading tables in text files: CSV, TSV and what data loggers write."""
+"""Tables in text files as data loggers write them: encoding, dialect, header, columns."""
 
+import codecs
+import contextlib
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,28 +15,465 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import (
+    MOST_COLUMNS,
+    NUMBERED,
     Channels,
     check_column_count,
+    check_names,
     first_sentence,
 )
-from riecjax.records.reading.dialect import NAMES, Dialect, Layout, layout
 from riecjax.records.reading.numerals import (
     GROUPED,
     compute,
+    is_missing,
+    is_number,
     is_numeric,
     numbers,
     stripped,
 )
-from riecjax.records.reading.plain_rows import plain_rows
-from riecjax.records.reading.repetitions import (
-    distinct,
-    without_end,
-    without_headings,
+from riecjax.records.reading.times import are_stamps, is_called_time, is_stamp, seconds
+from riecjax.records.reading.units import (
+    SECONDS,
+    bare_unit,
+    is_known,
+    is_unit,
+    readings,
+    same,
+    split_unit,
 )
-from riecjax.records.reading.text_encoding import as_utf8
-from riecjax.records.reading.time_stamps import are_stamps, seconds
-from riecjax.records.reading.unit_expressions import readings, same
-from riecjax.records.reading.units import split_unit
+
+QUOTED = 2**12
+"""Bytes at the start of a file that tell its encoding, and whether whole rows are quoted."""
+MOSTLY = 0.9
+"""Share of numbers in a column from which a text in it is an error, not a sign of a text column."""
+OTHER_FORMATS = {
+    b"PK\x03\x04": "an Excel workbook or another zip archive",
+    b"\x1f\x8b": "packed by gzip",
+    b"\xd0\xcf\x11\xe0": "a workbook of Excel before 2007 (.xls)",
+    b"\x89HDF": "an HDF5 file",
+    b"MATLAB": "a MATLAB file",
+    b"TDSm": "a TDMS file",
+    b"PAR1": "a Parquet file",
+}
+"""What a file that begins so is, whatever its name."""
+_ARABIC = str.maketrans("٠١٢٣٤٥٦٧٨٩۰۱۲۳۴۵۶۷۸۹٫", "01234567890123456789.", "٬")
+_IN_ARABIC = re.compile(rb"\xd9[\xa0-\xa9]|\xdb[\xb0-\xb9]")
+_CHUNK = 2**20
+_CONTROLS = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
+
+
+def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
+    """A text file's content in UTF-8 with lines ended by `\\n`, and what was decided.
+
+    UTF-8, UTF-16, and UTF-32 with a mark are recognised; any other text is taken as Latin-1, which
+    differs from other 8-bit encodings in names but not in numbers. Digits of Arabic and Persian
+    become those of ASCII, the sign of minus a hyphen; what has no width goes.
+
+    **Raises:** `DataError` for a binary file.
+    """
+    for start, kind in OTHER_FORMATS.items():
+        if content.startswith(start):
+            raise DataError(f"it is {kind}, whatever its name says; unpack, rename or export it.")
+    notes: list[str] = []
+    marks = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32",
+             codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}  # fmt: skip
+    wide = next((name for mark, name in marks.items() if content.startswith(mark)), "")
+    # Without a mark: digits and delimiters have a zero as every other byte.
+    halves = {"utf-16-le": content[1:QUOTED:2], "utf-16-be": content[:QUOTED:2]}
+    letters = {"utf-16-le": halves["utf-16-be"], "utf-16-be": halves["utf-16-le"]}
+    for name, zeros in halves.items():
+        if len(zeros) > 1 and zeros.count(0) > MOSTLY * len(zeros) and 0 not in letters[name]:
+            wide = wide or name
+    if wide:
+        called = wide[:6].upper()
+        try:
+            content = content.decode(wide).encode()
+        except UnicodeError:
+            raise DataError(f"not a text file in {called}; it is damaged.") from None
+        notes.append(f"read as {called}")
+    whole = content.rstrip(b"\0")
+    if 0 < len(whole) < len(content):
+        notes.append(f"{len(content) - len(whole)} bytes of 0 at the end left out")
+        content = whole
+    place = content.find(b"\0")
+    if place >= 0:
+        raise DataError(f"not a text file in UTF-8: byte {place} is 0, as in binary files.")
+    try:
+        content.decode()
+    except UnicodeDecodeError:
+        if _CONTROLS.search(content[:_CHUNK]):
+            raise DataError(
+                "not a text file in UTF-8: it holds binary control characters."
+            ) from None
+        content = content.decode("latin-1").encode()
+        notes.append("read as Latin-1, not being UTF-8")
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    for invisible in (codecs.BOM_UTF8, "\u200b".encode()):
+        content = content.replace(invisible, b"") if invisible in content else content
+    if b"\xe2\x88\x92" in content:
+        content = re.sub(rb"\xe2\x88\x92(?=[\d.,])", b"-", content)
+    if _IN_ARABIC.search(content[:_CHUNK]):
+        content = content.decode().translate(_ARABIC).encode()
+    return content, notes
+
+
+FEWEST_MEASURED = 5
+"""Rows on which it is decided that units stand behind numbers."""
+MOST_HEADINGS, MOST_BREAKS = 40, 6
+"""Lines in which names with a line break are looked for, and lines of one such row."""
+_GROUPED = re.compile(
+    rb"(?<![\d.,])(\d{1,3})('|\xe2\x80\x99|\xe2\x80\xaf|\xc2\xa0|\xc2\x92)(\d{3}(?:\2\d{3})*)(?!\d)"
+)
+_MEASURED = re.compile(r"[+-]?[\d.,]*\d(?:[eE][+-]?\d+)? ?(?P<unit>[^\s\d,;.+-][^,;\t]*)")
+_AS_TEXT = re.compile(rb"(?m)(^|[,;\t])(?:=\"([^\"\n]*)\"|'([^'\n]*)')(?=[,;\t]|$)")
+_OPEN = re.compile(rb'(?:^|[,;\t])[ ]*"[^"]*$')
+
+
+def plain_rows(content: bytes) -> tuple[bytes, list[str], list[str]]:
+    """A text without what stands around its numbers, what was taken off, and units behind numbers.
+
+    Quotes around rows that a spreadsheet took for one cell (`"0,1"`), semicolons at the end of
+    every line; units behind numbers, as of MATLAB's durations (`0.5 sec`); apostrophes and blanks
+    that do not break, between thousands (`1'234.5`); single quotes, and what keeps a number from
+    Excel (`="0.5"`); breaks within quoted names.
+
+    **Returns:** the units by position.
+    """
+    notes = []
+    content = _without_breaks(content)
+    if any(sign in content[:QUOTED] for sign in (b'="', b"'")):
+        content = _AS_TEXT.sub(rb"\1\2\3", content)
+    lines = [line for line in content[:QUOTED].split(b"\n")[:-1] if line.strip()]
+    if lines and all(re.fullmatch(rb'[ \t]*"[^"]*[,;\t][^"]*"[ \t]*', line) for line in lines):
+        content = re.sub(rb'(?m)^[ \t]*"|"[ \t]*$', b"", content)
+        notes.append("quotes around rows removed")
+    if content.rstrip().endswith(b";"):
+        rows = [line.rstrip() for line in content.split(b"\n") if line.strip()]
+        if sum(row.endswith(b";") for row in rows) >= len(rows) - 1:
+            content = re.sub(rb"(?m);[ \t]*$", b"", content)
+    content, units = _without_units(content)
+    if any(sign in content for sign in (b"'", b"\xe2\x80", b"\xc2")):
+        content, count = _GROUPED.subn(lambda match: match[0].replace(match[2], b""), content)
+        notes += ["signs between thousands removed"] if count else []
+    return content, notes, units
+
+
+def _without_breaks(content: bytes) -> bytes:
+    """Rows of names on one line, where quoted names hold line breaks; later lines keep their
+    numbers."""
+    if b'"' not in content[:QUOTED]:
+        return content
+    lines = content.split(b"\n", MOST_HEADINGS)
+    for place in range(len(lines) - 1):
+        for count in range(1, MOST_BREAKS):
+            row = b" ".join(lines[place : place + count])
+            if not _OPEN.search(re.sub(rb'"[^"]*"', b"", row)):
+                lines[place : place + count] = [row, *[b""] * (count - 1)]
+                break
+            if place + count >= len(lines) - 1:
+                break
+    return b"\n".join(lines)
+
+
+def _without_units(content: bytes) -> tuple[bytes, list[str]]:
+    """Rows of numbers without the units behind them, where all rows have the same ones."""
+    lines = content[: 4 * QUOTED].decode(errors="replace").split("\n")[:-1]
+    rows = [line for line in lines if line.strip()][-FEWEST_MEASURED:]
+    sign = next((sign for sign in ";\t," if all(sign in row for row in rows)), "")
+    if len(rows) < FEWEST_MEASURED or not sign:
+        return content, []
+    found = [[_MEASURED.fullmatch(field.strip()) for field in row.split(sign)] for row in rows]
+    units = [[match["unit"] if match else "" for match in row] for row in found]
+    if any(row != units[0] for row in units) or not any(map(is_known, units[0])):
+        return content, []
+    behind = b"|".join(re.escape(unit.encode()) for unit in {*units[0]} if is_known(unit))
+    pattern = rb"(?m)(?<=[\d.]) ?(?:" + behind + rb")(?=[ ]*(?:" + sign.encode() + rb"|$))"
+    return re.sub(pattern, b"", content), [unit if is_known(unit) else "" for unit in units[0]]
+
+
+NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
+SIGNS = tuple(NAMES)[:-1]
+"""Delimiters in order of preference; a blank, the last one, stands for any white space."""
+MISFIT = 0.3
+"""Badness past which a layout is taken only where there is no better one, with names or without."""
+ROWS = frozenset(("signal", "signals", "name", "names", "channel", "channels"))
+"""What a row of names calls itself in a field before them."""
+REMARKS = frozenset(("comment", "comments", "remark", "remarks", "kommentar", "bemerkung"))
+"""Columns that hold words, if anything."""
+PLACES = ("TS", "RN")
+"""What Campbell's TOA5 writes for the unit of a time stamp, and of a record's number."""
+_FRAMED = re.compile(r"\s*(?:\w+\s*=\s*)?[\[({]+(?=[\s\d.,;+\-\"]|$)")
+_COMMENT = re.compile(r"\s*(?:#|%|//)+\s*")
+_SEMICOLON_COMMENT = re.compile(r"\s*(?:#|%|;|//)+\s*")
+
+
+class Dialect(NamedTuple):
+    """Delimiter (a blank: any white space) and decimal sign."""
+
+    delimiter: str
+    decimal: str
+
+    def comment(self, line: str) -> re.Match[str] | None:
+        """The sign that makes this line a comment."""
+        return (_COMMENT if self.delimiter == ";" else _SEMICOLON_COMMENT).match(line)
+
+    def fields(self, line: str) -> list[str]:
+        """The fields of one line, stripped."""
+        if self.delimiter == " ":
+            line = " ".join(line.split())
+        if '"' not in line:
+            return [field.strip() for field in line.split(self.delimiter)]
+        fields = next(csv.reader([line], delimiter=self.delimiter), [])
+        return [field.strip().strip('"').strip() for field in fields]
+
+    def __str__(self) -> str:
+        return f"delimiter {NAMES.get(self.delimiter, self.delimiter)}, decimal {self.decimal!r}"
+
+
+class Layout(NamedTuple):
+    """A table in a text file, as read in one dialect.
+
+    **Fields:** `names` of the columns; `units` by position; `start`, the line (from 0) with the
+    first row of numbers; `width`, fields in a row; `filled`, those up to the last that usually
+    holds something; `header`, the line of the names; `badness`, the share of rows and fields that
+    do not fit; `numbered`: whether the names are numbers of columns, the file having none.
+    """
+
+    dialect: Dialect
+    names: list[str]
+    units: list[str]
+    start: int
+    width: int
+    filled: int
+    header: int
+    badness: float
+    numbered: bool = False
+
+    @property
+    def named(self) -> bool:
+        """Whether there is a name for each column."""
+        return len(self.names) == self.width
+
+
+def layout(
+    lines: list[str], delimiter: str | None, decimal: str | None, columns: Sequence[str] = ()
+) -> Layout:
+    """The one way to read these lines, the first of a file, as a table with named columns.
+
+    Every dialect is tried; the one that gives the same number of names and numbers, with fewest
+    fields that are no numbers, is taken. Where no row above the numbers can name them, or
+    `columns` do, the first row of numbers is the first sample.
+
+    **Raises:** `DataError` where there is none, or where two are equally good.
+    """
+    for line in lines:
+        if len(line) > MOST_COLUMNS:
+            check_column_count(max(len(line.split()), *(line.count(d) + 1 for d in SIGNS)))
+    text = "\n".join(lines)
+    layouts = []
+    for sign in [decimal] if decimal else [".", ","]:
+        for mark in [delimiter] if delimiter else [d for d in NAMES if d == " " or d in text]:
+            # A comma can be both only where quotes tell the two apart.
+            table = _layout(lines, Dialect(mark, sign)) if sign != mark or '"' in text else None
+            # One column only where its name holds no delimiter: else the file has more columns.
+            alone = table and table.width == 1 and not delimiter and table.header >= 0
+            if table and not (alone and any(d in lines[table.header] for d in SIGNS)):
+                layouts.append(table)
+    if not layouts:
+        filled = [place for place, line in enumerate(lines) if line.strip()]
+        if not filled:
+            raise DataError("the file is empty; the first row must name the columns.")
+        if len(filled) == 1:
+            raise DataError("there are no samples below the column names.")
+        place = filled[min(len(filled) - 1, len(filled) // 2)]
+        raise DataError(
+            f"no line holds numbers between delimiters; line {place + 1} is {lines[place][:60]!r}."
+            " Take off brackets and labels, name delimiter and decimal sign (on the command line:"
+            " --delimiter, --decimal), or export the file otherwise."
+        )
+    best = min(
+        layouts,
+        key=lambda one: (one.badness > MISFIT, not one.named, round(one.badness, 3), -one.width),
+    )
+    if columns and len(columns) not in (best.width, best.filled):
+        raise DataError(f"{len(columns)} names are given for {best.width} columns of numbers.")
+    if columns or (not best.names and best.header < 0):
+        # Behind a delimiter at the end of each row there may be an empty column.
+        names = list(columns) or [NUMBERED.format(place + 1) for place in range(best.width)]
+        names += [""] * (best.width - len(names))
+        units = best.units if len(best.units) == best.width else []
+        best = best._replace(names=names, units=units, numbered=not columns)
+    if framed := _FRAMED.match(lines[best.start]):
+        raise DataError(
+            f"line {best.start + 1}: {framed[0].strip()!r} stands before the numbers; take brackets"
+            " and labels off the rows."
+        )
+    if not best.named:
+        twice = best.dialect.delimiter == "," and best.width == 2 * len(best.names)
+        remedy = " If commas are decimal signs too, export the file with another delimiter."
+        raise DataError(
+            f"{len(best.names)} column names but {best.width} columns of numbers"
+            f" ({best.dialect}; line {best.start + 1}).{remedy * twice}"
+        )
+    if (decimal, delimiter, best.width, best.dialect.decimal) == (None, None, 1, ","):
+        for place in range(best.start, len(lines)):
+            if "," in lines[place] and not best.dialect.comment(lines[place]):
+                raise DataError(
+                    f"line {place + 1}: {lines[place].strip()[:40]!r} is one number with a decimal"
+                    " comma, or two columns; pass decimal=',' or delimiter=','."
+                )
+    return best
+
+
+def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
+    rows = {
+        place: dialect.fields(line)
+        for place, line in enumerate(lines)
+        if line.strip() and not dialect.comment(line)
+    }
+    kinds = {place: _kinds(fields, dialect.decimal) for place, fields in rows.items()}
+    usual = Counter(kind for kind in kinds.values() if "N" in kind or "S" in kind)
+    if not usual:
+        return None
+    # The usual row is data; of equally usual ones the one with fewest texts.
+    pattern = max(usual, key=lambda kind: (usual[kind], -_texts(kind), len(kind)))
+    first = next(
+        place
+        for place, kind in kinds.items()
+        if len(kind) == len(pattern)
+        and all(a == b or "M" in (a, b) for a, b in zip(kind, pattern, strict=True))
+    )
+    header, units, start = _header(rows, kinds, first, pattern)
+    if header is None:
+        header, names, units = _commented_header(lines, dialect, first, len(pattern))
+    else:
+        names = rows[header]
+    names = _without_empty_end(names)
+    width = len(pattern)
+    if len(names) == width + 1 > 2:
+        # What the row is, before its names, or a column of remarks that stayed empty.
+        before, behind = names[0].lower() in ROWS, names[-1].lower() in REMARKS
+        names = names[1:] if before else names[:-1] if behind else names
+    names = _joined(names, dialect, width)
+    if names and set(pattern[len(names) :]) == {"M"}:
+        names = [*names, *[""] * (width - len(names))]
+    # Rows of numbers above the first that fits are none to skip: the dialect is another one.
+    data = [k for place, k in kinds.items() if place >= start or ("D" in k and "T" not in k)]
+    ragged = sum(len(kind) != len(pattern) for kind in data) / len(data)
+    texts = sum(map(_texts, data)) / max(sum(map(len, data)), 1)
+    filled = len(pattern.rstrip("M"))
+    return Layout(dialect, names, units, start, width, filled, header, ragged + texts)
+
+
+def _texts(kind: str) -> int:
+    """How many fields of a row are no numbers."""
+    return kind.count("T") + kind.count("D")
+
+
+def _kinds(fields: list[str], decimal: str) -> str:
+    """One letter for each field, as `kind_of` gives them."""
+    return "".join(kind_of(field, decimal) for field in fields)
+
+
+def kind_of(field: str, decimal: str) -> str:
+    """What a field holds: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a number of the
+    other decimal sign, which names no column; `T`, any other text."""
+    if is_missing(field):
+        return "M"
+    if is_number(field, decimal):
+        return "N"
+    if is_stamp(field):
+        return "S"
+    return "D" if is_number(field, "." if decimal == "," else ",") else "T"
+
+
+def _header(
+    rows: dict[int, list[str]], kinds: dict[int, str], first: int, pattern: str
+) -> tuple[int | None, list[str], int]:
+    """Line of the names, the units by position, and the line where data begins."""
+    preceding = [place for place in reversed(rows) if place < first]
+    width = len(pattern)
+    filled = {place: len(_without_empty_end(rows[place])) for place in preceding}
+    # A word alone, such as DATA or [data], heads a table and names no column of several.
+    while width > 1 and len(preceding) > 1 and filled[preceding[0]] == 1:
+        if is_known(bare_unit(rows[preceding[0]][0])):
+            break
+        del rows[preceding.pop(0)]
+    above = []
+    for place in preceding:
+        # A delimiter at the end of a row makes no column.
+        ends = pattern[filled[place] :]
+        if width in (filled[place], len(rows[place])) or (ends and set(ends) == {"M"}):
+            above.append(place)
+        else:
+            break
+    # Where no row above is as wide, the last one tells how many names there are instead.
+    above = above or preceding[:1]
+    # A row that is partly numbers below a row of names is data that went wrong, not a header.
+    texts = [place for place in above if "T" in kinds[place] and not set(kinds[place]) & {"N", "S"}]
+    fallback = [place for place in above if "T" in kinds[place]]
+    if not texts and not fallback:
+        return None, [], first
+    # Below a row of units there may be one of sensors, or of how values were taken.
+    units = [_is_unit_row(rows[place]) for place in texts[:2]]
+    if len(texts) > 2 and units == [False, True]:
+        above = [place for place in above if place < texts[0]]
+        del rows[texts.pop(0)]
+    last = (texts or fallback)[0]
+    named, stated = last, None
+    between = [place for place in above if place > last]
+    # Above units, names may be numbers, as of channels 1 and 2.
+    upper = next((place for place in fallback if place < last), None)
+    if between and _is_unit_row(rows[between[-1]]):
+        stated = between[-1]
+    elif upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
+        named, stated = upper, last
+    start = min(place for place in rows if place > (last if stated is None else stated))
+    return named, list(map(bare_unit, rows[stated])) if stated is not None else [], start
+
+
+def _is_unit_row(fields: list[str]) -> bool:
+    """Whether all fields are units, or most of them below one of time, which no name is."""
+    known = [not field or is_unit(field) or field in PLACES for field in fields]
+    timed = bare_unit(fields[0]).lower() in SECONDS and sum(known) > len(fields) / 2
+    return any(fields) and (all(known) or timed)
+
+
+def _commented_header(
+    lines: list[str], dialect: Dialect, first: int, width: int
+) -> tuple[int, list[str], list[str]]:
+    """Line, names and units of the last comment above the numbers that names each column."""
+    found: list[tuple[int, list[str]]] = []
+    for place in range(first - 1, -1, -1):
+        sign = dialect.comment(lines[place])
+        if sign:
+            fields = dialect.fields(lines[place][sign.end() :])
+            found.append((place, _joined(fields, dialect, width)))
+        if len(found) == 2 or (lines[place].strip() and not sign):
+            break
+    named = [
+        one for one in found if len(one[1]) == width and "T" in _kinds(one[1], dialect.decimal)
+    ]
+    if len(named) == 2 and _is_unit_row(named[0][1]):
+        return (*named[1], [bare_unit(field) for field in named[0][1]])
+    return (*named[0], []) if named and named[0] is found[0] else (-1, [], [])
+
+
+def _without_empty_end(fields: list[str]) -> list[str]:
+    width = len(fields)
+    while width and not fields[width - 1]:
+        width -= 1
+    return fields[:width]
+
+
+def _joined(names: list[str], dialect: Dialect, width: int) -> list[str]:
+    """Names delimited by blanks with their units: the blank before a bracket delimits none."""
+    if dialect.delimiter != " " or len(names) <= width:
+        return names
+    joined = re.sub(r"\s+(?=[\[(])", "\0", " ".join(names))
+    return [name.replace("\0", " ") for name in joined.split(" ")]
+
 
 SAMPLE = 2**16
 """Bytes at the start of a file on which its dialect is decided."""
@@ -41,8 +481,6 @@ LONGEST_LINE = 2**22
 """Bytes of a line past which a file is no table."""
 FEWEST_LINES, MOST_LINES = 6, 400
 """Lines on which the dialect is decided."""
-MOSTLY = 0.9
-"""Share of numbers in a column from which a text in it is an error, not a sign of a text column."""
 
 
 class Table(NamedTuple):
@@ -76,18 +514,18 @@ def read_delimited(
 ) -> Channels:
     """Read a text file of columns.
 
-    Delimiter, decimal sign, header, a row of units, comments, lines above the header and below the
-    rows, and brackets or quotes around rows are recognised; what could be read in two ways is
-    refused. Columns without a header are called `column 1`, `column 2`, ..., or by `columns`, and
-    those of one name `x #1`, `x #2`, ...
+    Delimiter, decimal sign, header, a row of units, comments, lines above the header and quotes
+    around rows are recognised; what could be read in two ways is refused. Columns without a header
+    are called `column 1`, `column 2`, ..., or by `columns`, and those of one name `x #1`, `x #2`,
+    ...
 
     **Raises:** `DataError` naming the line and the text that is no number, for rows of unequal
     length, and for files that are not text or have no samples.
     """
     content, notes = as_utf8(file.read_bytes())
-    plain = plain_rows(content)
-    found = read_table(plain.content, delimiter, decimal, columns or plain.labels, plain.units)
-    return replace(found, notes=[*notes, *plain.notes, *found.notes])
+    content, taken_off, units = plain_rows(content)
+    table = read_table(content, delimiter, decimal, columns, units)
+    return replace(table, notes=[*notes, *taken_off, *table.notes])
 
 
 def read_table(
@@ -104,19 +542,26 @@ def read_table(
     lines = _first_lines(content)
     found = layout(lines, delimiter, decimal, columns)
     check_column_count(found.width)
-    content, ended = without_end(content, found, lines[found.start])
+    notes = []
+    last = content[content.rfind(b"\n") + 1 :].decode()
+    if last.strip() and not found.dialect.comment(last):
+        fields = found.dialect.fields(last)
+        if len(fields) < found.width and _kinds(fields[:1], found.dialect.decimal) != "T":
+            content = content[: -len(last.encode())]
+            notes.append("the last line is cut off and left out")
     body, comments = _body(content, found)
-    head = lines[max(found.header, 0) : found.start]
-    body, repeated = without_headings(body, head, found.dialect)
     table = Table(body, found, decimal is not None)
     parsed = _parse(table)
-    names, kept, numbered = distinct(_names(found.names), parsed)
+    # A spreadsheet takes what follows this mark for a text and no formula.
+    names = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in found.names]
+    filled = max((place for place, name in enumerate(names) if name), default=-1)
+    names[:filled] = [name or NUMBERED.format(k + 1) for k, name in enumerate(names[:filled])]
+    names, kept, numbered = distinct(names, parsed)
     read, left_out, stamped = _columns(table, parsed.select(kept), names)
     by_place = found.units or units
     row = [by_place[place] for place in kept if place < len(by_place)]
     stated = _units(names, row) | dict.fromkeys(stamped, "s")
-    notes = _notes(found, lines, comments, stamped, delimiter is not None)
-    notes += [*ended, *repeated, *numbered]
+    notes = [*_notes(found, lines, comments, stamped, delimiter is not None), *notes, *numbered]
     notes += [f"column '{name}' left out: {why}" for name, why in left_out.items()]
     return Channels(read, {k: u for k, u in stated.items() if k in read}, {}, left_out, notes)
 
@@ -180,18 +625,16 @@ def _parse(table: Table) -> Any:
             ),
         )
     except pa.ArrowInvalid as error:
-        raise DataError(_ragged_row(table) or first_sentence(error)) from None
-
-
-def _ragged_row(table: Table) -> str:
-    """In words, the first row that has not one value for each column."""
-    try:
-        for line, fields in table.rows():
-            if len(fields) != table.layout.width:
-                return f"line {line} has {len(fields)} values for {table.layout.width} columns."
-    except csv.Error as error:
-        return first_sentence(error)
-    return ""
+        said = first_sentence(error)
+        with contextlib.suppress(csv.Error):
+            for line, fields in table.rows():
+                if len(fields) != width:
+                    said = (
+                        f"line {line} has {len(fields)} values for {width} columns; take off that"
+                        " line, or correct it."
+                    )
+                    break
+        raise DataError(said) from None
 
 
 def _columns(
@@ -201,7 +644,10 @@ def _columns(
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
     texts = {name: stripped(parsed.column(place)) for place, name in enumerate(names) if name}
-    _refuse_nameless(parsed, names)
+    for place, name in enumerate(names):
+        if not name and stripped(parsed.column(place)).null_count < parsed.num_rows:
+            filled = sum(map(bool, names))
+            raise DataError(f"{filled} column names but {len(names)} columns of numbers.")
     if table.layout.dialect.decimal == "," and not table.decimal_given:
         _refuse_thousands(table, texts)
     columns: dict[str, np.ndarray] = {}
@@ -221,7 +667,12 @@ def _columns(
             )
         else:
             columns[name] = values
-    return _without_blank_end(columns), left_out, stamped
+    # Spreadsheets leave empty rows at the end.
+    is_filled = np.any([~np.isnan(values) for values in columns.values()] or [[True]], axis=0)
+    if is_filled.any():
+        stop = np.flatnonzero(is_filled)[-1] + 1
+        columns = {name: values[:stop] for name, values in columns.items()}
+    return columns, left_out, stamped
 
 
 def _all_valid(table: Table, valid: Any, text: Any) -> bool:
@@ -232,17 +683,10 @@ def _all_valid(table: Table, valid: Any, text: Any) -> bool:
     if flags.size and flags.mean() >= MOSTLY:
         row = valid.to_pylist().index(False)
         raise DataError(
-            f"line {table.line_of(row)}: {text[row].as_py()[:40]!r} is not a number; correct it, or"
-            " leave the field empty."
+            f"line {table.line_of(row)}: {text[row].as_py()[:40]!r} is not a number; take off that"
+            " line, correct it, or leave the field empty."
         )
     return False
-
-
-def _refuse_nameless(parsed: Any, names: list[str]) -> None:
-    for place, name in enumerate(names):
-        if not name and stripped(parsed.column(place)).null_count < parsed.num_rows:
-            filled = sum(bool(each) for each in names)
-            raise DataError(f"{filled} column names but {len(names)} columns of numbers.")
 
 
 def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
@@ -264,25 +708,6 @@ def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
             f"line {table.line_of(row)}: {text[row].as_py()!r} has a decimal comma or"
             " commas between thousands; pass decimal=',' or decimal='.'."
         )
-
-
-def _without_blank_end(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Without the empty rows at the end that spreadsheets leave."""
-    if not columns:
-        return columns
-    filled = np.flatnonzero(np.any([~np.isnan(values) for values in columns.values()], axis=0))
-    stop = filled[-1] + 1 if filled.size else None
-    return {name: values[:stop] for name, values in columns.items()}
-
-
-def _names(header: list[str]) -> list[str]:
-    """Names of the columns; those at the end without a name stay empty."""
-    last = max((place for place, name in enumerate(header) if name), default=-1)
-    # With this mark a spreadsheet takes what follows for a text and no formula.
-    header = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in header]
-    return [
-        name or (f"column {place + 1}" if place < last else "") for place, name in enumerate(header)
-    ]
 
 
 def _units(names: list[str], row: list[str]) -> dict[str, str]:
@@ -316,3 +741,38 @@ def _notes(
     return notes + [
         f"column '{name}': time stamps, as seconds from {first}" for name, first in stamped.items()
     ]
+
+
+def distinct(names: list[str], table: Any) -> tuple[list[str], list[int], list[str]]:
+    """Names of a table's columns (PyArrow), which of them to read, and what was decided.
+
+    Of columns with one name and the same content, the first is read; others get a number: `x #1`,
+    `x #2 [mm]`.
+
+    **Raises:** `DataError` for two times of one name that differ, as nothing tells which signals
+    are of which.
+    """
+    kept: list[int] = []
+    for place, name in enumerate(names):
+        same = (other for other in kept if name and names[other] == name)
+        if not any(table.column(place).equals(table.column(other)) for other in same):
+            kept.append(place)
+    count = Counter(names[place] for place in kept)
+    twice = [name for name, times in count.items() if name and times > 1]
+    if times := [name for name in twice if is_called_time(name, {})]:
+        raise DataError(
+            f"two columns are called '{times[0]}' and differ; name all columns (on the command"
+            " line: --columns A,B,...)."
+        )
+    seen: Counter[str] = Counter()
+    found = []
+    for place in kept:
+        name, (bare, unit) = names[place], split_unit(names[place])
+        seen[name] += 1
+        number = f"{bare} #{seen[name]}" + (f" [{unit}]" if unit else "")
+        found.append(number if name in twice else name)
+    check_names(filter(None, found))
+    notes = [f"columns called '{name}' are numbered" for name in twice]
+    if len(kept) < len(names):
+        notes.append(f"{len(names) - len(kept)} copies of columns left out")
+    return found, kept, notes

@@ -8,7 +8,6 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import (
-    BY_ATTRIBUTE,
     Channels,
     check_column_count,
     check_names,
@@ -19,6 +18,7 @@ from riecjax.records.reading.channels import (
     without_common_group,
 )
 from riecjax.records.reading.child_process import read_apart
+from riecjax.records.reading.units import BY_ATTRIBUTE
 
 DEEPEST = 16
 """Groups within groups past which a file is not followed."""

@@ -18,7 +18,10 @@ from riecjax.records.reading.channels import (
     with_units_beside,
     without_common_group,
 )
-from riecjax.records.reading.time_stamps import of_texts
+from riecjax.records.reading.times import of_texts
+
+SPARSEST, FEWEST_CHECKED = 100, 10**6
+"""Places of a table for each value at most, where it has more places than the second number."""
 
 
 def read_json_lines(file: Path) -> Channels:
@@ -62,23 +65,20 @@ def _as_rows(document: Any) -> Any:
     if isinstance(document, dict) and {"columns", "data"} <= document.keys():
         names, rows = document["columns"], document["data"]
         return [dict(zip(names, row, strict=True)) for row in rows]
-    if isinstance(document, dict) and all(_is_series(one) for one in document.values()):
+    # Single values by their row, as pandas writes a column.
+    if isinstance(document, dict) and all(
+        isinstance(series, dict)
+        and len(series) > 2
+        and not any(isinstance(value, dict | list) for value in series.values())
+        and list(series) == list(map(str, range(len(series))))
+        for series in document.values()
+    ):
         return {name: list(series.values()) for name, series in document.items()}
     if isinstance(document, list) and len(document) > 2 and isinstance(document[0], list):
         names, *rows = document
         if all(isinstance(name, str) for name in names) and not isinstance(rows[0][0], list):
             return [dict(zip(names, row, strict=True)) for row in rows]
     return document
-
-
-def _is_series(value: Any) -> bool:
-    """Whether an object holds single values by their row, as pandas writes a column."""
-    return (
-        isinstance(value, dict)
-        and len(value) > 2
-        and not any(isinstance(inner, dict | list) for inner in value.values())
-        and all(key == str(place) for place, key in enumerate(value))
-    )
 
 
 def _texts(name: str, value: Any) -> Iterator[tuple[str, str]]:
@@ -109,7 +109,14 @@ def _objects(lines: Iterable[bytes], notes: list[str]) -> Iterator[dict[str, Any
 def _arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
     """Arrays of a document by their name."""
     if isinstance(value, list):
-        if value and all(_holds_arrays(inner, len(value)) for inner in value):
+        # An object is a recording and no row where its arrays are longer than there are objects.
+        if value and all(
+            any(
+                isinstance(array, list) and len(array) > len(value)
+                for array in (inner.values() if isinstance(inner, dict) else ())
+            )
+            for inner in value
+        ):
             for place, inner in enumerate(value):
                 yield from _arrays(f"{name or 'part'}({place + 1})", inner)
             return
@@ -119,12 +126,6 @@ def _arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
     elif isinstance(value, dict):
         for key, inner in value.items():
             yield from _arrays(f"{name}.{key}" if name else key, inner)
-
-
-def _holds_arrays(value: Any, count: int) -> bool:
-    """Whether one of `count` objects is a recording and no row: its arrays are longer."""
-    inner = value.values() if isinstance(value, dict) else ()
-    return any(isinstance(array, list) and len(array) > count for array in inner)
 
 
 def _channels(tables: Mapping[str, Iterable[Any]], texts: Mapping[str, str] = {}) -> Channels:
@@ -153,19 +154,24 @@ def gathered(table: str, rows: Iterable[Any]) -> dict[str, list[Any]]:
 
     **Arguments:** `rows`, of dictionaries and lists in each other, or of single values.
     """
-    columns: dict[str, list[Any]] = {}
-    count = 0
+    columns: dict[str, dict[int, Any]] = {}
+    count = filled = 0
     for row in rows:
         for name, value in _fields(table, row):
-            column = columns.setdefault(name, [])
-            if len(column) > count:
+            column = columns.setdefault(name, {})
+            if count in column:
                 raise DataError(f"two fields are called '{name}'.")
-            column.extend([None] * (count - len(column)))
-            column.append(value)
+            column[count] = value
+            filled += 1
         count += 1
         check_column_count(len(columns))
     check_unpacked(8 * count * len(columns))
-    return {name: [*column, *[None] * (count - len(column))] for name, column in columns.items()}
+    if filled < count * len(columns) / SPARSEST and count * len(columns) > FEWEST_CHECKED:
+        raise DataError(
+            f"its {count} rows have {len(columns)} names and only {filled} values; give a field the"
+            " same name in each row."
+        )
+    return {name: list(map(column.get, range(count))) for name, column in columns.items()}
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -39,15 +39,10 @@ def _read(file: Path) -> Channels:
     import asammdf
 
     with foreign_reader("MDF"), file.open("rb") as stream, asammdf.MDF(stream) as source:
-        _check_size(source)
+        check_column_count(sum(len(group.channels) for group in source.groups))
+        count = sum(g.channel_group.cycles_nr * len(g.channels) for g in source.groups)
+        check_unpacked(8 * count)
         return _channels(source)
-
-
-def _check_size(source: Any) -> None:
-    check_column_count(sum(len(group.channels) for group in source.groups))
-    check_unpacked(
-        8 * sum(group.channel_group.cycles_nr * len(group.channels) for group in source.groups)
-    )
 
 
 def _channels(source: Any) -> Channels:
@@ -70,19 +65,12 @@ def _channels(source: Any) -> Channels:
             if samples.ndim != 1 or samples.dtype.kind not in "fiub":
                 left_out[name] = "it holds no single numbers"
                 continue
-            columns[name] = _masked(signal, samples)
+            columns[name] = samples.astype(float)
+            if signal.invalidation_bits is not None:
+                columns[name][np.asarray(signal.invalidation_bits, bool)] = np.nan
             columns[time] = np.asarray(signal.timestamps, float)
             time_of[name] = time
             if signal.unit:
                 units[name] = str(signal.unit)
     notes = [f"channel '{name}' left out: {why}" for name, why in left_out.items()]
     return Channels(columns, units, time_of, left_out, notes)
-
-
-def _masked(signal: Any, samples: np.ndarray) -> np.ndarray:
-    """Samples as floats, NaN where the file marks them as invalid."""
-    values = samples.astype(float)
-    invalid = getattr(signal, "invalidation_bits", None)
-    if invalid is not None:
-        values[np.asarray(invalid, bool)] = np.nan
-    return values

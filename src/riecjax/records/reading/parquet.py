@@ -8,7 +8,6 @@ import numpy as np
 
 from riecjax.memory import require_memory
 from riecjax.records.reading.channels import (
-    TIME_COLUMNS,
     Channels,
     check_column_count,
     check_names,
@@ -17,7 +16,7 @@ from riecjax.records.reading.channels import (
 )
 from riecjax.records.reading.child_process import read_apart
 from riecjax.records.reading.numerals import compute, floats
-from riecjax.records.reading.time_stamps import of_text_column, unwrapped
+from riecjax.records.reading.times import TIME_COLUMNS, of_text_column, unwrapped
 
 BESIDE = 6
 """Columns of numbers that PyArrow holds beside those that are read, at most: with time stamps."""
@@ -37,6 +36,8 @@ def read_parquet(file: Path) -> Channels:
 
 def _read(file: Path) -> Channels:
     with foreign_reader("Parquet"):
+        import pyarrow as pa
+        import pyarrow.types as types
         from pyarrow import parquet
 
         # Not by its name, by which PyArrow would look for partitions in folders beside it.
@@ -59,9 +60,15 @@ def _read(file: Path) -> Channels:
             require_memory("reading its columns", held, "Read a part of the file.")
             # One after the other: a table of all takes as much again as their numbers.
             columns = {name: _numbers(source.read(columns=[name]).column(0)) for name in names}
-            units = {name: unit for name in names if (unit := _unit(schema.field(name)))}
-            for name in [name for name in left_out if _is_text(schema.field(name).type)]:
-                found, stamped = of_text_column(_strings(source.read(columns=[name]).column(0)))
+            stated = {name: (schema.field(name).metadata or {}).get(b"unit") for name in names}
+            units = {name: unit.decode(errors="replace") for name, unit in stated.items() if unit}
+            for name in list(left_out):
+                kind = schema.field(name).type
+                kind = kind.value_type if types.is_dictionary(kind) else kind
+                if not (types.is_string(kind) or types.is_large_string(kind)):
+                    continue
+                texts = compute().cast(source.read(columns=[name]).column(0), pa.string())
+                found, stamped = of_text_column(texts)
                 if found is not None:
                     columns[name] = found
                     units |= {name: "s"} if stamped else {}
@@ -93,19 +100,6 @@ def _is_numeric(kind: Any) -> bool:
     return any(check(kind) for check in checks)
 
 
-def _is_text(kind: Any) -> bool:
-    import pyarrow.types as types
-
-    plain = kind.value_type if types.is_dictionary(kind) else kind
-    return types.is_string(plain) or types.is_large_string(plain)
-
-
-def _strings(column: Any) -> Any:
-    import pyarrow as pa
-
-    return compute().cast(column, pa.string())
-
-
 def _numbers(column: Any) -> np.ndarray:
     import pyarrow as pa
     import pyarrow.types as types
@@ -116,18 +110,13 @@ def _numbers(column: Any) -> np.ndarray:
     kind = column.type
     if not (types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind)):
         return floats(pc.cast(column, pa.float64(), safe=False))
-    ticks = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
+    ticks = np.timedelta64(1, "s") / np.timedelta64(1, kind.unit)
     if types.is_time32(kind):
         column = pc.cast(column, pa.int32())
     counts = pc.cast(column, pa.int64())
     first = pc.min(counts).as_py() if types.is_timestamp(kind) else 0
     since = floats(pc.cast(pc.subtract(counts, first or 0), pa.float64(), safe=False)) / ticks
     return unwrapped(since) if types.is_time(kind) else since
-
-
-def _unit(field: Any) -> str | None:
-    stated = (field.metadata or {}).get(b"unit")
-    return stated.decode(errors="replace") if stated else None
 
 
 def _unnamed_index(schema: Any, columns: dict[str, np.ndarray]) -> str | None:

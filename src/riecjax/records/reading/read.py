@@ -54,29 +54,29 @@ def read_channels(
     **Raises:** `DataError` if the file cannot be read.
     """
     file = Path(path)
-    reader = _reader(file)
+    try:
+        reader = _reader(file)
+    except OSError as error:  # of a name that is too long
+        raise DataError(printable(f"cannot read '{file.name[:60]}': {error.strerror}.")) from None
     dialect = _dialect(file, delimiter, decimal, columns)
     each = MEMORY_PER_BYTE_OF_SHEETS if file.suffix.lower() in SHEETS else MEMORY_PER_BYTE
     require_memory(f"reading {file.name}", each * size_of(file), "Read a part of the file.")
     try:
-        return _escaped(reader(file, *dialect))
+        channels = reader(file, *dialect)
+        # Nothing in names and words may steer a terminal.
+        check_names(map(printable, channels.columns))
+        return replace(
+            called(channels, printable),
+            units={printable(name): printable(unit) for name, unit in channels.units.items()},
+            left_out={printable(name): printable(why) for name, why in channels.left_out.items()},
+            notes=list(map(printable, channels.notes)),
+            parts=list(map(printable, channels.parts)),
+        )
     except RiecjaxError as error:
         raise _about(file, error) from None
     except OSError as error:
         said = f"{file.name}: cannot be read: {error.strerror or error}."
         raise DataError(printable(said)) from None
-
-
-def _escaped(found: Channels) -> Channels:
-    """The same with nothing in its names and words that would steer a terminal."""
-    check_names(map(printable, found.columns))
-    return replace(
-        called(found, printable),
-        units={printable(name): printable(unit) for name, unit in found.units.items()},
-        left_out={printable(name): printable(why) for name, why in found.left_out.items()},
-        notes=list(map(printable, found.notes)),
-        parts=list(map(printable, found.parts)),
-    )
 
 
 def _reader(file: Path) -> Callable[..., Channels]:

@@ -1,8 +1,9 @@
 """From the channels of a file to a record: which are signals, which is time, in which units."""
 
-import contextlib
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,39 +12,52 @@ from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.derived import sensitivities, with_derived
 from riecjax.records.noise_judgement import given_noise, judged
-from riecjax.records.preparation.repair import treat_all
-from riecjax.records.reading.channels import TIME_COLUMNS, Channels, listed
-from riecjax.records.reading.dialect import NUMBERED
-from riecjax.records.reading.selected import Selected, Selection
-from riecjax.records.reading.time_columns import (
-    TimeColumn,
-    counts_in_its_name,
-    find_time,
-    no_time,
-)
-from riecjax.records.reading.unit_conversion import (
+from riecjax.records.preparation.repair import signed, treat_all
+from riecjax.records.reading import times as clocks
+from riecjax.records.reading.channels import NUMBERED, Channels
+from riecjax.records.reading.times import TIME_COLUMNS, TimeColumn, find_time, listed, seconds_in
+from riecjax.records.reading.units import (
     conversion,
     require_known_unit,
     require_sure_unit,
-    stated_unit,
+    unit_behind,
 )
+from riecjax.records.reading_settings import Selection
 from riecjax.records.record import Record
 from riecjax.records.time_base import StampError
 
 
+class Selected(NamedTuple):
+    """A record, and what was decided on selecting it, in words.
+
+    **Fields:** `converted`: signal to the unit that it was converted from; `doubt` in words that
+    time is what it is taken for, empty if none; `findings`, on signals that were repaired;
+    `left_out`: column to the reason why it is no signal.
+    """
+
+    record: Record
+    converted: Mapping[str, str] = {}
+    notes: tuple[str, ...] = ()
+    doubt: str = ""
+    findings: tuple[Finding, ...] = ()
+    left_out: Mapping[str, str] = {}
+
+
 class _Signals(NamedTuple):
-    """Signals by name, with the column each comes from, its unit, and the one before conversion."""
+    """Signals by name, with the column each comes from, its unit, the one before conversion, and
+    why a column is left out."""
 
     values: dict[str, np.ndarray]
     column: dict[str, str]
     units: dict[str, str]
     converted: Mapping[str, str] = {}
+    left_out: Mapping[str, str] = {}
 
 
 def record_from_channels(
     channels: Channels,
     selection: Selection,
-    read: Mapping[str, str] = {},
+    read: Mapping[str, str] | None = None,
     shortest: float | None = None,
 ) -> Selected:
     """Make a record of a file's channels.
@@ -52,9 +66,10 @@ def record_from_channels(
     base form.
 
     **Arguments:** `read`: signal to the unit in which a model reads it, empty where it says none;
-    `shortest` window in seconds that the model asks for, if it does.
+    `None` without a model; `shortest` window in seconds that the model asks for, if it does.
     Where channels have different times, signals that neither are read nor stand in `selection` do
-    not decide where the record begins and at which times it is.
+    not decide where the record begins and at which times it is. Of these, one whose unit may be two
+    is left out, with the question which it is.
 
     **Raises:** `DataError` for a missing or ambiguous column, no time or several, and samples that
     do not make a record (see [`Record.from_samples`][]); `ModelError` for a formula.
@@ -62,10 +77,20 @@ def record_from_channels(
     if not channels.columns:
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
     rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
-    signals = _united(_renamed(channels, rename), channels, selection)
+    signals, registers = _renamed(channels, rename)
+    units_read, stated = read or {}, dict(signals.units)
+    # What the user says goes before what the file states.
+    for name, unit in selection.units.items():
+        if name in selection.derive:
+            continue
+        if name in selection.scale:
+            raise DataError(f"'{name}' is given both a scale and a unit; leave out one of them.")
+        require_known_unit(name, unit)
+        stated |= dict.fromkeys(_signals_called(name, signals, channels), unit)
+    signals = signals._replace(units=stated)
     for name, column in rename.items():
         if name not in signals.units and not {name, column} & {*selection.scale}:
-            require_sure_unit(name, column, read.get(name, ""))
+            require_sure_unit(name, column, units_read.get(name, ""))
     signals = _scaled(signals, channels, selection.scale)
     time = find_time(
         signals.values,
@@ -81,66 +106,47 @@ def record_from_channels(
     else:
         notes = time.notes if time else ()
         times = _times(signals, channels, time)
-        signals = _with_times(signals, times, rename)
-        if not signals.values:
-            raise DataError(
-                f"a record needs at least one signal besides its time{_first_reason(channels)}."
-            )
-    matter = _mattering(signals, selection, read)
-    signals = _converted(signals, read, matter if read else selection.rename)
-    with _naming(signals.column.get(time.name, time.name) if time else ""):
-        if selection.resample is not None:
-            signals, words, findings = _treated(signals, times, selection, matter)
-            record = _resampled(signals, times, selection, matter)
-            return Selected(record, signals.converted, (*notes, *words), "", (*findings,))
-        values, axis = _on_one_axis(signals.values, times, matter)
-        axes = {} if axis is None else dict.fromkeys(values, axis)
-        signals = signals._replace(values=values)
-        signals, words, findings = _treated(signals, axes, selection, matter)
-        values = signals.values
-        computed = _finite(with_derived(values, axis, selection.derive), selection)
-        record = Record.from_samples(
-            computed,
-            time=axis,
-            time_step=selection.time_step,
-            units=_with_labels(signals, selection),
-        )
-    judged_on = computed if axis is None else {"t": axis, **computed}
-    record = _with_noise(record, selection, judged_on)
-    doubt = time.doubt if times and time else ""
-    return Selected(record, signals.converted, (*notes, *words), doubt, (*findings,))
-
-
-@contextlib.contextmanager
-def _naming(column: str) -> Iterator[None]:
-    """Name the column of time in errors about its stamps."""
+        for name in rename:
+            if name not in times and name != "t":
+                size = max((stamps.size for stamps in times.values()), default=0)
+                raise DataError(
+                    f"column '{rename[name]}' has another length than the time, {size} samples."
+                )
+        signals = signals._replace(values={name: signals.values[name] for name in times})
+    # What is read, by the model or by what the user asks for; all where none is.
+    words = re.findall(r"\w+", " ".join(selection.derive.values()))
+    asked = {*units_read, *rename, *selection.scale, *selection.units, *words}
+    asked &= signals.values.keys()
+    signals = _converted(signals, units_read, asked or (signals.values if read is None else ()))
+    if not signals.values:
+        why = _first_reason(replace(channels, left_out=channels.left_out | signals.left_out))
+        raise DataError(f"a record needs at least one signal besides its time{why}.")
+    matter = asked or {*signals.values}
+    step, how, formulas = selection.time_step, selection.outliers, selection.derive
+    columns, axis, axes = signals.values, None, times
     try:
-        yield
+        if selection.resample is None:
+            columns, axis = _on_one_axis(columns, times, matter)
+            axes = {} if axis is None else dict.fromkeys(columns, axis)
+        of_matter = {name: values for name, values in columns.items() if name in matter}
+        treated, words, findings = treat_all(of_matter, axes, signals.units, step, how, formulas)
+        signals = signals._replace(values={**columns, **treated})
+        if selection.resample is not None:
+            record = _resampled(signals, times, selection, matter)
+        else:
+            computed = _finite(with_derived(signals.values, axis, formulas), selection)
+            units = _with_labels(signals, selection)
+            record = Record.from_samples(computed, time=axis, time_step=step, units=units)
+            judged_on = computed if axis is None else {"t": axis, **computed}
+            record = _with_noise(record, selection, judged_on)
     except StampError as error:
-        if not column:
+        if not time:
             raise
+        column = signals.column.get(time.name, time.name)
         raise DataError(f"column '{column}': {error}") from None
-
-
-def _treated(
-    signals: _Signals,
-    times: Mapping[str, np.ndarray],
-    selection: Selection,
-    matter: Collection[str],
-) -> tuple[_Signals, list[str], list[Finding]]:
-    """Signals of which those that matter have no spikes, what was done, and what is amiss."""
-    columns = {name: values for name, values in signals.values.items() if name in matter}
-    treated, words, findings = treat_all(columns, times, selection, signals.units)
-    return signals._replace(values={**signals.values, **treated}), words, findings
-
-
-def _mattering(signals: _Signals, selection: Selection, read: Collection[str]) -> set[str]:
-    """Signals that are read, by the model or by what the user asks for; all where none is."""
-    formulas = " ".join(selection.derive.values())
-    words = {*re.findall(r"\w+", formulas)}
-    asked = {*selection.rename, *selection.scale, *selection.units, *words}
-    wanted = {*read, *asked} & {*signals.values}
-    return wanted or {*signals.values}
+    doubt = time.doubt if times and time and selection.resample is None else ""
+    notes = (*notes, *registers, *words)
+    return Selected(record, signals.converted, notes, doubt, (*findings,), signals.left_out)
 
 
 def column_named(channels: Channels, name: str) -> str:
@@ -175,37 +181,32 @@ def _first_reason(channels: Channels) -> str:
     return f"; column '{named[0]}' was left out: {channels.left_out[named[0]]}" if named else ""
 
 
-def _renamed(channels: Channels, rename: Mapping[str, str]) -> _Signals:
+def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, list[str]]:
+    """Signals as the file holds them, and which were signed numbers read as unsigned, in words."""
     taken = set(rename.values())
-    column = {_short_name(channels, name): name for name in channels.columns if name not in taken}
+    short = {name: channels.named(name)[0] for name in channels.columns}
+    count = Counter(short.values())
+    # A column is called without its unit in brackets, unless another column is called that.
+    column = {
+        short[name] if count[short[name]] == 1 else name: name
+        for name in channels.columns
+        if name not in taken
+    }
     # A new name takes the place of a column that is called so.
     column |= rename
-    values = {name: channels.columns[source] for name, source in column.items()}
-    called = {name: name if name in rename else "" for name in column}
-    units = {k: u for k, c in column.items() if (u := stated_unit(channels, c, called[k]))}
-    empty = [name for name in values if name not in rename and np.isnan(values[name]).all()]
-    values = {name: array for name, array in values.items() if name not in empty}
-    return _Signals(values, column, units)
-
-
-def _short_name(channels: Channels, column: str) -> str:
-    """A column's name without its unit in brackets, unless another column is called that."""
-    short = channels.named(column)[0]
-    alike = [other for other in channels.columns if channels.named(other)[0] == short]
-    return short if alike == [column] else column
-
-
-def _united(signals: _Signals, channels: Channels, selection: Selection) -> _Signals:
-    """Signals with the units that the user says, before those that the file states."""
-    units = dict(signals.units)
-    for name, unit in selection.units.items():
-        if name in selection.derive:
-            continue
-        if name in selection.scale:
-            raise DataError(f"'{name}' is given both a scale and a unit; leave out one of them.")
-        require_known_unit(name, unit)
-        units |= dict.fromkeys(_signals_called(name, signals, channels), unit)
-    return signals._replace(units=units)
+    values, units, registers = {}, {}, []
+    for name, source in column.items():
+        values[name], bits = channels.columns[source], 0
+        if not clocks.is_word_of_time(source):
+            values[name], bits = signed(values[name])
+        if bits:
+            registers.append(f"{name}: signed numbers of {bits} bits, read as unsigned, put right")
+        behind = clocks.unit_of_time(source) if name == "t" else unit_behind(source)
+        unit = channels.named(source)[1] or (behind if name in rename else None)
+        units |= {name: unit} if unit else {}
+        if name not in rename and np.isnan(values[name]).all():
+            del values[name]
+    return _Signals(values, column, units), registers
 
 
 def _with_labels(signals: _Signals, selection: Selection) -> dict[str, str]:
@@ -214,21 +215,23 @@ def _with_labels(signals: _Signals, selection: Selection) -> dict[str, str]:
 
 
 def _converted(signals: _Signals, read: Mapping[str, str], matter: Collection[str]) -> _Signals:
-    """Signals in SI units, those that do not matter only where their unit is beyond doubt."""
-    values, units, converted = dict(signals.values), dict(signals.units), {}
-    for name in values:
+    """Signals in SI units; of those that do not matter, one whose unit is in doubt is left out."""
+    values, units, converted, left_out = dict(signals.values), dict(signals.units), {}, {}
+    for name in signals.values:
         if name not in units:
             continue
         try:
             found = conversion(name, units[name], read.get(name) or None)
-        except DataError:
+        except DataError as error:
             if name in matter:
                 raise
+            del values[name]
+            left_out[signals.column[name]] = str(error).rstrip(".")
             continue
         if found is not None:
             values[name] = values[name] * found.factor
             units[name], converted[name] = found.unit, units[name]
-    return signals._replace(values=values, units=units, converted=converted)
+    return signals._replace(values=values, units=units, converted=converted, left_out=left_out)
 
 
 def _signals_called(name: str, signals: _Signals, channels: Channels) -> list[str]:
@@ -256,7 +259,7 @@ def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -
             values[target] = values[target] * factor
             units.pop(target, None)
             # Scaled to seconds, whatever its name says.
-            units |= {target: "s"} if counts_in_its_name(target) else {}
+            units |= {target: "s"} if clocks.counts_in_its_name(target) else {}
             done.add(target)
     return signals._replace(values=values, units=units)
 
@@ -278,8 +281,27 @@ def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> di
         and channels.time_of[column] in axes
     }
     if not times:
-        raise no_time(channels, _first_reason(channels))
+        raise _no_time(channels, _first_reason(channels))
     return times
+
+
+def _no_time(channels: Channels, reason: str) -> DataError:
+    """The error of a file without time, which says what to do."""
+    other = [
+        f"column '{name}' is in '{unit}', which is no unit of time"
+        for name in channels.columns
+        if clocks.is_word_of_time(name)
+        and (unit := channels.named(name)[1])
+        and not seconds_in(unit)
+    ]
+    reason = f"; {other[0]}" if other and not reason else reason
+    numbered = any(name == NUMBERED.format(1) for name in channels.columns)
+    named = ", name all columns (--columns t,x,...)" if numbered else ""
+    return DataError(
+        f"there is no time column (called 't', 'time' or the like); there are: "
+        f"{listed(channels.columns)}. Say which one is time by renaming it to t (on the command "
+        f"line: --map t=COLUMN){named}, or give the seconds between samples (--time-step){reason}."
+    )
 
 
 def _evenly_timed(
@@ -299,19 +321,6 @@ def _evenly_timed(
                 f"column '{rename[name]}' has another length than the others, {usual} samples."
             )
     return signals._replace(values=alike)
-
-
-def _with_times(
-    signals: _Signals, times: Mapping[str, np.ndarray], rename: Mapping[str, str]
-) -> _Signals:
-    """The signals that have a time; those asked for by name must."""
-    for name in rename:
-        if name not in times and name != "t":
-            size = max((time.size for time in times.values()), default=0)
-            raise DataError(
-                f"column '{rename[name]}' has another length than the time, {size} samples."
-            )
-    return signals._replace(values={name: signals.values[name] for name in times})
 
 
 def _on_one_axis(

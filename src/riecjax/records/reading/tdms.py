@@ -19,7 +19,7 @@ from riecjax.records.reading.channels import (
     without_common_group,
 )
 from riecjax.records.reading.child_process import read_apart
-from riecjax.records.reading.time_columns import find_time
+from riecjax.records.reading.times import find_time
 
 UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 """Properties that state a channel's unit."""

@@ -1,0 +1,500 @@
+"""Time: dates and clocks as text, which column of a file is time, and what its numbers count.
+
+Loggers call time by many names, and call by them what is none (`T`, a temperature; `timestamp`, a
+constant). So names propose, and the samples decide: time rises from row to row.
+"""
+
+import functools
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from riecjax.errors import DataError
+from riecjax.records.reading.numerals import compute, numbers, stripped
+from riecjax.records.reading.units import DAY, HOUR, MINUTE, SECONDS, split_unit
+
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_ZONE = r"(?:Z|z|(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|UTC|GMT|[A-Z]{3,4})"
+_FRACTION = r"[.,:]\d+|\.|,"
+STAMP = (
+    r"^(?:[A-Z][a-z]{2},? )?(?:"
+    r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})"
+    r"|(?P<first>\d{1,2})[-/.](?P<second>\d{1,2})[-/.](?P<late>\d{4}|\d{2})"
+    r"|(?P<named_day>\d{1,2})[- ](?P<name>[A-Za-z]{3})[a-z]*\.?[- ,]+(?P<named_year>\d{4}|\d{2})"
+    r"|(?P<us_name>[A-Z][a-z]{2})[a-z]*\.? (?P<us_day>\d{1,2}), ?(?P<us_year>\d{4})"
+    r"|(?P<compact>\d{8})"
+    r"|(?P<days>\d+) days?"
+    r")?[T ,]*(?:"
+    r"(?P<hours>\d{1,4}):(?P<minutes>[0-5]?\d)"
+    rf"(?::(?P<seconds>[0-5]?\d|60)(?P<fraction>{_FRACTION})?)?"
+    r"|(?P<clock>\d{6})(?P<clock_fraction>[.,]\d+)?"
+    rf")\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>{_ZONE})?(?:\[[^\]]*\])?$"
+)
+"""A time stamp: ISO 8601 (also compact), or as spreadsheets and MATLAB write it; or a time of day,
+or an elapsed one, alone."""
+MINUTES = r"^(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]\d)(?P<fraction>[.,]\d+)$"
+"""Minutes, seconds and their fraction, all that a spreadsheet's `mm:ss.0` shows of a time."""
+OF_YEAR = (
+    r"^(?P<of_year>[0-3]\d\d):(?P<hours>\d\d):(?P<minutes>[0-5]\d):(?P<seconds>[0-5]\d)"
+    r"(?P<fraction>[.,]\d+)$"
+)
+"""Day of the year and time of day, as IRIG and recorders in flight tests have it."""
+PATTERNS = (STAMP, MINUTES, OF_YEAR)
+_COMPILED = tuple(map(re.compile, PATTERNS))
+
+
+def is_stamp(text: str) -> bool:
+    """Whether a text is a time stamp."""
+    # A number of 6 or 14 digits is a number.
+    return not text.isdigit() and _match(text) is not None
+
+
+def are_stamps(text: Any) -> Any:
+    """Which of a column of strings are time stamps; null where null."""
+    pc = compute()
+    found = [pc.match_substring_regex(text, pattern) for pattern in PATTERNS]
+    return functools.reduce(pc.or_, found)
+
+
+def seconds(text: Any) -> np.ndarray:
+    """A column of time stamps as seconds from the first, NaN for null.
+
+    Stamps without a date may pass midnight; zones are taken into account, by their shift from UTC,
+    where a stamp states it in digits. Whether the day or the month comes first in `1/2/2024`, is
+    told by the column: one of them stays below 13, time does not run back, and no logger leaps by a
+    month where it could pass midnight.
+
+    **Raises:** `DataError` for dates that do not exist, or that run back.
+    """
+    found = [None if stamp is None else _match(stamp) for stamp in text.to_pylist()]
+    days = _days(found)
+    since = _since(found, days, 0)
+    if _runs_back(since):
+        # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
+        counted = _since(found, days, max(len(_digits(match)) for match in found if match))
+        since = since if _runs_back(counted) else counted
+    return since - _first(since)
+
+
+def of_texts(values: Sequence[object]) -> tuple[np.ndarray | None, bool]:
+    """Numbers or time stamps that stand there as text, and whether they are stamps.
+
+    `None` for other text.
+    """
+    import pyarrow as pa
+
+    texts = [None if v is None else str(v) for v in values]
+    return of_text_column(pa.array(texts, pa.string()))
+
+
+def of_text_column(column: Any) -> tuple[np.ndarray | None, bool]:
+    """As [`of_texts`][], of a column of strings (PyArrow); `None` where all are missing."""
+    texts = stripped(column)
+    if texts.null_count == len(texts):
+        return None, False
+    found = numbers(texts, ".", False)
+    if found is None and all(valid in (True, None) for valid in are_stamps(texts).to_pylist()):
+        return seconds(texts), True
+    return found, False
+
+
+def _since(found: list[re.Match[str] | None], days: np.ndarray | None, places: int) -> np.ndarray:
+    clock = np.array([_clock(match, places) if match else np.nan for match in found], dtype=float)
+    if days is not None:
+        return (days - _first(days)) * DAY + clock
+    dial = DAY if any(match and "hours" in match.groupdict() for match in found) else HOUR
+    return unwrapped(clock, dial)
+
+
+def _runs_back(since: np.ndarray) -> bool:
+    return bool((np.diff(since[~np.isnan(since)]) < 0).any())
+
+
+def unwrapped(clock: np.ndarray, dial: float = DAY) -> np.ndarray:
+    """Seconds of the day, carried on past midnight, or of another dial; NaN stays."""
+    known = ~np.isnan(clock)
+    steps = np.diff(clock[known], prepend=clock[known][:1])
+    carried = clock.copy()
+    carried[known] += dial * np.cumsum(steps < -0.5 * dial)
+    return carried
+
+
+def _match(text: str) -> re.Match[str] | None:
+    return next(filter(None, (pattern.fullmatch(text) for pattern in _COMPILED)), None)
+
+
+def _first(values: np.ndarray) -> float:
+    known = values[~np.isnan(values)]
+    return known[0] if known.size else 0.0
+
+
+def _days(found: list[re.Match[str] | None]) -> np.ndarray | None:
+    """Days since 1970 of each stamp, NaN for none; `None` for times of day alone."""
+    dates = [_date(match.groupdict()) if match else None for match in found]
+    if not any(dates):
+        return None
+    if all(date[:2] == (0, 0) for date in filter(None, dates)):
+        # Elapsed times show no days where there are none.
+        dates = [date or ((0, 0, 0, False) if match else None) for date, match in zip(dates, found)]
+    orders = [(0, 1)]
+    if any(date and date[3] for date in dates):
+        orders.append((1, 0))
+    # Days repeat for thousands of stamps.
+    known: dict[Any, float] = {None: np.nan}
+    readings = []
+    for order in orders:
+        try:
+            known = {None: np.nan} | {date: _day(date, order) for date in {*dates} if date}
+        except ValueError:
+            continue
+        days = np.array([known[date] for date in dates])
+        if not _runs_back(days):
+            readings.append(days - _first(days))
+    if not readings:
+        raise DataError("it holds dates that do not exist, or that run back.")
+    # Where both orders make sense, one passes midnight and the other leaps by a month.
+    return min(readings, key=lambda days: days[~np.isnan(days)][-1])
+
+
+def _date(stamp: dict[str, str | None]) -> tuple[int, int, int, bool] | None:
+    """Year, two numbers of month and day, and whether their order is unknown."""
+    if stamp.get("year"):
+        return int(stamp["year"] or 0), int(stamp["month"] or 0), int(stamp["day"] or 0), False
+    if stamp.get("first"):
+        return _year(stamp["late"]), int(stamp["first"] or 0), int(stamp["second"] or 0), True
+    if name := (stamp.get("name") or stamp.get("us_name") or "").lower():
+        month = _MONTHS.index(name) + 1 if name in _MONTHS else 0
+        day = int(stamp["named_day"] or stamp["us_day"] or 0)
+        return _year(stamp["named_year"] or stamp["us_year"]), month, day, False
+    if stamp.get("compact"):
+        whole = stamp["compact"] or ""
+        return int(whole[:4]), int(whole[4:6]), int(whole[6:]), False
+    if stamp.get("days") or stamp.get("of_year"):
+        return 0, 0, int(stamp.get("days") or stamp.get("of_year") or 0), False
+    return None
+
+
+def _year(digits: str | None) -> int:
+    return int(digits or 0) + (2000 if len(digits or "") == 2 else 0)
+
+
+def _day(date: tuple[int, int, int, bool], order: tuple[int, int]) -> float:
+    """Days since 1970; of an elapsed time, its days.
+
+    **Raises:** `ValueError` for a date that does not exist.
+    """
+    year, pair, unordered = date[0], date[1:3], date[3]
+    month, day = (pair[order[0]], pair[order[1]]) if unordered else pair
+    if not (year or month):
+        return float(day)
+    return float(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(int))
+
+
+def _digits(match: re.Match[str]) -> str:
+    """The digits of a fraction of a second."""
+    stamp = match.groupdict()
+    return (stamp.get("clock_fraction") or stamp["fraction"] or "")[1:]
+
+
+def _clock(match: re.Match[str], places: int = 0) -> float:
+    """Seconds of the day, as of UTC where the stamp states a zone's shift.
+
+    **Arguments:** `places`: of the fraction, where that is a count of its last one.
+    """
+    stamp = match.groupdict()
+    if stamp.get("clock"):
+        whole = stamp["clock"] or ""
+        hours, minutes, full = int(whole[:2]), int(whole[2:4]), int(whole[4:])
+    else:
+        hours, minutes = int(stamp.get("hours") or 0), int(stamp["minutes"] or 0)
+        full = int(stamp["seconds"] or 0)
+    half = (stamp.get("half") or "")[:1].lower()
+    if half:
+        hours = hours % 12 + (12 if half == "p" else 0)
+    digits = _digits(match).zfill(places)
+    since = HOUR * hours + MINUTE * minutes + full - _shift(stamp.get("zone") or "")
+    return since + (float(f"0.{digits}") if digits else 0.0)
+
+
+def _shift(zone: str) -> float:
+    """Seconds that a zone is ahead of UTC, 0 where it is a name."""
+    digits = zone.removeprefix("UTC").removeprefix("GMT")
+    if digits[:1] not in ("+", "-"):
+        return 0.0
+    bare = digits[1:].replace(":", "")
+    hours, minutes = (bare, "0") if len(bare) <= 2 else (bare[:-2], bare[-2:])
+    return (1 if digits[0] == "+" else -1) * (HOUR * int(hours) + MINUTE * int(minutes))
+
+
+TIME_COLUMNS = ("t", "time", "Time", "time_s", "t_s", "TIME", "timestamp", "Timestamp", "T")
+"""Column names taken as time, in this order of preference; `--map t=COLUMN` names another."""
+TIME_WORDS = frozenset(
+    """
+    t time times timestamp timestamps timest zeit zeitstempel temps tempo tiempo tijd tid
+    elapsed elapsedtime timeelapsed reltime relativetime abstime absolutetime systemtime
+    testtime runningtime totaltime laptime recordtime sampletime datetime datetimeutc
+    dateandtime date datumuhrzeit datumzeit uhrzeit datum utc utctime gpstime clock seconds secs
+    sec epoch timesec timeseconds timeutc isotime xtime timeaxis timechannel heure horodatage
+    tout tvec timevector millis micros nanos milliseconds microseconds nanoseconds minutes
+    hours days
+    """.split()  # noqa: SIM905
+)
+"""What loggers call time, in small letters and without what stands between words."""
+DATES = frozenset(word for word in TIME_WORDS if word.startswith(("date", "datum")))
+"""Those that say that a date is in it."""
+
+TICK = 1e-7
+"""Seconds in a count of Windows and of .NET."""
+UNIX = 1970
+"""The year in which the epoch of most counts begins."""
+SUBUNITS = {word: SECONDS[word] for word in ("milliseconds", "microseconds", "nanoseconds")}
+EPOCHS = (*((factor, UNIX) for factor in SUBUNITS.values()), (TICK, 1601), (TICK, 1))
+"""Seconds in a count, and the year since which it counts; the last two are of Windows and .NET."""
+RECENT = (1e9, 4e9)
+"""Seconds since 1970 of the stamps that are taken for those of an epoch: of 2001 to 2096."""
+COUNTER, ENDS = 2**32, 0.99
+"""Where counters of 32 bits, of milliseconds or microseconds, begin anew, and the share of it by
+which they then fall at least."""
+UNSAID = frozenset(("", "column", "x", "xvalue", "xaxis", "index", "unnamed", "abscissa"))
+"""What a first column is called that says nothing against being time."""
+SERIAL_DAYS = ((2e4, 8e4), (6.9e5, 8e5))
+"""Days as spreadsheets (from 1900) and MATLAB (from year 0) count them: of 1954 to 2119, and
+of 1889 to 2190."""
+SLOWEST = 0.5
+"""Seconds between samples of a motion, at the most, where nothing is known of it."""
+FASTEST_DAYS = 2e-6
+"""Days (0.17 s) below which steps of stamps of that size are days: as seconds, 500 kHz."""
+
+AMBIGUOUS = frozenset(("min", "h", "d"))
+"""Units that, as a whole name, may be something else: the least, a height, a distance."""
+_BEHIND = re.compile(
+    r"(?P<name>.*[^\W_])(?:[ _.-]+(?P<unit>[^\W\d_]+)|(?<=[a-z])(?P<capital>[A-Z][a-z]+|[MUN]S))"
+)
+
+
+MOST_LISTED = 30
+"""Names in a message past which the rest is counted."""
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names for a message, the first thirty of them."""
+    every = list(names)
+    more = len(every) - MOST_LISTED
+    return ", ".join(every[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+class TimeColumn(NamedTuple):
+    """A file's time.
+
+    **Fields:** `name` of the column; `seconds`, shape `(n,)`, NaN where it is missing; `notes`,
+    what was decided, in words; `doubt`, in words, that it is time, or in this unit; empty if none.
+    """
+
+    name: str
+    seconds: np.ndarray
+    notes: tuple[str, ...] = ()
+    doubt: str = ""
+
+
+def find_time(
+    values: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    given: str | None,
+    nameless: bool = False,
+    shortest: float | None = None,
+) -> TimeColumn | None:
+    """The column of time among columns: the `given` one, else by name and content.
+
+    Of columns with a name of time those count that rise from row to row; of several the first by
+    [`TIME_COLUMNS`][riecjax.records.reading.times.TIME_COLUMNS], then by place. Without such a
+    name, the first column counts where it rises and is in a unit of time, or rises evenly and is no
+    mere row number.
+
+    **Arguments:** `values` and `units` by name; `nameless`: whether a column may be time without a
+    name of time; `shortest` window in seconds that the motion asks for, if that is known.
+
+    **Raises:** `DataError` for a unit that is no unit of time.
+    """
+    if given is not None:
+        return _timed(given, values, units, (), shortest)
+    called = [name for name in values if is_called_time(name, units)]
+    rising = [name for name in called if _rises(values[name])]
+    found = min(rising, key=_preference, default=None)
+    notes = []
+    first = next(iter(values), "")
+    is_time = False
+    if found is None and nameless and first:
+        in_time = first in units and seconds_in(units[first]) is not None
+        is_time = (
+            _rises(values[first]) if in_time else first not in units and _is_even(values[first])
+        )
+    if is_time:
+        found = first
+        notes.append(f"time is column '{found}', the first, which rises")
+    elif found is not None and len(called) > 1:
+        others = [name for name in called if name != found]
+        notes.append(f"time is column '{found}', not {listed(others)}")
+    found = found or min(called, key=_preference, default=None)
+    if found is None:
+        return None
+    time = _timed(found, values, units, notes, shortest)
+    # `rec.X.Data`, as ControlDesk writes it, is an X as well.
+    bare = _bare(found.removesuffix(".Data").rpartition(".")[2])
+    guessed = found not in called and not unit_of_time(found, units) and bare not in UNSAID
+    return time._replace(doubt=_GUESSED.format(found)) if guessed and not time.doubt else time
+
+
+def _timed(
+    name: str,
+    values: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    notes: list[str] | tuple[str, ...],
+    shortest: float | None,
+) -> TimeColumn:
+    factor, why = _seconds_each(name, values[name], units)
+    said = (f"time '{name}': {why}",) if why else ()
+    counts = values[name]
+    known = counts[~np.isnan(counts)]
+    # Past the end of a counter of 32 bits.
+    if known.size > 1 and known.max() < COUNTER and (np.diff(known) < -ENDS * COUNTER).any():
+        counts = unwrapped(counts, COUNTER)
+    # The 15 digits that spreadsheets write of a date are 9 microseconds of a day.
+    since = np.round((counts - counts[0]) * DAY, 5) if factor == DAY else counts * factor
+    stated = why or unit_of_time(name, units)
+    doubt = "" if stated else _other_unit(name, since, shortest)
+    return TimeColumn(name, since, (*notes, *said), doubt)
+
+
+_IN_ANOTHER_UNIT = (
+    "nothing states the unit of time '{0}'; it is taken as seconds, one sample every {1:g} s for "
+    "{2}. If it is {3}: scale={{'{0}': {4:g}}} (on the command line: --scale {0}={4:g})."
+)
+_GUESSED = (
+    "nothing says that '{0}' is time; it is taken so, in seconds, as it is the first column and "
+    "rises evenly. If it is not: rename the column of time to t (on the command line: --map "
+    "t=COLUMN), or give the seconds between samples (--time-step)."
+)
+
+
+def unit_of_time(name: str, units: Mapping[str, str] = {}) -> str:
+    """The unit of a column of time, as the file or its name states it; empty if none does."""
+    alone = name.lower() if name.lower() in {*SECONDS} - AMBIGUOUS else ""
+    return units.get(name) or split_unit(name)[1] or _suffix(name)[1] or alone
+
+
+def counts_in_its_name(name: str) -> bool:
+    """Whether a name is that of a time and states its unit, as `time_ms`."""
+    return is_called_time(name, {}) and bool(unit_of_time(name))
+
+
+def seconds_in(unit: str) -> float | None:
+    """Seconds in a unit of time, `None` if it is none."""
+    # "seconds since 2024-01-01", as NetCDF has it.
+    word = unit.split(" since ")[0]
+    return SECONDS.get(word) or SECONDS.get(word.lower())
+
+
+def _seconds_each(name: str, values: np.ndarray, units: Mapping[str, str]) -> tuple[float, str]:
+    """Seconds that one count of a time column is, and why where the file does not state it."""
+    stated = unit_of_time(name, units)
+    if stated:
+        factor = seconds_in(stated)
+        if factor is None:
+            raise DataError(
+                f"time '{name}' is in '{stated}', which is not known; scale it to seconds (on the"
+                f" command line: --scale {name}=FACTOR)."
+            )
+        return factor, ""
+    known = values[~np.isnan(values)]
+    if known.size < 2:
+        return 1.0, ""
+    low, high = float(known.min()), float(known.max())
+    for factor, year in EPOCHS:
+        earlier = np.datetime64(f"{UNIX}", "s") - np.datetime64(f"{year:04d}", "s")
+        first, last = (bound + earlier.astype(float) for bound in RECENT)
+        if first <= low * factor and high * factor < last:
+            words = {each: word for word, each in SUBUNITS.items()}
+            return factor, f"{words.get(factor, 'ticks of 100 nanoseconds')} since {year}"
+    step = float(np.median(np.diff(known)))
+    if any(a < low and high < b for a, b in SERIAL_DAYS) and (
+        0 < step < FASTEST_DAYS or _bare(name) in DATES
+    ):
+        return DAY, "days, as spreadsheets count them"
+    return 1.0, ""
+
+
+def _other_unit(name: str, seconds: np.ndarray, shortest: float | None) -> str:
+    """What stamps whose unit nothing states may be instead of seconds, in words; empty if nothing.
+
+    Asked where a window of `shortest` seconds would be shorter than a sample, and where stamps are
+    whole numbers, one or more apart: the first unit in which the motion would be sampled fast
+    enough.
+    """
+    known = seconds[~np.isnan(seconds)]
+    if known.size < 2:
+        return ""
+    since = known - known[0]
+    step = float(np.median(np.diff(known)))
+    rounding = 1e-6 * step + 4 * np.spacing(np.abs(known).max())
+    whole = step >= 1 - rounding and bool((np.abs(since - np.round(since)) <= rounding).all())
+    if not (whole or (shortest is not None and step > shortest)):
+        return ""
+    for unit, factor in SUBUNITS.items():
+        if step * factor <= (shortest or SLOWEST):
+            return _IN_ANOTHER_UNIT.format(name, step, _in_time(float(since[-1])), unit, factor)
+    return ""
+
+
+def _in_time(seconds: float) -> str:
+    """Seconds in two digits, in the unit that suits."""
+    sizes = {"days": DAY, "h": HOUR, "min": MINUTE, "s": 0.0}
+    unit = next(unit for unit, size in sizes.items() if seconds >= 2 * size)
+    return f"{float(f'{seconds / (sizes[unit] or 1.0):.2g}'):g} {unit}"
+
+
+def is_word_of_time(name: str) -> bool:
+    """Whether loggers call time so, whatever its unit is."""
+    return _bare(name) in TIME_WORDS
+
+
+def is_called_time(name: str, units: Mapping[str, str]) -> bool:
+    """Whether a column's name and unit are those of a time."""
+    if not is_word_of_time(name):
+        return False
+    # `T [degC]` is a temperature, and `t (mm)` a thickness.
+    unit = units.get(name) or split_unit(name)[1]
+    return unit is None or seconds_in(unit) is not None
+
+
+def _bare(name: str) -> str:
+    """A column's name in small letters, without its unit and what stands between words."""
+    return "".join(c for c in _suffix(split_unit(name)[0])[0].lower() if c.isalpha())
+
+
+def _suffix(name: str) -> tuple[str, str]:
+    """`time_ms`, `time.ms` and `timeMs` as `time` and `ms`; other names as they are."""
+    found = _BEHIND.fullmatch(name)
+    unit = (found["unit"] or found["capital"]).lower() if found else ""
+    return (found["name"], unit) if found and unit in SECONDS and unit != "d" else (name, "")
+
+
+def _preference(name: str) -> int:
+    short = split_unit(name)[0]
+    return TIME_COLUMNS.index(short) if short in TIME_COLUMNS else len(TIME_COLUMNS)
+
+
+def _rises(values: np.ndarray) -> bool:
+    known = values[~np.isnan(values)]
+    return known.size > 1 and bool((np.diff(known) > 0).all())
+
+
+def _is_even(values: np.ndarray) -> bool:
+    """Whether a column rises by equal steps, other than those of a row number."""
+    if values.size < 3 or not _rises(values) or np.isnan(values).any():
+        return False
+    steps = np.diff(values)
+    usual = float(steps.mean())
+    even = np.abs(steps - usual).max() <= 1e-3 * usual + 4 * np.spacing(np.abs(values).max())
+    return bool(even and usual != 1)

@@ -1,0 +1,244 @@
+"""Which column is time, what its numbers count, and what is said where they are none."""
+
+import datetime
+
+import numpy as np
+import pytest
+
+from riecjax.errors import DataError
+from riecjax.models.catalogue import find_model
+from riecjax.records.reading.times import find_time
+from riecjax.records.recording import read_recording
+from riecjax.records.time_base import time_base
+
+N, STEP = 400, 0.005
+T = STEP * np.arange(N)
+X = np.sin(9 * T)
+
+
+def read(folder, columns, **settings):
+    path = folder / "a.csv"
+    lines = [",".join(columns)]
+    lines += [",".join(str(values[i]) for values in columns.values()) for i in range(N)]
+    path.write_text("\n".join(lines) + "\n")
+    return read_recording(path, **settings)
+
+
+CALLED = (
+    *("Time (s)", "Zeit [s]", "t/s", "Time / s", "Elapsed Time", "time_s", "Tempo_s", "TIMESTAMP"),
+    *("Time in s", "Time, s", "X_Value", "Date/Time", "Unnamed: 0"),
+)
+
+
+@pytest.mark.parametrize("name", CALLED)
+def test_a_column_called_time_or_the_first_that_rises_evenly_is_time(tmp_path, name):
+    recording = read(tmp_path, {f'"{name}"': T, "x": X})
+    assert set(recording.record.arrays) == {"x"}
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-12)
+
+
+EPOCHS = {
+    "s": (1_700_000_000 + T, 1e-6),
+    "ms": (1_700_000_000_000 + (1e3 * T).round().astype(int), 1e-6),
+    "ns": ((1_700_000_000 * 10**9 + (1e9 * T).round().astype(np.int64)), 1e-6),
+    "days of a spreadsheet": ([f"{45352.5 + t / 86400:.10f}" for t in T], 2e-5),
+    "days of MATLAB": ([f"{739312.5 + t / 86400:.10f}" for t in T], 2e-5),
+}
+
+
+@pytest.mark.parametrize("case", EPOCHS)
+def test_counts_since_an_epoch_are_known_by_their_size(tmp_path, case):
+    stamps, rtol = EPOCHS[case]
+    recording = read(tmp_path, {"timestamp": stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=rtol)
+    assert not recording.findings
+
+
+def test_uptime_in_seconds_is_no_day(tmp_path):
+    recording = read(tmp_path, {"time": 45352.5 + T, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-6)
+
+
+OTHERS = {
+    "a temperature called T": ({"T": 20 + 0.1 * np.sin(T), "timestamp": T, "x": X}, "timestamp"),
+    "a constant timestamp": ({"timestamp": np.full(N, 7.0), "t": T, "x": X}, "t"),
+    "two that rise": ({"timestamp": 1.7e9 + T, "t": T, "x": X}, "t"),
+    "a temperature with its unit": ({"t [degC]": 20 + T, "Zeit": T, "x": X}, "Zeit"),
+    "a row number": ({"n": np.arange(N), "time": T, "x": X}, "time"),
+}
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_of_several_columns_the_samples_decide(tmp_path, case):
+    columns, time = OTHERS[case]
+    recording = read(tmp_path, columns)
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-6)
+    assert time not in recording.record.arrays
+    np.testing.assert_allclose(recording.record["x"], X)
+
+
+def test_a_row_number_alone_is_no_time():
+    assert find_time({"n": np.arange(9.0), "x": np.ones(9)}, {}, None, nameless=True) is None
+    assert find_time({"x": X, "n": T}, {}, None, nameless=True) is None
+
+
+def test_errors_name_the_column(tmp_path):
+    with pytest.raises(DataError, match=r"column 'Clock': time must increase.*at sample 1 "):
+        read(tmp_path, {"Clock": np.zeros(N) - np.arange(N), "x": X})
+    with pytest.raises(DataError, match=r"column 'Clock': samples must be evenly spaced"):
+        read(tmp_path, {"Clock": T**1.1, "x": X})
+
+
+def test_stamps_stored_in_32_bit_are_said_to_be(tmp_path):
+    since = (1.7e9 + T).astype(np.float32).astype(float)
+    with pytest.raises(DataError, match=r"'timestamp': .*stored in 32-bit, which has steps of 128"):
+        read(tmp_path, {"timestamp": since, "x": X})
+    with pytest.raises(DataError, match=r"advance by 1 s at a time.*--time-step, about 0\.00"):
+        read(tmp_path, {"timestamp": np.floor(1.7e9 + T), "x": X})
+    recording = read(tmp_path, {"timestamp": since, "x": X}, time_step=STEP)
+    assert set(recording.record.arrays) == {"x"}
+
+
+@pytest.mark.raises_finding("time_unit_doubtful")
+def test_milliseconds_are_suggested(tmp_path):
+    whole = (1e3 * T).round().astype(int)
+    finding = read(tmp_path, {"time": whole, "x": X}).findings[0]
+    assert finding.code == "time_unit_doubtful"
+    assert "--scale time=0.001" in finding.message
+    assert not read(tmp_path, {"time [s]": whole, "x": X}).findings
+    scaled = read(tmp_path, {"time": whole, "x": X}, scale={"time": 0.001})
+    assert not scaled.findings
+    assert float(scaled.record.time_step) == pytest.approx(STEP, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("factor", "start", "scale"), [(1e3, 0.37, "0.001"), (1e3, 0.0, "0.001"), (1e6, 5.5, "1e-06")]
+)
+def test_time_that_leaves_the_models_windows_less_than_a_sample_is_doubted(
+    tmp_path, factor, start, scale
+):
+    """Stamps are not whole, by their start or their rounding, or are microseconds."""
+    model = find_model("drag-oscillator")
+    stamps = start + T * factor
+    signals = {"x": X, "dx": X, "u": X}
+    (finding,) = read(tmp_path, {"zeit": stamps, **signals}, model=model).findings
+    assert finding.code == "time_unit_doubtful"
+    assert f"--scale zeit={scale}" in finding.message
+    assert finding.doubt == 1.0
+    assert not read(tmp_path, {"zeit [s]": stamps, **signals}, model=model).findings
+    assert not read(tmp_path, {"zeit": T + start, **signals}, model=model).findings
+
+
+@pytest.mark.parametrize("digits", [4, 5, 6])
+@pytest.mark.parametrize("step", [0.005, 0.001, 1 / 60])
+def test_stamps_of_few_significant_digits(step, digits):
+    stamps = np.array([float(f"{t:.{digits}g}") for t in step * np.arange(20000)])
+    base = time_base(stamps)
+    assert base.pauses.size == 0
+    np.testing.assert_allclose(base.step, step, rtol=2e-5)
+
+
+def test_stamps_that_jitter_by_more_than_their_digits_are_uneven():
+    rng = np.random.default_rng(0)
+    jitter = np.cumsum(rng.uniform(0.5, 1.5, 3000)) * STEP
+    with pytest.raises(DataError, match="evenly spaced"):
+        time_base(np.array([float(f"{t:.5g}") for t in jitter]))
+
+
+def test_a_channel_that_no_equation_reads_does_not_decide_the_common_time(tmp_path):
+    path = tmp_path / "a.csv"
+    signals = {"t": T, "x": X, "dx": X, "u": X, "temperature": np.where(T < 0.5, np.nan, X)}
+    text = [",".join(signals)]
+    text += [",".join("" if np.isnan(v[i]) else repr(float(v[i])) for v in signals.values())
+             for i in range(N)]  # fmt: skip
+    path.write_text("\n".join(text) + "\n")
+    model = find_model("drag-oscillator")
+    read = read_recording(path, model=model, resample=200.0).record
+    assert read.sample_count == N
+    assert "temperature" in read.missing
+    plain = read_recording(path, resample=200.0).record
+    assert plain.sample_count == N - 100
+
+
+SPELLED = {
+    "time_ms": 1e3, "timestamp_us": 1e6, "t/ms": 1e3, "Time in min": 1 / 60,
+    "timeMs": 1e3, "time.us": 1e6, "Time ms": 1e3, "Time - ms": 1e3, "Time(mSec)": 1e3,
+    "TIME [MS]": 1e3, "millis": 1e3, "time [Seconds]": 1, "t [d]": 1 / 86400,
+    "time (days)": 1 / 86400, "Time_Minutes": 1 / 60,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPELLED)
+def test_more_spellings_of_units_of_time(tmp_path, name):
+    stamps = [f"{t:.15g}" for t in T * SPELLED[name]]
+    recording = read(tmp_path, {name: stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=2e-5)
+    assert not recording.findings
+    scaled = read(tmp_path, {name: stamps, "x": X}, scale={name: 1 / SPELLED[name]})
+    np.testing.assert_allclose(scaled.record.time_step, STEP, rtol=2e-5)
+    mapped = read(tmp_path, {"n": range(N), name: stamps, "x": X}, rename={"t": name})
+    np.testing.assert_allclose(mapped.record.time_step, STEP, rtol=2e-5)
+
+
+def test_a_unit_that_is_none_of_time_is_named(tmp_path):
+    with pytest.raises(DataError, match=r"'t \[samples\]' is in 'samples', which is no unit of"):
+        read(tmp_path, {"t [samples]": range(N), "x": X})
+
+
+@pytest.mark.parametrize("name", ["angle", "Frequency"])
+def test_a_first_column_of_another_name_is_doubted(tmp_path, name):
+    (finding,) = read(tmp_path, {name: 0.1 * np.arange(N), "x": X}).findings
+    assert finding.code == "time_unit_doubtful"
+    assert f"nothing says that '{name}' is time" in finding.message
+    assert "--map t=COLUMN" in finding.message
+
+
+def test_a_counter_of_32_bits_is_carried_on(tmp_path):
+    stamps = [(2**32 - 10**6 + 5000 * i) % 2**32 for i in range(N)]
+    recording = read(tmp_path, {"time_us": stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
+
+
+def test_durations_of_python_past_a_day(tmp_path):
+    start = datetime.timedelta(hours=23, minutes=59, seconds=59)
+    stamps = [f'"{start + datetime.timedelta(seconds=t)}"' for t in T]
+    recording = read(tmp_path, {"time": stamps, "x": X})
+    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
+    assert recording.record.sample_count == N
+
+
+@pytest.mark.parametrize("rate", [667, 700, 800, 950, 1024])
+@pytest.mark.parametrize("since", [0.0, 1.7e9])
+def test_milliseconds_that_are_hardly_shorter_than_a_step(rate, since):
+    base = time_base(since + np.round(np.arange(3000) / rate, 3))
+    assert base.pauses.size == 0
+    np.testing.assert_allclose(base.step, 1 / rate, rtol=1e-5)
+
+
+def test_a_lost_row_is_a_pause_or_refused_but_no_grid():
+    stamps = np.round(np.arange(3000) / 700, 3)
+    base = time_base(np.delete(stamps, [800, 1600]))
+    np.testing.assert_array_equal(base.pauses, [800, 1599])
+    np.testing.assert_allclose(base.step, 1 / 700, rtol=1e-5)
+    with pytest.raises(DataError, match=r"tell lost rows from rounding.*--time-step, about 0.001"):
+        time_base(np.delete(np.round(np.arange(3000) / 900, 3), 1000))
+    lossy = np.delete(np.arange(3000) / 1000, [500, 700, 1100, 1101, 2000])
+    assert time_base(lossy).step == pytest.approx(1e-3)
+
+
+BACK = {
+    "newest first": (T[::-1], "turn the rows round"),
+    "summer time ends": (np.r_[T[:200], T[200:] - 3600], "back by an hour"),
+    "a second run": (np.r_[T[:200], T[:200]], "split the file there"),
+    "two rows swapped": (np.r_[T[:100], T[[101, 100]], T[102:]], "Sort the record"),
+    "one bad stamp": (np.where(np.arange(N) == 50, 0, T), "Sort the record"),
+    "every row twice": (np.repeat(T, 2), "stands in 2 rows.*write the file anew"),
+    "up to zero": (-(T[::-1] ** 1.1), "evenly spaced"),
+}
+
+
+@pytest.mark.parametrize("case", BACK)
+def test_what_to_do_about_time_that_runs_back(case):
+    stamps, words = BACK[case]
+    with pytest.raises(DataError, match=words):
+        time_base(stamps)
