@@ -1,6 +1,5 @@
 """Answers from many recordings, and figures of them beside what is asked."""
 
-import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
@@ -9,8 +8,6 @@ import numpy as np
 
 import riecjax as rx
 
-CORRECTS = "noise" in inspect.signature(rx.identify).parameters
-"""Whether this library corrects for noise at all."""
 CLEARLY = 3.0
 """Standard errors beyond what is asked from which a figure clearly misses it."""
 FINAL_SHARE, FEWEST = 0.15, 20
@@ -28,7 +25,7 @@ class Run(NamedTuple):
 
     @property
     def options(self) -> dict[str, Any]:
-        return {"noise": self.noise} if CORRECTS and self.noise != "auto" else {}
+        return {"noise": self.noise} if self.noise != "auto" else {}
 
     @property
     def final_seeds(self) -> int:

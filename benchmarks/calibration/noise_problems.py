@@ -35,7 +35,7 @@ from riecjax.studies.monte_carlo import over_keys
 CAR_SENSORS: tuple[str, ...] = ("x1", "x2", "x3", "x4", "F_t")
 
 
-def as_recorded(model: Any, signals: Signals, time_step: float, *, by_file: bool = False) -> Any:
+def as_recorded(model: Any, signals: Signals, time_step: float) -> Any:
     """What a user hands to `identify`: the record, or what is read of a file of these signals.
 
     A file is read where identification refuses the bare record because a derivative is missing,
@@ -44,7 +44,7 @@ def as_recorded(model: Any, signals: Signals, time_step: float, *, by_file: bool
     record = rx.Record.from_samples(dict(signals), time_step=time_step)
     # Equations say of no signal what it is the derivative of.
     derived = set(getattr(model, "derived", {})) - set(signals)
-    if not (by_file or (derived and _must_be_read(model, tuple(signals)))):
+    if not (derived and _must_be_read(model, tuple(signals))):
         return record
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.npz"

@@ -27,7 +27,6 @@ import riecjax as rx
 from benchmarks.calibration import noise_problems as problems
 from benchmarks.calibration import noise_table
 from benchmarks.calibration.noise_answers import (
-    CORRECTS,
     FEWEST,
     Run,
     accuracy,
@@ -167,7 +166,7 @@ def duffing(run: Run) -> dict[str, Any]:
 def cost(run: Run, repeats: int = 41) -> dict[str, Any]:
     """Warm seconds to identify, medians, with the correction and without in turn."""
     report: dict[str, Any] = {}
-    ways = ("none", "auto") if CORRECTS else ("none",)
+    ways = ("none", "auto")
     for count, times in ((8000, repeats), (1_000_000, 11), (10_000_000, 3)):
         for name, record in long_records(count).items():
             model, seconds = rx.find_model(name), {way: [] for way in ways}
@@ -180,9 +179,8 @@ def cost(run: Run, repeats: int = 41) -> dict[str, Any]:
             medians = {way: float(np.median(taken)) for way, taken in seconds.items()}
             own: dict[str, Any] = {"seconds": medians}
             report[f"{name}, {count} samples"] = own
-            if CORRECTS:
-                # Each pair ran side by side, under the same load.
-                own["ratio"] = float(np.median(np.divide(seconds["auto"], seconds["none"])))
+            # Each pair ran side by side, under the same load.
+            own["ratio"] = float(np.median(np.divide(seconds["auto"], seconds["none"])))
     return report
 
 
@@ -261,8 +259,6 @@ def main() -> int:
         return 0
     rx.start_jax()
     run = Run(arguments.seeds or (40 if arguments.check else 400), arguments.noise)
-    # A library that does not correct answers as one that is told not to.
-    stands_for = run.noise if CORRECTS else "none"
     document = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
     missed = 0
     for problem in chosen:
@@ -273,7 +269,7 @@ def main() -> int:
         print(f"{problem}: {seconds:.0f} s", flush=True)
         if not arguments.check:
             entry = {"seeds": run.seeds, "seconds": seconds, **report}
-            document.setdefault(stands_for, {})[problem] = entry
+            document.setdefault(run.noise, {})[problem] = entry
             write_json(arguments.out, document)
     return int(arguments.check and missed > 0)
 

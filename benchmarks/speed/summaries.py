@@ -6,7 +6,6 @@
   `identify` of all samples anew, with the largest relative difference of the two.
 - `cost`: seconds of `summarise` against all of `identify`, and bytes of what it keeps, for the
   paper's record and for 10^6 samples.
-- `merged`: whether recordings summed one by one come to the same in any order, and as all at once.
 
 First calls are timed in processes of their own, which find nothing compiled before. Writes
 benchmarks/summaries.json.
@@ -201,28 +200,7 @@ def cost_of(name: str, model: Any, record: Record) -> dict[str, float]:
     return found
 
 
-def merged() -> dict[str, Any]:
-    """Four recordings, summed one by one, against one fit of all."""
-    model = equation()
-    records = [made_record(SAMPLES // 4, seed) for seed in range(4)]
-    parts = [summarise(model, record, criterion()) for record in records]
-    one = parts[0].merge(*parts[1:])
-    other = parts[3].merge(parts[1]).merge(parts[2].merge(parts[0]))
-    in_two_orders = [estimate(model, summary) for summary in (one, other)]
-    theta, again = (np.asarray(found.theta) for found in in_two_orders)
-    errors, errors_again = (np.asarray(found.standard_errors) for found in in_two_orders)
-    at_once = identify(model, records, criterion())
-    found = {
-        "the_same_to_the_bit_in_two_orders": bool(
-            np.array_equal(theta, again) and np.array_equal(errors, errors_again)
-        ),
-        "largest_relative_difference_from_one_fit": largest_difference(in_two_orders[0], at_once),
-    }
-    show("merged", found)
-    return found
-
-
-KINDS = {f.__name__: f for f in (lengths, questions, cost, merged)}
+KINDS = {f.__name__: f for f in (lengths, questions, cost)}
 
 
 def show(name: str, figures: dict[str, Any]) -> None:
