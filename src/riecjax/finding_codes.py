@@ -89,7 +89,7 @@ CODES: dict[str, FindingCode] = {
         "sensors", "{signals} run by two clocks", "records.faults.derivative_pairs:CHANGE"
     ),
     "silent_input": FindingCode(
-        "sensors", "{signals} says nothing", "validation.silent_inputs:NOTHING_EXPLAINED"
+        "sensors", "{signals} says nothing", "validation.input_faults:NOTHING_EXPLAINED"
     ),
     "late_signal": FindingCode("sensors", "{signals} is late", "validation.late_signals:LEVEL"),
     "low_passed": FindingCode(
@@ -129,7 +129,7 @@ CODES: dict[str, FindingCode] = {
     "file_changed": FindingCode("sensors", "a file is not the one that was read before"),
     "rows_left_out": FindingCode("sensors", "windows that touch a missing sample are left out"),
     "unmodelled_mode": FindingCode(
-        "model", "the model leaves out a mode", "validation.equation_residual:NOTABLE_SIZE"
+        "model", "the model leaves out a mode", "validation.residuals:NOTABLE_SIZE"
     ),
     "large_residual": FindingCode(
         "model",
@@ -139,21 +139,21 @@ CODES: dict[str, FindingCode] = {
     "residual_follows_signal": FindingCode(
         "model",
         "what the model leaves follows {signals}",
-        "validation.equation_residual:NOTABLE_CORRELATION",
+        "validation.residuals:NOTABLE_CORRELATION",
     ),
     "hysteresis": FindingCode(
         "model",
         "what the model leaves depends on the way that the motion came",
-        "validation.loops:NOTABLE_GAIN",
+        "validation.residuals:NOTABLE_GAIN",
     ),
     "window_sensitive": FindingCode(
         "model", "estimates drift with window length", "studies.sweep:SMALLEST_DRIFT"
     ),
     "uneven_errors": FindingCode(
-        "model", "errors differ much along the record", "validation.equation_residual:NOTABLE_RATIO"
+        "model", "errors differ much along the record", "validation.residuals:NOTABLE_RATIO"
     ),
     "does_not_predict": FindingCode(
-        "model", "the model does not predict", "validation.goodness_of_fit:PREDICTS_ROUGHLY"
+        "model", "the model does not predict", "validation.held_out:PREDICTS_ROUGHLY"
     ),
     "records_disagree": FindingCode(
         "model", "the recordings disagree", "estimation.estimate:NOTABLE_INFLATION"

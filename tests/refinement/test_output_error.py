@@ -237,6 +237,7 @@ def test_a_prior_pulls_as_one_more_observation(noisy, whole):
     np.testing.assert_allclose(refined.standard_errors[place], error[place], rtol=0.1)
 
 
+@pytest.mark.raises_finding("refinement_not_converged")
 def test_a_start_without_a_finite_residual_is_a_status(noisy):
     """A mass of zero has no acceleration."""
     refined = refine(oscillator(), noisy, START | {"m": 0.0})

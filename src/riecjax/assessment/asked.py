@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from jaxtyping import Array, ArrayLike, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
@@ -28,7 +29,7 @@ TINY = 1e-300
 
 def size_of(value: ArrayLike) -> float:
     """Size of a value, for shares of it."""
-    return max(abs(float(value)), TINY)
+    return max(float(np.abs(value)), TINY)
 
 
 class Asked(NamedTuple):

@@ -152,8 +152,8 @@ def with_doubts(asked: Asked, estimate: Estimate, checked: Check) -> Check:
     findings = []
     for finding in checked.findings:
         if moved := doubts.get(finding.code):
-            most = max(moved, key=lambda name: moved[name])
-            said = f" Without it {most} changes by {100 * moved[most]:.2g} %."
+            name, share = max(moved.items(), key=lambda entry: entry[1])
+            said = f" Without it {name} changes by {100 * share:.2g} %."
             finding = finding._replace(message=finding.message + said, doubts=moved)
         findings.append(finding)
     return Check(findings, checked.excitations, checked.signals)

@@ -37,7 +37,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
     """
     estimate, refinement = result.estimate, result.refinement
     found = estimate_entries(result.model.name, estimate)
-    identified, key, sweep = found["parameters"], result.key, result.sweep
+    identified, key, sweep, seed = found["parameters"], result.key, result.sweep, None
     if key is not None:
         # The seed that `jax.random.key` makes this key of: its words, the highest first.
         words = jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
@@ -80,7 +80,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
         "warnings": [finding._asdict() for finding in result.findings()],
         "provenance": {
             "command": as_typed(command) if command else None,
-            "seed": None if key is None else seed,
+            "seed": seed,
             "records": [
                 {
                     "file": printable(recording.source),
@@ -354,10 +354,10 @@ def search_in_words(entries: Document) -> Iterator[str]:
     )
     yield f"left before and after, of {entries['basis']}:"
     whiteness = entries["whiteness"]
-    tested = whiteness is not None and not whiteness["vanishing"]
+    channels = {} if whiteness is None or whiteness["vanishing"] else whiteness["channels"]
     for name, left in entries["left"].items():
         # Beside what the sensor's noise would leave.
-        power = whiteness["channels"].get(name, {}).get("chi_squared") if tested else None
+        power = channels.get(name, {}).get("chi_squared")
         noise = "" if power is None else f", {number(power**0.5, 3)} times the sensor's noise"
         yield (
             f"{name}: {_number(left['before'])} before, {_number(left['after'])} {left['unit']} "

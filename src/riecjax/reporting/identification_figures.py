@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -217,7 +217,7 @@ def _fit_figure(result: Assessment) -> Chart:
         measured, explained, start = (np.concatenate(arrays) for arrays in zip(*of_stage))
         chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
         measured, explained, start = measured[chosen], explained[chosen], start[chosen]
-        cloud = {"size": SMALL, "opacity": 0.5}
+        cloud: dict[str, Any] = {"size": SMALL, "opacity": 0.5}
         reach = BEYOND * max(np.abs(measured).max(), np.abs(explained).max(), TINY)
         above.append(
             Panel(
