@@ -43,11 +43,6 @@ def test_what_to_write_comes_before_jaxs_own_words():
         jax.eval_shape(lambda x: np.sin(x), jax.ShapeDtypeStruct((3,), float))
 
 
-def test_words_that_are_cut_say_so():
-    with pytest.raises(ModelError, match=r"word \.\.\.$"), users_code("mine"):
-        raise RuntimeError("word " * 100)
-
-
 @pytest.mark.parametrize(
     ("name", "place"),
     [("window_sweep", "studies"), ("RoofFunctions", "equations"), ("Rows", "criteria")],

@@ -110,12 +110,6 @@ def test_a_process_holds_no_more_than_so_many(folder, monkeypatch):
     assert set(module._programs) == before
 
 
-def test_without_a_folder_it_is_filter_jit():
-    TRACED.clear()
-    assert_right(evaluate(curve(), X, power=2))
-    assert TRACED == ["evaluate"]
-
-
 def test_the_next_process_traces_nothing(folder):
     assert_right(evaluate(curve(), X, power=2))
     another_process()
@@ -138,17 +132,6 @@ def test_whatever_a_trace_can_see_makes_another_program(folder):
     assert len(TRACED) == 5
 
 
-def test_derivatives_and_batches_are_of_the_function_itself(folder):
-    def level(x: Any) -> jax.Array:
-        return jnp.sum(evaluate(curve(), x, 2).values)
-
-    step = 1e-6 * np.eye(5)
-    numeric = [(level(X + h) - level(X - h)) / 2e-6 for h in step]
-    np.testing.assert_allclose(jax.grad(level)(jnp.asarray(X)), numeric, rtol=1e-6)
-    batch = jax.vmap(level)(jnp.stack([X, 2 * X]))
-    np.testing.assert_allclose(batch, [level(X), level(2 * X)], rtol=1e-12)
-
-
 @pytest.mark.parametrize("damage", ["flipped", "cut", "empty", "foreign"])
 def test_a_damaged_file_is_made_anew(folder, damage):
     evaluate(curve(), X, 2)
@@ -165,13 +148,6 @@ def test_a_damaged_file_is_made_anew(folder, damage):
     assert TRACED == []
 
 
-def test_what_calls_python_back_is_not_kept(folder):
-    np.testing.assert_array_equal(reported(jnp.zeros(2), heard), 1.0)
-    assert list(folder.iterdir()) == []
-    another_process()
-    np.testing.assert_array_equal(reported(jnp.zeros(2), heard), 1.0)
-
-
 def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):
     monkeypatch.setattr(runtime, "_programs_folder", folder / "gone")
     assert_right(evaluate(curve(), X, 2))
@@ -181,15 +157,6 @@ def test_a_full_or_missing_folder_costs_nothing_but_time(folder, monkeypatch):
     assert_right(evaluate(curve(), X, 2))
     assert_right(evaluate(curve(), X, 3), power=3)
     assert len(list(folder.iterdir())) == 1
-
-
-def test_a_disk_that_is_full_keeps_no_part_of_a_program(folder, monkeypatch):
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "replace", full)
-    assert_right(evaluate(curve(), X, 2))
-    assert list(folder.iterdir()) == []
 
 
 def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):

@@ -17,12 +17,11 @@ from jaxtyping import Array, Float
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 from riecjax.discovery.discovery import Discovery
-from riecjax.equations.bases import AbstractShape
+from riecjax.equations.term import AbstractShape
 from riecjax.models.emps import Axis, SteppedAxis
 from riecjax.models.model import as_model
 from riecjax.records.preparation import upsample
-from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.shots import Tiles
+from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.reporting.discovery import sentence
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem

@@ -23,9 +23,8 @@ from jaxtyping import Array, Float
 from benchmarks.measured.silverbox import FACTOR, STEP, TRAIN
 from riecjax.models.oscillators import Duffing
 from riecjax.records.record import Record
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.refinement.refine import Refined, refine
-from riecjax.refinement.shots import Tiles
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem

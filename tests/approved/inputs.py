@@ -4,6 +4,7 @@ Motion is a sum of sines and the force follows from the equation of motion, so t
 NumPy's own arithmetic decides a sample; what no closed form has is left to SciPy.
 """
 
+import contextlib
 import os
 import shutil
 from collections.abc import Callable, Mapping
@@ -360,7 +361,9 @@ def simulate(path: Path, options: str) -> None:
     from riecjax.cli.main import run
 
     model = "simulate quarter-car-source --input white-noise"
-    if run([*model.split(), *options.split(), "--out", str(path)]):
+    with contextlib.redirect_stdout(None):
+        status = run([*model.split(), *options.split(), "--out", str(path)])
+    if status:
         raise RuntimeError(f"{path.name} could not be simulated")
 
 

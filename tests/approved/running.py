@@ -17,6 +17,13 @@ from tests.approved.comparison import condensed
 from tests.approved.inputs import place
 
 OUT = "out"
+MASKED = {
+    r"\bversion \d[\w.]*": "version VERSION",
+    r"takes? about [\d.]+ (s|min|h)\b": "takes about SECONDS",
+    r"in [\d.]+ (s|min|h), [\d.]+( thousand| million)? a second": "in SECONDS",
+    r"riecjax: (summing|estimating|reproducing|studying): .*\n": "",
+}
+"""What texts say of the version, of time that something takes, and of progress."""
 STORE = tempfile.TemporaryDirectory(prefix="riecjax-approved-")
 """Where this process makes each input once."""
 
@@ -80,9 +87,8 @@ def _call(words: list[str]) -> tuple[int | str, str, str]:
 def _masked(text: str) -> str:
     """Without what depends on the machine: folders, versions, seconds that something took."""
     text = text.replace(str(Path.cwd()), "FOLDER").replace(tempfile.gettempdir(), "TMP")
-    text = re.sub(r"\bversion \d[\w.]*", "version VERSION", text)
-    text = re.sub(r"\b\d[\d.]* (s|min|h) so far", "SECONDS so far", text)
-    text = re.sub(r"takes? about [\d.]+ (s|min|h)\b", "takes about SECONDS", text)
+    for pattern, word in MASKED.items():
+        text = re.sub(pattern, word, text)
     return "\n".join(line.rstrip() for line in text.splitlines())
 
 

@@ -87,21 +87,6 @@ def test_an_equation_is_assessed_as_its_stages_are_one_by_one():
 
 
 @pytest.mark.slow
-def test_two_recordings_with_offsets_of_their_own():
-    offset = rx.Equation(*AXIS.terms, rx.Term("offset", rx.constant), name="axis")
-    records = []
-    for seed, size in enumerate((4.0, -7.0)):
-        signals = motion(seed=seed)
-        time = signals.pop("t")
-        signals["f"] = signals["f"] + size
-        records.append(rx.Record.from_samples(signals, time))
-    found = rx.assess(offset, records, HATS, per_record=("offset",), **QUICK)
-    assert float(found.estimate["offset[1]"]) == pytest.approx(4.0, rel=1e-3)
-    assert float(found.estimate["offset[2]"]) == pytest.approx(-7.0, rel=1e-3)
-    assert [recording.name for recording in found.recordings] == ["record 1", "record 2"]
-
-
-@pytest.mark.slow
 def test_a_refinement_is_compared_on_what_it_was_not_fitted_to():
     first, second = (rx.read_recording(write(f"{i}.csv", motion(600, i, 1e-3))) for i in (0, 1))
     steps = []
@@ -125,24 +110,6 @@ def test_a_refinement_is_compared_on_what_it_was_not_fitted_to():
     np.testing.assert_array_equal(
         refinement.simulations[0].after.signals["x"].fit, found.validations[0].held.signals["x"].fit
     )
-
-
-def test_dols_has_no_windows_to_choose():
-    found = rx.assess(AXIS, rx.read_recording(write("run.csv", motion())), rx.DOLS(), **QUICK)
-    assert found.choice is None
-    assert found.seeds is None
-    for name, value in TRUTH.items():
-        assert float(found.estimate[name]) == pytest.approx(value, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_random_windows_show_their_scatter():
-    windows = rx.RIEC(rx.RandomWindows(0.1, 0.5, 400), rx.Hat(quadrature=6))
-    recording = rx.read_recording(write("run.csv", motion(noise=1e-2)))
-    found = rx.assess(AXIS, recording, windows, key=jax.random.key(3), **QUICK)
-    assert found.seeds is not None
-    alone = rx.identify(AXIS, recording, windows, key=jax.random.key(3))
-    np.testing.assert_allclose(found.estimate.theta, alone.theta, rtol=1e-10)
 
 
 def with_findings(recording, *signals):
@@ -218,32 +185,6 @@ def test_own_is_the_old_name_of_per_record():
     np.testing.assert_allclose(jitted, new, rtol=1e-6)
     with pytest.raises(TypeError, match="its old name own="):
         values(records, own=names, per_record=names)
-
-
-@pytest.mark.slow
-def test_noisy_samples_in_single_precision():
-    signals = motion(noise=1e-2)
-    with jax.enable_x64(False):
-        record = rx.Record.from_samples(
-            {n: np.float32(signals[n]) for n in ("x", "f")}, time_step=STEP
-        )
-        found = rx.assess(AXIS, record, HATS, hold_out=0.3, **QUICK)
-        assert found.estimate.theta.dtype == np.float32
-    for name, value in TRUTH.items():
-        assert float(found.estimate[name]) == pytest.approx(value, rel=5e-2)
-
-
-def test_an_estimate_says_what_its_recording_says_of_signals_that_are_read():
-    signals = motion()
-    signals = {"t": signals["t"], "x": signals["x"], "f": signals["f"], "w": signals["v"]}
-    recording = with_findings(rx.read_recording(write("run.csv", signals)), "x", "w")
-    equation = rx.Equation(rx.Term("k", "x", unit="N/m"), -rx.Term(1.0, "f"))
-    found = rx.identify(equation, recording, HATS, intervals=rx.Sandwich())
-    (said,) = [finding for finding in found.findings() if finding.code == "unit_mismatch"]
-    assert said.signals == ("x",)
-    bare = rx.identify(equation, recording.record, HATS, intervals=rx.Sandwich())
-    assert bare.doubts == ()
-    assert float(bare["k"]) == float(found["k"])
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from riecjax.assessment.doubt import Doubt, concerned, doubts
-from riecjax.reporting.identification import identification_document
 from riecjax.reporting.verdict import verdict_entries
 
 RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
@@ -136,38 +135,6 @@ def test_what_is_left_moves_a_parameter_as_an_error_along_its_regressor_would(wr
     assert found * np.std(acceleration) > share * target
 
 
-def test_the_document_holds_the_verdict_and_commands_to_go_on(wrong):
-    command = ("identify", "a b.csv", "--model", "body.py", "--json", "--band", "1", "10")
-    document = identification_document(wrong, command)
-    entry = document["verdict"]["parameters"]["m"]
-    assert entry["level"] == wrong.verdict.parameters["m"].level
-    assert entry["doubt"][0] < document["parameters"]["m"]["value"] < entry["doubt"][1]
-    assert document["verdict"]["next"][0]["command"] == (
-        "riecjax identify 'a b.csv' --model body.py --band 1 10 --add-mode v"
-    )
-    assert document["provenance"]["command"].startswith("riecjax identify 'a b.csv'")
-    assert all(step["command"] is None for step in verdict_entries(wrong.verdict)["next"])
-
-
-def test_new_window_lengths_replace_a_band(wrong):
-    verdict = wrong.verdict
-    step = verdict.causes[0].step._replace(options=("--alpha", "0.1", "--beta", "0.5"))
-    verdict = dataclasses.replace(verdict, causes=[verdict.causes[0]._replace(step=step)])
-    for out in (("--out", "result"), ("--out=result",)):
-        command = ("identify", "--band", "1", "10", *out, "a.csv")
-        (entry,) = verdict_entries(verdict, command)["next"]
-        # Nor is the result overwritten.
-        assert entry["command"] == "riecjax identify a.csv --alpha 0.1 --beta 0.5"
-
-
-@pytest.mark.slow
-def test_a_single_known_parameter_leaves_nothing_to_judge():
-    signals = motion(False)
-    verdict = assessed(signals, known={"m": 20.0, "c": 60.0}).verdict
-    assert list(verdict.parameters) == ["k"]
-    assert verdict.sentence.startswith("Trust k to ")
-
-
 @pytest.mark.slow
 def test_parameters_of_each_recording_are_judged_one_by_one():
     whole = rx.Record(motion(False), STANDARD.step)
@@ -190,7 +157,7 @@ def test_an_offset_of_the_force_is_named_with_the_option_that_finds_it():
     verdict = assessed(signals).verdict
     assert verdict.sentence.endswith(": errors share a constant part, as of a sensor's offset.")
     steps = [cause.step for cause in verdict.causes if cause.step is not None]
-    assert [step.options for step in steps] == [("--unknown-offset", "F")]
+    assert {step.options for step in steps} == {("--unknown-offset", "F")}
     # Where the model has a constant term, an offset is none of its errors.
     model = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant, unit="N"), name="body")
     verdict = rx.assess(model, rx.Record(signals, STANDARD.step), RIEC, refine=None).verdict

@@ -7,10 +7,9 @@ import pytest
 from riecjax.criteria.criterion import DOLS, RIEC, Rows
 from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import RandomWindows, WindowSet
-from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Polynomial, Term, Terms
 from riecjax.records.record import Record
 
 DURATION = 2.0

@@ -13,9 +13,8 @@ from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import faster_than
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.term import Term
+from riecjax.equations.term import Term, faster_than
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record

@@ -1,12 +1,11 @@
-"""Which candidates there are for a model, by what it calls its signals and their units."""
+"""Candidates, their widths and units."""
 
 import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.discovery.candidate import Shaped
-from riecjax.discovery.catalogue import default_candidates
-from riecjax.equations.motions import Motion, motions_of
+from riecjax.discovery.candidate import Shaped, default_candidates
+from riecjax.equations.motions import Motion, motions_of, per
 
 RNG = np.random.default_rng(0)
 MASS = rx.Equation(
@@ -56,13 +55,6 @@ def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_iner
     }
 
 
-def test_what_needs_a_velocity_is_offered_where_there_is_one():
-    assert set(units_of(candidates(MASS, "x", "u"))) == {
-        *("viscous", "stiffness", "quadratic_stiffness", "cubic_stiffness", "quintic_stiffness"),
-        *("dead_zone", "saturation", "offset", "drift"),
-    }
-
-
 def test_motions_of_the_quarter_car_by_its_equations_and_units():
     model = rx.find_model("quarter-car")
     units = {q.name: q.unit for q in model.signals}
@@ -92,15 +84,6 @@ def test_widths_lie_within_the_motion_and_grow():
             assert 0 < one.widths[0] < one.widths[-1] < 3
 
 
-def test_widths_grow_of_a_signal_that_hardly_moves():
-    still = rx.Record.from_samples(
-        {"x": np.zeros(500), "dx": np.zeros(500), "u": np.ones(500)}, time_step=0.01
-    )
-    for one in default_candidates([MASS], ["equation"], [still], {}):
-        if isinstance(one, Shaped):
-            assert np.all(np.diff(one.widths) > 0)
-
-
 @pytest.mark.parametrize("number", [0, 2, 5])
 def test_closer_widths_keep_the_one_that_they_are_around(number):
     one = next(c for c in candidates(MASS, "x", "dx", "u") if c.name == "dead_zone")
@@ -110,3 +93,25 @@ def test_closer_widths_keep_the_one_that_they_are_around(number):
     assert closer.widths.size == one.widths.size
     assert np.all(np.diff(closer.widths) > 0)
     assert np.ptp(closer.widths) < np.ptp(one.widths)
+
+
+@pytest.mark.parametrize(
+    ("unit", "of", "power", "found"),
+    [
+        ("N", "m/s", 1, "N s/m"),
+        ("N", "m/s", 2, "N s^2/m^2"),
+        ("N", "m", 3, "N/m^3"),
+        ("N m", "rad/s", 1, "N m s/rad"),
+        ("rad/s^2", "rad/s", 1, "1/s"),
+        ("rad/s^2", "rad/s", 2, "1/rad"),
+        ("N/m", "m/s", 1, "N s/m^2"),
+        ("N", "N", 1, ""),
+        ("V/(m s)", "m", 1, "V/(m^2 s)"),
+        ("N", "", 1, ""),
+        ("N", "", 0, "N"),
+        ("", "m", 1, ""),
+        ("m/s", "1/s", 1, "m"),
+    ],
+)
+def test_units_of_coefficients(unit, of, power, found):
+    assert per(unit, of, power) == found

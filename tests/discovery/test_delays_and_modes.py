@@ -65,11 +65,6 @@ def test_of_a_right_model_only_the_delay_is_found(late):
     assert discovery_document(found)["sentence"].startswith("No term is missing")
 
 
-@pytest.mark.slow
-def test_without_a_delay_none_is_found():
-    assert discover(DRAG.start, DRAG.record(0.05, 3), **QUICK).delays == {}
-
-
 @pytest.mark.parametrize("noise", [*nightly([0.0]), 0.02])
 def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     found = discover(BODY, carrying(noise), **QUICK)
@@ -93,20 +88,6 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
 
 
 @pytest.mark.slow
-def test_terms_that_are_told_from_zero_stay_beside_a_mode(tmp_path):
-    problem = OTHERS["mode_and_spring"]
-    found = discover(problem.start, problem.record(0.01, 2, drive=2), **QUICK)
-    assert {*found.names} == problem.missing
-    truth = {"m": 2.0, "c": 4.0, "k": 800.0, "cubic_stiffness": 2e6, "M_mode": 0.5}
-    for name, value in truth.items():
-        assert float(found.estimate[name]) == pytest.approx(value, rel=0.05)
-    (steps,) = found.paths.values()
-    assert [step.added for step in steps] == ["", "cubic_stiffness", "mode"]
-    source = model_source(found, "duffing", tmp_path)
-    assert ").with_modes(\n    rx.HiddenMode(" in source
-
-
-@pytest.mark.slow
 def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
     found = discover(BODY, carrying(), **QUICK)
     (tmp_path / "body.py").write_text(
@@ -127,13 +108,6 @@ def test_a_body_without_a_mode_is_given_none():
     assert found.names == ()
 
 
-@pytest.mark.slow
-def test_of_candidates_of_ones_own_nothing_else_is_found(late):
-    found = discover(DRAG.start, late, [rx.Term("stiffness", "x")], **QUICK)
-    assert found.names == ("stiffness",)
-    assert found.delays == {}
-
-
 @pytest.mark.raises_finding("late_signal")
 def test_a_velocity_that_is_late_is_not_the_forces_fault():
     clean = DRAG.record(0.01, 4, drive=1)
@@ -143,10 +117,3 @@ def test_a_velocity_that_is_late_is_not_the_forces_fault():
     assert ("late_signal", ("dx",)) in [(one.code, one.signals) for one in found.findings]
     sentence = discovery_document(found)["sentence"]
     assert "mend that first (--shift dx=0.0" in sentence
-
-
-def test_a_signal_that_is_absent_is_told_by_what_was_recorded():
-    record = DRAG.record(0.01, 4, drive=1).select("x", "dx")
-    with pytest.raises(rx.DataError, match="'u'") as error:
-        discover(DRAG.start, record, **QUICK)
-    assert "state" not in str(error.value)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_folds import folds_of
 
-from riecjax.discovery.search import MOST, RATE, Offer, Search, again
+from riecjax.discovery.search import RATE, Offer, Search, again
 
 LETTERS = "abcdefgh"
 
@@ -76,31 +76,6 @@ def test_of_a_law_with_several_widths_one_is_taken():
     assert [one.name for one in found] == ["c@"]
 
 
-def test_columns_that_enter_together_are_found_together():
-    given = columns(8)
-    noise = np.random.default_rng(9).standard_normal(len(given))
-    target = given[:, 0] + given[:, 1] + 0.3 * given[:, 2] + noise
-    folds = folds_of(np.column_stack([target, given]), 20)
-    both = [Offer("law", ("b", "c"), "law"), *offers("d", "e", "f")]
-    found = Search(folds, ("a",), both)
-    assert names(found.found()) == {"law"}
-
-
-def test_what_repeats_a_kept_column_is_not_offered():
-    given = columns(10)
-    given[:, 3] = 2 * given[:, 0]
-    assert "d" not in names(search(given[:, 0], given).offers)
-
-
-def test_a_search_ends_though_every_column_helps():
-    given = np.random.default_rng(11).standard_normal((2000, 8))
-    folds = folds_of(np.column_stack([given.sum(1), given]), 20)
-    twice = offers(*LETTERS)
-    found = Search(folds, (), twice).found()
-    assert names(found) == {*LETTERS}
-    assert len(found) <= MOST
-
-
 def test_the_path_goes_down_and_ends_at_what_noise_makes():
     given = columns(12)
     noise = np.random.default_rng(13).standard_normal(len(given))
@@ -113,16 +88,6 @@ def test_the_path_goes_down_and_ends_at_what_noise_makes():
     assert left[-1] == pytest.approx(noise @ noise / (target @ target), rel=0.02)
     assert all(step.chance < 1e-3 for step in steps)
     assert all(gain < 0.02 for _, gain, _ in found.next_best(found.found()))
-
-
-def test_coefficients_of_one_law_have_errors_of_their_own():
-    given = columns(16)
-    noise = np.random.default_rng(17).standard_normal(len(given))
-    folds = folds_of(np.column_stack([given @ [1, 5, -3, 0, 0, 0, 0, 0] + noise, given]), 20)
-    law = Offer("law", ("b", "c"), "law")
-    found = again(Search(folds, ("a",), [law]), [law], seed=0)
-    assert found.errors["b"] == pytest.approx(1 / np.sqrt(1000), rel=0.5)
-    assert found.errors["c"] == pytest.approx(1 / np.sqrt(1000), rel=0.5)
 
 
 def test_data_drawn_again_choose_what_is_sure_each_time_and_what_is_not_less_often():

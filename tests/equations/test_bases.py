@@ -1,10 +1,32 @@
+"""Bases and expressions, held against their formulas."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.equations.bases import Polynomial, roof
+from riecjax.criteria.criterion import DOLS
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import (
+    DeadZone,
+    Polynomial,
+    Saturation,
+    Stribeck,
+    Term,
+    Terms,
+    constant,
+    difference,
+    even,
+    faster_than,
+    friction,
+    odd,
+    product,
+    roof,
+)
 from riecjax.errors import ModelError
+from riecjax.estimation.identify import identify
+from riecjax.records.record import Record
+from riecjax.records.signals import Signals
 
 POINTS = [[-1.0, 2.0], [-0.8, -0.3, 0.3, 0.8], [0.0, 0.1, 1.0, 5.0, 5.5]]
 
@@ -17,17 +39,6 @@ def inside_and_outside(points):
 def test_roof_functions_sum_to_one_everywhere(points):
     values = roof(points)(inside_and_outside(points))
     np.testing.assert_allclose(values.sum(0), 1.0, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("points", POINTS)
-def test_roof_functions_weighted_by_their_break_points_give_x_everywhere(points):
-    x = inside_and_outside(points)
-    np.testing.assert_allclose(np.array(points) @ roof(points)(x), x, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("points", POINTS)
-def test_each_roof_function_is_one_at_its_break_point_and_zero_at_the_others(points):
-    np.testing.assert_array_equal(roof(points)(jnp.array(points)), np.eye(len(points)))
 
 
 @pytest.mark.parametrize("points", POINTS)
@@ -52,16 +63,6 @@ def test_interpolate_equals_the_sum_of_roof_functions(points):
     np.testing.assert_allclose(roof(points).interpolate(values, x), summed, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("shape", [(), (7,), (2, 3)])
-def test_interpolate_takes_any_shape(shape):
-    x = jnp.linspace(-1, 1, int(np.prod(shape, initial=1))).reshape(shape)
-    values = jnp.array([1.0, 2.0, 4.0])
-    result = roof([-1.0, 0.0, 1.0]).interpolate(values, x)
-    assert result.shape == shape
-    expected = np.interp(np.ravel(x), [-1, 0, 1], values).reshape(shape)
-    np.testing.assert_allclose(result, expected, rtol=1e-14)
-
-
 def test_break_points_may_be_traced_and_differentiated():
     def force(points):
         return jnp.sum(roof(points).interpolate(jnp.array([0.0, 1.0]), jnp.array(0.25)))
@@ -84,3 +85,101 @@ def test_polynomials_are_powers():
     basis = Polynomial((0, 1, 3))
     np.testing.assert_allclose(basis(jnp.array(x)), np.stack([x**0, x, x**3]))
     assert basis.labels == ("0", "1", "3")
+
+
+X = jnp.array([-3.0, -0.5, -0.1, 0.0, 0.1, 0.5, 3.0])
+
+
+def test_a_dead_zone_is_what_saturation_leaves():
+    assert np.allclose(DeadZone(0.4)(X), [[-2.6, -0.1, 0, 0, 0, 0.1, 2.6]])
+    assert np.allclose(DeadZone(0.4)(X) + Saturation(0.4)(X), X[None])
+
+
+@pytest.mark.parametrize("law", [DeadZone, Saturation, Stribeck])
+def test_widths_are_positive_and_compile_nothing_anew(law):
+    with pytest.raises(ModelError, match="a width must be positive; got -1"):
+        law(-1.0)
+    calls = []
+
+    @jax.jit
+    def sampled(shape):
+        calls.append(shape)
+        return shape(X)
+
+    assert not np.allclose(sampled(law(0.2)), sampled(law(0.3)))
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize(
+    ("power", "of_odd", "of_even"),
+    [
+        (0, lambda x: np.sign(x), lambda x: np.ones_like(x)),
+        (1, lambda x: x, lambda x: np.abs(x)),
+        (2, lambda x: x * np.abs(x), lambda x: x**2),
+        (3, lambda x: x**3, lambda x: np.abs(x) ** 3),
+        (5, lambda x: x**5, lambda x: np.abs(x) ** 5),
+    ],
+)
+def test_odd_and_even_powers(power, of_odd, of_even):
+    signals, x = Signals({"v": X}), np.asarray(X)
+    assert np.allclose(odd("v", power)(signals), of_odd(x))
+    assert np.allclose(even("v", power)(signals), of_even(x))
+    assert odd("v", power) == odd("v", power) != even("v", power)
+
+
+VELOCITY = jnp.array([-2.0, -0.5, 0.0, 0.5, 2.0])
+
+
+def test_asymmetric_friction_splits_by_direction_and_sums_to_the_symmetric_one():
+    basis = friction(asymmetric=True)
+    assert basis.labels == ("viscous_pos", "coulomb_pos", "viscous_neg", "coulomb_neg")
+    values = basis(VELOCITY)
+    np.testing.assert_array_equal(values[0] + values[2], VELOCITY)
+    np.testing.assert_array_equal(values[1] + values[3], np.sign(VELOCITY))
+    assert not np.any(values[:2, :3])
+    assert not np.any(values[2:, 2:])
+
+
+def test_stribeck_friction_falls_by_e_at_its_speed():
+    basis = friction(stribeck=0.5)
+    assert basis.labels[-1] == "stribeck"
+    np.testing.assert_allclose(basis(VELOCITY)[-1, 3], np.exp(-1))
+    np.testing.assert_allclose(basis(VELOCITY)[-1, 1], -np.exp(-1))
+
+
+@pytest.mark.parametrize("settings", [dict(stribeck=0.0), dict(smooth=-1.0)])
+def test_speeds_must_be_positive(settings):
+    with pytest.raises(ModelError, match="must be positive"):
+        friction(**settings)
+
+
+def test_friction_of_a_known_machine_is_found_again():
+    t = 0.001 * np.arange(6000)
+    v, a = 0.3 * np.cos(2 * t), -0.6 * np.sin(2 * t)
+    force = 4.0 * a + 9.0 * v + 2.0 * np.sign(v) + 1.5 * np.sign(v) * np.exp(-((v / 0.05) ** 2))
+    record = Record.from_samples({"v": v, "a": a, "F": force}, time_step=0.001)
+    equation = Equation(
+        Term("M", "v", derivative=1, measured=("a",), unit="kg"),
+        Terms("f", friction(stribeck=0.05), "v", unit=("N s/m", "N", "N")),
+        -Term(1.0, "F"),
+    )
+    estimate = identify(equation, record, DOLS())
+    np.testing.assert_allclose(estimate.theta, [4.0, 9.0, 2.0, 1.5], rtol=1e-9)
+    assert equation.units == {"M": "kg", "f_viscous": "N s/m", "f_coulomb": "N", "f_stribeck": "N"}
+
+
+def test_expressions_compute_what_they_say_and_compare_by_it():
+    record = Record.from_samples({"a": [1.0, -2, 3], "b": [4.0, 5, 6]}, time_step=1.0)
+    signals = record.signals
+    np.testing.assert_array_equal(product("a", "b")(signals), [4, -10, 18])
+    np.testing.assert_array_equal(difference("a", "b")(signals), [-3, -7, -3])
+    np.testing.assert_array_equal(faster_than("a", 1.5)(signals), [False, True, True])
+    np.testing.assert_array_equal(constant(signals), [1, 1, 1])
+    assert product("a", "b") == product("a", "b")
+    assert hash(faster_than("a", 1.5)) == hash(faster_than("a", 1.5))
+
+
+def test_a_number_made_of_a_signal_is_a_slip():
+    record = Record.from_samples({"a": [1.0, 2.0, 3.0]}, time_step=1.0)
+    with pytest.raises(ModelError, match="one number for each of the 3 samples"):
+        Term("c", lambda s: jnp.sum(s["a"])).samples(record, 0)

@@ -1,11 +1,13 @@
-import jax.numpy as jnp
+"""Terms, equations, and which of their terms are force elements."""
+
 import numpy as np
 import pytest
+from tests.machines import BODY
 
+import riecjax as rx
 from riecjax.criteria.criterion import DOLS
-from riecjax.equations.bases import Polynomial, roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Polynomial, Term, Terms, roof
 from riecjax.errors import DataError, ModelError
 from riecjax.records.record import Record
 
@@ -25,13 +27,6 @@ def test_parameters_come_in_order_of_first_appearance_and_once():
     assert equation.parameters == ("m", "F_1", "F_2")
 
 
-def test_units_belong_to_coefficients():
-    equation = Equation(
-        Term("m", "x", unit="kg"), Terms("c", Polynomial((1, 3)), of="x", unit="N"), Term(1.0, "u")
-    )
-    assert equation.units == {"m": "kg", "c_1": "N", "c_3": "N"}
-
-
 def test_columns_are_signed_sums_and_known_terms_change_sides():
     equation = Equation(
         Term(3.0, "u"),
@@ -48,25 +43,16 @@ def test_columns_are_signed_sums_and_known_terms_change_sides():
     assert rows.parameters == ("k", "c_1", "c_2")
 
 
-def test_without_known_terms_the_target_is_zero():
-    rows = DOLS().rows(Equation(Term("a", "x"), Term("b", "y")), RECORD)
-    np.testing.assert_array_equal(rows.target, np.zeros(20))
-
-
-def test_twice_negated_is_the_same_term():
-    for term in (Term("a", "x"), Term(2.0, "x"), Terms("c", Polynomial((1,)), of="x")):
-        np.testing.assert_array_equal(
-            term.__neg__().__neg__().samples(RECORD, 0).values, term.samples(RECORD, 0).values
-        )
-        np.testing.assert_array_equal(
-            (-term).samples(RECORD, 0).values, -term.samples(RECORD, 0).values
-        )
-
-
 @pytest.mark.parametrize("name", ["k\x1b[31m", "k\n"])
 def test_names_that_steer_a_terminal_are_refused(name):
     with pytest.raises(ModelError, match="must be printable"):
         Equation(Term(name, "x"), -Term(1.0, "u"))
+
+
+@pytest.mark.parametrize("given", [{"name": 5}, {"unit": None}, {"name": ["k"]}])
+def test_names_that_are_no_text_are_refused(given):
+    with pytest.raises(ModelError, match="must be printable"):
+        Equation(Term("k", "x"), -Term(1.0, "u"), **given)
 
 
 @pytest.mark.parametrize(("derivative", "signal"), [(0, "x"), (1, "dx"), (2, "ddx")])
@@ -74,17 +60,6 @@ def test_a_derivative_is_read_from_the_signal_that_measures_it(derivative, signa
     term = Term("m", "x", derivative=derivative, measured=("dx", "ddx"))
     rows = DOLS().rows(Equation(term), RECORD)
     np.testing.assert_array_equal(rows.regressors[:, 0], SAMPLES[signal])
-
-
-def test_has_target_only_with_a_term_without_a_name():
-    assert Equation(Term(1.0, "u"), Term("k", "x")).has_target
-    assert not Equation(Term("m", "ddx", known=3.0), Term("k", "x")).has_target
-
-
-def test_known_values_of_terms_are_collected():
-    equation = Equation(Term("m", "ddx", known=3.0), -Term("k", "x"))
-    assert {name: float(value) for name, value in equation.known.items()} == {"m": 3.0}
-    assert equation.parameters == ("m", "k")
 
 
 def test_an_equation_without_a_named_coefficient_is_refused():
@@ -127,6 +102,45 @@ def test_a_missing_signal_is_explained_with_a_remedy(term, words):
         assert word in str(caught.value)
 
 
-def test_a_numeric_coefficient_may_be_an_array():
-    term = Term(jnp.array(2.5), "x", sign=-2.0)
-    np.testing.assert_allclose(term.samples(RECORD, 0).values[0], -5 * SAMPLES["x"])
+TRAVEL = rx.difference("x1", "x2")
+
+
+def equation(*terms: rx.Term | rx.Terms) -> rx.equations.Procedure:
+    return rx.staged(rx.Equation(*terms, -rx.Term(1.0, "F"), name="body"))
+
+
+@pytest.mark.parametrize(
+    ("of", "why"),
+    [("m", "an acceleration, a mass"), ("k", "a position, a stiffness: .* only a softer spring")],
+)
+def test_units_tell_what_is_no_damper(of, why):
+    with pytest.raises(rx.ModelError, match=f"'{of}' is of {why}.*or a map of one: c\\."):
+        rx.staged(BODY).with_series_springs(rx.SeriesSpring(of))
+
+
+@pytest.mark.parametrize(
+    ("of", "why"),
+    [("m", "acceleration"), ("k", "position"), ("p_3", "position"), ("offset", "a constant")],
+)
+def test_derivatives_tell_where_units_do_not(of, why):
+    body = equation(
+        rx.Term("m", "x", derivative=2),
+        rx.Term("c", "x", derivative=1),
+        rx.Term("k", "x"),
+        rx.Terms("p", rx.Polynomial((3, 5)), "x"),
+        rx.Terms("F", rx.roof([-1.0, 0.0, 1.0]), TRAVEL),
+        rx.Term("offset", rx.constant),
+    )
+    with pytest.raises(rx.ModelError, match=rf"{why}.*or a map of one: c, F_1\."):
+        body.with_series_springs(rx.SeriesSpring(of))
+
+
+def test_dampers_are_taken_however_they_are_written():
+    taken = [
+        rx.Term("c", "v"),
+        rx.Term("c", TRAVEL, derivative=1),
+        rx.Term("c", rx.difference("v1", "v2"), unit="N s/m"),
+    ]
+    for damper in taken:
+        body = equation(rx.Term("m", "v", derivative=1), damper)
+        assert body.with_series_springs(rx.SeriesSpring("c")).parameters[-1] == "K_series"

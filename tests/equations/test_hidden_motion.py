@@ -5,14 +5,13 @@ import numpy as np
 import pytest
 import scipy.signal
 from tests.machines import BODY, STANDARD
-from tests.machines import MODE_MODEL as MODEL
 from tests.machines import MODE_TRUTH as TRUTH
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from nightly import nightly
 from riecjax.equations.hidden_elements import Shape
-from riecjax.equations.hidden_motion import followed, with_hidden_motion
+from riecjax.equations.hidden_motion import followed
 from riecjax.validation import equation_error
 
 TIMES = STANDARD.step * np.arange(2000)
@@ -77,11 +76,3 @@ def test_a_position_s_derivatives_move_along():
     (left,) = equation_error(model, rx.Record(moved, STANDARD.step), values)
     assert left.span == 1
     assert float(left.relative_rms) < 0.01
-
-
-def test_nothing_changes_without_modes():
-    record = rx.Record(motion(False, 50), STANDARD.step)
-    procedure = rx.staged(BODY)
-    assert with_hidden_motion(procedure, record, {}) == (procedure, record)
-    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
-    assert with_hidden_motion(MODEL, record, values)[0].modes == ()

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
-from tests.machines import PROBLEMS, STROKE
+from tests.machines import PROBLEMS
 
 import riecjax as rx
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, with_memories
@@ -37,18 +37,6 @@ def test_the_course_is_that_of_the_differential_equation(law, width):
     assert np.max(np.abs(found[:501] - run.y[0])) < 0.02
 
 
-def test_bouc_wen_goes_straight_back_to_zero_and_dahl_turns_at_once():
-    assert BoucWen("z", "v", 1.0).after(0.5, -0.3) == pytest.approx(0.2)
-    assert BoucWen("z", "v", 1.0).after(0.5, -0.7) == pytest.approx(-1 + np.exp(-0.2))
-    assert Dahl("z", "v", 1.0).after(0.5, -0.3) == pytest.approx(-1 + 1.5 * np.exp(-0.3))
-    assert Dahl("z", "v", 1.0).after(0.5, 500.0) == pytest.approx(1.0)
-
-
-def test_a_width_must_be_positive():
-    with pytest.raises(rx.ModelError, match="a width must be positive; got 0"):
-        Dahl("z", "v", 0.0)
-
-
 def test_recordings_are_given_states_that_they_lack_and_keep_those_they_have():
     record = rx.Record.from_samples({"v": velocity(TIMES)}, time_step=0.01)
     made = with_memories(record, [Dahl("z", "v", 0.1)])
@@ -67,12 +55,6 @@ def test_a_state_stays_where_its_velocity_is_missing():
     assert np.ptp(found[502:598]) == 0
 
 
-def test_a_record_without_the_velocity_is_refused():
-    record = rx.Record.from_samples({"x": velocity(TIMES)}, time_step=0.01)
-    with pytest.raises(rx.DataError, match="no signal 'v'"):
-        with_memories(record, [Dahl("z", "v", 0.1)])
-
-
 def test_a_model_with_hysteresis_is_identified_from_a_record_without_the_state():
     estimate = rx.identify(HYSTERETIC.model, HYSTERETIC.record(0.01, 0))
     for name, value in {"m": 1.5, "k": 20.0, "c": 0.8, "loop": 4.0}.items():
@@ -87,31 +69,6 @@ def test_a_model_with_hysteresis_is_simulated_with_its_state():
     drive = rx.Record({"u": clean["u"]}, 0.01)
     run = rx.simulate(system, drive, method=rx.FixedStep(8))
     assert np.std(np.asarray(run.record["x"]) - clean["x"]) < 0.01 * clean["x"].std()
-
-
-def test_the_width_of_a_loop_is_found():
-    found = rx.discover(
-        HYSTERETIC.start, HYSTERETIC.record(0.01, 0), intervals=rx.Naive(), resamples=0
-    )
-    widths = {one.candidate.name: one.width for one in found.chosen}
-    assert widths["dahl"] == pytest.approx(STROKE, rel=0.1)
-    assert float(found.estimate["dahl"]) == pytest.approx(4.0, rel=0.05)
-
-
-@pytest.mark.parametrize("law", [Dahl, BoucWen])
-def test_the_course_is_that_of_one_step_after_the_other(law):
-    rng = np.random.default_rng(0)
-    v = rng.standard_normal(500) * (np.arange(500) % 7 > 1)
-    v[:3] = v[100:120] = 0
-    memory = law("z", "v", 0.02)
-    state, expected = 0.0, [0.0]
-    for stroke in 0.5 * (v[1:] + v[:-1]) * 0.01 / 0.02:
-        state = state if stroke == 0 else float(memory.after(state, stroke))
-        expected.append(state)
-    record = rx.Record.from_samples({"v": v}, time_step=0.01)
-    assert memory.course(record) == pytest.approx(np.array(expected), abs=1e-12)
-    still = rx.Record.from_samples({"v": 0 * v}, time_step=0.01)
-    assert np.all(memory.course(still) == 0)
 
 
 def test_elapsed_time_is_a_state_of_recordings_and_of_simulations():

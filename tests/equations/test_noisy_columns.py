@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.noisy_columns import noisy_columns
+from riecjax.equations.term import RoofFunctions
 
 STEP, LEVEL = 0.01, 0.1
 # Evenly over all arguments, so that a mean over samples is an integral over them.
@@ -55,11 +55,6 @@ def test_polynomials_and_their_products_are_corrected_exactly():
     left = products - true[:, None] * true[None]
     left[2, 2] -= (1 / 6 + 0.6) * 90 * LEVEL**6
     np.testing.assert_allclose(left, 0.0, atol=1e-10)
-
-
-def test_quintics_have_their_mean():
-    columns, *_, true = of_functions(lambda z: z**5)
-    np.testing.assert_allclose(columns, true, atol=1e-11)
 
 
 def test_a_known_term_and_derivatives_move_where_they_stand():

@@ -70,15 +70,6 @@ def test_the_gain_of_a_load_cell_where_the_mass_is_known():
     assert found == pytest.approx({"m": M, "c": C, "k": K, "gain_F": 1.25}, rel=2e-3)
 
 
-def test_a_signal_that_two_equations_know_has_one_offset():
-    both = rx.simultaneous(
-        rx.Equation(rx.Term("a", "x"), -rx.Term(2.0, "F"), name="one"),
-        rx.Equation(rx.Term("b", "y"), rx.Term(3.0, "F"), name="two"),
-    )
-    assert both.with_unknown_offset("F").parameters == ("a", "offset_F", "b")
-    assert both.with_unknown_gain("F").parameters == ("a", "gain_F", "b")
-
-
 def cannot_be_told():
     plain = rx.staged(equation())
     constant = rx.staged(equation(rx.Term("friction", rx.constant, unit="N")))
@@ -100,14 +91,6 @@ def test_what_cannot_be_told_apart(case):
     change, signal, words = cannot_be_told()[case]
     with pytest.raises(ModelError, match=words):
         change(signal)
-
-
-def test_a_gain_that_leaves_nothing_known():
-    x, force = motion()
-    with pytest.raises(
-        ModelError, match=r"all of them zero would fit\. Fix one of m, c, k, gain_F"
-    ):
-        estimate(rx.staged(equation()).with_unknown_gain("F"), x, force)
 
 
 @pytest.mark.slow

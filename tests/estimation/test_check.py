@@ -8,10 +8,8 @@ from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
-from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Term, Terms, constant, roof
 from riecjax.errors import DataError, IdentifiabilityError, MissingSignalError
 from riecjax.estimation.check import check
 from riecjax.estimation.identify import identify

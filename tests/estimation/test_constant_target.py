@@ -8,11 +8,9 @@ from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows
-from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
 from riecjax.equations.procedure import as_procedure, simultaneous, staged
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Term, Terms, constant, roof
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.identify import identify

@@ -8,8 +8,7 @@ from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Boxcar
 from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
-from riecjax.equations.term import Term
+from riecjax.equations.term import Term, constant
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import Sharing, values_of_record

@@ -4,7 +4,6 @@ import itertools
 import shutil
 from pathlib import Path
 
-import fsspec
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -96,11 +95,6 @@ def test_what_fails_is_a_row_with_its_reason(by_vehicle):
     assert [tuple(row.values()) for row in table] == [tuple(e) for e in found.entries]
     names = "group start end parameter value unit std_error low95 high95 verdict findings status"
     assert " ".join(table[0]) == names
-
-
-def test_strict_ends_at_what_fails(folder):
-    with pytest.raises(DataError, match=r"broken\.parquet: not a readable"):
-        fleet(MODEL, folder, by="vehicle", workers=0, strict=True)
 
 
 def test_an_interrupted_run_goes_on_and_ends_in_the_same_bits(
@@ -207,16 +201,6 @@ def test_sums_of_an_earlier_run_are_estimated_anew(by_vehicle):
         fleet(find_model("duffing"), table, workers=0)
 
 
-def test_recordings_of_a_store_are_brought_here_and_summed(folder, by_vehicle):
-    store = fsspec.filesystem("memory")
-    store.put(str(folder / "vehicle=0"), "/garage/vehicle=0", recursive=True)
-    try:
-        found = fleet(MODEL, "memory://garage", by="vehicle", workers=0)
-    finally:
-        store.rm("/garage", recursive=True)
-    assert values(found, "vehicle=0") == values(by_vehicle[0], "vehicle=0")
-
-
 def test_columns_of_a_file_tell_its_recordings_apart(folder, by_vehicle, tmp_path):
     tables = [
         parquet.read_table(folder / f"vehicle={v}/{i}.parquet").append_column(
@@ -255,13 +239,6 @@ def test_of_a_file_with_several_recordings_parts_are_asked_for(folder, tmp_path)
         fleet(MODEL, tmp_path, workers=0, parts="run1")
 
 
-def test_what_no_path_says_is_asked_for_by_name(folder):
-    found = fleet(MODEL, folder, by="vehicle", workers=0)
-    assert all("truck" not in e.status for e in found.entries)
-    with pytest.raises(DataError, match="truck"):
-        fleet(MODEL, folder, by="truck", workers=0)
-
-
 def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_path, monkeypatch):
     (record,) = drives(1, 2**17 + 70000, 5)
     write_record(tmp_path / "whole.parquet", record)
@@ -297,29 +274,10 @@ def test_courses_over_time_show_when_a_damper_wore(tmp_path):
     assert np.mean([e.value for e in spans if e.value]) == pytest.approx(TRUTH["r"], rel=0.1)
 
 
-def test_mistakes_are_refused_in_words(folder, tmp_path):
-    for wrong in ({"span": 0.0}, {"workers": -1}, {"by": ""}):
-        with pytest.raises(ModelError, match=r"span|workers|by names"):
-            fleet(MODEL, folder, **{"workers": 0, **wrong})  # pyright: ignore[reportArgumentType]
-    (tmp_path / "a.csv").write_text("nothing")
-    with pytest.raises(DataError, match="none of the first 1 recordings"):
-        fleet(MODEL, tmp_path, workers=0)
-    assert module.ESTIMATES == "estimates.parquet"
-
-
 @pytest.mark.parametrize("given", [{"criterion": DOLS()}, {"noise": "none"}], ids=str)
 def test_sums_that_say_nothing_of_noise_are_estimated(folder, given):
     found = fleet(MODEL, folder / "vehicle=0/0.parquet", workers=0, **given)
     assert values(found, "0.parquet")["k"][0] == pytest.approx(TRUTH["k"], rel=0.2)
-
-
-def test_an_unknown_parameter_is_refused_before_anything_is_summed(folder):
-    told = []
-    with pytest.raises(ModelError, match="kk"):
-        fleet(
-            MODEL, folder, workers=0, known={"kk": 20.0}, progress=lambda *said: told.append(said)
-        )
-    assert told == []
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 10, 11, 90])
@@ -469,9 +427,11 @@ def test_sums_are_not_read_in_another_way_and_no_other_run_replaces_them(by_vehi
     [
         ({"by": 5}, "by is an int"),
         ({"by": ["vehicle", 3]}, "a name of by is an int"),
-        ({"workers": "two"}, "got 'two'"),
+        ({"by": ""}, "by names what groups are"),
         ({"workers": 1.5}, "got 1.5"),
+        ({"workers": -1}, "got -1"),
         ({"span": "x"}, "got 'x'"),
+        ({"span": 0.0}, "got 0.0"),
         ({"span": np.inf}, "got inf"),
         ({"patterns": 3}, "patterns is an int"),
         ({"patterns": [3]}, "a pattern is an int"),
@@ -484,18 +444,14 @@ def test_what_is_of_a_wrong_type_is_said_at_once(given, why, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_run_that_is_stopped_keeps_all_that_was_summed(folder, tmp_path, monkeypatch):
-    real, calls = module.sum_up, []
-
-    def stopped(*given):
-        calls.append(given)
-        if len(calls) > 3:
-            raise KeyboardInterrupt
-        return real(*given)
-
-    monkeypatch.setattr(module, "sum_up", stopped)
-    monkeypatch.setattr(order, "TOGETHER", 1)
-    with pytest.raises(KeyboardInterrupt):
-        fleet(MODEL, folder, workers=0, out=tmp_path)
-    (part,) = (tmp_path / kept.PARTS).glob("*.parquet")
-    assert len(list(kept.read_rows(part))) == 3
+def test_what_makes_no_answer_possible_is_said_before_anything_is_summed(folder, tmp_path):
+    told = []
+    settings = {"workers": 0, "progress": lambda *said: told.append(said)}
+    with pytest.raises(ModelError, match="kk"):
+        fleet(MODEL, folder, known={"kk": 20.0}, **settings)
+    (tmp_path / "a.csv").write_text("nothing")
+    with pytest.raises(DataError, match="none of the first 1 recordings"):
+        fleet(MODEL, tmp_path, **settings)
+    assert told == []
+    with pytest.raises(DataError, match=r"broken\.parquet: not a readable"):
+        fleet(MODEL, folder, by="vehicle", strict=True, **settings)

@@ -10,7 +10,6 @@ import s3fs
 from moto.server import ThreadedMotoServer
 from tests.machines import drag_fleet as drives
 
-from riecjax.cli.main import run
 from riecjax.errors import DataError
 from riecjax.fleets import sums
 from riecjax.fleets.fleet import Fleet, fleet
@@ -86,16 +85,3 @@ def test_a_store_that_is_gone_is_said_in_a_line(client, address, monkeypatch):
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     with pytest.raises(DataError, match=r"'s3://garage/\*.csv' cannot be looked at: .*endpoint"):
         fleet(MODEL, "s3://garage/*.csv", workers=0)
-
-
-def test_what_a_store_lacks_or_refuses_is_said(client, capsys, tmp_path):
-    client.put_object(Bucket="garage", Key="notes.txt", Body=b"no recording")
-    for pattern, why in (
-        ("s3://garage/drives/*.parquet", "can be read matches"),
-        ("s3://nobodys/drives/*.parquet", "nobodys"),
-    ):
-        out = str(tmp_path / "out")
-        assert run(["fleet", pattern, "--model", "drag-oscillator", "--out", out]) == 1
-        said = capsys.readouterr().err
-        assert why in said
-        assert len(said.splitlines()) == 1

@@ -147,12 +147,6 @@ def test_a_stretch_takes_along_only_the_files_that_it_reads(tmp_path):
         np.testing.assert_array_equal(found, values[low:high])
 
 
-def test_a_stretch_reaches_no_further_than_its_recording():
-    piece = Piece(Source("a", ("a",), (), "", 0), 5000, 6000, 4900, 6500)
-    assert piece.reach(100) == (4900, 6500)
-    assert piece._replace(low=0, high=10**6).reach(100) == (5000 - 1024, 6000 + 100 + 1024)
-
-
 def test_a_name_does_not_change_with_the_files_beside(tmp_path):
     write(tmp_path / "a/0.parquet")
     pattern = f"{tmp_path}/**/*.parquet"
@@ -163,12 +157,6 @@ def test_a_name_does_not_change_with_the_files_beside(tmp_path):
     assert named(find_sources([tmp_path / "a"])) == ["0.parquet"]
     write(tmp_path / "week.parquet/0.parquet")
     assert named(find_sources([tmp_path / "week.parquet"])) == ["week.parquet"]
-
-
-def test_what_lies_in_a_data_set_beside_its_rows_is_none_of_them(folder):
-    (folder / "week.parquet/notes.csv").write_text("t,x\n0,1\n")
-    (week,) = find_sources([folder / "week.parquet"])
-    assert len(week.urls) == 3
 
 
 def test_a_data_set_without_rows_is_said(tmp_path):

@@ -72,15 +72,6 @@ def test_false_discoveries_are_as_many_as_the_rate_says(between):
     assert np.mean(shares) < RATE + 2 * np.std(shares) / 20
 
 
-def test_groups_that_are_alike_are_rarely_called_different():
-    rng, called = np.random.default_rng(2), 0
-    for _ in range(300):
-        errors = rng.uniform(0.01, 0.03, 20)
-        (found,) = spreads(fleet(1 + errors * rng.standard_normal(20), errors))
-        called += bool(found.differing)
-    assert called / 300 < 2 * RATE
-
-
 def test_what_is_ruled_out_failed_or_alone_is_not_compared():
     values, errors = np.full(5, 1.0), np.full(5, 0.1)
     some = fleet(values, errors)

@@ -211,7 +211,7 @@ def test_a_mask_about_standstill_moves_the_forward_friction(file):
     from riecjax.criteria.criterion import RIEC
     from riecjax.criteria.windows import RandomWindows
     from riecjax.equations.equation import Equation
-    from riecjax.equations.expressions import faster_than
+    from riecjax.equations.term import faster_than
     from riecjax.estimation.identify import identify
     from riecjax.models.emps import emps_asymmetric_equation
     from riecjax.records.preparation import differentiate

@@ -14,7 +14,7 @@ import pytest
 from nightly import by_day, nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import MODELS, built_in_model
 from riecjax.models.model import Model
@@ -82,10 +82,6 @@ def test_every_name_of_the_command_lines_contract_is_built_in(name):
     assert model.summary
 
 
-def test_keys_are_the_models_own_names():
-    assert all(key == model.name for key, model in MODELS.items())
-
-
 def test_an_unknown_name_is_refused_with_those_that_exist():
     with pytest.raises(ModelError) as raised:
         built_in_model("half-car")
@@ -124,38 +120,6 @@ def test_the_listed_signals_are_all_that_the_equations_read(name, criterion):
     samples = np.linspace(0.1, 1.0, 200)
     record = Record({signal.name: samples for signal in model.signals}, 0.01)
     rows_of(model, record, criterion)
-
-
-def reads_without_error(model: Model, record: Record) -> bool:
-    try:
-        rows_of(model, record, "dols")
-    except DataError:
-        return False
-    return True
-
-
-@pytest.mark.parametrize("name", IDENTIFIED)
-def test_dols_reads_every_listed_signal_but_those_only_differentiated(name):
-    model = MODELS[name]
-    samples = np.linspace(0.1, 1.0, 200)
-    needed = set()
-    for left_out in model.signals:
-        kept = {s.name: samples for s in model.signals if s.name != left_out.name}
-        if not reads_without_error(model, Record(kept, 0.01)):
-            needed.add(left_out.name)
-    # What only makes derived signals (position of an axis) need not be read by the equation.
-    assert needed >= {s.name for s in model.signals} - set(model.derived.values())
-
-
-@pytest.mark.parametrize("name", list(MODELS))
-def test_derived_signals_derive_listed_ones_in_order(name):
-    model = MODELS[name]
-    listed = [signal.name for signal in model.signals]
-    available = [s for s in listed if s not in model.derived]
-    for made, of in model.derived.items():
-        assert made in listed
-        assert of in available
-        available.append(made)
 
 
 @pytest.mark.parametrize("name", SIMULATED)

@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from riecjax.errors import DataError, ModelError
 from riecjax.models.emps import Axis, ControlledAxis, simulate_sampled_control
 from riecjax.records.record import Record
-from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 
 VALUES = {
@@ -88,18 +87,6 @@ def test_motion_under_a_constant_force_is_exact_through_stops(velocity, force, s
     np.testing.assert_allclose(found[2], (ahead - velocity) / soon, rtol=1e-4, atol=1e-6)
 
 
-def test_two_advances_make_one():
-    whole = advance(axis(), 0.0, 0.01, -40.0, 0.4)
-    middle = advance(axis(), 0.0, 0.01, -40.0, 0.2)
-    again = advance(axis(), float(middle[0]), float(middle[1]), -40.0, 0.2)
-    np.testing.assert_allclose(again[:2], whole[:2], rtol=1e-12)
-
-
-def test_without_viscous_friction_the_motion_is_a_parabola():
-    q, v, a = advance(axis(Fv_pos=0.0), 0.0, 0.1, 112.0, 0.5)
-    np.testing.assert_allclose([q, v, a], [0.05 + 0.125, 0.1 + 0.5, 1.0], rtol=1e-14)
-
-
 @pytest.mark.parametrize("velocity", [0.05, 2e-4])
 def test_derivatives_through_a_stop_equal_finite_differences(velocity):
     def reached(Fc, Fv, force):
@@ -136,16 +123,6 @@ def test_follows_a_ramp_as_its_gains_say(form):
     np.testing.assert_allclose(record["qg"][at] - record["q"][at], lag, rtol=1e-3)
 
 
-def test_sampled_axis_sticks_where_the_force_is_within_the_friction():
-    record = simulate_sampled_control(ControlledAxis(axis()), ramp_and_hold()).record
-    assert float(jnp.max(jnp.abs(record["dq"][-100:]))) == 0.0
-    assert float(jnp.ptp(record["q"][-100:])) == 0.0
-    drive = record["force"][-100:] + 3.0
-    assert float(jnp.min(drive)) >= -21.0
-    assert float(jnp.max(drive)) <= 20.0
-    np.testing.assert_array_equal(record["ddq"][-100:], 0.0)
-
-
 def test_sampled_record_obeys_the_controller_and_the_equation_of_motion():
     record = simulate_sampled_control(
         ControlledAxis(axis()), ramp_and_hold(), initial_state={"q": -0.001}
@@ -159,44 +136,6 @@ def test_sampled_record_obeys_the_controller_and_the_equation_of_motion():
     np.testing.assert_allclose(
         95.0 * np.asarray(record["ddq"])[moving], (force - friction)[moving], atol=1e-9
     )
-
-
-def test_delay_of_one_applies_what_was_commanded_one_sample_before():
-    record = simulate_sampled_control(ControlledAxis(axis()), ramp_and_hold(200), delay=1).record
-    q = np.asarray(record["q"])
-    law = 160.18 * (np.asarray(record["qg"]) - q)[2:] - (q[2:] - q[:-2]) / 2e-3
-    np.testing.assert_allclose(record["force"][3:], 35.15065188 * 243.45 * law[:-1], rtol=1e-12)
-    assert float(record["force"][0]) == 0.0
-
-
-def test_continuous_form_in_motion_depends_neither_on_the_width_nor_on_the_steps():
-    inputs = ramp_and_hold()
-
-    def simulated(smoothing: float, steps: int) -> Record:
-        system = ControlledAxis(axis(), smoothing=smoothing)
-        return simulate(system, inputs, method=FixedStep(steps)).record
-
-    narrow = simulated(2e-6, 64)
-
-    def change(name: str, part: slice, smoothing: float, steps: int) -> float:
-        difference = simulated(smoothing, steps)[name] - narrow[name]
-        return float(jnp.linalg.norm(difference[part]) / jnp.linalg.norm(narrow[name]))
-
-    default = float(ControlledAxis(axis()).smoothing)
-    moving, always = slice(0, 750), slice(0, None)
-    for smoothing, steps in ((default, 8), (default, 32), (5 * default, 8)):
-        assert change("force", moving, smoothing, steps) < 1e-3
-        assert change("q", always, smoothing, steps) < 5e-5
-    # Sticking is another matter: the docstring says that the force fades.
-    assert change("force", always, default, 8) > 1e-3
-
-
-def test_smoothed_friction_is_the_friction_away_from_rest():
-    velocity = jnp.array([-0.1, -0.01, 0.01, 0.1])
-    np.testing.assert_allclose(
-        axis().friction(velocity, 1e-4), axis().friction(velocity), rtol=1e-12
-    )
-    assert float(axis().friction(jnp.array(0.0), 1e-4)) == 0.0
 
 
 def test_unknown_states_delays_and_missing_references_are_refused():

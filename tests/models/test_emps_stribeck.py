@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from riecjax.models.emps import Axis, stribeck_axis, stribeck_balance, without_rise
+from riecjax.models.emps import stribeck_axis, stribeck_balance, without_rise
 
 FRICTION = {"M": 95.0, "Fv_pos": 160.0, "Fc_pos": 20.0, "Fv_neg": 230.0, "Fc_neg": 21.0}
 SHAPE = {"excess": -0.2, "vs": 0.02}
@@ -37,25 +37,6 @@ def test_motion_is_that_of_scipy_between_stops():
     q, v = in_steps(jnp.zeros(()), jnp.asarray(0.005))
     assert float(v) == pytest.approx(run.y[1, -1], rel=1e-3)
     assert float(q) == pytest.approx(run.y[0, -1], rel=1e-3)
-
-
-def test_without_excess_it_is_the_axis():
-    plain = Axis(*(jnp.asarray(v) for v in (*FRICTION.values(), 0.0)))
-    for velocity, force in ((0.0, 10.0), (0.0, 30.0), (0.01, -60.0), (-0.02, 5.0)):
-        q, v, f, dt = (jnp.asarray(a) for a in (0.1, velocity, force, 5e-3))
-        np.testing.assert_allclose(
-            axis(excess=0.0).advance(q, v, f, dt),
-            plain.advance(q, v, f, dt),
-            atol=1e-12,
-        )
-
-
-def test_it_sticks_below_the_friction_at_rest_and_not_above():
-    rest, dt = jnp.zeros(()), jnp.asarray(1e-3)
-    stuck = axis().advance(rest, rest, jnp.asarray(15.9), dt)
-    slides = axis().advance(rest, rest, jnp.asarray(16.1), dt)
-    assert float(stuck[1]) == 0.0
-    assert float(slides[1]) > 0.0
 
 
 def test_the_balance_is_the_axis_equation_of_motion():

@@ -16,9 +16,7 @@ from riecjax.paper.claims import (
     Claim,
     Evidence,
     bounded_impulse,
-    drop_outs,
     over_roads,
-    ratio_of_means,
     variation_claims,
     window_errors,
     window_lengths,
@@ -56,11 +54,6 @@ def test_interval_of_a_mean_is_that_of_statistics():
     np.testing.assert_allclose(
         found.interval, [values.mean() - reach, values.mean() + reach], atol=0.15 * reach
     )
-
-
-def test_roads_are_resampled_together():
-    values = RNG.normal(3.0, 2.0, 30)
-    assert over_roads("ratio", ratio_of_means, 2 * values, values).interval == (2.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -110,10 +103,6 @@ def test_demonstration_holds_and_fails_with_noise_in_place_of_the_error():
     )
     failing = [each.what for each in bounded_impulse(swapped).evidence if not each.holds]
     assert "growth of the error's impulse, power of time" in failing
-
-
-def test_drop_outs():
-    assert drop_outs().holds
 
 
 def moments(by_start: np.ndarray, correlation: float) -> WindowErrorMoments:
@@ -216,10 +205,3 @@ def test_the_higher_mode_must_disturb_least():
     found["higher-mode"], found["included-mode"] = found["included-mode"], found["higher-mode"]
     verdicts = {c.id: c.holds for c in variation_claims(made_up._replace(found=found), damper)}
     assert not verdicts[13]
-
-
-def test_hysteresis_that_explains_nothing():
-    made_up, damper = study()
-    stiff = damper.by_dols.at[:, 1, -1].set(0.9)
-    unexplained = Hysteresis(damper.velocity, damper.force, damper.width, stiff)
-    assert not {c.id: c.holds for c in variation_claims(made_up, unexplained)}[14]

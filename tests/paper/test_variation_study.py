@@ -5,7 +5,6 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from riecjax.errors import DataError
@@ -13,13 +12,11 @@ from riecjax.models.quarter_car.reconstruction import reconstructed
 from riecjax.paper import variations as variation_study
 from riecjax.paper.reproduction import PARAMETERS
 from riecjax.paper.variations import (
-    ERRORS,
     RoadVariations,
     Variations,
     parts_of,
     run_variations,
     varied_study,
-    write_variations,
 )
 
 PLAN = Variations((5.0, 30.0, 12.0), ("pathological", "higher-mode"), 6, 2)
@@ -75,14 +72,6 @@ def test_rows_hold_what_the_experiment_found():
     np.testing.assert_allclose(row["pothole p_3 [%]"], alone.errors[2, 2, 1, 2], rtol=1e-12)
 
 
-def test_errors_of_a_lost_simulation_are_infinite():
-    table = run().to_pandas()
-    lost = table[~table["simulated"]]
-    assert len(lost) == 2 * 6
-    assert np.isinf(lost[list(ERRORS)].to_numpy()).all()
-    assert np.isfinite(table[table["simulated"]][list(ERRORS)].to_numpy()).all()
-
-
 @pytest.mark.parametrize("stop", [1, 3])
 def test_an_interrupted_study_goes_on_to_the_same_table(tmp_path, stop):
     expected = run()
@@ -107,27 +96,6 @@ def test_a_broken_part_is_computed_anew(tmp_path):
         run(tmp_path, stop=2)
     (tmp_path / parts_of(PLAN)[0].file).write_bytes(b"PAR1 cut off")
     assert run(tmp_path).equals(run())
-
-
-def test_a_part_with_a_flipped_bit_is_computed_anew(tmp_path, monkeypatch):
-    expected = run(tmp_path)
-    monkeypatch.setattr(variation_study, "_run", None)  # which cannot be called
-    assert run(tmp_path).equals(expected)
-    file = tmp_path / parts_of(PLAN)[1].file
-    whole = file.read_bytes()
-    for place in np.random.default_rng(0).choice(8 * len(whole), 200, replace=False):
-        damaged = bytearray(whole)
-        damaged[place // 8] ^= 1 << (place % 8)
-        file.write_bytes(damaged)
-        with pytest.raises(TypeError, match="not callable"):
-            run(tmp_path)
-
-
-def test_the_whole_table_is_read_as_it_was_written(tmp_path):
-    parts, file = tmp_path / "parts", tmp_path / "variations.parquet"
-    table = run(parts)
-    write_variations(table, file)
-    assert pq.read_table(file).equals(table)
 
 
 def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from riecjax.linear_algebra import triangular_factor
-from riecjax.refinement.arrowhead import Linearised
+from riecjax.refinement.optimum import Linearised
 
 ROWS = 12
 stepped = eqx.filter_jit(Linearised.step)

@@ -8,17 +8,15 @@ import scipy.integrate
 from jaxtyping import Array
 
 from nightly import nightly
-from riecjax.criteria.criterion import DOLS, RIEC
+from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import simultaneous
 from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import AbstractBalance, IntegralError, as_balances
-from riecjax.refinement.parametric import ByFunction
 from riecjax.refinement.refine import refine
 from riecjax.uncertainty.intervals import BlockBootstrap
 
@@ -125,31 +123,6 @@ def test_of_a_linear_equation_it_is_its_identification(record, criterion, unit):
     assert float(refined.rms[0]) == pytest.approx(float(estimate.stages[0].residual_rms), rel=1e-6)
 
 
-@pytest.mark.slow
-def test_pointwise_least_squares_refines_too(record):
-    held = record.with_signals({"ddq": jnp.gradient(record["dq"], record.time_step)})
-    estimate = identify(LINEAR, held, DOLS())
-    refined = refine(LINEAR, held, {"M": 1.0, "c": 1.0, "k": 1.0}, IntegralError(DOLS()))
-    np.testing.assert_allclose(refined.theta, estimate.theta, rtol=1e-7)
-
-
-@pytest.mark.slow
-def test_several_equations_are_their_simultaneous_identification(record):
-    other = Equation(
-        Term("M", "q", derivative=2, measured=("dq", "ddq")),
-        Term("k", "q"),
-        -Term(0.9, "F"),
-        name="other",
-    )
-    criterion = RIEC(AllWindows(0.05, 0.5))
-    estimate = identify(simultaneous(LINEAR, other), record, criterion)
-    refined = refine(
-        (LINEAR, other), record, {"M": 1.0, "c": 1.0, "k": 1.0}, IntegralError(criterion)
-    )
-    np.testing.assert_allclose(refined.theta, estimate.theta, rtol=1e-7)
-    assert refined.quantities == ("linear", "other")
-
-
 @pytest.mark.parametrize(
     ("kind", "test_function"),
     [(Stribeck, None), *nightly([(Stribeck, Hat(4)), (ByPosition, Hat(4))])],
@@ -164,15 +137,6 @@ def test_friction_that_is_not_linear_is_found_from_far_away(record, kind, test_f
         # What is left is the quadrature's error, where the friction turns within some samples.
         assert float(refined[name]) == pytest.approx(true, rel=0.01)
     assert float(refined.rms[0]) < 0.01 * float(refined.rms_before[0])
-
-
-def test_two_recordings_add_up(record):
-    by = IntegralError(RIEC(AllWindows(0.05, 0.5)))
-    halves = [record.part(0, 3500), record.part(3500, 8001)]
-    refined = refine(balance(), halves, START, by, per_record=("Fv",))
-    assert refined.parameters == ("M", "Fv[1]", "Fv[2]", "Fc", "Fs", "vs")
-    for name in ("Fv[1]", "Fv[2]"):
-        assert float(refined[name]) == pytest.approx(TRUTH["Fv"], rel=0.02)
 
 
 def test_the_expansion_has_the_slopes_of_differences(record):
@@ -229,12 +193,6 @@ def test_what_is_no_balance_is_refused(model, error, words):
     held = Record.from_samples({"p": np.arange(1001.0)}, time_step=0.01)
     with pytest.raises(error, match=words):
         refine(model, held, {"rate": 1.0}, IntegralError())
-
-
-def test_a_function_names_its_parameters(record):
-    nameless = ByFunction(lambda values: balance(values=values))
-    with pytest.raises(ModelError, match="needs the names of its parameters"):
-        refine(nameless, record, START, IntegralError())
 
 
 def test_an_inertia_on_the_position_needs_windows_that_take_two_derivatives(record):

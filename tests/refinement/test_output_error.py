@@ -2,7 +2,6 @@
 
 import jax
 import numpy as np
-import optimistix as optx
 import pytest
 import scipy.integrate
 from tests.machines import DRAG
@@ -16,17 +15,12 @@ from tests.machines import drag_signals as signals
 from nightly import nightly
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, MissingSignalError, ModelError
-from riecjax.estimation.identify import identify
-from riecjax.models.oscillators import drag_oscillator_equation
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation import differentiate
-from riecjax.records.record import Record, stack_records
-from riecjax.refinement.coordinates import Prior
-from riecjax.refinement.optimum import RefinementStatus
-from riecjax.refinement.output_error import OutputError, _computed
+from riecjax.records.record import Record
+from riecjax.refinement.optimum import Prior, RefinementStatus
+from riecjax.refinement.output_error import OutputError, RandomShots, Tiles, _computed
 from riecjax.refinement.refine import refine
-from riecjax.refinement.shots import RandomShots, Tiles
-from riecjax.simulation.method import FixedStep
 
 COUNT, RATE = DRAG.shape
 
@@ -109,38 +103,6 @@ def test_every_length_of_window_finds_the_truth_without_noise(shooting, initial)
         assert float(refined[name]) == pytest.approx(true, rel=1e-5)
 
 
-@pytest.mark.slow
-def test_straight_lines_between_samples_are_another_answer_of_clean_data():
-    """What they leave of each tone's force, pi^2 / (3 n^2), is 0.018 % of a mass at most here."""
-    lines = refine(oscillator(), record(), START, OutputError(intersample="lines"))
-    assert 1e-4 < 1 - float(lines["m"]) / TRUTH["m"] < 2e-4
-    with pytest.raises(ModelError, match="'lines' or 'smooth'; got 'zoh'"):
-        OutputError(intersample="zoh")  # pyright: ignore[reportArgumentType]
-
-
-@pytest.mark.slow
-def test_an_input_with_a_gap_is_smooth_on_either_side():
-    held = signals()
-    held["u"][1000:1003] = np.nan
-    refined = refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
-    assert refined.initial_states.shape == (2, 2)
-    for name, true in TRUTH.items():
-        assert float(refined[name]) == pytest.approx(true, rel=2e-5)
-
-
-@pytest.mark.slow
-def test_a_batch_of_smooth_inputs_is_its_members():
-    records = [record(seed) for seed in (0, 1)]
-    by = OutputError(method=FixedStep(1))
-
-    def fit(arrays):
-        return refine(oscillator(), Record(arrays, 1 / RATE), START, by).theta
-
-    batch = jax.jit(jax.vmap(fit))(stack_records(records).arrays)
-    alone = [refine(oscillator(), one, START, by).theta for one in records]
-    np.testing.assert_allclose(batch, alone, rtol=1e-8)
-
-
 def test_what_was_made_of_a_compared_signal_is_not_compared():
     """A velocity differentiated from the position has its noise, which hangs together in time."""
     formed = differentiate(judged(record(seed=0).select("x", "u")), "x", "dx")
@@ -150,31 +112,6 @@ def test_what_was_made_of_a_compared_signal_is_not_compared():
     # A sensor of its own, or a position that is not compared, is another matter.
     assert _computed(judged(record(seed=0)), ("x", "dx")) == set()
     assert _computed(formed, ("dx",)) == set()
-
-
-@pytest.mark.slow
-def test_what_was_made_of_a_compared_signal_is_compared_if_asked_for():
-    formed = differentiate(judged(record(seed=0).select("x", "u")), "x", "dx")
-    assert refine(oscillator(), formed, START).quantities == ("x",)
-    asked = refine(oscillator(), formed, START, OutputError(channels=("x", "dx")))
-    assert asked.quantities == ("x", "dx")
-
-
-@pytest.mark.slow
-def test_tiles_as_long_as_the_record_are_the_whole_record(noisy, whole):
-    one = refine(oscillator(), noisy, START, OutputError(Tiles(samples=COUNT - 1)))
-    np.testing.assert_allclose(one.theta, whole.theta, rtol=1e-9)
-    np.testing.assert_allclose(one.covariance, whole.covariance, rtol=1e-6)
-
-
-@pytest.mark.slow
-def test_windows_with_starts_of_their_own_cost_little_precision(noisy, whole):
-    tiled = refine(oscillator(), noisy, START, OutputError(Tiles(seconds=5.0)))
-    assert tiled.initial_states.shape == (4, 2)
-    ratio = np.asarray(tiled.standard_errors / whole.standard_errors)
-    assert np.all((ratio > 0.9) & (ratio < 2))
-    moved = np.asarray(tiled.theta - whole.theta) / np.asarray(tiled.standard_errors)
-    assert np.all(np.abs(moved) < 2)
 
 
 def test_a_state_that_is_not_recorded_is_estimated():
@@ -193,22 +130,6 @@ def test_before_and_after_are_on_one_basis(noisy, whole):
     assert float(again.cost_before) == pytest.approx(float(whole.cost), rel=1e-6)
     np.testing.assert_allclose(again.rms_before, whole.rms, rtol=1e-4)
     assert "initial states estimated for each, FixedStep(1)" in str(again)
-
-
-@pytest.mark.slow
-def test_an_equation_is_refined_from_its_integral_estimate(noisy, whole):
-    equation = drag_oscillator_equation()
-    estimate = identify(equation, noisy)
-    refined = refine(equation, noisy, estimate)
-    np.testing.assert_allclose(np.asarray(refined.theta), np.asarray(whole.theta), rtol=1e-6)
-    assert dict(refined.units)["r2"] == "N s^2/m^2"
-
-
-def test_known_values_stay_and_others_follow(noisy):
-    refined = refine(oscillator(), noisy, START, known={"k": 20.0})
-    assert refined.parameters == ("m", "r", "r2")
-    assert float(refined["k"]) == 20.0
-    assert float(refined["m"]) == pytest.approx(1.5, rel=0.01)
 
 
 HEAVIER = 2.5
@@ -237,17 +158,6 @@ def two_masses():
         return Record.from_samples(samples, time_step=1 / RATE)
 
     return [run(1.5, 0), run(HEAVIER, 1)]
-
-
-@pytest.mark.slow
-def test_several_records_with_a_value_of_their_own(two_masses):
-    refined = refine(oscillator(), two_masses, START, per_record=("m",))
-    assert refined.parameters == ("m[1]", "m[2]", "r", "r2", "k")
-    for name, true in {"m[1]": 1.5, "m[2]": HEAVIER, "r": 0.8, "r2": 0.5, "k": 20.0}.items():
-        low, high = refined.interval(name, 0.999)
-        assert low < true < high
-        assert float(refined[name]) == pytest.approx(true, rel=0.05)
-    assert refined.initial_states.shape == (2, 2)
 
 
 @pytest.mark.slow
@@ -282,14 +192,6 @@ def test_bounds_of_a_records_own_parameter_hold_in_each_or_in_one(two_masses):
 def test_bounds_and_priors_are_checked_in_each_record(two_masses, settings, words):
     with pytest.raises(ModelError, match=words):
         refine(oscillator(), two_masses, START, per_record=("m",), **settings)
-
-
-@pytest.mark.slow
-def test_a_prior_of_all_leaves_out_the_record_whose_value_is_known(two_masses):
-    settings = {"known": {"m[2]": HEAVIER}, "priors": {"m": Prior(1.4, 1e-4)}}
-    refined = refine(oscillator(), two_masses, START, per_record=("m",), **settings)
-    assert refined.parameters == ("m[1]", "r", "r2", "k")
-    assert float(refined["m[1]"]) == pytest.approx(1.4, abs=1e-3)
 
 
 def test_missing_samples_of_outputs_do_not_count_and_those_of_inputs_cut():
@@ -335,70 +237,11 @@ def test_a_prior_pulls_as_one_more_observation(noisy, whole):
     np.testing.assert_allclose(refined.standard_errors[place], error[place], rtol=0.1)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "solver",
-    [optx.LevenbergMarquardt(1e-8, 1e-8), optx.Dogleg(1e-8, 1e-8), optx.BFGS(1e-8, 1e-8)],
-    ids=["levenberg-marquardt", "dogleg", "bfgs"],
-)
-def test_other_solvers_of_optimistix_find_the_same(noisy, whole, solver):
-    start = {name: 1.02 * float(value) for name, value in whole.values.items()}
-    refined = refine(oscillator(), noisy, start, solver=solver, max_steps=300)
-    np.testing.assert_allclose(refined.theta, whole.theta, rtol=1e-4)
-
-
-@pytest.mark.raises_finding("refinement_not_converged")
-def test_too_few_steps_are_a_status(noisy):
-    refined = refine(oscillator(), noisy, START, max_steps=2)
-    assert not bool(refined.converged)
-    assert refined.status == RefinementStatus.out_of_steps
-    assert refined.findings()[0].code == "refinement_not_converged"
-    assert "max_steps" in refined.reason
-
-
-@pytest.mark.slow
-def test_progress_is_reported(noisy):
-    seen: list[float] = []
-    refined = refine(oscillator(), noisy, START, progress=lambda cost: seen.append(float(cost)))
-    jax.effects_barrier()
-    assert len(seen) == int(refined.steps)
-    assert seen == sorted(seen, reverse=True)
-    assert seen[-1] == pytest.approx(float(refined.cost))
-
-
 def test_a_start_without_a_finite_residual_is_a_status(noisy):
     """A mass of zero has no acceleration."""
     refined = refine(oscillator(), noisy, START | {"m": 0.0})
     assert refined.status == RefinementStatus.not_finite
     assert refined.findings()[0].code == "refinement_not_converged"
-
-
-@pytest.mark.slow
-def test_weights_are_the_users(noisy, whole):
-    same = OutputError(sigma={"x": signals(0)["x"].std(), "dx": signals(0)["dx"].std()})
-    np.testing.assert_allclose(
-        refine(oscillator(), noisy, START, same).theta, whole.theta, rtol=1e-7
-    )
-    only = refine(oscillator(), noisy, START, OutputError(channels=("x",)))
-    nearly = refine(oscillator(), noisy, START, OutputError(sigma={"x": 1.0, "dx": 1e6}))
-    np.testing.assert_allclose(nearly.theta, only.theta, rtol=1e-5)
-
-
-def test_starts_that_are_known_are_held(noisy):
-    refined = refine(oscillator(), noisy, START, OutputError(initial_states={"x": 0.0, "dx": 0.0}))
-    assert refined.initial_states.shape == (1, 0)
-    assert float(refined["k"]) == pytest.approx(20.0, rel=0.01)
-
-
-@pytest.mark.slow
-def test_every_second_sample_is_the_record_of_every_second_sample(noisy):
-    by = OutputError(every=2, method=FixedStep(1), channels=("x",))
-    every = refine(oscillator(), noisy, START, by)
-    held = signals(0)
-    held["x"][1::2] = np.nan
-    missing = Record.from_samples(held, time_step=1 / RATE)
-    other = refine(oscillator(), missing, START, OutputError(method=FixedStep(1), channels=("x",)))
-    np.testing.assert_allclose(every.theta, other.theta, rtol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -442,11 +285,6 @@ def test_a_missing_input_is_named():
     held = {name: values for name, values in signals().items() if name != "u"}
     with pytest.raises(MissingSignalError, match="u"):
         refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
-
-
-def test_a_wrong_kind_of_model_is_refused(noisy):
-    with pytest.raises(ModelError, match="cannot be simulated"):
-        refine(3.0, noisy, START)
 
 
 @pytest.mark.parametrize("length", [{}, {"seconds": 1.0, "samples": 3}, {"samples": 0}])

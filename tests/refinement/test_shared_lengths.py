@@ -15,9 +15,8 @@ from tests.machines import drag_record as record
 from nightly import nightly
 from riecjax import compilation, runtime
 from riecjax.records.record import Record, shared_length
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_error import AbstractShooting, OutputError, Tiles, WholeRecord
 from riecjax.refinement.refine import refine
-from riecjax.refinement.shots import AbstractShooting, Tiles, WholeRecord
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem
 
@@ -56,45 +55,6 @@ def test_what_a_record_is_filled_up_with_tells_nothing(shooting: AbstractShootin
 
     for one, two in zip(fit(given.arrays), jax.jit(fit)(given.arrays)):
         np.testing.assert_allclose(one, two, rtol=1e-6)
-
-
-class Escaping(AbstractSystem):
-    """x' = c x^2 of x(0) = 1: it is infinite at t = 1 / c."""
-
-    c: Array
-    states: ClassVar = (("x", ""),)
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        return self.c * state**2
-
-
-def test_a_motion_that_is_lost_behind_the_end_is_not_lost():
-    c, count = 1.0, 910
-    t = np.arange(count) / 1000
-    assert shared_length(count) > 1000
-    noise = 1e-3 * np.random.default_rng(0).standard_normal(count)
-    seen = Record.from_samples({"x": 1 / (1 - c * t) + noise}, time_step=1e-3)
-    found = refine(Escaping(jnp.asarray(0.9)), seen, {"c": 0.97})
-    assert bool(found.converged)
-    error = float(found.standard_errors[0])
-    assert 0 < error < 1e-3
-    assert abs(float(found["c"]) - c) < 4 * error
-
-
-@pytest.mark.slow
-def test_straight_lines_compile_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Of the search nothing: lines are bent by zero."""
-    monkeypatch.setattr(compilation, "_programs", {})
-    monkeypatch.setattr(runtime, "_programs_folder", tmp_path)
-    seen = record(seed=0, count=700)
-    smooth = refine(oscillator(), seen, START)
-    kept = len(list(tmp_path.iterdir()))
-    straight = refine(oscillator(), seen, START, OutputError(intersample="lines"))
-    assert len(list(tmp_path.iterdir())) == kept + 1
-    method = FixedStep(int(smooth.steps_label.removeprefix("FixedStep(").removesuffix(")")))
-    by = OutputError(intersample="lines", method=method)
-    np.testing.assert_allclose(straight.theta, refine(oscillator(), seen, START, by).theta)
-    assert not np.allclose(straight.theta, smooth.theta, rtol=1e-9)
 
 
 class Hidden(AbstractSystem):

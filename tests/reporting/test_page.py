@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from reporting_charts import EVERYTHING, X, Y
+from reporting_charts import X, Y
 
 from riecjax.reporting.charts.chart import Axis, Line, single
 from riecjax.reporting.charts.interactive import interactive
@@ -127,11 +127,3 @@ def test_numbers_of_a_table_stand_to_the_right(html):
     assert classes == ["numeric", None]
     heads = [given for tag, given in page.elements if tag == "th" and given["scope"] == "row"]
     assert len(heads) == 3
-
-
-def test_a_page_without_figures_has_no_scripts():
-    page = Page("title", "", [Section("Words", ["text"])])
-    found = Reader(render(page, {}, {"one": EVERYTHING}, {}))
-    assert found.scripts == []
-    assert not [tag for tag, _ in found.elements if tag in ("nav", "script")]
-    assert "0 warnings" not in " ".join(found.texts)

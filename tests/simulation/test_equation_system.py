@@ -8,10 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from nightly import by_day, nightly
-from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import simultaneous, staged
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import RoofFunctions, Term, Terms
 from riecjax.errors import ModelError
 from riecjax.models.emps import (
     emps_asymmetric_equation,
@@ -24,18 +23,14 @@ from riecjax.models.oscillators import (
     drag_oscillator_system,
     duffing_equation,
     duffing_system,
-    pendulum_equation,
-    pendulum_system,
 )
 from riecjax.models.quarter_car.identification import (
-    quarter_car_at_once,
     quarter_car_by_body,
     quarter_car_by_wheel,
     quarter_car_system,
 )
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import equation_system
-from riecjax.simulation.linearisation import linearise
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 
@@ -92,16 +87,6 @@ def test_simulates_as_the_hand_written_system_does(case):
         # Coulomb friction at rest amplifies rounding: a step may end on either side of zero.
         scale = float(jnp.max(jnp.abs(expected[name])))
         np.testing.assert_allclose(found[name], expected[name], atol=1e-12 * scale, err_msg=name)
-
-
-def test_pendulum_without_input_moves_as_the_hand_written_one_without_torque():
-    values = arrays({"p1": 60.0, "p2": 0.1})
-    made, by_hand = equation_system(pendulum_equation(), values), pendulum_system(values)
-    assert made.input_names == ()
-    start, step = jnp.array([0.3, -0.5]), jnp.array(0.01)
-    found, _, _ = FixedStep().trajectory(made, jnp.zeros((300, 0)), step, start)
-    expected, _, _ = FixedStep().trajectory(by_hand, jnp.zeros((300, 1)), step, start)
-    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12)
 
 
 def spring_force(signals):
@@ -175,51 +160,6 @@ def test_two_coupled_masses_move_as_scipy_says():
         np.testing.assert_allclose(found[name], row, atol=1e-7, err_msg=name)
     acceleration = [right_hand_side(t, x)[1] for t, x in zip(time, exact.T)]
     np.testing.assert_allclose(found["acc_a"], acceleration, atol=1e-5)
-
-
-@pytest.mark.parametrize("count", [2, *nightly([3, 4])])
-def test_coupled_masses_have_the_modes_of_their_matrices(count):
-    masses, stiffness = [1.0, 2.0, 3.0, 2.5][:count], 50.0
-    names = ("x", "y", "z", "w")[:count]
-    equations = []
-    for i, (name, mass) in enumerate(zip(names, masses)):
-        terms = [Term(f"m{i}", name, derivative=2, known=mass)]
-        terms += [Term("k", other, sign=2.0 if other == name else -0.5) for other in names]
-        equations.append(Equation(*terms, name=name))
-    system = equation_system(simultaneous(*equations), {"k": stiffness})
-    matrix, _ = linearise(system)
-    square = -(np.linalg.eigvals(np.asarray(matrix)) ** 2)
-    k = stiffness * (2.5 * np.eye(count) - 0.5)
-    expected = np.linalg.eigvals(np.diag(1 / np.array(masses)) @ k)
-    np.testing.assert_allclose(np.sort(square.real)[::2], np.sort(expected), rtol=1e-10)
-
-
-@pytest.mark.slow
-def test_gradients_by_values_and_start_equal_finite_differences():
-    inputs = drive("u", 100).with_signals({"w": jnp.ones(100)})
-
-    def final(m1, k, b0):
-        system = equation_system(coupled(), {**VALUES, "m1": m1, "k": k})
-        record = simulate(system, inputs, initial_state={"b": b0}).record
-        return record["a"][-1] + record["b"][50]
-
-    at, h = (1.0, 40.0, 0.2), 1e-5
-    found = jax.grad(final, argnums=(0, 1, 2))(*at)
-    for i, slope in enumerate(found):
-        ahead = [x + h * (i == j) for j, x in enumerate(at)]
-        back = [x - h * (i == j) for j, x in enumerate(at)]
-        np.testing.assert_allclose(slope, (final(*ahead) - final(*back)) / (2 * h), rtol=1e-6)
-
-
-def test_vmap_over_values_equals_one_by_one():
-    inputs = drive("u", 50)
-
-    def last(k3):
-        values = {"m": 2.0, "d": 0.7, "k1": 30.0, "k2": 0.0, "k3": k3}
-        return simulate(equation_system(duffing_equation(), values), inputs).record["y"][-1]
-
-    stiffness = jnp.array([0.0, 500.0, 900.0])
-    np.testing.assert_allclose(jax.vmap(last)(stiffness), [last(k) for k in stiffness], rtol=1e-12)
 
 
 CALLS: list[int] = []
@@ -299,56 +239,6 @@ def test_quarter_car_procedure_with_kinematics_is_the_hand_written_system(proced
         np.testing.assert_allclose(found[name], expected[name], atol=1e-10 * scale, err_msg=name)
 
 
-def test_quarter_car_procedure_without_kinematics_takes_the_deflections_as_inputs():
-    system = equation_system(quarter_car_by_body(), QUARTER_CAR)
-    assert system.state_names == ("x3", "x4")
-    assert system.input_names == ("x1", "x2")
-
-
-def test_more_equations_than_unknowns_is_refused_in_one_line():
-    with pytest.raises(ModelError, match=r"4 equation\(s\) for 3 unknown\(s\)") as caught:
-        equation_system(quarter_car_at_once(), QUARTER_CAR)
-    assert "\n" not in str(caught.value)
-
-
-def moved_base(**measured):
-    return Equation(
-        Term("m", "y", derivative=2),
-        Term("c", "y", derivative=1),
-        -Term("c", "r", derivative=1, **measured),
-        Term("k", "y"),
-        -Term("k", "r"),
-        name="moved base",
-    )
-
-
-def test_a_base_that_is_moved_is_an_input_with_its_velocity():
-    values = {"m": 2.0, "c": 0.3, "k": 50.0}
-    with pytest.raises(ModelError, match=r"1 equation.* for 2 unknown.*inputs="):
-        equation_system(moved_base(measured=("vr",)), values)
-    system = equation_system(moved_base(measured=("vr",)), values, inputs=["r"])
-    assert set(system.input_names) == {"r", "vr"}
-    x, u = jnp.array([0.1, -0.4]), dict(r=0.2, vr=0.7)
-    found = system.derivative(x, jnp.array([u[name] for name in system.input_names]))
-    np.testing.assert_allclose(found, [-0.4, (0.3 * 1.1 + 50 * 0.1) / 2], rtol=1e-14)
-    with pytest.raises(ModelError, match="measured"):
-        equation_system(moved_base(), values, inputs=["r"])
-
-
-def test_velocity_and_its_derivative_may_be_written_under_their_own_names():
-    equation = Equation(
-        Term("m", "dy", derivative=1, measured=("ddy",)),
-        Term("c", "y", derivative=1, measured=("dy",)),
-        Term("k", "y"),
-        -Term(1.0, "u"),
-        name="mixed",
-    )
-    system = equation_system(equation, {"m": 2.0, "c": 1.0, "k": 3.0})
-    assert (system.state_names, system.input_names) == (("y", "dy"), ("u",))
-    found = system.derivative(jnp.array([0.5, 0.2]), jnp.array([4.0]))
-    np.testing.assert_allclose(found, [0.2, (4.0 - 0.2 - 1.5) / 2], rtol=1e-14)
-
-
 def momentum(signals):
     return signals["m_dot"] * signals["v"]
 
@@ -419,14 +309,3 @@ def test_what_cannot_be_simulated_is_said_in_one_line(model, values, message):
     with pytest.raises(ModelError, match=message) as caught:
         equation_system(model, values)
     assert "\n" not in str(caught.value)
-
-
-def test_known_coefficients_need_no_value_and_units_are_kept():
-    equation = Equation(
-        Term("m", "y", derivative=2, known=4.0), Term("k", "y"), -Term(1.0, "u"), name="known"
-    )
-    system = equation_system(equation, {"k": 2.0}, units={"y": "m", "u": "N"})
-    assert system.states == (("y", "m"), ("dy", ""))
-    assert system.inputs == (("u", "N"),)
-    found = system.derivative(jnp.array([1.0, 0.0]), jnp.array([6.0]))
-    np.testing.assert_allclose(found, [0.0, 1.0], rtol=1e-15)

@@ -41,19 +41,6 @@ def test_what_swings_drifts_or_hardly_grows_is_simulated_whole(system):
     assert growth(system, record()) is None
 
 
-def test_a_window_has_some_samples_however_fast_the_growth():
-    found = growth(Linear(1e4), record())
-    assert found is not None
-    assert found.horizon == pytest.approx(20 * STEP)
-
-
-def test_a_short_recording_counts_to_its_last_sample():
-    """10 s at e^(0.8 t) pass e^7.9, and the first 512 of its 1000 samples only e^4.1."""
-    found = growth(Linear(0.64), record(0.8))
-    assert found is not None
-    assert found.factor == pytest.approx(np.exp(8.0), rel=0.1)
-
-
 def test_a_horizon_lets_a_right_model_predict_what_no_simulation_follows_for_long():
     rng = np.random.default_rng(1)
     u = np.sin(2 * T) + 0.3 * np.sin(5 * T)

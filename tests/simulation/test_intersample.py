@@ -10,10 +10,9 @@ from jaxtyping import Array
 from scipy.integrate import solve_ivp
 
 from nightly import by_day, nightly
-from riecjax.errors import ModelError
 from riecjax.records.record import Record
 from riecjax.simulation import intersample
-from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep, SimulationStatus
+from riecjax.simulation.method import AbstractMethod, SimulationStatus
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem
 
@@ -95,23 +94,6 @@ def test_a_sampled_input_errs_in_its_order(exact, intersample, order):
     assert errors[0] < {"lines": 2e-3, "smooth": 1e-5}[intersample]
 
 
-def test_an_adaptive_method_sees_the_same_input(exact):
-    adaptive = states(80, "smooth", Adaptive(1e-10, 1e-12))
-    np.testing.assert_allclose(adaptive, states(80, "smooth", FixedStep(32)), atol=1e-8)
-    assert np.abs(adaptive - exact).max() < 0.2 * np.abs(states(80, "lines") - exact).max()
-
-
-def test_one_step_a_sample_sees_it_too(exact):
-    assert np.abs(states(320, "smooth", FixedStep(1)) - exact).max() < 1e-5
-
-
-def test_lines_are_what_they_were():
-    by_default = simulate(SWING, recorded(80)).record["angle"]
-    np.testing.assert_array_equal(
-        simulate(SWING, recorded(80), intersample="lines").record["angle"], by_default
-    )
-
-
 def mean_curvature(second: list[float]) -> float:
     """In the middle of 1, 3, 5 or 7 second differences, by powers of them formed one by one."""
     found, differences = 0.0, np.array(second)
@@ -190,13 +172,6 @@ def test_a_short_record_is_simulated(count):
     np.testing.assert_allclose(x["x"], trapezoids - rest, atol=1e-12)
 
 
-def test_samples_across_a_gap_say_nothing_of_each_other():
-    u = np.concatenate([np.arange(20) ** 2.0, np.full(3, np.nan), 1e6 - 5 * np.arange(20.0)])
-    held = Record.from_samples({"u": u}, time_step=1.0)
-    bends = np.asarray(bends_of(held["u"][:, None], held.present(["u"])))[:, 0]
-    np.testing.assert_allclose(bends, np.where(np.arange(43) < 20, 2.0, 0.0), atol=1e-9)
-
-
 COMMANDS = {
     "a step": np.repeat([0.0, 1.0], 20),
     "a first sample": np.repeat([3.0, 1.0], [1, 30]),
@@ -217,50 +192,6 @@ def test_commands_stay_straight_lines(name):
         simulate(Area(), held, intersample=of).record["x"] for of in ("smooth", "lines")
     )
     np.testing.assert_allclose(smooth, lines, atol=1e-13)
-
-
-def test_a_smooth_signal_with_a_step_is_smooth_elsewhere():
-    t = np.arange(400) / 40
-    waves = np.sin(2 * np.pi * t)
-    stepped = waves + 5.0 * (t > 5.01)
-    of_both = [np.asarray(bends_of(jnp.asarray(u[:, None])))[:, 0] for u in (waves, stepped)]
-    far = np.abs(np.arange(400) - 200.5) > 5
-    np.testing.assert_allclose(of_both[1][far], of_both[0][far], atol=1e-13)
-    # Beside the step no more than the waves have elsewhere.
-    assert np.abs(of_both[1]).max() < 1.1 * np.abs(of_both[0]).max()
-
-
-@pytest.mark.slow
-def test_noise_is_not_amplified():
-    u = RNG.normal(size=(100_000, 1))
-    d = np.asarray(bends_of(jnp.asarray(u)))
-    middle = 0.5 * (u[1:] + u[:-1]) - (d[1:] + d[:-1]) / 16
-    # Lines leave 0.707 in the middle, Lagrange's cubic 0.80.
-    assert np.std(middle) < 0.72
-    # And a curvature below the noise stays what it is: 0.05 to each of 2e5 samples.
-    t = np.arange(100_000.0)[:, None]
-    found = np.asarray(bends_of(jnp.asarray(u + 0.025 * (t - 5e4) ** 2)))[10:-10]
-    assert found.mean() == pytest.approx(0.05, abs=4 * found.std() / np.sqrt(100_000 / 5))
-
-
-def test_a_batch_under_jit_is_its_members_and_differentiates():
-    inputs = jnp.asarray(RNG.normal(size=(3, 30)))
-
-    def last(u):
-        run = simulate(Area(), Record({"u": u}, 0.1), intersample="smooth")
-        return run.record["x"][-1]
-
-    batch = jax.jit(jax.vmap(last))(inputs)
-    np.testing.assert_allclose(batch, [last(u) for u in inputs], rtol=1e-12)
-    _, tangent = jax.jvp(last, (inputs[0],), (inputs[1],))
-    # The median picks the same samples nearby: it is linear there.
-    ahead, behind = (last(inputs[0] + h * inputs[1]) for h in (1e-7, -1e-7))
-    np.testing.assert_allclose(tangent, (ahead - behind) / 2e-7, rtol=1e-6)
-
-
-def test_another_word_is_refused():
-    with pytest.raises(ModelError, match="'lines' or 'smooth'; got 'cubic'"):
-        simulate(SWING, recorded(80), intersample="cubic")  # pyright: ignore[reportArgumentType]
 
 
 class Standing(AbstractMethod):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from riecjax.models.catalogue import built_in_model
-from riecjax.models.oscillators import DragOscillator, TwoMass
+from riecjax.models.oscillators import DragOscillator
 from riecjax.models.quarter_car.source import (
     BumpStopSpring,
     HardeningMount,
@@ -72,28 +72,6 @@ def test_source_model_with_linear_curves_equals_the_matrix_by_hand():
     np.testing.assert_allclose(gain[:, 0], np.eye(7)[0], atol=0)
 
 
-def test_reconstructed_source_model_at_rest_equals_the_matrix_of_its_curves_slopes():
-    source = built_in_source()
-    zero, h = jnp.zeros(()), 1e-7
-
-    def slope(curve) -> float:
-        return float((curve(zero + h) - curve(zero - h)) / (2 * h))
-
-    # By differences: a derivative that is lost at rest in the code is not lost here.
-    expected = source_matrix(
-        float(source.wheel_mass),
-        float(source.body_mass),
-        float(source.engine_mass),
-        float(source.tyre_stiffness),
-        float(source.damper_compliance),
-        float(source.mount_damping),
-        slope(source.damper),
-        slope(source.spring),
-        slope(source.mount),
-    )
-    np.testing.assert_allclose(linearise(source)[0], expected, rtol=1e-5)
-
-
 @pytest.mark.parametrize(("omega", "zeta"), [(5.0, 0.0), (8.0, 0.05), (3.0, 0.7)])
 def test_an_oscillators_mode_has_its_closed_form(omega, zeta):
     m = 2.0
@@ -108,25 +86,6 @@ def test_an_oscillators_mode_has_its_closed_form(omega, zeta):
     # Velocity is the eigenvalue times displacement.
     np.testing.assert_allclose(mode.shape[1], exact * mode.shape[0], rtol=1e-10)
     np.testing.assert_allclose(np.linalg.norm(mode.shape), 1.0, rtol=1e-12)
-
-
-def test_an_overdamped_oscillator_has_two_real_modes_fastest_first():
-    omega, zeta = 5.0, 2.0
-    found = modes(linearise(oscillator(1.0, 2 * zeta * omega, 0.0, omega**2))[0])
-    roots = -omega * (zeta + np.array([1, -1]) * np.sqrt(zeta**2 - 1))
-    np.testing.assert_allclose([mode.eigenvalue for mode in found], roots, rtol=1e-12)
-    assert all(mode.frequency is None and mode.damping_ratio is None for mode in found)
-
-
-def test_rigid_modes_are_left_out_and_one_of_a_conjugate_pair_is_kept():
-    values = (10.0, 1.0, 100.0, 0.5)
-    matrix = linearise(TwoMass(*(jnp.asarray(value) for value in values)))[0]
-    (mode,) = modes(matrix)
-    assert mode.frequency is not None
-    assert mode.damping_ratio is not None
-    # The free relative motion is d'' + 2 zeta omega d' + omega^2 d = 0.
-    np.testing.assert_allclose(mode.frequency, 100 / (2 * np.pi), rtol=1e-9)
-    np.testing.assert_allclose(mode.damping_ratio, 0.5, rtol=1e-9)
 
 
 def test_every_mode_is_an_eigenpair_and_they_are_sorted_by_decay():

@@ -31,7 +31,6 @@ def by_cases(s):
     return jnp.where(s["dx"] > 0, 1.0, -1.0)
 
 
-SIGN = spring(rx.Term("f", by_sign))
 FLOOR = rx.Equation(rx.Term("m", "x", derivative=2), rx.Term("f", by_sign), -rx.Term(1.0, "u"))
 
 
@@ -96,17 +95,6 @@ def test_states_and_their_derivatives_are_those_of_pieces_between_reversals(fric
     by_f = (reference_of(t, {**VALUES, "f": 6.01}) - reference) / 0.01
     _, found = jax.jvp(x, (6.0,), (1.0,))
     np.testing.assert_allclose(found, by_f, atol=2e-3 * float(np.abs(by_f).max()))
-
-
-@pytest.mark.slow
-def test_a_batch_is_its_members():
-    u = jnp.asarray(force(STEP * np.arange(300)))
-
-    def last(f):
-        return simulated(SIGN, u, {**VALUES, "f": f}, x=0.02)["x"][-1]
-
-    levels = jnp.array([0.0, 3.0, 6.0, 40.0])
-    np.testing.assert_allclose(jax.vmap(last)(levels), [last(f) for f in levels], rtol=1e-9)
 
 
 @pytest.mark.parametrize(

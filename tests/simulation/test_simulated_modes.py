@@ -7,16 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import riecjax as rx
-from riecjax.equations.expressions import difference
 from riecjax.equations.procedure import Procedure
+from riecjax.equations.term import difference
 from riecjax.models.model import Model, Quantity, as_model
-from riecjax.refinement.parametric import ByCoefficients, ByFunction
-from riecjax.simulation.attached_modes import WithModes
-from riecjax.simulation.equation_system import EquationSystem
+from riecjax.refinement.objective import ByCoefficients, ByFunction
+from riecjax.simulation.equation_system import EquationSystem, WithModes
 from riecjax.simulation.linearisation import linearise
 
 VALUES = {"m": 2.0, "c": 0.7, "k": 90.0, "M_mode": 0.5, "K_mode": 60.0, "B_mode": 0.8}
-SECOND = {"M_mode_2": 0.2, "K_mode_2": 75.0, "B_mode_2": 0.1}
 
 
 def oscillator(sign: float = 1.0) -> rx.Equation:
@@ -72,24 +70,6 @@ def test_body_and_mass_move_as_newton_says(on, sign):
     np.testing.assert_allclose(found["a"], (expected @ truth)[1] + (3 * time - 1) / 2, atol=1e-5)
 
 
-def test_two_modes_on_one_body():
-    modes = rx.HiddenMode("x"), rx.HiddenMode("v")
-    made = rx.equation_system(rx.staged(oscillator()).with_modes(*modes), VALUES | SECOND)
-    assert made.state_names[4:] == ("mode_2_deflection", "mode_2_velocity")
-    expected = matrix(2.0, 0.7, 90.0, (0.5, 60.0, 0.8), (0.2, 75.0, 0.1))
-    np.testing.assert_allclose(linearise(made)[0], expected, atol=1e-12)
-
-
-def test_a_known_mass_of_any_sign_carries_a_mode():
-    equation = rx.Equation(
-        rx.Term("k", "x"), rx.Term(-2.0, "x", derivative=2), rx.Term(1.0, "u"), name="known"
-    )
-    procedure = rx.staged(equation).with_modes(rx.HiddenMode("x"))
-    made = rx.equation_system(procedure, {**VALUES, "k": -90.0})
-    expected = matrix(2.0, 0.0, 90.0, (0.5, 60.0, 0.8))
-    np.testing.assert_allclose(linearise(made)[0], expected, atol=1e-12)
-
-
 def test_a_mode_moves_every_equation_that_holds_its_body():
     """As the same system written out: the mass an equation of its own, M w' in both others."""
     first = rx.Equation(
@@ -113,29 +93,6 @@ def test_a_mode_moves_every_equation_that_holds_its_body():
         expected = expected[order]
         expected = expected[:, order] if expected.shape[1] == 4 else expected
         np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-def test_slope_by_the_stiffness_is_that_of_a_difference():
-    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
-    record = rx.Record({"u": np.sin(np.arange(200) * 0.05)}, 0.01)
-
-    def last(stiffness):
-        system = rx.equation_system(procedure, {**VALUES, "K_mode": stiffness})
-        return rx.simulate(system, record).record["x"][-1]
-
-    slope = jax.jacfwd(last)(jnp.asarray(60.0))
-    rise = (last(60.01) - last(59.99)) / 0.02
-    assert abs(float(rise)) > 1e-6
-    np.testing.assert_allclose(slope, rise, rtol=1e-5)
-
-
-def test_values_of_a_mode_are_needed():
-    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
-    known = {name: value for name, value in VALUES.items() if name != "B_mode"}
-    with pytest.raises(rx.ModelError, match="no value is given for B_mode"):
-        rx.equation_system(procedure, known)
-    with pytest.raises(rx.ModelError, match="M_mode is zero"):
-        rx.equation_system(procedure, {**VALUES, "M_mode": 0.0})
 
 
 QUARTER_CAR = {"K_t": 178e3, "M_us": 25.0, "M_s": 200.0, "K_s": 20e3}
@@ -185,22 +142,6 @@ def test_quarter_car_carries_an_engine(name):
     state, inputs = linearise(forced)
     np.testing.assert_allclose(state, quarter_car()[2:, 2:], rtol=1e-10, atol=1e-9)
     np.testing.assert_allclose(inputs, quarter_car()[2:, :2], rtol=1e-10, atol=1e-9)
-
-
-def test_dry_friction_sticks_with_a_mode_attached_as_in_equations():
-    model = rx.find_model("emps").with_modes(rx.HiddenMode("dq"))
-    values = {"M": 95.0, "Fv": 200.0, "Fc": 20.0, "offset": 0.0}
-    values = {k: jnp.asarray(v) for k, v in {**values, **MOUNT, "M_mode": 30.0}.items()}
-    drive = rx.Record({"force": 60 * np.sin(np.arange(300) * 0.03)}, 0.005)
-    attached = model.identified_system(values, drive)
-    written = rx.equation_system(model.build_procedure(), values)
-    assert isinstance(attached, WithModes)
-    assert attached.reversing == written.reversing == ("dq",)
-    by_hand = rx.simulate(attached, drive).checked().record
-    found = rx.simulate(written, drive).checked().record
-    assert np.any(np.asarray(found["dq"]) == 0)
-    for name in ("q", "dq", "mode_velocity"):
-        np.testing.assert_allclose(found[name], by_hand[name], atol=1e-10)
 
 
 def coupled() -> Procedure:

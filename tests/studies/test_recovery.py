@@ -8,9 +8,8 @@ from jaxtyping import Array
 
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.refinement.refine import refine
-from riecjax.refinement.shots import Tiles
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem
 from riecjax.studies.recovery import recovery_map

@@ -9,8 +9,7 @@ from nightly import nightly
 from riecjax.criteria.criterion import RIEC, Rows
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
-from riecjax.equations.term import Term
+from riecjax.equations.term import Term, constant
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks

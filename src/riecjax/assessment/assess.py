@@ -47,8 +47,8 @@ from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap, San
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
-    from riecjax.refinement.coordinates import Bounds, Prior
     from riecjax.refinement.objective import AbstractObjective
+    from riecjax.refinement.optimum import Bounds, Prior
 
 
 def assess(

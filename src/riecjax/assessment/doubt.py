@@ -22,13 +22,12 @@ the position's derivative puts what reads either of them in doubt by a fifth.
 **Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from riecjax.assessment.asked import size_of
-from riecjax.estimation.stages import StageSolution
 from riecjax.findings import Finding
 from riecjax.validation.residuals import NOTABLE_SHARED
 
@@ -44,9 +43,11 @@ UNBLAMED = 0.1
 STEADIER = 10.0
 """Times its drift and scatter by which what is left may move a value at most. What lies along a
 regressor weighs differently at every window length, so a value that no length moves is not far
-off; 10 holds of nearly all simulated systems (`python -m benchmarks.verdicts`)."""
+off; 10 holds of nearly all simulated systems (`python -m benchmarks.calibration verdicts`)."""
 TRUSTED = 0.1
 """Share of a value up to which a doubt leaves it good."""
+MOST_LEFT = 0.99
+"""Share of a target past which no more is told of what an equation leaves."""
 FINEST = 1e-3
 """Share of a value below which nothing is claimed."""
 OF_THE_MODEL = ("unmodelled_mode", "hysteresis", "residual_follows_signal", "large_residual")
@@ -103,8 +104,11 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
     answer, refinement = assessment.answer, assessment.refinement
     below, above = answer.uncertainty.reach(LEVEL)
     errors = np.asarray(answer.standard_errors)
-    exact = refinement is not None and refinement.chosen and _white(assessment)
-    known = _moved_by_faults(assessment)
+    left_white = refinement is None or refinement.whiteness is None or refinement.whiteness.white
+    exact = refinement is not None and refinement.chosen and left_white
+    # A fault that explains what is left moves these by a known amount.
+    faults = () if assessment.residuals is None else assessment.residuals.faults
+    known = {name for fault in faults for name in fault.doubts}
     drift = {} if exact else drifts(assessment)
     left = {} if exact else left_out(assessment)
     amiss = _amiss(assessment)
@@ -155,17 +159,6 @@ def _amiss(assessment: "Assessment") -> dict[str, float]:
     return {name: max(own.values()) for name, own in found.items()}
 
 
-def _moved_by_faults(assessment: "Assessment") -> set[str]:
-    """Parameters that a fault moves by a known amount, where it explains what is left."""
-    faults = () if assessment.residuals is None else assessment.residuals.faults
-    return {name for fault in faults for name in fault.doubts}
-
-
-def _white(assessment: "Assessment") -> bool:
-    refinement = assessment.refinement
-    return refinement is None or refinement.whiteness is None or refinement.whiteness.white
-
-
 def drifts(assessment: "Assessment") -> dict[str, float]:
     """How far estimates in windows of other lengths lie from the answer, beyond chance."""
     sweep, answer = assessment.sweep, assessment.answer
@@ -186,54 +179,35 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
         for stage in assessment.checked.excitations
         for name, share in zip(stage.parameters, stage.own_share)
     }
-    blamed, constant = _blamed(assessment), _constant_shares(assessment)
+    blamed = _blamed(assessment)
+    # By equation, the share of its windows' errors, as energy, that all of them have in common. A
+    # constant error is orthogonal to motion about a mean, and biases nothing.
+    tests = () if assessment.residuals is None else assessment.residuals.equations
+    constant = {
+        test.name: min(test.windows.correlation, 1.0)
+        for test in tests
+        if test.windows is not None and test.windows.correlation > NOTABLE_SHARED
+    }
     found: dict[str, float] = {}
-    for stage, names in zip(estimate.stages, estimate.equation_names):
+    for stage, equations in zip(estimate.stages, estimate.equation_names):
         left = float(stage.relative_rms)
         if not left > 0:
             continue
         target = float(stage.residual_rms) / left * float(stage.count) ** 0.5
+        # Measured by what the fit explains, it is q / (1 - q): of a target that is mostly left
+        # over, the little that is explained is in doubt altogether.
+        along = 0.0
+        for fit, equation in zip(stage.equations, equations):
+            rms = float(fit.residual_rms) * float(fit.count) ** 0.5
+            rms *= float(fit.model_rms) / size_of(fit.relative_rms)
+            rms *= (1 - constant.get(equation, 0.0)) ** 0.5
+            share = min(rms / size_of(target), MOST_LEFT)
+            along = max(along, (ALONG if equation in blamed else UNBLAMED) * share / (1 - share))
         for name, size in zip(stage.parameters, stage.relative_size):
             reach = float(size) * own.get(name, 1.0)
             if reach > 0:
-                found[name] = _along(stage, names, blamed, target, constant) / reach
+                found[name] = along / reach
     return found
-
-
-def _constant_shares(assessment: "Assessment") -> dict[str, float]:
-    """By equation, the share of its windows' errors, as energy, that all of them have in common.
-
-    A constant error is orthogonal to motion about a mean, and biases nothing.
-    """
-    residuals = assessment.residuals
-    tests = () if residuals is None else residuals.equations
-    return {
-        one.name: min(one.windows.correlation, 1.0)
-        for one in tests
-        if one.windows is not None and one.windows.correlation > NOTABLE_SHARED
-    }
-
-
-def _along(
-    stage: StageSolution,
-    names: Sequence[str],
-    blamed: Collection[str],
-    target: float,
-    constant: Mapping[str, float],
-) -> float:
-    """Share of a stage's target that what its equations leave may put along one regressor.
-
-    Measured by what the fit explains, it is q / (1 - q): of a target that is mostly left over, the
-    little that is explained is in doubt altogether.
-    """
-    largest = 0.0
-    for fit, name in zip(stage.equations, names):
-        rms = float(fit.residual_rms) * float(fit.count) ** 0.5
-        rms *= float(fit.model_rms) / size_of(fit.relative_rms)
-        rms *= (1 - constant.get(name, 0.0)) ** 0.5
-        share = min(rms / size_of(target), 0.99)
-        largest = max(largest, (ALONG if name in blamed else UNBLAMED) * share / (1 - share))
-    return largest
 
 
 def _blamed(assessment: "Assessment") -> set[str]:

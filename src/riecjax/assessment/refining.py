@@ -26,13 +26,11 @@ from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.coordinates import Bounds, Prior, is_pair
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
-from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.output_misfit import OutputMisfit
+from riecjax.refinement.optimum import Bounds, Prior, is_pair
+from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refine_with_misfit
-from riecjax.refinement.shots import Tiles, WholeRecord
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
@@ -47,7 +45,7 @@ MOST_WORK = 10_000_000
 """Steps x states x tangents of an expansion up to which nobody has to ask for a refinement.
 
 Of ten operations for each state's derivative, as built-in models have (6 to 17), a search of twelve
-expansions takes ten seconds (`python -m benchmarks.refinement_gate --work`).
+expansions takes ten seconds (`python -m benchmarks.calibration refinement_gate --work`).
 """
 SMALL_SHARE = 1e-2
 """Share of its signal below which a residual need not be the model's."""
@@ -105,7 +103,11 @@ def answered(
         flaw = "" if refused else _left_out(estimate)
         found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, known, horizon)
     else:
-        found = _as_asked(asked, estimate, by, known, progress)
+        # Over the estimate's windows if no others are asked for; its values are the answer.
+        if isinstance(by, IntegralError) and by.criterion is None:
+            by = IntegralError(estimate.criterion)
+        refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
+        found = Refinement(refined, whiteness=_left(misfit, refined, asked.records))
         failed = [*failed, *against_priors(estimate, known.priors or {})]
     if found.refined is None:
         return found, before, failed
@@ -121,7 +123,13 @@ def answered(
         found, pairs = found._replace(on_fitted=True), _pairs(*runs)
     found = found._replace(simulations=pairs)
     if isinstance(by, str) and found.chosen:
-        found = _still_chosen(found)
+        # Not where it predicts worse what neither answer was fitted to.
+        for name, (earlier, later) in ((r.recording.name, r.worst_fits) for r in pairs):
+            if later < earlier - WORSE and found.chosen:
+                found = found._replace(
+                    declined=f"it predicts {name} worse: a fit of {later:.1f} %, where the linear "
+                    f"estimate has {earlier:.1f} %"
+                )
     failed_after = [*failed_after, *(f for f in failed if f.code == "prior_disagrees")]
     return (found, after, failed_after) if found.chosen else (found, before, failed)
 
@@ -134,32 +142,6 @@ def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[Befo
         for run in after
         if id(run.recording) in earlier
     ]
-
-
-def _still_chosen(found: Refinement) -> Refinement:
-    """Not where it predicts worse what neither answer was fitted to."""
-    for run in found.simulations:
-        before, after = run.worst_fits
-        if after < before - WORSE:
-            return found._replace(
-                declined=f"it predicts {run.recording.name} worse: a fit of {after:.1f} %, where "
-                f"the linear estimate has {before:.1f} %"
-            )
-    return found
-
-
-def _as_asked(
-    asked: Asked,
-    estimate: Estimate,
-    by: AbstractObjective,
-    known: Beforehand,
-    progress: Progress,
-) -> Refinement:
-    """Over the estimate's windows if no others are asked for; its values are the answer."""
-    if isinstance(by, IntegralError) and by.criterion is None:
-        by = IntegralError(estimate.criterion)
-    refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
-    return Refinement(refined, whiteness=_left(misfit, refined, asked.records))
 
 
 def _left(misfit: AbstractMisfit, refined: Refined, records: list[Record]) -> Whiteness | None:
@@ -334,7 +316,12 @@ def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] 
     """
 
     def held(name: str) -> bool:
-        return all(name in record.arrays and _has_white_noise(record, name) for record in records)
+        """Whether all have it, and no filter or difference made it, as far as is known."""
+        return all(
+            name in record.arrays
+            and all(np.shape(k)[-1] == 1 for k in record.noise.kernels.get(name, {}).values())
+            for record in records
+        )
 
     states = tuple(name for name in system.state_names if held(name))
     if not states:
@@ -345,7 +332,9 @@ def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] 
                 f"and nothing tells it from the model's own errors."
             )
         return None
-    leading = _leading(system)
+    # Derivatives that equations are solved for.
+    motions = system.structure.motions if isinstance(system, EquationSystem) else ()
+    leading = {motion.names[-1] for motion in motions}
     outputs = [name for name, _ in system.outputs if held(name) and name not in leading]
     if not outputs:
         return states
@@ -356,18 +345,6 @@ def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] 
     at = np.asarray(measured_states(system, records[0]))[chosen]
     direct = _through(system, at, np.stack(levels, axis=-1))
     return (*states, *(name for name in outputs if not np.any(np.asarray(direct[name]))))
-
-
-def _has_white_noise(record: Record, name: str) -> bool:
-    """Whether no filter or difference made this signal, as far as is known."""
-    return all(np.shape(taps)[-1] == 1 for taps in record.noise.kernels.get(name, {}).values())
-
-
-def _leading(system: AbstractSystem) -> set[str]:
-    """Derivatives that equations are solved for."""
-    if not isinstance(system, EquationSystem):
-        return set()
-    return {motion.names[-1] for motion in system.structure.motions}
 
 
 @kept_jit

@@ -145,22 +145,18 @@ IN_REACH = ("stuck_sensor", "clipped")
 
 def with_doubts(asked: Asked, estimate: Estimate, checked: Check) -> Check:
     """What was checked, with how far each fault moves each parameter as its `doubts`."""
-    doubts = {
-        code: _moved(asked, estimate, code, checked.findings)
-        for code in {finding.code for finding in checked.findings}
-        if code in (*IN_TIME, *IN_SIZE, *IN_ZERO, *IN_REACH)
-    }
-
-    def doubted(finding: Finding) -> Finding:
-        moved = doubts.get(finding.code) or {}
-        if not moved:
-            return finding
-        most = max(moved, key=lambda name: moved[name])
-        said = f" Without it {most} changes by {100 * moved[most]:.2g} %."
-        return finding._replace(message=finding.message + said, doubts=moved)
-
-    findings = [doubted(finding) for finding in checked.findings]
-    return Check(findings, checked.excitations, checked.signals) if doubts else checked
+    codes = {f.code for f in checked.findings} & {*IN_TIME, *IN_SIZE, *IN_ZERO, *IN_REACH}
+    if not codes:
+        return checked
+    doubts = {code: _moved(asked, estimate, code, checked.findings) for code in codes}
+    findings = []
+    for finding in checked.findings:
+        if moved := doubts.get(finding.code):
+            most = max(moved, key=lambda name: moved[name])
+            said = f" Without it {most} changes by {100 * moved[most]:.2g} %."
+            finding = finding._replace(message=finding.message + said, doubts=moved)
+        findings.append(finding)
+    return Check(findings, checked.excitations, checked.signals)
 
 
 def _moved(

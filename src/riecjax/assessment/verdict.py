@@ -2,7 +2,7 @@
 
 Each estimated parameter is `good`, `caution` or `do not use`, by the size of its doubt (see
 `riecjax.assessment.doubt`) as a share of its value, and by what rules it out whatever its size.
-`python -m benchmarks.verdicts` measures the rules on systems with known truth.
+`python -m benchmarks.calibration verdicts` measures the rules on systems with known truth.
 """
 
 import math
@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from riecjax.assessment.asked import size_of
 from riecjax.assessment.doubt import TRUSTED, Doubt, concerned, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
-from riecjax.equations.expressions import constant
 from riecjax.equations.hidden_elements import is_hidden_name
-from riecjax.equations.term import Term
+from riecjax.equations.term import Term, constant
 from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
 from riecjax.findings import Finding
 from riecjax.shows import Shown
-from riecjax.studies.sweep import MOST, WindowSweep
+from riecjax.studies.sweep import MOST
 from riecjax.validation.residuals import EquationResidual
 
 if TYPE_CHECKING:
@@ -122,14 +121,40 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
             "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
         )
     if "unmodelled_mode" in by:
-        yield from _mode_steps(assessment)
+        peaked = [e for e in _equations(assessment) if e.peak is not None and e.bodies]
+        equation = max(peaked, key=lambda e: e.peak.size if e.peak else 0.0, default=None)
+        if equation is not None and not equation.carrying:
+            words = "Find the mode that the model leaves out"
+            yield Step(words, ("--add-mode", equation.bodies[-1]))
+        elif equation is not None and equation.dampers:
+            words = "Find a spring in series with a damper, which the model leaves out"
+            yield Step(words, ("--add-spring", equation.dampers[0]))
+        elif equation is not None and equation.maps:
+            added = f"model.with_series_springs(rx.SeriesSpring('{equation.maps[0]}'))"
+            words = f"Add a spring in series with a damper, in Python: {added}, then rx.refine"
+            yield Step(words)
     if "not_its_derivative" in by and not smooth:
         signal, derivative = by["not_its_derivative"].signals
         yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
     if "uneven_errors" in by:
-        yield from _zero_steps(assessment)
+        # The zero of an input's sensor, where its equation has no constant term yet.
+        names = {e.name for e in _equations(assessment) if e.has_constant_part}
+        for equation in assessment.procedure.equations:
+            if equation.name in names and all(t.of is not constant for t in equation.terms):
+                known = [t for t in equation.terms if isinstance(t, Term) and t.name is None]
+                inputs = [t.of for t in known if isinstance(t.of, str) and t.derivative == 0]
+                if inputs:
+                    words = f"Estimate the zero of the sensor of {inputs[0]}"
+                    yield Step(words, ("--unknown-offset", inputs[0]))
     if "window_sensitive" in by and assessment.sweep is not None:
-        yield from _window_steps(assessment.sweep, by["window_sensitive"], smooth)
+        drifting = by["window_sensitive"].parameters
+        if assessment.sweep.noise_share(drifting[0]) > MOST and not smooth:
+            yield Step("Take smooth windows, which read positions alone", SMOOTH)
+        steady = assessment.sweep.steady(drifting)
+        if steady is not None:
+            low, high = (f"{end:.3g}" for end in steady)
+            options = ("--alpha", low, "--beta", high)
+            yield Step("Keep to windows in which all are steady", options)
     if "residual_follows_signal" in by:
         signal = " and ".join(by["residual_follows_signal"].signals)
         yield Step(
@@ -159,42 +184,6 @@ SMOOTH = ("--test-function", "bump")
 def joined(names: Sequence[str]) -> str:
     """At least one name, the last of several behind an "and"."""
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-
-
-def _zero_steps(assessment: "Assessment") -> Iterator[Step]:
-    """The zero of an input's sensor, where its equation has no constant term yet."""
-    names = {one.name for one in _equations(assessment) if one.has_constant_part}
-    for equation in assessment.procedure.equations:
-        if equation.name in names and all(t.of is not constant for t in equation.terms):
-            known = [t for t in equation.terms if isinstance(t, Term) and t.name is None]
-            inputs = [t.of for t in known if isinstance(t.of, str) and t.derivative == 0]
-            if inputs:
-                words = f"Estimate the zero of the sensor of {inputs[0]}"
-                yield Step(words, ("--unknown-offset", inputs[0]))
-
-
-def _mode_steps(assessment: "Assessment") -> Iterator[Step]:
-    peaked = [one for one in _equations(assessment) if one.peak is not None and one.bodies]
-    if not peaked:
-        return
-    one = max(peaked, key=lambda each: each.peak.size if each.peak else 0.0)
-    if not one.carrying:
-        yield Step("Find the mode that the model leaves out", ("--add-mode", one.bodies[-1]))
-    elif one.dampers:
-        words = "Find a spring in series with a damper, which the model leaves out"
-        yield Step(words, ("--add-spring", one.dampers[0]))
-    elif one.maps:
-        added = f"model.with_series_springs(rx.SeriesSpring('{one.maps[0]}'))"
-        yield Step(f"Add a spring in series with a damper, in Python: {added}, then rx.refine")
-
-
-def _window_steps(sweep: WindowSweep, finding: Finding, smooth: bool) -> Iterator[Step]:
-    if sweep.noise_share(finding.parameters[0]) > MOST and not smooth:
-        yield Step("Take smooth windows, which read positions alone", SMOOTH)
-    steady = sweep.steady(finding.parameters)
-    if steady is not None:
-        low, high = (f"{end:.3g}" for end in steady)
-        yield Step("Keep to windows in which all are steady", ("--alpha", low, "--beta", high))
 
 
 Level = Literal["good", "caution", "do not use"]
@@ -244,11 +233,6 @@ class Verdict(Shown):
     sentence: str
     parameters: Mapping[str, ParameterVerdict]
     causes: Sequence[Cause]
-
-    def of_level(self, level: Level) -> list[ParameterVerdict]:
-        """Parameters of one level, the least doubtful first."""
-        some = [one for one in self.parameters.values() if one.level == level]
-        return sorted(some, key=lambda one: one.share)
 
 
 def verdict(assessment: "Assessment") -> Verdict:
@@ -311,13 +295,10 @@ def _reason(kind: str, name: str, grouped: Sequence[Cause]) -> str:
 
 def _sentence(judged: Mapping[str, ParameterVerdict]) -> str:
     """All levels in one sentence of plain English, with the reason for the worst."""
-    by_level = {
-        level: sorted(
-            (one for one in judged.values() if one.level == level), key=lambda one: one.share
-        )
+    good, caution, out = (
+        sorted((one for one in judged.values() if one.level == level), key=lambda one: one.share)
         for level in ("good", "caution", "do not use")
-    }
-    good, caution, out = by_level.values()
+    )
     if not judged:
         return "Nothing was estimated: every parameter is known."
     if not caution and not out:
@@ -339,7 +320,11 @@ def _sentence(judged: Mapping[str, ParameterVerdict]) -> str:
 
 
 def _listed(some: Sequence[ParameterVerdict]) -> str:
-    words = [_with_share(one) for one in some[:NAMED]]
+    """Each with how far it is to be trusted."""
+    words = []
+    for one in some[:NAMED]:
+        how = f"to {percent(one.share)}" if one.share < 1 else "(not told from zero)"
+        words.append(one.name if math.isnan(one.share) else f"{one.name} {how}")
     more = len(some) - NAMED
     if more > 0:
         worst = max((one.share for one in some if one.share < 1), default=1.0)
@@ -351,14 +336,6 @@ def _names(some: Sequence[ParameterVerdict]) -> str:
     words = [one.name for one in some[:NAMED]]
     more = len(some) - NAMED
     return joined([*words, f"{more} more"] if more > 0 else words)
-
-
-def _with_share(one: ParameterVerdict) -> str:
-    if math.isnan(one.share):
-        return one.name
-    if one.share >= 1:
-        return f"{one.name} (not told from zero)"
-    return f"{one.name} to {percent(one.share)}"
 
 
 def percent(share: float) -> str:

@@ -2,21 +2,8 @@
 
 import click
 
+from riecjax.cli import options
 from riecjax.cli.job import JobCommand, job_option
-from riecjax.cli.options import (
-    CriterionOptions,
-    HiddenOptions,
-    RecordingOptions,
-    are_small,
-    criterion_options,
-    hidden_options,
-    json_option,
-    model_option,
-    per_record_option,
-    record_options,
-    seed_option,
-    set_option,
-)
 from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
 
@@ -24,20 +11,20 @@ from riecjax.runtime import start_jax
 @click.command(
     "check", cls=JobCommand, short_help="Say before any fit whether recordings can answer."
 )
-@model_option
-@record_options
-@hidden_options
-@criterion_options
-@set_option
-@per_record_option
-@seed_option
+@options.model_option
+@options.record_options
+@options.hidden_options
+@options.criterion_options
+@options.set_option
+@options.per_record_option
+@options.seed_option
 @job_option
-@json_option
+@options.json_option
 def command(
-    recordings: RecordingOptions,
+    recordings: options.RecordingOptions,
     model_name: str,
-    hidden: HiddenOptions,
-    criteria: CriterionOptions,
+    hidden: options.HiddenOptions,
+    criteria: options.CriterionOptions,
     known: dict[str, float],
     per_record: tuple[str, ...],
     seed: int,
@@ -50,7 +37,7 @@ def command(
     The exit status is 1 if some parameter cannot be found.
     """
     criteria.require_sense()
-    start_jax(once=are_small(recordings.files), keep_compiled=True)
+    start_jax(once=options.are_small(recordings.files), keep_compiled=True)
     from riecjax.compilation import load_ahead
 
     load_ahead("check", model_name)

@@ -5,20 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.options import (
-    SHARE,
-    CriterionOptions,
-    RecordingOptions,
-    are_small,
-    at_rest_option,
-    criterion_options,
-    json_option,
-    model_option,
-    out_option,
-    record_options,
-    seed_option,
-    set_option,
-)
+from riecjax.cli import options
 from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
 
@@ -29,26 +16,26 @@ MODEL_FILE = "model.py"
 
 
 @click.command("discover", short_help="Find the terms that a model lacks.")
-@model_option
+@options.model_option
 @click.option(
     "--candidates",
     metavar="FILE.py:OBJECT",
     help="Terms that it may lack, a list of your own. [default: friction, springs, dead zones, "
     "offsets and the like of its motions]",
 )
-@record_options
-@criterion_options
-@set_option
+@options.record_options
+@options.criterion_options
+@options.set_option
 @click.option(
     "--hold-out",
-    type=SHARE,
+    type=options.SHARE,
     metavar="SHARE",
     help="Choose without this share at the end of each recording, and take values and intervals "
     "from it alone.",
 )
 @click.option(
     "--least",
-    type=SHARE,
+    type=options.SHARE,
     default=0.01,
     show_default=True,
     metavar="SHARE",
@@ -56,21 +43,21 @@ MODEL_FILE = "model.py"
 )
 @click.option(
     "--smallest",
-    type=SHARE,
+    type=options.SHARE,
     default=2e-5,
     show_default=True,
     metavar="SHARE",
     help="Of the target's energy, the share that a term must make up for: less for exact data.",
 )
-@at_rest_option
-@seed_option
-@json_option
-@out_option
+@options.at_rest_option
+@options.seed_option
+@options.json_option
+@options.out_option
 def command(
-    recordings: RecordingOptions,
+    recordings: options.RecordingOptions,
     model_name: str,
     candidates: str | None,
-    criteria: CriterionOptions,
+    criteria: options.CriterionOptions,
     known: dict[str, float],
     hold_out: float | None,
     least: float,
@@ -86,7 +73,7 @@ def command(
     gain. With --out the model that was found is written to model.py, for identify and simulate.
     """
     criteria.require_sense()
-    start_jax(once=are_small(recordings.files), keep_compiled=True)
+    start_jax(once=options.are_small(recordings.files), keep_compiled=True)
     from riecjax.discovery.candidate import as_candidates
     from riecjax.discovery.discover import discover
     from riecjax.discovery.model_file import model_source

@@ -6,39 +6,25 @@ from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.options import (
-    POSITIVE,
-    RECORD_OPTIONS,
-    CriterionOptions,
-    HiddenOptions,
-    RecordingOptions,
-    at_rest_option,
-    collecting,
-    criterion_options,
-    hidden_options,
-    json_option,
-    model_option,
-    seed_option,
-    set_option,
-)
+from riecjax.cli import options
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
     from riecjax.equations.procedure import AtRest
 
-pattern_options = collecting(
+pattern_options = options.collecting(
     (
         click.argument("files", metavar="PATTERN...", nargs=-1, required=True),
-        *RECORD_OPTIONS[1:],
+        *options.RECORD_OPTIONS[1:],
     ),
-    RecordingOptions,
+    options.RecordingOptions,
     "recordings",
 )
 """The PATTERN... argument, and the options of how all that matches is read."""
 
 
 @click.command("fleet", short_help="Identify a model's parameters from groups of recordings.")
-@model_option
+@options.model_option
 @click.option(
     "--by",
     default="file",
@@ -49,7 +35,7 @@ pattern_options = collecting(
 )
 @click.option(
     "--span",
-    type=POSITIVE,
+    type=options.POSITIVE,
     metavar="SECONDS",
     help="Estimate over time as well, in spans of about this length.",
 )
@@ -62,12 +48,12 @@ pattern_options = collecting(
 @click.option("--scheduler", metavar="ADDRESS", help="Use the workers of this scheduler of Dask.")
 @click.option("--strict", is_flag=True, help="End at the first recording that cannot be summed.")
 @pattern_options
-@hidden_options
-@criterion_options
-@set_option
-@at_rest_option
-@seed_option
-@json_option
+@options.hidden_options
+@options.criterion_options
+@options.set_option
+@options.at_rest_option
+@options.seed_option
+@options.json_option
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
@@ -76,15 +62,15 @@ pattern_options = collecting(
     "on from what it holds.",
 )
 def command(
-    recordings: RecordingOptions,
+    recordings: options.RecordingOptions,
     model_name: str,
     by: str,
     span: float | None,
     workers: int | None,
     scheduler: str | None,
     strict: bool,
-    hidden: HiddenOptions,
-    criteria: CriterionOptions,
+    hidden: options.HiddenOptions,
+    criteria: options.CriterionOptions,
     known: dict[str, float],
     at_rest: "AtRest | None",
     seed: int,
@@ -146,24 +132,14 @@ class _Told:
     """A bar with rate and time left on a terminal; elsewhere a line for each tenth."""
 
     def __init__(self) -> None:
+        from rich import progress
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeRemainingColumn,
-        )
 
         self._console = Console(stderr=True)
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
-        )
-        self._bar = Progress(*columns, console=self._console, transient=True)
+        what, rate = map(progress.TextColumn, ("{task.description}", "{task.fields[rate]}"))
+        how_far = (progress.BarColumn(), progress.MofNCompleteColumn())
+        columns = (what, *how_far, rate, progress.TimeRemainingColumn())
+        self._bar = progress.Progress(*columns, console=self._console, transient=True)
         self._task, self._what, self._tenth, self._began = None, "", 0, 0.0
 
     def __enter__(self) -> "_Told":

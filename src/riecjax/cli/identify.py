@@ -5,26 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from riecjax.cli import options
 from riecjax.cli.job import JobCommand, changed_files, digests, input_files, job_of, job_option
-from riecjax.cli.options import (
-    SHARE,
-    CriterionOptions,
-    HiddenOptions,
-    RecordingOptions,
-    RefinementOptions,
-    are_small,
-    at_rest_option,
-    criterion_options,
-    hidden_options,
-    json_option,
-    model_option,
-    out_option,
-    per_record_option,
-    record_options,
-    refinement_options,
-    seed_option,
-    set_option,
-)
 from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
 
@@ -35,13 +17,13 @@ if TYPE_CHECKING:
 @click.command(
     "identify", cls=JobCommand, short_help="Identify a model's parameters from recordings."
 )
-@model_option
-@record_options
-@hidden_options
-@criterion_options
-@refinement_options
-@set_option
-@per_record_option
+@options.model_option
+@options.record_options
+@options.hidden_options
+@options.criterion_options
+@options.refinement_options
+@options.set_option
+@options.per_record_option
 @click.option(
     "--intervals",
     type=click.Choice(["bootstrap", "sandwich", "naive"]),
@@ -51,7 +33,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--hold-out",
-    type=SHARE,
+    type=options.SHARE,
     metavar="SHARE",
     help="Keep this share at the end of each recording for validation by simulation.",
 )
@@ -69,18 +51,18 @@ if TYPE_CHECKING:
     show_default=True,
     help="Estimates against window length, which show an inexact model.",
 )
-@at_rest_option
+@options.at_rest_option
 @click.option("--verbose", is_flag=True, help="Tell everything, not the verdict alone.")
-@seed_option
+@options.seed_option
 @job_option
-@json_option
-@out_option
+@options.json_option
+@options.out_option
 def command(
-    recordings: RecordingOptions,
+    recordings: options.RecordingOptions,
     model_name: str,
-    hidden: HiddenOptions,
-    criteria: CriterionOptions,
-    refining: RefinementOptions,
+    hidden: options.HiddenOptions,
+    criteria: options.CriterionOptions,
+    refining: options.RefinementOptions,
     known: dict[str, float],
     per_record: tuple[str, ...],
     intervals: str,
@@ -106,7 +88,7 @@ def command(
         )
     criteria.require_sense()
     refining.require_sense(validates=hold_out is not None or bool(validation_files))
-    start_jax(once=are_small([*recordings.files, *validation_files]), keep_compiled=True)
+    start_jax(once=options.are_small([*recordings.files, *validation_files]), keep_compiled=True)
     from riecjax.compilation import load_ahead
 
     changed = changed_files(click.get_current_context())

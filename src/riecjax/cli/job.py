@@ -5,7 +5,8 @@ import functools
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,26 +59,33 @@ class JobCommand(click.Command):
     ) -> list[str]:
         """A job as arguments, without what typed ones replace."""
         params = {key_of(param): param for param in self.get_params(ctx)}
-        others = {key_of(param) for param in _options_of_identify(ctx)}
+        # A job may hold all options of identify, also where another command reads it.
+        group = ctx.find_root().command
+        other = group.get_command(ctx, "identify") if isinstance(group, click.Group) else None
+        others = {key_of(param) for param in (other.params if other else ())}
+
+        def moved(path: str) -> str:
+            """A path, which is relative to the job's folder, as seen from here."""
+            return os.path.normpath(os.path.join(folder, path))
+
         made = []
         for key, value in job.items():
             if key in SHOWN[-2:] or (key not in params and key not in others):
-                raise _unknown(key, [k for k in params if k not in SHOWN[-2:]])
+                near = get_close_matches(key, [k for k in params if k not in SHOWN[-2:]], 1)
+                remedy = "'riecjax init' prints a job with all of them"
+                remedy = f"the nearest is '{near[0]}'" if near else remedy
+                raise click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
             if key not in params:
                 continue
             param = params[key]
-            entries = _placed(param, _entries(param, key, value), folder)
+            entries = [
+                [*entry[:-1], _repathed(param, entry[-1], moved)]
+                for entry in _entries(param, key, value)
+            ]
             if param.name in typed:
                 entries = _left(param, entries, typed[param.name])
             made += [text for entry in entries for text in entry]
         return made
-
-
-def _options_of_identify(ctx: click.Context) -> Sequence[click.Parameter]:
-    """What a job may hold, also where another command reads it."""
-    group = ctx.find_root().command
-    found = group.get_command(ctx, "identify") if isinstance(group, click.Group) else None
-    return found.params if found else ()
 
 
 def key_of(param: click.Parameter) -> str:
@@ -106,7 +114,18 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
             document = json.loads(text)
             if not all(isinstance(document[key], dict) for key in ("job", "provenance")):
                 raise KeyError("job")
-            _require_intact(document, file)
+            from riecjax.reporting.document import SCHEMA, is_intact
+
+            if (schema := document.get("schema", SCHEMA)) != SCHEMA:
+                raise click.UsageError(
+                    f"--job {file}: it was written with schema {schema!r}, and this version reads "
+                    f"{SCHEMA}."
+                )
+            if not is_intact(document):
+                raise click.UsageError(
+                    f"--job {file}: it is damaged or was changed: its checksum differs. Other "
+                    f"options stand beside --job, or in a TOML file ('riecjax init' prints one)."
+                )
             recorded = document["provenance"].get("files", [])
             return dict(document["job"]), [
                 {"file": str(one["file"]), "sha256": str(one["sha256"])} for one in recorded
@@ -125,30 +144,6 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     except ValueError as error:  # of TOML and JSON
         toml = "" if file.suffix.lower() == ".json" else " Words stand in quotes in TOML."
         raise click.UsageError(f"--job {file}: it is not understood: {error}.{toml}") from None
-
-
-def _require_intact(document: Any, file: Path) -> None:
-    from riecjax.reporting.document import SCHEMA, is_intact
-
-    if (schema := document.get("schema", SCHEMA)) != SCHEMA:
-        raise click.UsageError(
-            f"--job {file}: it was written with schema {schema!r}, and this version reads {SCHEMA}."
-        )
-    if not is_intact(document):
-        raise click.UsageError(
-            f"--job {file}: it is damaged or was changed: its checksum differs. Other options "
-            f"stand beside --job, or in a TOML file ('riecjax init' prints one)."
-        )
-
-
-def _unknown(key: str, known: Sequence[str]) -> click.UsageError:
-    from difflib import get_close_matches
-
-    near = get_close_matches(key, known, 1)
-    remedy = (
-        f"the nearest is '{near[0]}'" if near else "'riecjax init' prints a job with all of them"
-    )
-    return click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
 
 
 def _entries(param: click.Parameter, key: str, value: Any) -> list[list[str]]:
@@ -202,15 +197,6 @@ def _text(key: str, value: Any) -> str:
 
 def _wrong(key: str, wanted: str, value: Any) -> click.UsageError:
     return click.UsageError(f"--job: '{key}' must be {wanted}; got {value!r}.")
-
-
-def _placed(param: click.Parameter, entries: list[list[str]], folder: Path) -> list[list[str]]:
-    """The same with paths, which are relative to the job's folder, as seen from here."""
-
-    def moved(path: str) -> str:
-        return os.path.normpath(os.path.join(folder, path))
-
-    return [[*entry[:-1], _repathed(param, entry[-1], moved)] for entry in entries]
 
 
 def _repathed(param: click.Parameter, text: str, moved: Any) -> str:
@@ -305,14 +291,16 @@ def input_files(ctx: click.Context) -> list[str]:
         value = raw.get(param.name, ())
         for text in value if isinstance(value, tuple | list) else [value]:
             _repathed(param, str(text), lambda path: files.setdefault(path, path))
-    return [file for path in files for file in _files_of(path)]
-
-
-def _files_of(path: str) -> list[str]:
-    """A file, or those in the folder that a bag is."""
-    if not os.path.isdir(path):
-        return [path]
-    return [os.path.join(path, name) for name in sorted(os.listdir(path))]
+    # Of a folder, as a bag is, those in it.
+    return [
+        file
+        for path in files
+        for file in (
+            [os.path.join(path, name) for name in sorted(os.listdir(path))]
+            if os.path.isdir(path)
+            else [path]
+        )
+    ]
 
 
 def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, Any]]:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from riecjax.criteria.test_functions import AbstractTestFunction
     from riecjax.models.model import Model
     from riecjax.records.recording import Recording
-    from riecjax.refinement.coordinates import Prior
     from riecjax.refinement.objective import AbstractObjective
+    from riecjax.refinement.optimum import Prior
 
 
 class Parsed(click.ParamType):
@@ -769,7 +769,7 @@ class RefinementOptions:
 
     def known_before(self) -> "dict[str, Prior]":
         """Priors by name."""
-        from riecjax.refinement.coordinates import Prior
+        from riecjax.refinement.optimum import Prior
 
         return {name: Prior(*each) for name, each in self.priors.items()}
 
@@ -780,8 +780,7 @@ class RefinementOptions:
         if self.refine == "auto":
             return "auto"
         from riecjax.refinement.integral_error import IntegralError
-        from riecjax.refinement.output_error import OutputError
-        from riecjax.refinement.shots import Tiles, WholeRecord
+        from riecjax.refinement.output_error import OutputError, Tiles, WholeRecord
 
         if self.refine == "integral":
             return IntegralError()

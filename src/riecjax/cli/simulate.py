@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from riecjax.cli.options import POSITIVE, json_option, seed_option, set_option
+from riecjax.cli import options
 from riecjax.cli.progress import Progress
 from riecjax.errors import DataError, MissingSignalError, ModelError
 from riecjax.memory import require_memory
@@ -35,28 +35,30 @@ BYTES_PER_VALUE = 50.0
     metavar="white-noise|robson|pothole|FILE",
     help="What drives the model: a kind of road, or a file with a column for each input.",
 )
-@set_option
+@options.set_option
 @click.option(
     "--duration",
-    type=POSITIVE,
+    type=options.POSITIVE,
     help="Seconds. [default: 40, pothole 3; a file's own length]",
 )
-@click.option("--rate", type=POSITIVE, help="Samples per second. [default: 200; a file's own rate]")
+@click.option(
+    "--rate", type=options.POSITIVE, help="Samples per second. [default: 200; a file's own rate]"
+)
 @click.option(
     "--bandwidth",
-    type=POSITIVE,
+    type=options.POSITIVE,
     default=30.0,
     show_default=True,
     help="Of white noise and of the Robson road, in Hz.",
 )
 @click.option(
     "--rms",
-    type=POSITIVE,
+    type=options.POSITIVE,
     default=0.55,
     show_default=True,
     help="Of white noise, in the input's unit.",
 )
-@seed_option
+@options.seed_option
 @click.option(
     "--out",
     "out",
@@ -64,7 +66,7 @@ BYTES_PER_VALUE = 50.0
     type=click.Path(dir_okay=False, path_type=Path),
     help="File to write: CSV, NPZ or MAT by its ending.",
 )
-@json_option
+@options.json_option
 def command(
     model_name: str,
     source: str,
@@ -167,7 +169,7 @@ def drive(
         if duration is None:
             return record
         count = duration / step
-        if not 1 < count - 0.5 <= record.sample_count:
+        if not 1 <= count - 0.5 <= record.sample_count:
             raise DataError(f"{source} lasts {float(record.duration):g} s, not {duration:g} s.")
         return record.part(0, round(count))
     rate = DEFAULT_RATE if rate is None else rate

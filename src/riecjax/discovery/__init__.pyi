@@ -1,7 +1,7 @@
 from .candidate import Candidate as Candidate
 from .candidate import Shaped as Shaped
+from .candidate import default_candidates as default_candidates
 from .candidate import named as named
-from .catalogue import default_candidates as default_candidates
 from .discovery import Chosen as Chosen
 from .discovery import Discovery as Discovery
 from .discovery import Rejected as Rejected

@@ -10,19 +10,24 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import suited, with_velocities
-from riecjax.discovery.absent_mode import Identified, with_mode
-from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates
-from riecjax.discovery.candidate_sums import (
+from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates, default_candidates
+from riecjax.discovery.discovery import Chosen, Discovery, Identified, Rejected, with_mode
+from riecjax.discovery.search import (
+    AGAIN,
+    LEAST,
+    SHARE,
+    Again,
+    Offer,
+    Search,
+    Step,
     Sums,
+    again,
     by_equation,
     extended,
     members,
     without_taken,
     without_twins,
 )
-from riecjax.discovery.catalogue import default_candidates
-from riecjax.discovery.discovery import Chosen, Discovery, Rejected
-from riecjax.discovery.search import AGAIN, LEAST, SHARE, Again, Folds, Offer, Search, Step, again
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.motions import reading_velocities
@@ -95,8 +100,23 @@ def discover(
     found = as_model(model)
     procedure = with_rests(found.build_procedure(), at_rest)
     _require_sense(procedure, hold_out, known or {}, (least, smallest))
-    recordings = _with_velocities(procedure, as_recordings(records))
-    offered = _offered(found, procedure, recordings, candidates)
+    # Velocities that candidates read and no sensor measured are formed, if they can be.
+    reading, recordings = reading_velocities(procedure), []
+    for one in as_recordings(records):
+        with contextlib.suppress(DataError):  # too short, which sums will say
+            record, steps = with_velocities(reading, one.record)
+            one = replace(one, record=record, steps=(*one.steps, *steps))
+        recordings.append(one)
+    if candidates is None:
+        units = {signal.name: signal.unit for signal in found.signals}
+        sampled = [one.record for one in recordings]
+        for record in sampled:
+            units |= {name: unit for name, unit in dict(record.units).items() if unit}
+        names = [name for stage in procedure.equation_names for name in stage]
+        usual = default_candidates(procedure.equations, names, sampled, units)
+        offered = without_twins(without_taken(usual, procedure.parameters), procedure)
+    else:
+        offered = as_candidates(candidates)
     with_all = extended(procedure, members(offered))
     plan_parameters(with_all, 1, known, ())
     whole = ready(with_all, recordings, noise)
@@ -205,18 +225,36 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
     chosen = [_as_chosen(sums, search, of, one, drawn) for search, of in stages for one in of]
     larger = _with_chosen(model, procedure, chosen)
     estimate = asked.identified(larger, whole, asked.criterion)
-    late, amiss = _of_recordings(larger.build_procedure(), last, estimate)
+    # What is amiss with recordings, and what is late against the equations.
+    extended_procedure = larger.build_procedure()
+    amiss: list[Finding] = []
+    records = [with_memories(one.record, extended_procedure.memories) for one in last]
+    for one, record in zip(last, records, strict=True):
+        one = replace(one, record=record)
+        read = read_of(extended_procedure, one, estimate.criterion)
+        amiss += [*one.concerning(read).findings, *of_sensors(extended_procedure, one, read)]
+    late = None
+    # Of signals that contradict each other an equation blames the wrong one.
+    if not any(one.code in IN_DISORDER for one in amiss):
+        with contextlib.suppress(RiecjaxError):  # too short to tell
+            late = late_cause(extended_procedure, records, estimate)
+    amiss += [] if late is None else [finding_of(late, records[0])]
+    # The nearest of each law.
+    rejected: dict[str, Rejected] = {}
+    for search, of_stage in stages:
+        for offer, gain, chance in search.next_best(of_stage):
+            rejected.setdefault(offer.family, Rejected(offer.family, gain, chance))
     found = Discovery(
         larger,
         model,
         tuple(chosen),
-        tuple(_rejected(stages)),
+        tuple(sorted(rejected.values(), key=lambda one: -one.gain)),
         _paths(procedure, stages),
         estimate,
         _errors(estimate, stages, chosen, drawn),
         asked.hold_out or 0.0,
         sum(len({one.family for one in search.offers}) for search, _ in stages),
-        tuple(amiss),
+        tuple({one.message: one for one in amiss}.values()),
     )
     return found, late
 
@@ -244,54 +282,24 @@ def _require_sense(
     procedure.plan({*procedure.known, *known})
 
 
-def _with_velocities(procedure: Procedure, recordings: list[Recording]) -> list[Recording]:
-    """Recordings with the velocities that candidates read and no sensor measured, if they can be
-    formed."""
-    reading, found = reading_velocities(procedure), []
-    for one in recordings:
-        with contextlib.suppress(DataError):  # too short, which sums will say
-            record, steps = with_velocities(reading, one.record)
-            one = replace(one, record=record, steps=(*one.steps, *steps))
-        found.append(one)
-    return found
-
-
-def _offered(
-    model: Model, procedure: Procedure, recordings: Sequence[Recording], candidates: object
-) -> list[AnyCandidate]:
-    if candidates is not None:
-        return as_candidates(candidates)
-    units = {signal.name: signal.unit for signal in model.signals}
-    records = [one.record for one in recordings]
-    for record in records:
-        units |= {name: unit for name, unit in dict(record.units).items() if unit}
-    names = [name for stage in procedure.equation_names for name in stage]
-    usual = default_candidates(procedure.equations, names, records, units)
-    return without_twins(without_taken(usual, procedure.parameters), procedure)
-
-
 def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
     """A search of each stage that terms were offered to, and what it found."""
     found: dict[str, float] = {}
     stages = []
     for number, _ in enumerate(sums.procedure.stages):
         search, chosen = sums.settled(number, found)
-        _require_folds(search.folds)
+        if search.folds.number < FEWEST:
+            raise DataError(
+                f"the recordings hold {search.folds.number} blocks of time, of which terms are to "
+                f"be chosen by leaving some out: {FEWEST} are needed. Record for longer, or choose "
+                f"a smaller beta."
+            )
         places = [step.added for step in search.path(chosen)]
         chosen = sorted(chosen, key=lambda one: places.index(one.name))
         names = (*search.kept, *(name for one in chosen for name in one.columns))
         found |= dict(zip(names, map(float, search.folds.fitted(names))))
         stages.append((search, chosen))
     return stages
-
-
-def _require_folds(folds: Folds) -> None:
-    if folds.number < FEWEST:
-        raise DataError(
-            f"the recordings hold {folds.number} blocks of time, of which terms are to be chosen "
-            f"by leaving some out: {FEWEST} are needed. Record for longer, or choose a smaller "
-            f"beta."
-        )
 
 
 def _as_chosen(
@@ -316,34 +324,6 @@ def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -
     return model.with_terms(
         by_equation(procedure, candidates), memories=memories, meanings=meanings
     )
-
-
-def _of_recordings(
-    procedure: Procedure, recordings: list[Recording], estimate: Estimate
-) -> tuple[SignalDelay | None, list[Finding]]:
-    """What is late against the equations, and all that is amiss with recordings."""
-    found: list[Finding] = []
-    records = [with_memories(one.record, procedure.memories) for one in recordings]
-    for one, record in zip(recordings, records, strict=True):
-        one = replace(one, record=record)
-        read = read_of(procedure, one, estimate.criterion)
-        found += [*one.concerning(read).findings, *of_sensors(procedure, one, read)]
-    late = None
-    # Of signals that contradict each other an equation blames the wrong one.
-    if not any(one.code in IN_DISORDER for one in found):
-        with contextlib.suppress(RiecjaxError):  # too short to tell
-            late = late_cause(procedure, records, estimate)
-    found += [] if late is None else [finding_of(late, records[0])]
-    return late, list({one.message: one for one in found}.values())
-
-
-def _rejected(stages: Sequence[tuple[Search, list[Offer]]]) -> list[Rejected]:
-    """The nearest of each law."""
-    found: dict[str, Rejected] = {}
-    for search, chosen in stages:
-        for offer, gain, chance in search.next_best(chosen):
-            found.setdefault(offer.family, Rejected(offer.family, gain, chance))
-    return sorted(found.values(), key=lambda one: -one.gain)
 
 
 def _paths(

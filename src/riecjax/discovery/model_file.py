@@ -9,11 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from riecjax.discovery.discovery import Discovery
-from riecjax.equations.bases import AbstractShape
-from riecjax.equations.expressions import source_of
 from riecjax.equations.hidden_elements import is_mode_name
-from riecjax.equations.memories import Memory
-from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.term import AbstractShape, AbstractTerm, Term, Terms, source_of
 from riecjax.errors import ModelError
 
 
@@ -44,7 +41,9 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     body = [f"MODEL = rx.find_model({start})"]
     if found.chosen or found.mode is None:
         others = {name: value for name, value in values.items() if name not in of_mode}
-        meanings = _mapping("meanings", _meanings(found))
+        of_terms = [one.candidate for one in found.chosen]
+        named = {name: one.meaning for one in of_terms for name in one.columns}
+        meanings = _mapping("meanings", named)
         body[-1] += ".with_terms("
         body += [*_terms_source(found, added), *_mapping("values", others), *meanings, ")"]
     if found.mode is not None:
@@ -67,12 +66,12 @@ def _terms_source(found: Discovery, added: Mapping[str, Sequence[str]]) -> list[
             "        ],",
         ]
     remembered = dict.fromkeys(m for one in found.chosen for m in one.candidate.memories)
-    states = [f"        {_memory_source(memory)}," for memory in remembered]
+    states = []
+    for memory in remembered:
+        given = ((field, getattr(memory, field.name)) for field in fields(memory))
+        words = ", ".join(_quoted(value) for field, value in given if value != field.default)
+        states.append(f"        rx.equations.{type(memory).__name__}({words}),")
     return [*body, "    },", *(["    memories=[", *states, "    ],"] if states else [])]
-
-
-def _meanings(found: Discovery) -> dict[str, str]:
-    return {name: one.candidate.meaning for one in found.chosen for name in one.candidate.columns}
 
 
 def _path(reference: str, folder: Path) -> str:
@@ -98,15 +97,6 @@ def _quoted(value: object) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(_quoted, value))}{',' * (len(value) == 1)})"
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
-
-
-def _memory_source(memory: Memory) -> str:
-    words = [
-        _quoted(value)
-        for field in fields(memory)
-        if (value := getattr(memory, field.name)) != field.default
-    ]
-    return f"rx.equations.{type(memory).__name__}({', '.join(words)})"
 
 
 def _term_source(term: AbstractTerm) -> str | None:

@@ -29,9 +29,8 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, Sampled, both_present
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.term import AbstractTerm, Expression, Sampled, Term, Terms, both_present
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
 from riecjax.records.record import Record
@@ -115,7 +114,7 @@ def in_motion(procedure: Procedure, record: Record) -> Procedure:
         terms = _weighted(equation, own[0], rests[own[0]]) if len(own) == 1 else None
         if terms is None:
             return equation
-        return Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
+        return equation.of_terms(*terms)
 
     stages = tuple(tuple(map(of, stage)) for stage in procedure.stages)
     unchanged = all(a is b for s, t in zip(stages, procedure.stages) for a, b in zip(s, t))

@@ -1,7 +1,6 @@
 """An equation of motion, linear in its parameters."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,14 +8,15 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from riecjax.compilation import kept_jit
-from riecjax.equations.expressions import (
+from riecjax.equations.term import (
+    AbstractTerm,
     Expression,
     Sampled,
+    Term,
     both_present,
     evaluate,
     read_expression,
 )
-from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
@@ -79,8 +79,12 @@ class Equation(Shown, eqx.Module):
         if not self.parameters:
             raise ModelError(f"{name}: an equation needs at least one named coefficient.")
         for word in (name, unit, *self.parameters, *self.units.values()):
-            if not word.isprintable():
+            if not (isinstance(word, str) and word.isprintable()):
                 raise ModelError(f"names and units are shown, and must be printable; got {word!r}.")
+
+    def of_terms(self, *terms: AbstractTerm) -> "Equation":
+        """Other terms under this equation's name, unit and mask."""
+        return Equation(*terms, name=self.name, unit=self.unit, where=self.where)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -167,16 +171,11 @@ def with_terms(equation: Equation, terms: Sequence[AbstractTerm]) -> Equation:
     every = sorted(
         equation.terms, key=lambda term: (-getattr(term, "derivative", 0), not term.parameters)
     )
-    turned = any(
-        is_concrete(sign) and float(np.asarray(sign)) < 0 for sign in map(_sign, every[:1])
-    )
+    first = every[0]
+    sign = getattr(first, "number" if isinstance(first, Term) else "sign", 1.0)
+    turned = is_concrete(sign) and float(np.asarray(sign)) < 0
     signed = [-term for term in terms] if turned else terms
     return eqx.tree_at(lambda e: e.terms, equation, (*equation.terms, *signed))
-
-
-def _sign(term: AbstractTerm) -> Any:
-    """The number before a term."""
-    return getattr(term, "number" if isinstance(term, Term) else "sign", 1.0)
 
 
 def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:

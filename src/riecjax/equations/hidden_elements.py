@@ -18,7 +18,7 @@ D is 1 at rest, so that the equation keeps its unit, and for a stiff mode it is 
 was: M then joins the body's mass.
 
 A spring in series with a linear element is a hidden element of the same form (see
-`series_springs`): c a becomes c N / D a with N = 1 and D = 1 + tau s, where a mode adds M N / D a.
+below): c a becomes c N / D a with N = 1 and D = 1 + tau s, where a mode adds M N / D a.
 
 Springs in series with force elements, which an equation leaves out.
 
@@ -42,10 +42,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
-from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.term import AbstractBasis, AbstractTerm, Term, Terms, constant
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
 
@@ -360,7 +358,12 @@ class Expanded(eqx.Module):
             if column is None:
                 # A known mass is part of the target: the acceleration needs a column of its own.
                 column = f"acceleration of {mode.on}"
-                terms.append(_unit_inertia(inertia, column))
+                order, measured = inertia.derivative, inertia.measured
+                sign = inertia_sign(inertia)
+                unit_inertia = Term(
+                    column, inertia.of, derivative=order, measured=measured, sign=sign
+                )
+                terms.append(unit_inertia)
             carried.append((ModeParameters.of(number), column))
         for number, spring in enumerate(springs):
             if isinstance(spring.element(equation), Term):
@@ -369,9 +372,7 @@ class Expanded(eqx.Module):
         columns = (TARGET, *own.parameters) if own.has_target else own.parameters
         most = sum(names.order for names, _ in carried)
         raised = [_raised(t, k) for k in range(1, most + 1) for t in terms]
-        linear = Equation(
-            *terms, *raised, name=equation.name, unit=equation.unit, where=equation.where
-        )
+        linear = equation.of_terms(*terms, *raised)
         return cls(linear, equation.parameters, columns, tuple(carried))
 
     @property
@@ -476,11 +477,6 @@ def inertia_sign(inertia: Term) -> Leaf:
     if inertia.name is not None:
         return number
     return np.sign(number) if isinstance(number, np.ndarray) else jnp.sign(number)
-
-
-def _unit_inertia(term: Term, name: str) -> Term:
-    sign = inertia_sign(term)
-    return Term(name, term.of, derivative=term.derivative, measured=term.measured, sign=sign)
 
 
 def _raised(term: AbstractTerm, by: int) -> AbstractTerm:

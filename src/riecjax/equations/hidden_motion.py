@@ -1,12 +1,12 @@
 """The motion of hidden masses, and behind springs, from that of the bodies beside them.
 
 A mass on a spring and a damper moves by w = (1 + q s) / D v, D = 1 + q s + p s^2, where v is its
-body's motion (see `hidden_modes`). With w among the signals, an equation with modes is one without:
-each mode adds the term M w'. A linear element behind a spring is its coefficient times what passes
-1 / (1 + tau s). So whatever reads an equation sample by sample need not know of them.
+body's motion (see `hidden_elements`). With w among the signals, an equation with modes is one
+without: each mode adds the term M w'. A linear element behind a spring is its coefficient times
+what passes 1 / (1 + tau s). So whatever reads an equation sample by sample need not know of them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -15,9 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import evaluate
 from riecjax.equations.hidden_elements import (
-    HiddenMode,
     Lag,
     ModeParameters,
     Shape,
@@ -25,7 +23,7 @@ from riecjax.equations.hidden_elements import (
     inertia_sign,
 )
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Term
+from riecjax.equations.term import AbstractTerm, Term, evaluate
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 
@@ -83,13 +81,23 @@ def _without_hidden(
         inertia = mode.inertia(equation)
         if inertia is None:
             continue
-        terms.append(_mass_term(mode, inertia, names))
-        for body in _motions(inertia):
+        moving = (str(inertia.of), *inertia.measured)
+        terms.append(
+            Term(
+                names.mass,
+                f"{inertia.of} of {names.mass}",
+                derivative=inertia.derivative,
+                measured=tuple(f"{name} of {names.mass}" for name in inertia.measured),
+                sign=inertia_sign(inertia),
+                unit=inertia.unit,
+            )
+        )
+        for body in moving:
             if body in added.record.arrays:
                 present = added.record.present((body,))
                 shape = names.shape(values)
-                added.add(_name(body, names), added.record[body], present, shape)
-    return _with(equation, terms)
+                added.add(f"{body} of {names.mass}", added.record[body], present, shape)
+    return equation.of_terms(*terms)
 
 
 def _lagging(
@@ -150,28 +158,3 @@ def filtered(
     longest = LONGEST_START * count * step
     start = jnp.minimum(-np.log(FORGOTTEN) * shape.decay, longest)
     return moved.astype(samples.dtype), there & (since > start)
-
-
-def _motions(inertia: Term) -> Sequence[str]:
-    """The signals of a body's motion that an inertia may read."""
-    assert isinstance(inertia.of, str)
-    return (inertia.of, *inertia.measured)
-
-
-def _name(body: str, names: ModeParameters) -> str:
-    return f"{body} of {names.mass}"
-
-
-def _mass_term(mode: HiddenMode, inertia: Term, names: ModeParameters) -> Term:
-    return Term(
-        names.mass,
-        _name(str(inertia.of), names),
-        derivative=inertia.derivative,
-        measured=tuple(_name(one, names) for one in inertia.measured),
-        sign=inertia_sign(inertia),
-        unit=inertia.unit,
-    )
-
-
-def _with(equation: Equation, terms: Sequence[AbstractTerm]) -> Equation:
-    return Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)

@@ -10,11 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import odd
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Term, Terms
+from riecjax.equations.term import Polynomial, Term, Terms, odd
 from riecjax.records.record import Record, samples_with_nan
 
 POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")
@@ -75,7 +73,8 @@ def with_position(motion: Motion, record: Record, unread: Collection[str]) -> Mo
         x = samples_with_nan(record, name)
         slope = x[2:] - x[:-2]
         both = np.isfinite(v) & np.isfinite(slope)
-        if both.sum() > FEWEST and _is_alike(slope[both], v[both]):
+        moves = both.sum() > FEWEST and np.ptp(slope[both]) > 0 and np.ptp(v[both]) > 0
+        if moves and np.corrcoef(slope[both], v[both])[0, 1] > ALIKE:
             return motion._replace(position=name)
     return motion
 
@@ -94,11 +93,6 @@ def motions_and_unread(
     ]
     positions = {motion.position for motion in motions}
     return motions, [name for name in unread if name not in positions][:MOST_UNREAD]
-
-
-def _is_alike(slope: np.ndarray, velocity: np.ndarray) -> bool:
-    moves = np.ptp(slope) > 0 and np.ptp(velocity) > 0
-    return bool(moves and np.corrcoef(slope, velocity)[0, 1] > ALIKE)
 
 
 def reading_velocities(procedure: Procedure) -> Procedure:

@@ -40,8 +40,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Sampled, evaluate, read_expression
-from riecjax.equations.term import AbstractTerm, Term, Terms, sum_columns
+from riecjax.equations.term import (
+    AbstractTerm,
+    Sampled,
+    Term,
+    Terms,
+    evaluate,
+    read_expression,
+    sum_columns,
+)
 from riecjax.leaves import Leaf
 from riecjax.records.noise import Noise
 from riecjax.records.record import Record

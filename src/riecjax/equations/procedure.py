@@ -3,17 +3,26 @@
 Both are lists of stages. A stage is a group of equations whose normal equations are added; what
 earlier stages found is known to later ones. The paper's three stages are `staged(...)` of three
 equations; its remark that all parameters may be estimated at once is `simultaneous(...)`.
+
+Unknown offsets and gains of sensors, as coefficients of the equations that read them.
+
+A sensor that shows `z = x + b` turns a term `k x` into `k z - k b`: a constant beside it. Where k
+is a known number the offset b itself is the coefficient; where k is estimated too, only the product
+`k b` is, in the unit of the equation. A sensor that shows `z = F / g` turns a known term `a F` into
+`g a z`, of the coefficient g. Either way the equations stay linear, and are those of the signals as
+measured: what is simulated of them is what the sensors would show.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias, TypeGuard
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from riecjax.equations.equation import Equation, with_terms
-from riecjax.equations.expressions import Expression
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
@@ -25,13 +34,115 @@ from riecjax.equations.hidden_elements import (
     why_no_element,
 )
 from riecjax.equations.memories import Memory
-from riecjax.equations.sensor_errors import with_unknown_gain, with_unknown_offset
-from riecjax.equations.term import AbstractTerm
+from riecjax.equations.term import AbstractTerm, Expression, Term, constant, read_expression
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.faults.relations import Relation
 from riecjax.records.record import Record
+from riecjax.records.signals import Signals
 from riecjax.shows import Shown
+
+
+def with_unknown_offset(equations: Iterable[Equation], signal: str, unit: str) -> list[Equation]:
+    """The same equations for a sensor of `signal` whose zero is unknown.
+
+    A derivative of the signal has no offset. Coefficients are called `offset_SIGNAL`, in the
+    signal's `unit`, where the term's own is known, else `k_offset_SIGNAL`, that is k times it.
+
+    **Raises:** `ModelError` where no equation has a term of the signal itself, reads it in a
+    function, or has a constant term already, from which no offset can be told apart.
+    """
+
+    def changed(equation: Equation) -> list[AbstractTerm]:
+        _refuse_functions(equation, signal)
+        own = [t for t in equation.terms if _is_of(t, signal) and t.derivative == 0]
+        if not own:
+            return []
+        if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
+            raise ModelError(
+                f"{equation.name}: an offset of '{signal}' cannot be told apart from '{taken[0]}', "
+                f"which is constant too; give {signal}'s offset, or leave that term out."
+            )
+        if len(own) > 1:
+            raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
+        name = own[0].name
+        label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
+        number = -own[0].number
+        return [Term(label, constant, unit=unit if name is None else equation.unit, sign=number)]
+
+    return _each(
+        equations,
+        lambda equation: [*equation.terms, *changed(equation)],
+        f"no equation has a term of '{signal}' itself, so that none tells of its offset.",
+    )
+
+
+def with_unknown_gain(equations: Iterable[Equation], signal: str) -> list[Equation]:
+    """The same equations for a sensor whose readings of `signal` are to be multiplied by
+    `gain_SIGNAL`.
+
+    **Raises:** `ModelError` where a term of the signal has a coefficient that is estimated too,
+    where one reads it in a function, or where no equation reads it.
+    """
+
+    def changed(term: AbstractTerm) -> AbstractTerm:
+        if not _is_of(term, signal):
+            return term
+        if term.name is not None:
+            raise ModelError(
+                f"the gain of '{signal}' cannot be told apart from '{term.name}', which multiplies "
+                f"it: {term.name} comes out multiplied by the gain."
+            )
+        return Term(
+            f"gain_{signal}",
+            term.of,
+            derivative=term.derivative,
+            measured=term.measured,
+            sign=term.number,
+        )
+
+    def terms(equation: Equation) -> list[AbstractTerm]:
+        _refuse_functions(equation, signal)
+        return list(map(changed, equation.terms))
+
+    return _each(equations, terms, f"no equation reads '{signal}', so that none tells of its gain.")
+
+
+def _is_of(term: AbstractTerm, signal: str) -> TypeGuard[Term]:
+    return isinstance(term, Term) and term.of == signal
+
+
+class _AnySignals(Signals):
+    """Whatever signals are asked for, to see which these are."""
+
+    def __getitem__(self, name: str) -> Array:
+        self.read.add(name)
+        return jnp.ones(4)
+
+
+def _refuse_functions(equation: Equation, signal: str) -> None:
+    """Refuse a function of the signal: in it, an offset or a gain is no coefficient."""
+    for term in equation.terms:
+        read = _AnySignals({})
+        read_expression(term.of, read)
+        if signal in read.read and not _is_of(term, signal):
+            raise ModelError(
+                f"{equation.name}: the term of {' and '.join(term.parameters) or 'no coefficient'} "
+                f"is a function of '{signal}', in which an unknown offset or gain is no "
+                f"coefficient of its own; calibrate that sensor."
+            )
+
+
+def _each(
+    equations: Iterable[Equation], terms: Callable[[Equation], list[AbstractTerm]], unread: str
+) -> list[Equation]:
+    """Equations with other terms; an error where that changes none."""
+    before = list(equations)
+    after = [eqx.tree_at(lambda e: e.terms, one, tuple(terms(one))) for one in before]
+    if all(a.parameters == b.parameters for a, b in zip(after, before)):
+        raise ModelError(unread)
+    return after
+
 
 PROBES, EXACT = 32, 1e-5
 """Values that an expression is tried with, and how nearly it must be a sum of them."""
@@ -150,14 +261,14 @@ class Procedure(Shown, eqx.Module):
     def with_unknown_offset(self, signal: str, unit: str = "") -> "Procedure":
         """The same equations, with the unknown zero of a signal's sensor as a coefficient.
 
-        See [`with_unknown_offset`][riecjax.equations.sensor_errors.with_unknown_offset].
+        See [`with_unknown_offset`][riecjax.equations.procedure.with_unknown_offset].
         """
         return self._with_equations(with_unknown_offset(self.equations, signal, unit))
 
     def with_unknown_gain(self, signal: str) -> "Procedure":
         """The same equations, with the unknown gain of a signal's sensor as a coefficient.
 
-        See [`with_unknown_gain`][riecjax.equations.sensor_errors.with_unknown_gain].
+        See [`with_unknown_gain`][riecjax.equations.procedure.with_unknown_gain].
         """
         return self._with_equations(with_unknown_gain(self.equations, signal))
 
@@ -292,7 +403,14 @@ class Procedure(Shown, eqx.Module):
         for stage, names in zip(self.stages, self.stage_parameters):
             unknown = tuple(name for name in names if name not in found)
             label = " + ".join(equation.name for equation in stage)
-            if unknown and not all(_anchored(stage, found)):
+            # A known term sets an equation's scale, if through parameters that it shares.
+            reached, size = set(found), -1
+            while len(reached) > size:
+                size = len(reached)
+                for equation in stage:
+                    if equation.has_target or set(equation.parameters) & reached:
+                        reached |= set(equation.parameters)
+            if unknown and not all(reached & set(equation.parameters) for equation in stage):
                 own = [name for name in unknown if not is_hidden_name(name)]
                 raise ModelError(
                     f"{label}: every coefficient is unknown, so all of them zero would fit. "
@@ -301,17 +419,6 @@ class Procedure(Shown, eqx.Module):
             plan.append((label, unknown))
             found |= set(unknown)
         return plan
-
-
-def _anchored(stage: tuple[Equation, ...], found: set[str]) -> list[bool]:
-    """For each equation, whether a known term sets its scale, if through shared parameters."""
-    reached, size = set(found), -1
-    while len(reached) > size:
-        size = len(reached)
-        for equation in stage:
-            if equation.has_target or set(equation.parameters) & reached:
-                reached |= set(equation.parameters)
-    return [bool(set(equation.parameters) & reached) for equation in stage]
 
 
 class HasProcedure(Protocol):

@@ -72,43 +72,22 @@ class Cluster(contextlib.AbstractContextManager):
         """
         import distributed
 
-        self._open = contextlib.ExitStack()
         self._scheduler, self._here = scheduler, None
-        self._open.enter_context(_settings())
-        with _closing_on_error(self._open):
+        with contextlib.ExitStack() as opened:
+            opened.enter_context(_settings())
             try:
                 if scheduler is None:
-                    self._here = self._started(distributed, workers or cores())
+                    self._here = _started(opened, workers or cores())
                 address = scheduler or self._here
                 client = distributed.Client(
                     address, timeout=WAITS, set_as_default=False, heartbeat_interval="2s"
                 )
             except (OSError, ValueError, TimeoutError, RuntimeError) as error:
                 raise DataError(_no_answer(scheduler, error)) from None
-            self._client = self._open.enter_context(client)
+            self._client = opened.enter_context(client)
+            self._open = opened.pop_all()
         self.workers = max(len(client.scheduler_info()["workers"]), 1)
         self.dashboard = client.dashboard_link if _has_bokeh() else ""
-
-    def _started(self, distributed: Any, workers: int) -> Any:
-        folder = self._open.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
-        settings = {
-            "n_workers": workers,
-            "threads_per_worker": 1,
-            "processes": True,
-            "dashboard_address": "127.0.0.1:0" if _has_bokeh() else None,
-            "host": "127.0.0.1",
-            "local_directory": folder,
-            "silence_logs": logging.CRITICAL,
-        }
-        # A process that is killed while it starts takes the others with it.
-        for left in reversed(range(STARTS)):
-            try:
-                with _without_warnings_of_lost_memory():
-                    return self._open.enter_context(distributed.LocalCluster(**settings))
-            except RuntimeError:
-                if not left:
-                    raise
-        return None
 
     def each(
         self, function: Callable[..., Any], tasks: Iterable[Task]
@@ -190,6 +169,30 @@ class Cluster(contextlib.AbstractContextManager):
         self._open.__exit__(*given)
 
 
+def _started(opened: contextlib.ExitStack, workers: int) -> Any:
+    """Processes of this machine, which end with the stack."""
+    import distributed
+
+    settings = {
+        "n_workers": workers,
+        "threads_per_worker": 1,
+        "processes": True,
+        "dashboard_address": "127.0.0.1:0" if _has_bokeh() else None,
+        "host": "127.0.0.1",
+        "local_directory": opened.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")),
+        "silence_logs": logging.CRITICAL,
+    }
+    # A process that is killed while it starts takes the others with it.
+    for left in reversed(range(STARTS)):
+        try:
+            with _without_warnings_of_lost_memory():
+                return opened.enter_context(distributed.LocalCluster(**settings))
+        except RuntimeError:
+            if not left:
+                raise
+    return None
+
+
 Engine = Here | Cluster
 
 
@@ -243,15 +246,6 @@ def _without_warnings_of_lost_memory() -> Iterator[None]:
         del os.environ["PYTHONWARNINGS"]
         if before is not None:
             os.environ["PYTHONWARNINGS"] = before
-
-
-@contextlib.contextmanager
-def _closing_on_error(stack: contextlib.ExitStack) -> Iterator[None]:
-    try:
-        yield
-    except BaseException:
-        stack.close()
-        raise
 
 
 def _has_bokeh() -> bool:

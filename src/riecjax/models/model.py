@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from riecjax.equations.procedure import HasProcedure, Procedure
     from riecjax.equations.term import AbstractTerm
     from riecjax.records.record import Record
-    from riecjax.refinement.parametric import AbstractParametric
-    from riecjax.simulation.attached_modes import Attachment
+    from riecjax.refinement.objective import AbstractParametric
+    from riecjax.simulation.equation_system import Attachment
     from riecjax.simulation.system import AbstractSystem
 
 
@@ -157,7 +157,7 @@ class Model(Shown):
         as these sensors show them. To be called before hidden elements are added.
 
         **Raises:** `ModelError` where an offset or gain is no coefficient, or cannot be told apart
-        from one; see [`riecjax.equations.sensor_errors`][].
+        from one; see [`riecjax.equations.procedure`][].
         """
         units = {signal.name: signal.unit for signal in self.signals}
         procedure = self.build_procedure()
@@ -277,7 +277,7 @@ class Model(Shown):
 
         **Raises:** `ModelError` if the equations cannot be simulated.
         """
-        from riecjax.refinement.parametric import ByCoefficients, ByFunction
+        from riecjax.refinement.objective import ByCoefficients, ByFunction
 
         parameters = self.simulation_parameters
         names = {parameter.name for parameter in parameters}
@@ -319,7 +319,7 @@ class Model(Shown):
         """How modes are attached to the model's own system, if they can be."""
         import jax.numpy as jnp
 
-        from riecjax.simulation.attached_modes import attachments
+        from riecjax.simulation.equation_system import attachments
 
         values = {q.name: 1.0 if q.default is None else q.default for q in self.parameters}
         assert self.system is not None
@@ -328,7 +328,9 @@ class Model(Shown):
 
     def _built(self, values: Mapping[str, Any]) -> AbstractSystem:
         """The model's own system with these values, carrying its modes."""
-        from riecjax.simulation.attached_modes import WithModes
+        import jax.numpy as jnp
+
+        from riecjax.simulation.equation_system import WithModes
 
         assert self.system is not None
         if not self._carries:
@@ -336,7 +338,8 @@ class Model(Shown):
         added = self._attachments or ()
         own = {name for one in added for name in one.states.parameters}
         inner = _resolve(self.system)({n: v for n, v in values.items() if n not in own})
-        return WithModes(inner, tuple(one.attached(values) for one in added))
+        read = own | {one.body_mass for one in added if isinstance(one.body_mass, str)}
+        return WithModes(inner, added, {name: jnp.asarray(values[name]) for name in sorted(read)})
 
 
 def _with_defaults(

@@ -5,8 +5,7 @@ models is driven with it, and the variant B_id is identified by DOLS and by RIEC
 of windows. All of these models are validated on the two inputs of Section 5.
 """
 
-import hashlib
-import io
+import contextlib
 import json
 from collections.abc import Callable
 from importlib.metadata import version
@@ -122,8 +121,6 @@ UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | {
 ERRORS = tuple(f"{where} p_{i + 1} [%]" for where in INPUTS for i in range(len(VALIDATED_STATES)))
 """Columns of validation errors: infinite where a model lost its solution."""
 SETTINGS = b"riecjax.variations"
-DIGEST = 32
-"""Bytes of the SHA-256 that a part's file begins with."""
 
 
 class Part(NamedTuple):
@@ -166,15 +163,45 @@ def run_variations(
 
     **Raises:** `DataError` for a folder that cannot be written to.
     """
-    settings = _settings(plan, key)
+    # What a part's numbers depend on.
+    depends_on = {
+        "plan": plan._asdict(),
+        "key": np.asarray(jax.random.key_data(key)).tolist(),
+        "versions": {name: version(name) for name in ("riecjax", "jax", "jaxlib")},
+        "precision": str(jnp.zeros(()).dtype),
+    }
+    settings = json.dumps(depends_on, sort_keys=True).encode()
     parts = parts_of(plan)
     tables = []
     for done, part in enumerate(parts):
-        table = None if folder is None else _kept(folder / part.file, settings)
-        if table is None:
-            table = _table(plan, part, _run(plan, part, key, shapes), settings)
+        table = None
+        if folder is not None:
+            with contextlib.suppress(OSError, pa.ArrowException):  # what is damaged is made anew
+                table = pq.read_table(folder / part.file, page_checksum_verification=True)
+        if table is None or (table.schema.metadata or {}).get(SETTINGS) != settings:
+            # Arrays, so that all mounts share what is compiled.
+            found = over_keys(
+                vary_road,
+                key,
+                part.stop - part.first,
+                jax.tree.map(jnp.asarray, TABLE_6[part.case]),
+                jnp.asarray(plan.bandwidths),
+                jax.tree.map(jnp.asarray, shapes),
+                plan.draws,
+                first=part.first,
+                chunk=ROADS_TO_A_PART,
+            )
+            table = _table(plan, part, found, settings)
             if folder is not None:
-                _keep(table, folder / part.file)
+                # Renamed when it is whole: an interruption leaves no broken file behind.
+                temporary = (folder / part.file).with_suffix(".tmp")
+                try:
+                    folder.mkdir(parents=True, exist_ok=True)
+                    pq.write_table(table, temporary, write_page_checksum=True)
+                    temporary.replace(folder / part.file)
+                except OSError as error:
+                    said = error.strerror or error
+                    raise DataError(f"cannot write '{folder / part.file}': {said}.") from None
         tables.append(table)
         if progress is not None:
             progress(done + 1, len(parts))
@@ -188,25 +215,6 @@ def write_variations(table: pa.Table, file: Path, stamp: str = "") -> None:
     """
     table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"riecjax": stamp})
     pq.write_table(table, file, write_page_checksum=True)
-
-
-def _run(
-    plan: Variations, part: Part, key: Key[Array, ""], shapes: Reconstruction
-) -> RoadVariations:
-    # Arrays, so that all mounts share what is compiled.
-    mount = jax.tree.map(jnp.asarray, TABLE_6[part.case])
-    bandwidths = jnp.asarray(plan.bandwidths)
-    return over_keys(
-        vary_road,
-        key,
-        part.stop - part.first,
-        mount,
-        bandwidths,
-        jax.tree.map(jnp.asarray, shapes),
-        plan.draws,
-        first=part.first,
-        chunk=ROADS_TO_A_PART,
-    )
 
 
 def _table(plan: Variations, part: Part, found: RoadVariations, settings: bytes) -> pa.Table:
@@ -232,42 +240,6 @@ def _table(plan: Variations, part: Part, found: RoadVariations, settings: bytes)
         "simulated": simulated,
     }
     return pa.table(columns).replace_schema_metadata({SETTINGS: settings})
-
-
-def _settings(plan: Variations, key: Key[Array, ""]) -> bytes:
-    """What a part's numbers depend on."""
-    versions = {name: version(name) for name in ("riecjax", "jax", "jaxlib")}
-    precision = str(jnp.zeros(()).dtype)
-    data = np.asarray(jax.random.key_data(key)).tolist()
-    content = {"plan": plan._asdict(), "key": data, "versions": versions, "precision": precision}
-    return json.dumps(content, sort_keys=True).encode()
-
-
-def _kept(file: Path, settings: bytes) -> pa.Table | None:
-    try:
-        content = file.read_bytes()
-    except OSError:
-        return None
-    told, written = content[:DIGEST], content[DIGEST:]
-    if hashlib.sha256(written).digest() != told:
-        return None
-    table = pq.read_table(pa.BufferReader(written))
-    metadata = table.schema.metadata or {}
-    return table if metadata.get(SETTINGS) == settings else None
-
-
-def _keep(table: pa.Table, file: Path) -> None:
-    content = io.BytesIO()
-    pq.write_table(table, content)
-    digest = hashlib.sha256(content.getbuffer()).digest()
-    # Renamed when it is whole: an interruption leaves no broken file behind.
-    temporary = file.with_suffix(".tmp")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(digest + content.getvalue())
-        temporary.replace(file)
-    except OSError as error:
-        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
 
 
 class Varied(NamedTuple):

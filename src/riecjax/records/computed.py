@@ -13,14 +13,13 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.leaves import is_concrete
 from riecjax.records.faults.relations import Pairs, Relation
+from riecjax.records.faults.sampled_signal import ENOUGH
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.remembered import remembered
 
 HALVES = (1, 2, 5, 10, 30)
 """Samples to each side of filters that are tried, the longest first as the test of all."""
-LOOKED_AT = 4096
-"""Samples that are enough."""
 LEFT = 0.1
 """What such a filter leaves at most, in terms of the position's noise through it. A sensor's own
 noise is left whole: a filter of the position cannot tell it."""
@@ -87,7 +86,7 @@ def _computed(
     return found
 
 
-@remembered(16, lambda signal, other, noise: (signal, other, noise))
+@remembered(lambda signal, other, noise: (signal, other, noise))
 @np.errstate(over="ignore", invalid="ignore")
 def filter_between(
     signal: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"], noise: float
@@ -97,7 +96,7 @@ def filter_between(
     known = np.flatnonzero(~(np.isnan(signal) | np.isnan(other)))
     stretches = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
     # Differences are one-sided at the ends.
-    longest = max(stretches, key=len)[1:-1][:LOOKED_AT]
+    longest = max(stretches, key=len)[1:-1][:ENOUGH]
     if longest.size < 8 * HALVES[-1] or not noise > 0:
         return None
     x, y = (np.diff(each[longest], SHARPENED) for each in (signal, other))
@@ -114,7 +113,14 @@ def filter_between(
     found = None
     for half in reversed(HALVES):
         inner = slice(HALVES[-1] - half, HALVES[-1] + half + 1)
-        taps, left = _fitted(columns[:, inner], target)
+        # Least squares, and what is left where no spike was repaired in one of the two.
+        kept, left, taps = np.ones(target.size, bool), target, np.zeros(0)
+        for _ in range(ROUNDS):
+            some = columns[kept, inner]
+            taps = np.linalg.lstsq(some.T @ some, some.T @ target[kept], rcond=1e-14)[0]
+            left = target - columns[:, inner] @ taps
+            kept = np.abs(left) <= FAR * np.median(np.abs(left[kept]))
+        left = left[kept]
         through = noise / scale * np.linalg.norm(np.convolve(taps, [1, -2, 1]))
         # Taps that make more noise than there is fit motion alone, which few waves are.
         there = np.sqrt(np.mean(target**2))
@@ -124,17 +130,3 @@ def filter_between(
     if found is not None and abs(found.sum()) > CONSTANT * np.abs(found).sum():
         return None
     return found
-
-
-def _fitted(
-    columns: Float[np.ndarray, "rows taps"], target: Float[np.ndarray, " rows"]
-) -> tuple[Float[np.ndarray, " taps"], Float[np.ndarray, " kept"]]:
-    """Least squares, and what is left where no spike was repaired in one of the two."""
-    kept, left = np.ones(target.size, bool), target
-    taps = np.zeros(columns.shape[1])
-    for _ in range(ROUNDS):
-        some = columns[kept]
-        taps = np.linalg.lstsq(some.T @ some, some.T @ target[kept], rcond=1e-14)[0]
-        left = target - columns @ taps
-        kept = np.abs(left) <= FAR * np.median(np.abs(left[kept]))
-    return taps, left[kept]

@@ -1,17 +1,15 @@
-"""Whether a recorded derivative fits its signal: wrong units, signs and channels show here.
-
-Findings of what is amiss between a signal and its derivative, and what puts it right.
-"""
+"""Whether a recorded derivative fits its signal, and what puts it right if not: wrong units, signs
+and channels show in increments, what is less than that in a fit over frequencies."""
 
 import shlex
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from riecjax.findings import Finding, option_for
 from riecjax.records.derived import line_taken_off
-from riecjax.records.faults.derivative_pairs import Pair, compare
+from riecjax.records.faults.derivative_pairs import GROSS, PPM, Pair, compare
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise import noise_level
@@ -31,8 +29,6 @@ UNRELATED = 0.5
 """Correlation below which two signals do not belong to each other."""
 TOLD = 10.0
 """Standard errors that a gain has to be for one signal to explain what is amiss with several."""
-GAIN = 0.1
-"""Share by which sensors of one motion may differ in gain: more than any calibration leaves."""
 LOGGED = (
     *("mm", "cm", "um", "in", "ft", "deg", "mrad", "mm/s", "cm/s", "in/s", "ft/s", "km/h", "mph"),
     *("deg/s", "rpm", "mm/s2", "g", "deg/s2"),
@@ -81,14 +77,16 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
     return wrong and wrong._replace(signals=relation.names), None
 
 
-def _pair(record: Record, signal: str, derivative: str) -> tuple[Any, ...]:
-    names, units = (signal, derivative), dict(record.units)
-    both = (samples_with_nan(record, name) for name in names)
-    return *names, *both, float(record.time_step), *(units.get(name, "") for name in names)
-
-
 # Values too large to be squared are for the fit to refuse.
-@remembered(32, _pair)
+@remembered(
+    lambda record, signal, derivative: (
+        signal,
+        derivative,
+        *(samples_with_nan(record, name) for name in (signal, derivative)),
+        *(dict(record.units).get(name, "") for name in (signal, derivative)),
+        float(record.time_step),
+    ),
+)
 @np.errstate(over="ignore", invalid="ignore")
 def disagreement(record: Record, signal: str, derivative: str) -> Finding | None:
     """`not_its_derivative` of a signal and what is read as its derivative, if they do not fit."""
@@ -108,9 +106,20 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
             f"does not fit the size, sign or time of {signal}: {signal} changes by "
             f"{best.gain:.4g} times the integral of {derivative}"
         )
-        units = _units_that_fit(record, signal, derivative, best.gain)
+        # Columns that a logger may have written in another unit, and no one converted.
+        factors = {derivative: best.gain, signal: 1 / best.gain if best.gain else 0.0}
+        stated = {n: readings(dict(record.units).get(n, "")).values() for n in factors}
+        units = [
+            f"{name}={unit}"
+            for name, factor in factors.items()
+            for unit in LOGGED
+            for one in readings(unit).values()
+            for known in stated[name]
+            if known.powers == one.powers
+            and abs(factor * known.factor / one.factor - 1) < CALIBRATED
+        ]
         if units:
-            likely = f" It fits where {' or '.join(map(_in_unit, units))}."
+            likely = f" It fits where {' or '.join(u.replace('=', ' is in ') for u in units)}."
         elif abs(best.gain + 1) < CALIBRATED:
             likely = f" One of them points the other way: scale {derivative} or {signal} by -1."
         # A term may hold the signal squared, as drag does.
@@ -130,31 +139,12 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
     )
 
 
-def _units_that_fit(record: Record, signal: str, derivative: str, gain: float) -> list[str]:
-    """`NAME=UNIT` of a column that a logger may have written in this unit, and no one converted."""
-    found = []
-    for name, factor in ((derivative, gain), (signal, 1 / gain if gain else 0.0)):
-        own = {u.powers: u.factor for u in readings(dict(record.units).get(name, "")).values()}
-        found += [
-            f"{name}={unit}"
-            for unit in LOGGED
-            for one in readings(unit).values()
-            if one.powers in own and abs(factor * own[one.powers] / one.factor - 1) < CALIBRATED
-        ]
-    return found
-
-
-def _in_unit(assignment: str) -> str:
-    name, unit = assignment.split("=")
-    return f"{name} is in {unit}"
-
-
 def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
     """Whether one of the other signals is the recorded derivative of this one."""
     values, step = samples_with_nan(record, signal), float(record.time_step)
     for other in others:
         best = _best_lag(values, samples_with_nan(record, other), step)
-        if best is not None and best.correlation > ALIKE and abs(best.gain - 1) < GAIN:
+        if best is not None and best.correlation > ALIKE and abs(best.gain - 1) < GROSS:
             return True
     return False
 
@@ -177,7 +167,7 @@ class _Regression(NamedTuple):
         """
         if self.gain < 0:
             return True
-        return self.gain * self.correlation > 1 + GAIN or self.gain / self.correlation < 1 - GAIN
+        return self.gain * self.correlation > 1 + GROSS or self.gain / self.correlation < 1 - GROSS
 
 
 def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Regression | None:
@@ -219,24 +209,94 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
 
     The doubt is the share of the derivative that is wrong: of a delay, the turn of its phase.
     """
-    if pair.course.kind != "rows" and (cut := _cut(record, pair)):
-        yield cut
+    relation, fit, step = pair.relation, pair.fit, pair.step
+    if pair.course.kind != "rows" and (cut := cut_rows(*with_sum(record, relation))):
+        yield cut._replace(signals=relation.names)
         return
+    # Which other signals may be the wrong one.
+    or_else = f" Or {' or '.join(pair.alike)} is, which explains it as well." if pair.alike else ""
     # The usual frequency, from how much better a gain is known than a delay.
-    turn = pair.fit.errors[1] / max(pair.fit.errors[0], 1e-300)
+    turn = fit.errors[1] / max(fit.errors[0], np.finfo(float).tiny)
     if pair.course.kind != "steady":
-        yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0))
+        yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0), or_else)
     if pair.is_late:
-        yield _late(pair, turn)
+        by = fit.delay + fit.lag
+        names, late, other = _sides(pair, by > 0)
+        samples, seconds = abs(by), abs(by) * step
+        size = f"{samples:.3g} \u00b1 {fit.errors[0]:.1g} samples ({1e3 * seconds:.3g} ms)"
+        option = "--unfilter" if pair.lagged else "--shift"
+        remedy = option_for(option, names, f"{seconds:.4g}")
+        how = shlex.join(remedy)
+        code, said, next_step = (
+            (
+                "low_passed",
+                f"{late} went through a first-order low-pass that {other} did not, with a time "
+                f"constant of {size}, a cut-off at {1 / (2 * np.pi * seconds):.3g} Hz: it lags, "
+                f"and loses what is fast. Record both alike, or undo it ({how}).{or_else}",
+                f"Undo the low-pass of {late}",
+            )
+            if pair.lagged
+            else (
+                "late_signal",
+                f"{late} {'are' if len(names) > 1 else 'is'} {size} late against {other}.{or_else} "
+                f"{how} brings it forward, as --align auto does when the file is read. Whether "
+                f"both are late against other signals the two cannot tell.",
+                f"Bring {late} forward by {seconds:.3g} s",
+            )
+        )
+        doubt = min(turn * samples, 1.0)
+        yield Finding(code, said, names, doubt=doubt, remedy=remedy, step=next_step)
     if pair.gain_is_off:
-        yield _gain(pair)
-    if pair.drift or pair.offset:
-        yield _zero(record, pair)
-
-
-def _cut(record: Record, pair: Pair) -> Finding | None:
-    found = cut_rows(*with_sum(record, pair.relation))
-    return found and found._replace(signals=pair.relation.names)
+        gain, gross = fit.gain, pair.is_gross
+        derivative, motion = relation.words(pair.suspect)
+        size = f"{derivative} is {gain:.4g} \u00b1 {fit.errors[1]:.1g} times {motion}."
+        several = len(relation.of) > 1
+        scaling = f"{pair.scaling if several else 1 / gain:.5g}"
+        remedy = ("--scale", f"{pair.suspect if several else derivative}={scaling}")
+        how = shlex.join(remedy)
+        yield Finding(
+            "not_its_derivative" if several and gross else "wrong_gain",
+            f"{size} {pair.suspect} is calibrated wrongly, or has another "
+            f"{'sign or unit' if gross else 'unit'}: scale it ({how}).{or_else}"
+            if several
+            else f"{size} Which of the two is calibrated wrongly they cannot tell: scale that one "
+            f"({how}, or --scale {pair.signal}={gain:.5g}).",
+            (pair.suspect,) if several else (derivative, pair.signal),
+            # A term may hold the signal squared, as drag does.
+            doubt=min(max(gain**2, gain**-2) - 1, 1.0),
+            remedy=remedy,
+            step=f"Scale {pair.suspect}"
+            if several
+            else f"Scale {derivative} or {pair.signal}, whichever sensor is off",
+        )
+    if not (value := pair.drift or pair.offset):
+        return
+    names = relation.names
+    derivative, factor = pair.zeroed
+    signal = pair.signal if len(names) == 2 else relation.words(derivative)[1]
+    share = abs(value) * step / pair.scale / pair.rms
+    size = f"{value * factor:.3g} {dict(record.units).get(derivative, '')}".rstrip()
+    # Whose it is one relation cannot tell.
+    others = " or ".join(n for n in names if n not in (derivative, pair.signal))
+    whose = f" Or {others} has it, or {pair.signal} drifts." if others else ""
+    time, per = np.asarray(record.time), factor * pair.scale / step
+    change = fit.drift * per if pair.drift else 0.0
+    remedy = line_taken_off(derivative, time, fit.offset * per, change)
+    what = (
+        f"drifts by {size} over {float(time[-1] - time[0]):.4g} s"
+        if pair.drift
+        else f"has an offset of {size}"
+    )
+    whose = whose or ("" if pair.drift else f" Or {signal} drifts by that per second.")
+    yield Finding(
+        "drifting_signal" if pair.drift else "velocity_offset",
+        f"{derivative} {what} against {signal}, {100 * share:.2g} % of its rms. Take it off (on "
+        f"the command line: {shlex.join(remedy)}).{whose}",
+        (derivative, *(n for n in names if n != derivative)),
+        doubt=min(share, 1.0),
+        remedy=remedy,
+        step=f"Take the {'straight line' if pair.drift else 'offset'} off {derivative}",
+    )
 
 
 def _sides(pair: Pair, forward: bool) -> tuple[tuple[str, ...], str, str]:
@@ -248,121 +308,14 @@ def _sides(pair: Pair, forward: bool) -> tuple[tuple[str, ...], str, str]:
     return late, " and ".join(late), " and ".join(other)
 
 
-def _else(pair: Pair) -> str:
-    """Which other signals may be the wrong one."""
-    return f" Or {' or '.join(pair.alike)} is, which explains it as well." if pair.alike else ""
-
-
-def _late(pair: Pair, turn: float) -> Finding:
-    """Of the one of the two that comes later."""
-    by, error = pair.fit.delay + pair.fit.lag, pair.fit.errors[0]
-    names, late, other = _sides(pair, by > 0)
-    are = "are" if len(names) > 1 else "is"
-    samples, seconds = abs(by), abs(by) * pair.step
-    size = f"{samples:.3g} \u00b1 {error:.1g} samples ({1e3 * seconds:.3g} ms)"
-    advance = option_for("--shift", names, f"{seconds:.4g}")
-    doubt = min(turn * samples, 1.0)
-    if pair.lagged:
-        undo = option_for("--unfilter", names, f"{seconds:.4g}")
-        return Finding(
-            "low_passed",
-            f"{late} went through a first-order low-pass that {other} did not, with a time "
-            f"constant of {size}, a cut-off at {1 / (2 * np.pi * seconds):.3g} Hz: it lags, and "
-            f"loses what is fast. Record both alike, or undo it ({shlex.join(undo)}).{_else(pair)}",
-            names,
-            doubt=doubt,
-            remedy=undo,
-            step=f"Undo the low-pass of {late}",
-        )
-    return Finding(
-        "late_signal",
-        f"{late} {are} {size} late against {other}.{_else(pair)} {shlex.join(advance)} brings it "
-        f"forward, as --align auto does when the file is read. Whether both are late against "
-        f"other signals the two cannot tell.",
-        names,
-        doubt=doubt,
-        remedy=advance,
-        step=f"Bring {late} forward by {seconds:.3g} s",
-    )
-
-
-def _gain(pair: Pair) -> Finding:
-    gain, relation = pair.fit.gain, pair.relation
-    derivative, motion = relation.words(pair.suspect)
-    size = f"{derivative} is {gain:.4g} \u00b1 {pair.fit.errors[1]:.1g} times {motion}."
-    # A term may hold the signal squared, as drag does.
-    doubt = min(max(gain**2, gain**-2) - 1, 1.0)
-    if len(relation.of) == 1:
-        remedy = ("--scale", f"{derivative}={1 / gain:.5g}")
-        return Finding(
-            "wrong_gain",
-            f"{size} Which of the two is calibrated wrongly they cannot tell: scale that one "
-            f"({shlex.join(remedy)}, or --scale {pair.signal}={gain:.5g}).",
-            (derivative, pair.signal),
-            doubt=doubt,
-            remedy=remedy,
-            step=f"Scale {derivative} or {pair.signal}, whichever sensor is off",
-        )
-    remedy = ("--scale", f"{pair.suspect}={pair.scaling:.5g}")
-    gross = pair.is_gross
-    return Finding(
-        "not_its_derivative" if gross else "wrong_gain",
-        f"{size} {pair.suspect} is calibrated wrongly, or has another "
-        f"{'sign or unit' if gross else 'unit'}: scale it ({shlex.join(remedy)}).{_else(pair)}",
-        (pair.suspect,),
-        doubt=doubt,
-        remedy=remedy,
-        step=f"Scale {pair.suspect}",
-    )
-
-
-def _zero(record: Record, pair: Pair) -> Finding:
-    """Of a drift, or else of an offset."""
-    names = pair.relation.names
-    derivative, factor = pair.zeroed
-    signal = pair.signal if len(names) == 2 else pair.relation.words(derivative)[1]
-    value, unit = pair.drift or pair.offset, dict(record.units).get(derivative, "")
-    share = abs(value) * pair.step / pair.scale / pair.rms
-    size = f"{value * factor:.3g} {unit}".rstrip()
-    # Whose it is one relation cannot tell.
-    others = " or ".join(n for n in names if n not in (derivative, pair.signal))
-    whose = f" Or {others} has it, or {pair.signal} drifts." if others else ""
-    both, doubt = (derivative, *(n for n in names if n != derivative)), min(share, 1.0)
-    time, per = np.asarray(record.time), factor * pair.scale / pair.step
-    change = pair.fit.drift * per if pair.drift else 0.0
-    remedy = line_taken_off(derivative, time, pair.fit.offset * per, change)
-    rest = (
-        f"{100 * share:.2g} % of its rms. Take it off (on the command line: {shlex.join(remedy)})."
-    )
-    if pair.drift:
-        return Finding(
-            "drifting_signal",
-            f"{derivative} drifts by {size} over {float(time[-1] - time[0]):.4g} s against "
-            f"{signal}, {rest}{whose}",
-            both,
-            doubt=doubt,
-            remedy=remedy,
-            step=f"Take the straight line off {derivative}",
-        )
-    return Finding(
-        "velocity_offset",
-        f"{derivative} has an offset of {size} against {signal}, {rest}"
-        f"{whose or f' Or {signal} drifts by that per second.'}",
-        both,
-        doubt=doubt,
-        remedy=remedy,
-        step=f"Take the offset off {derivative}",
-    )
-
-
-def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
+def _uneven(record: Record, pair: Pair, doubt: float, or_else: str) -> Finding:
     """Of a delay that changes along the record."""
     course, step, time = pair.course, pair.step, np.asarray(record.elapsed)
     lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
     names, mine, others = _sides(pair, True)
     both = (*names, *(name for name in pair.relation.names if name not in names))
     if course.kind == "clocks":
-        per = 1e6 * step / float(time[-1] - time[0])
+        per = step / PPM / float(time[-1] - time[0])
         rate, start = per * course.change, float(time[0])
         remedy = course.by_one_clock(names, rate, step, start)
         reverse = course._replace(first=-course.first)
@@ -371,7 +324,7 @@ def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
             "two_clocks",
             f"{mine} {course.way} {others} evenly, {lasts} over the record: their clocks differ by "
             f"{rate:.3g} \u00b1 {per * course.error:.1g} ppm. Record both by one logger, or set "
-            f"the clock that is off ({shlex.join(remedy)}, or {shlex.join(other)}).{_else(pair)}",
+            f"the clock that is off ({shlex.join(remedy)}, or {shlex.join(other)}).{or_else}",
             both,
             doubt=doubt,
             remedy=remedy,
@@ -385,7 +338,7 @@ def _uneven(record: Record, pair: Pair, doubt: float) -> Finding:
         f"and {last:.4g} s: {jumping} has lost {abs(course.change):.3g} \u00b1 {course.error:.1g} "
         f"samples ({1e3 * abs(course.change) * step:.3g} ms) there. Use the record up to there "
         f"(--to {first:.4g}) or from there on (--from {last:.4g}), where both agree in time."
-        f"{_else(pair)}",
+        f"{or_else}",
         both,
         doubt=doubt,
         remedy=course.in_time(first, last),

@@ -29,6 +29,8 @@ STRETCH = 2**10
 REPEATS = 3.17
 """Variance of the mean square of white noise's sixth differences, in terms of that of as many
 independent squares: the sum of their squared autocorrelations, C(24, 12) / C(12, 6)^2."""
+NORMAL = 0.6745
+"""Median size of a standard normal variable."""
 SORTED = 2**10
 """Differences whose median tells which are of noise."""
 NEGLIGIBLE = 1e-6
@@ -95,7 +97,10 @@ class Noise(eqx.Module):
             )
         levels = {name: as_leaf(value) for name, value in std.items()}
         joint = [name for name in names if any(name in pair for pair in pairs)]
-        kernels = {n: {n: levels[n][..., None]} if _may_be_noisy(levels[n]) else {} for n in names}
+        kernels = {
+            n: {} if is_concrete(level) and not np.any(level) else {n: level[..., None]}
+            for n, level in levels.items()
+        }
         kernels |= {
             name: {other: (levels[name] * share)[..., None] for other, share in row.items()}
             for name, row in _cholesky(joint, pairs).items()
@@ -179,10 +184,6 @@ class Noise(eqx.Module):
             for name, of in self.kernels.items()
         }
         return Noise(kernels, freedom)
-
-
-def _may_be_noisy(level: Leaf) -> bool:
-    return not is_concrete(level) or bool(np.any(level))
 
 
 def _cholesky(
@@ -276,6 +277,6 @@ def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
         some = sizes[..., _drawn(n)]
         some = xp.where(xp.isnan(some).all(-1, keepdims=True), 0.0, some)
     # Of a normal law, 6e-5 lie beyond four standard deviations, and 1e-3 of the squares' sum.
-    kept = sizes <= 4 * xp.nanmedian(some, axis=-1, keepdims=True) / 0.6745
+    kept = sizes <= 4 * xp.nanmedian(some, axis=-1, keepdims=True) / NORMAL
     share = xp.sum(xp.where(kept, sizes, 0.0) ** 2, -1) / xp.maximum(xp.sum(kept, -1), 1)
     return xp.sqrt(share / 0.9989)

@@ -1,6 +1,16 @@
-""""""
+"""What the samples of a record tell of its signals' noise.
 
-import functools
+White noise shows in differences of sixth order, in which a smooth motion is next to nothing. Where
+values can be looked at, that is, not under `jax.jit`, a flat floor of the power spectrum tells the
+same from three times as many data, and without the motion's quicker part. Values also tell what no
+sensor measured: a command, which moves in steps or along straight lines, has no noise, and a
+converter rounds by q / sqrt(12) at the least, for its quantum q.
+
+White noise is a floor up to half the rate. Noise that a logger's filter let through is a shelf,
+between the motion and the filter's edge; a band-limited excitation makes a shelf of motion as well,
+which other signals then have in common, while noise of sensors is coherent with nothing.
+"""
+
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -98,7 +108,7 @@ def spectra(pieces: list[np.ndarray]) -> Spectra | None:
     Of second differences, divided by their gain: a motion 1000 times the noise then stays below
     the side lobes of a Blackman-Harris window.
     """
-    window, hop = _window(), SEGMENT // 4
+    window, hop = blackman_harris(SEGMENT + 1)[:-1], SEGMENT // 4
     rows = [
         np.lib.stride_tricks.sliding_window_view(np.diff(piece, 2), SEGMENT)[::hop]
         for piece in pieces
@@ -111,11 +121,6 @@ def spectra(pieces: list[np.ndarray]) -> Spectra | None:
     independent = sum(p.size - TAPERED * SEGMENT for p in pieces if p.size >= SEGMENT + 2)
     transforms = found / gain[1:] / np.sqrt(np.sum(window**2))
     return Spectra(transforms, np.mean(np.abs(transforms) ** 2, axis=0), independent)
-
-
-@functools.cache
-def _window() -> Float[np.ndarray, " samples"]:
-    return blackman_harris(SEGMENT + 1)[:-1]
 
 
 def blackman_harris(size: int) -> Float[np.ndarray, " samples"]:
@@ -196,7 +201,14 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     # A shelf is as wide as a floor, and the end of the band far below all of it.
     if np.mean(near > at_end / EMPTY / LEVELLED) < NARROWEST:
         return None
-    lower, upper = _widest_shelf(near)
+    # The widest stretch in which means of neighbours are about the same: from each lower end on, in
+    # a row of its own; behind the band there is nothing to be alike.
+    behind = np.pad(near, (0, near.size), constant_values=np.nan)
+    rows = np.lib.stride_tricks.sliding_window_view(behind, near.size)[LOWEST : near.size // 2]
+    alike = np.maximum.accumulate(rows, 1) < LEVELLED * np.minimum.accumulate(rows, 1)
+    lengths = np.argmin(np.pad(alike, [(0, 0), (0, 1)]), axis=1)
+    lower = LOWEST + int(np.argmax(lengths))
+    upper = lower + int(np.max(lengths))
     band = slice(lower + CLOSE - 1, upper)
     if band.stop < max(OCTAVE * band.start, band.start + NARROWEST * size):
         return None
@@ -204,9 +216,14 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     empty = at_end < EMPTY * density
     if not (empty and _level(found[band]) and density < BELOW_MOTION * np.max(near[:lower])):
         return None
-    own = of.transforms[:, band]
-    compared = [other.transforms[:, band] for other in others if other is not None]
-    if not compared or any(_coherence(own, other) > INCOHERENT for other in compared):
+    own, others = of.transforms[:, band], [other for other in others if other is not None]
+    for other in (other.transforms[:, band] for other in others):
+        cross = np.abs(np.mean(own * other.conj(), axis=0)) ** 2
+        power = np.mean(np.abs(own) ** 2, axis=0) * np.mean(np.abs(other) ** 2, axis=0)
+        coherence = np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)
+        if np.mean(coherence) > INCOHERENT:
+            return None
+    if not others:
         return None
     beyond = np.convolve(found, np.ones(CLOSE) / CLOSE, "same")[band.stop :]
     shape = np.concatenate([np.full(band.stop + 1, density), np.minimum(beyond, density)])
@@ -218,24 +235,6 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
 def _level(density: np.ndarray) -> bool:
     halves = [np.mean(half) for half in np.array_split(density, 2)]
     return bool(max(halves) < FLAT * min(halves))
-
-
-def _widest_shelf(near: np.ndarray) -> tuple[int, int]:
-    """First and end of the widest stretch in which means of neighbours are about the same."""
-    # From each lower end on, in a row of its own; behind the band there is nothing to be alike.
-    behind = np.pad(near, (0, near.size), constant_values=np.nan)
-    rows = np.lib.stride_tricks.sliding_window_view(behind, near.size)[LOWEST : near.size // 2]
-    alike = np.maximum.accumulate(rows, 1) < LEVELLED * np.minimum.accumulate(rows, 1)
-    lengths = np.argmin(np.pad(alike, [(0, 0), (0, 1)]), axis=1)
-    widest = int(np.argmax(lengths))
-    return LOWEST + widest, LOWEST + widest + int(lengths[widest])
-
-
-def _coherence(one: np.ndarray, other: np.ndarray) -> float:
-    """Squared magnitude, the mean over frequencies; 0 where the other is silent."""
-    cross = np.abs(np.mean(one * other.conj(), axis=0)) ** 2
-    power = np.mean(np.abs(one) ** 2, axis=0) * np.mean(np.abs(other) ** 2, axis=0)
-    return float(np.mean(np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)))
 
 
 GivenNoise: TypeAlias = Literal["auto", "none"] | Noise | Mapping[str, ArrayLike | jax.Array] | None
@@ -270,7 +269,14 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
     unknown = [n for n in names or record.arrays if n not in known.kernels and n in record.arrays]
     kernels, freedom = {}, {}
     for name in unknown:
-        found = _noise_of(record, name)
+        samples: Any = record[name]
+        missing = record.missing.get(name)
+        xp = namespace(samples, missing)
+        samples = np.asarray(samples) if xp is np else samples
+        present = None if missing is None else ~xp.asarray(missing)
+        others = [values for other, values in record.arrays.items() if other != name]
+        with np.errstate(all="ignore"):
+            found = noise_of_level(name, noise_level(samples, present), samples, present, others)
         kernels |= found.kernels
         freedom |= found.freedom
     return record.with_noise(known.joined(Noise(kernels, freedom)))
@@ -297,19 +303,6 @@ def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:
             f"of the other."
         )
     return noise
-
-
-def _noise_of(record: Record, name: str) -> Noise:
-    samples: Any = record[name]
-    missing = record.missing.get(name)
-    xp = namespace(samples, missing)
-    if xp is np:
-        samples = np.asarray(samples)
-    present = None if missing is None else ~xp.asarray(missing)
-    with np.errstate(all="ignore"):
-        level = noise_level(samples, present)
-        rest = [v for k, v in record.arrays.items() if k != name]
-        return noise_of_level(name, level, samples, present, rest)
 
 
 def noise_of_level(

@@ -1,13 +1,8 @@
-"""Missing samples of columns of numbers: masks of them, and what stands in their place.
-
-A recording: uniformly sampled, named signals.
-
-Records filled up behind their end, so that those of many lengths share compiled functions.
-"""
+"""A recording: uniformly sampled, named signals."""
 
 import functools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
 import equinox as eqx
@@ -23,26 +18,6 @@ from riecjax.records.noise import Noise
 from riecjax.records.signals import Signals
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
-
-
-def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Masks, shape `(n,)`, True where a column is NaN; only of columns that hold a NaN."""
-    masks = {name: np.isnan(values) for name, values in columns.items()}
-    return {name: mask for name, mask in masks.items() if mask.any()}
-
-
-def hold(values: np.ndarray) -> np.ndarray:
-    """NaN replaced by the last value before it, at the start by the first after, else by 0.
-
-    Shapes `(n,)`.
-    """
-    present = ~np.isnan(values)
-    if present.all():
-        return values
-    if not present.any():
-        return np.zeros(values.size)
-    last = np.maximum.accumulate(np.where(present, np.arange(values.size), -1))
-    return values[np.where(last < 0, np.argmax(present), last)]
 
 
 class Record(Drawn, eqx.Module):
@@ -91,7 +66,7 @@ class Record(Drawn, eqx.Module):
     ):
         require("what a record is made of", arrays, Mapping, WRITE_RECORD, DataError)
         dtype = jnp.result_type(float)
-        self.arrays = {name: jnp.asarray(values, dtype) for name, values in arrays.items()}
+        self.arrays = {name: _owned(_numbers(name, v), dtype) for name, v in arrays.items()}
         # Of a batch of records, signals and time steps have the batch's axes in front.
         axes = max((values.ndim for values in self.arrays.values()), default=1) - 1
         self.time_step = jnp.asarray(_checked_step(time_step, axes), dtype)
@@ -99,11 +74,9 @@ class Record(Drawn, eqx.Module):
         pairs = units.items() if isinstance(units, Mapping) else units
         self.units = tuple(sorted((name, unit) for name, unit in pairs if name in arrays))
         self.missing = {
-            name: jnp.asarray(mask, bool)
-            for name, mask in (missing or {}).items()
-            if name in arrays
+            name: _owned(mask, bool) for name, mask in (missing or {}).items() if name in arrays
         }
-        self.stamps = None if stamps is None else jnp.asarray(stamps, dtype)
+        self.stamps = None if stamps is None else _owned(stamps, dtype)
         self.skipped = jnp.asarray(skipped, dtype)
         self.noise = (noise or Noise()).of(*self.arrays)
 
@@ -256,7 +229,7 @@ class Record(Drawn, eqx.Module):
             raise DataError(
                 f"samples {start} to {stop} do not lie in a record of {self.sample_count} samples."
             )
-        return self._sliced(slice(start, stop), 1)
+        return self._rows(lambda values: values[..., start:stop], start)
 
     def stretch(self, first: Int[Array, ""], count: int) -> "Record":
         """`count` samples from `first` on, which may be traced; both must lie in the record."""
@@ -264,17 +237,7 @@ class Record(Drawn, eqx.Module):
         def cut(values: Array) -> Array:
             return jax.lax.dynamic_slice_in_dim(values, first, count, axis=-1)
 
-        stamps = None if self.stamps is None else cut(self.stamps)
-        return Record(
-            {name: cut(values) for name, values in self.arrays.items()},
-            self.time_step,
-            self.start_time + first * self.time_step if stamps is None else stamps[0],
-            self.units,
-            {name: cut(mask) for name, mask in self.missing.items()},
-            stamps,
-            self.elapsed[first],
-            self.noise,
-        )
+        return self._rows(cut, first)
 
     def every(self, count: int) -> "Record":
         """Every `count`-th sample, without filtering first.
@@ -285,7 +248,13 @@ class Record(Drawn, eqx.Module):
             raise DataError(
                 f"cannot take every {count}th of {self.sample_count} samples: too few would remain."
             )
-        return self._sliced(slice(None, None, count), count)
+
+        # Thinning must not lose a gap between two samples that stay: a gap then widens to one.
+        def thin(mask: Array) -> Array:
+            padded = jnp.pad(mask, [(0, 0)] * (mask.ndim - 1) + [(0, -mask.shape[-1] % count)])
+            return padded.reshape(*mask.shape[:-1], -1, count).any(-1)
+
+        return self._rows(lambda values: values[..., ::count], 0, count, thin)
 
     def segments(self, names: Iterable[str] | None = None) -> list[slice]:
         """Unbroken stretches, in which none of these signals (or of all) lacks a sample.
@@ -298,26 +267,24 @@ class Record(Drawn, eqx.Module):
         edges = np.flatnonzero(np.diff(np.pad(np.asarray(present).astype(np.int8), 1)))
         return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
 
-    def _sliced(self, samples: slice, count: int) -> "Record":
-        # Thinning must not lose a gap between two samples that stay: a gap then widens to one.
-        def thin(mask: Array) -> Array:
-            if count == 1:
-                return mask[..., samples]
-            padded = jnp.pad(mask, [(0, 0)] * (mask.ndim - 1) + [(0, -mask.shape[-1] % count)])
-            return padded.reshape(*mask.shape[:-1], -1, count).any(-1)
-
+    def _rows(
+        self,
+        cut: Callable[[Array], Array],
+        first: int | Int[Array, ""],
+        count: int = 1,
+        thin: Callable[[Array], Array] | None = None,
+    ) -> "Record":
+        """What `cut` leaves, from the row `first` on, so many steps apart; `thin` of masks."""
+        stamps = None if self.stamps is None else cut(self.stamps)
+        earlier = first * self.time_step
         return Record(
-            {name: values[..., samples] for name, values in self.arrays.items()},
+            {name: cut(values) for name, values in self.arrays.items()},
             self.time_step * count,
-            self.start_time + (samples.start or 0) * self.time_step
-            if self.stamps is None
-            else self.stamps[..., samples.start or 0],
+            self.start_time + earlier if stamps is None else stamps[..., 0],
             self.units,
-            {name: thin(mask) for name, mask in self.missing.items()},
-            None if self.stamps is None else self.stamps[..., samples],
-            self.skipped + (samples.start or 0) * self.time_step
-            if self.stamps is None
-            else self.elapsed[samples.start or 0],
+            {name: (thin or cut)(mask) for name, mask in self.missing.items()},
+            stamps,
+            self.skipped + earlier if stamps is None else self.elapsed[first],
             self.noise.thinned(count),
         )
 
@@ -388,11 +355,36 @@ def stack_records(records: list[Record]) -> Record:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *records)
 
 
-def _samples(name: str, values: ArrayLike) -> np.ndarray:
+def _owned(values: Any, dtype: Any) -> Array:
+    """An array that no one else writes to: JAX may take up memory of NumPy's as it is."""
+    return jnp.asarray(values, dtype) if isinstance(values, jax.Array) else jnp.array(values, dtype)
+
+
+def _numbers(name: str, values: Any) -> Any:
+    """Samples that are real numbers, as an array of NumPy or JAX.
+
+    **Raises:** `DataError` for anything else: text, times, complex numbers.
+    """
     try:
-        samples = np.asarray(values, dtype=float)
+        samples = values if isinstance(values, jax.Array) else np.asarray(values)
+        samples = samples.astype(float) if samples.dtype.kind == "O" else samples
     except (TypeError, ValueError):
         raise DataError(f"signal '{name}' is not a list of numbers.") from None
+    if samples.dtype.kind == "c":
+        raise DataError(
+            f"signal '{name}' holds complex numbers, and a record real ones. Give its real or "
+            f"imaginary part, or both as two signals."
+        )
+    if samples.dtype.kind in "USMm":
+        raise DataError(
+            f"signal '{name}' is not a list of numbers but of {samples.dtype.name}; convert it "
+            f"first."
+        )
+    return samples
+
+
+def _samples(name: str, values: ArrayLike) -> np.ndarray:
+    samples = np.asarray(_numbers(name, values), float)
     if samples.ndim != 1:
         raise DataError(
             f"signal '{name}' must be one column of samples; it has shape {samples.shape}."
@@ -422,6 +414,26 @@ def samples_with_nan(record: Record, name: str) -> np.ndarray:
     return values
 
 
+def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Masks, shape `(n,)`, True where a column is NaN; only of columns that hold a NaN."""
+    masks = {name: np.isnan(values) for name, values in columns.items()}
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+def hold(values: np.ndarray) -> np.ndarray:
+    """NaN replaced by the last value before it, at the start by the first after, else by 0.
+
+    Shapes `(n,)`.
+    """
+    present = ~np.isnan(values)
+    if present.all():
+        return values
+    if not present.any():
+        return np.zeros(values.size)
+    last = np.maximum.accumulate(np.where(present, np.arange(values.size), -1))
+    return values[np.where(last < 0, np.argmax(present), last)]
+
+
 TO_A_DOUBLING = 4
 """Lengths that [`shared_length`][] has between one power of two and the next."""
 
@@ -429,6 +441,7 @@ TO_A_DOUBLING = 4
 def shared_length(samples: int) -> int:
     """How many samples a record is filled up to, to be simulated: a quarter more at most.
 
+    So records of many lengths share compiled functions.
     What is simulated behind its end takes its time; to sum takes little, so that what is only
     summed is filled up further.
     """

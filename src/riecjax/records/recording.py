@@ -16,11 +16,11 @@ from riecjax.records.faults.rows import without_repetitions
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs
-from riecjax.records.preparation.steps import Preparation, prepare
+from riecjax.records.preparation.steps import prepare
 from riecjax.records.reading.channels import Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
-from riecjax.records.reading.selection import Selected, record_from_channels
+from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import same, split_unit
 from riecjax.records.reading_settings import ReadingSettings, Selection, sorted_settings
@@ -225,7 +225,10 @@ def _recording(
     # Damaged numbers overflow; what is not finite is found and named.
     with _explaining(str(path), selection.rename, left_out, part), np.errstate(all="ignore"):
         try:
-            read_by, band = _read_by(model, preparation), getattr(model, "band", None)
+            # What the model reads and what others are derived from, with the units of both.
+            units = {signal.name: signal.unit for signal in getattr(model, "signals", ())}
+            read_by = dict.fromkeys(preparation.derivatives.values(), "") | units
+            band = getattr(model, "band", None)
             shortest = 0.5 / band[1] if band else None
             selected = record_from_channels(channels, selection, read_by, shortest)
             record, left_out = selected.record, {**left_out, **selected.left_out}
@@ -262,11 +265,17 @@ def _recording(
             if why
         ),
     ]
+    units = dict(selected.record.units)
+    read_steps = [f"{name}: column scaled by {by:g}" for name, by in selection.scale.items()]
+    read_steps += [f"{name}: {old} to {units[name]}" for name, old in selected.converted.items()]
+    if selection.resample is not None:
+        read_steps.append(f"resampled to {selection.resample:g} Hz")
+    read_steps += [f"{name}: {formula}" for name, formula in selection.derive.items()]
     used = {*read, *TIME_COLUMNS, *selection.rename.values(), *channels.time_of.values()}
     return Recording(
         record,
         str(path),
-        (*channels.notes, *selected.notes, *_reading_steps(selection, selected), *steps),
+        (*channels.notes, *selected.notes, *read_steps, *steps),
         tuple(findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
         selection.rename,
@@ -274,12 +283,6 @@ def _recording(
         selected.converted,
         tuple(n for n in record.arrays if n not in read or n in selection.derive),
     )
-
-
-def _read_by(model: Any, preparation: Preparation) -> dict[str, str]:
-    """The model's signals and what others are derived from, with the units they are read in."""
-    units = {signal.name: signal.unit for signal in getattr(model, "signals", ())}
-    return dict.fromkeys(preparation.derivatives.values(), "") | units
 
 
 def _left_out(channels: Channels) -> dict[str, str]:
@@ -348,15 +351,6 @@ def _in_model_units(
                 f"{name}=FACTOR."
             )
     return record.with_signals({}, units), mismatches
-
-
-def _reading_steps(selection: Selection, selected: Selected) -> list[str]:
-    steps = [f"{name}: column scaled by {factor:g}" for name, factor in selection.scale.items()]
-    units = dict(selected.record.units)
-    steps += [f"{name}: {unit} to {units[name]}" for name, unit in selected.converted.items()]
-    if selection.resample is not None:
-        steps.append(f"resampled to {selection.resample:g} Hz")
-    return steps + [f"{name}: {formula}" for name, formula in selection.derive.items()]
 
 
 def common_steps(recordings: Sequence[Recording]) -> list[str]:

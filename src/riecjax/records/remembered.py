@@ -16,12 +16,12 @@ Answer = TypeVar("Answer")
 
 
 def remembered(
-    most: int, made_of: Callable[Given, tuple[Any, ...]]
+    made_of: Callable[Given, tuple[Any, ...]], most: int = 32
 ) -> Callable[[Callable[Given, Answer]], Callable[Given, Answer]]:
-    """A function that keeps its last answers, `most` of them, which nobody may change.
+    """A function that keeps its last answers, which nobody may change.
 
     **Arguments:** `made_of`: of its arguments the arrays, numbers and words that the answer
-    depends on.
+    depends on; `most` answers that are kept.
     """
 
     def decorated(function: Callable[Given, Answer]) -> Callable[Given, Answer]:

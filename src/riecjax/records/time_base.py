@@ -26,7 +26,6 @@ FEWEST_ODD = 10
 """Steps of another length from which rounding makes them, and not rows lost or repeated."""
 MOST_LOST = 0.05
 """Share of rows that may be lost between stamps of one digit for a step."""
-_DIGITS = tuple(10.0**-place for place in range(10))
 
 
 class StampError(DataError):
@@ -82,7 +81,7 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     rounding = _resolution(stamps, usual)
     # A step of an even grid comes out longer by the rounding at most.
     pauses = np.flatnonzero(steps > max(SHORTEST_PAUSE * usual, usual + rounding)) + 1
-    rounded = _coarsely_rounded(stamps, steps, pauses) if pauses.size >= FEWEST_ODD else None
+    rounded = _coarsely_rounded(stamps, steps, pauses, usual) if pauses.size >= FEWEST_ODD else None
     if rounded is not None:
         return rounded
     inner = np.delete(steps, pauses - 1)
@@ -108,8 +107,9 @@ def _not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
     first = int(np.argmax(steps <= 0)) + 1
     standing = float(np.mean(steps == 0))
     if (steps >= 0).all() and standing > COARSE and stamps[-1] > stamps[0]:
-        repeated = _repeated(stamps)
-        if repeated:
+        counts = np.unique(stamps, return_counts=True)[1]
+        repeated = int(counts[0])
+        if counts.size > 2 and (counts == repeated).all() and repeated <= FEWEST_ODD:
             return StampError(
                 f"each of its stamps stands in {repeated} rows. If these are copies, or rows of "
                 f"{repeated} signals, write the file anew with one row for each time; if they are "
@@ -168,20 +168,15 @@ def narrow_epoch(stamps: np.ndarray) -> bool:
     return bool((stamps == stamps[0]).all() and stamps[0] == np.float32(stamps[0]) > EPOCH)
 
 
-def _repeated(stamps: np.ndarray) -> int:
-    """In how many rows, up to ten, each stamp stands; 0 if not all in as many."""
-    counts = np.unique(stamps, return_counts=True)[1]
-    return int(counts[0]) if counts.size > 2 and {*counts} <= {counts[0]} and counts[0] <= 10 else 0
-
-
-def _coarsely_rounded(stamps: np.ndarray, steps: np.ndarray, pauses: np.ndarray) -> TimeBase | None:
+def _coarsely_rounded(
+    stamps: np.ndarray, steps: np.ndarray, pauses: np.ndarray, usual: float
+) -> TimeBase | None:
     """A grid rounded to a digit not much shorter than its step; `None` if there is none.
 
     Its steps are of one digit or of two, which are no pauses: of 1 or 2 ms at 700 Hz.
 
     **Raises:** `StampError` where many steps may be pauses or of such a grid.
     """
-    usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))
     short = float(np.mean(steps[steps <= 2.5 * np.median(steps)]))
     longer = np.flatnonzero(steps > short + _resolution(stamps, short / 0.9)) + 1
     found = _grid_of_decimals(stamps, longer) if longer.size < pauses.size else None
@@ -205,16 +200,8 @@ def _grid_of_decimals(stamps: np.ndarray, pauses: np.ndarray) -> TimeBase | None
     stretches = [stamps[first:last] for first, last in itertools.pairwise(edges)]
     places = [np.arange(one.size) - (one.size - 1) / 2 for one in stretches]
     step = sum(map(np.dot, places, stretches)) / sum(place @ place for place in places)
-    finest = 4 * float(np.spacing(np.max(np.abs(stamps))))
-    digits = [
-        digit
-        for digit in _DIGITS
-        if finest < 0.1 * digit
-        and np.all(np.abs(stamps - np.round(stamps / digit) * digit) <= finest)
-    ]
-    spans = [np.ptp(t - step * place) for t, place in zip(stretches, places, strict=True)]
-    off, digit = float(max(spans)) / 2, next(iter(digits), 0.0)
-    return TimeBase(float(step), float(stamps[0]), pauses) if off <= 0.51 * digit else None
+    off = _distance_from_grid(stamps, pauses, float(step))
+    return TimeBase(float(step), float(stamps[0]), pauses) if off <= 0.51 * _digit(stamps) else None
 
 
 def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
@@ -257,12 +244,27 @@ def _distance_from_grid(stamps: np.ndarray, pauses: np.ndarray, step: float) -> 
 
 def _resolution(stamps: np.ndarray, step: float) -> float:
     """The digit or the 32-bit spacing that the stamps are rounded to; at least 64-bit's."""
-    largest = float(np.max(np.abs(stamps)))
-    finest = 4 * float(np.spacing(largest))
-    if np.array_equal(stamps, stamps.astype(np.float32).astype(float)):
-        finest = max(finest, float(np.spacing(np.float32(largest))))
-    for digits in range(9):
-        digit = 10.0**-digits
-        if digit < 0.9 * step and np.all(np.abs(stamps - np.round(stamps, digits)) <= finest):
-            return max(finest, digit)
-    return finest
+    largest = np.max(np.abs(stamps))
+    narrow = np.array_equal(stamps, stamps.astype(np.float32).astype(float))
+    single = float(np.spacing(np.float32(largest))) if narrow else 0.0
+    return max(_finest(stamps), single, _digit(stamps, 0.9 * step))
+
+
+def _finest(stamps: np.ndarray) -> float:
+    """What 64-bit numbers of this size and their arithmetic are rounded to, in seconds."""
+    return 4 * float(np.spacing(np.max(np.abs(stamps))))
+
+
+def _digit(stamps: np.ndarray, below: float = np.inf) -> float:
+    """The coarsest digit below some seconds that all stamps are multiples of, 0 if none is."""
+    finest = _finest(stamps)
+    digits = (10.0**-place for place in range(MOST_DIGITS + 1))
+    return next(
+        (
+            digit
+            for digit in digits
+            if 0.1 * digit > finest and digit < below
+            if np.all(np.abs(stamps - np.round(stamps / digit) * digit) <= finest)
+        ),
+        0.0,
+    )

@@ -1,6 +1,6 @@
 from .integral_error import AbstractBalance as AbstractBalance
+from .objective import ByFunction as ByFunction
 from .optimum import RefinementStatus as RefinementStatus
-from .parametric import ByFunction as ByFunction
-from .shots import RandomShots as RandomShots
-from .shots import Tiles as Tiles
-from .shots import WholeRecord as WholeRecord
+from .output_error import RandomShots as RandomShots
+from .output_error import Tiles as Tiles
+from .output_error import WholeRecord as WholeRecord

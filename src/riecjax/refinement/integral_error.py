@@ -40,9 +40,8 @@ from jaxtyping import Array, Bool, Float, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import both_present
 from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip, told_apart
-from riecjax.equations.term import AbstractTerm, Term
+from riecjax.equations.term import AbstractTerm, Term, both_present
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import Sharing
 from riecjax.estimation.stages import all_normal_equations
@@ -52,11 +51,14 @@ from riecjax.records.signals import Signals
 from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,
+    AbstractParametric,
+    ByFields,
+    ByFunction,
     Expansion,
     Parameters,
     Specification,
+    Values,
 )
-from riecjax.refinement.parametric import AbstractParametric, ByFields, ByFunction, Values
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
 
 Levels = dict[int, Float[Array, " n"]]
@@ -336,27 +338,24 @@ class IntegralMisfit(AbstractMisfit):
         of_record = [
             self.sharing.values_of(self.local, values, i) for i in range(len(self.records))
         ]
-        return [self._expanded(balance, of_record) for balance in self.balances]
-
-    def _expanded(
-        self, balance: ParametricBalance, values: Sequence[Mapping[str, Leaf]]
-    ) -> NormalEquations:
         free = self.sharing.free_somewhere(self.local, self.names)
-        smoothness = self.criterion.smoothness
-        expanded = [
-            balance.expanded(record, own, free, smoothness)
-            for record, own in zip(self.records, values)
-        ]
-        (equations,) = all_normal_equations(
-            Procedure(((expanded[0][0],),)),
-            self.sharing,
-            [record for _, record in expanded],
-            self.criterion,
-            self.keys,
-        )
-        # What is free in some record may be fixed in another: it does not change.
-        fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
-        return equations.fix(fixed).embed(self.names)
+        found = []
+        for balance in self.balances:
+            expanded = [
+                balance.expanded(record, own, free, self.criterion.smoothness)
+                for record, own in zip(self.records, of_record)
+            ]
+            (equations,) = all_normal_equations(
+                Procedure(((expanded[0][0],),)),
+                self.sharing,
+                [record for _, record in expanded],
+                self.criterion,
+                self.keys,
+            )
+            # What is free in some record may be fixed in another: it does not change.
+            fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
+            found.append(equations.fix(fixed).embed(self.names))
+        return found
 
 
 def _first_negated(moments: Float[Array, "*n c c"]) -> Float[Array, "*n c c"]:

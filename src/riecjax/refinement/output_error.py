@@ -1,37 +1,813 @@
-"""Output-error refinement: the model simulated over windows, and compared with the recording."""
+"""Output-error refinement: the model simulated over windows, and compared with the recording.
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+Windows of a recording over which a model is simulated, and what was recorded in each.
+
+How long they are decides what is fitted. Of one time step, the state being measured anew at every
+sample, they make a fit of the equation error: nearly linear, and biased where the state is noisy.
+Of the whole record they make single shooting, the output-error fit: efficient where the model is
+right and noise is on the outputs, but what a wrong parameter does to the state adds up along the
+window, exponentially where motion is unstable, and with it the curvature of the sum of squares.
+Windows between the two (multiple shooting) bound that by their length, at the price of initial
+states to estimate.
+
+What a recording holds in the windows over which a model is simulated, and how it is cut to them.
+
+Recordings are filled up behind their end to lengths that others share, so that the next one, of
+another length, is simulated by functions that are compiled already. What is simulated there is not
+compared, and may diverge.
+
+Output error over windows: the model simulated from initial states, compared with the recording.
+
+The residual of a window is r = (y(theta, s) - measured) / sigma at every compared sample of every
+channel, y simulated from the initial state s. Its derivatives are those of the simulation: along
+each unit vector of (theta, s) the variational equation is stepped with the state, by forward
+differentiation of the very steps. That is the exact derivative of what is computed, takes p + s
+simulations beside the one, and keeps no step in memory for later. Reverse mode would take one pass
+for each residual, of which there are thousands.
+
+**Initial states projected out.** Let J = dr/dtheta, S = dr/ds, C = S^T S and B = J^T S of a window.
+To first order the best initial state follows theta by ds/dtheta = -C^-1 B^T, and the residual does
+
+    (J - S C^-1 B^T) dtheta.
+
+That is a linear map of columns, [r J S] -> [-r, J - S C^-1 B^T], the same in every piece of the
+window. Applied to the moments of pieces it gives scores of theta alone by blocks of time. Their sum
+has the Schur complement A - B C^-1 B^T of `optimum` for its Gram matrix: a covariance of theta
+that includes what is not known of initial states.
+
+Huber's loss, which grows with a residual's square up to a threshold and straight on past it.
+
+With the threshold c, rho(r) = r^2 / 2 up to c and c |r| - c^2 / 2 past it. What searches for least
+squares makes it small as the square of f(r) = sign(r) sqrt(2 rho(r)), whose slope is continuous.
+f f' is the score psi(r), r cut off at c, so the gradient is the loss's own; f'^2 > 0 past c keeps
+steps defined, and is more than the curvature psi' = 0 there. A sandwich takes psi' instead, or its
+standard errors were too small: by a fifth of a normal law at c = 1.345.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation import kept_jit
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
+from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, is_concrete, is_number
+from riecjax.estimation.parameters import Sharing
+from riecjax.leaves import Leaf, held_still, is_concrete, is_number
+from riecjax.linear_algebra import solve_scaled
 from riecjax.records.noise_judgement import judged
-from riecjax.records.record import Record
-from riecjax.refinement.objective import AbstractObjective, Parameters, Specification
-from riecjax.refinement.output_misfit import LEAST_NOISE, THRESHOLD, OutputMisfit
-from riecjax.refinement.parametric import AbstractParametric, as_parametric_system
-from riecjax.refinement.shots import (
-    AbstractShooting,
-    Along,
-    Compared,
-    Recorded,
-    Shots,
-    WholeRecord,
-    cut_records,
-    over_windows,
-    within,
+from riecjax.records.record import Record, filled_up, shared_length
+from riecjax.refinement.objective import (
+    AbstractMisfit,
+    AbstractObjective,
+    AbstractParametric,
+    Expansion,
+    Parameters,
+    Specification,
+    as_parametric_system,
 )
-from riecjax.simulation.intersample import Intersample, require_intersample, smooth_inputs
+from riecjax.simulation.intersample import Intersample, bends_of, require_intersample, smooth_inputs
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep
-from riecjax.simulation.system import AbstractSystem, state_sources
+from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
+
+SHORTEST = 2
+"""Samples of a window below which it tells nothing."""
+
+
+class Shots(eqx.Module):
+    """Windows of one recording.
+
+    **Fields:** `first` sample of each window; `length`, its number of samples; `longest`, how many
+    are simulated, as many or more.
+    """
+
+    first: Int[Array, " windows"] | Int[np.ndarray, " windows"]
+    length: Int[Array, " windows"] | Int[np.ndarray, " windows"]
+    longest: int = eqx.field(static=True)
+
+    @property
+    def samples(self) -> Int[Array, "windows longest"]:
+        """Index of each sample of each window; the last one again beyond its length."""
+        steps = jnp.arange(self.longest)[None, :]
+        return jnp.asarray(self.first)[:, None] + jnp.minimum(steps, self.length[:, None] - 1)
+
+    @property
+    def inside(self) -> Array:
+        """Which of these lie within the window's length."""
+        return within(self.length, self.longest)
+
+
+def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows longest"]:
+    """Which of so many samples lie within the length of each window."""
+    return jnp.arange(longest)[None, :] < jnp.asarray(length)[:, None]
+
+
+class AbstractShooting(eqx.Module):
+    """How a recording is cut into windows to simulate."""
+
+    @property
+    def needs_key(self) -> bool:
+        """Whether windows are drawn at random."""
+        return False
+
+    @property
+    def overlap(self) -> bool:
+        """Whether windows may share samples."""
+        return False
+
+    def shots(
+        self, record: Record, inputs: Sequence[str], key: Key[Array, ""] | None, *, joined: bool
+    ) -> Shots:
+        """The windows of one recording, unbroken in its inputs.
+
+        With `joined`, a window begins on the sample at which its neighbour ends; a start that is
+        estimated must not, for that sample would count twice.
+
+        **Raises:** `DataError` if the record has no such window; `ModelError` where a length
+        depends on a time step that is being traced.
+        """
+        raise NotImplementedError
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings, for tables and JSON."""
+        raise NotImplementedError
+
+
+class WholeRecord(AbstractShooting):
+    """Each unbroken stretch of a recording at once: single shooting, the output-error fit."""
+
+    def shots(
+        self,
+        record: Record,
+        inputs: Sequence[str],
+        key: Key[Array, ""] | None = None,
+        *,
+        joined: bool = False,
+    ) -> Shots:
+        """One window for each unbroken stretch."""
+        cut = _tiles(record, inputs, record.sample_count, joined)
+        return dataclasses.replace(cut, longest=shared_length(cut.longest))
+
+    def describe(self) -> dict[str, object]:
+        """Name."""
+        return {"windows": "whole record"}
+
+
+class Tiles(AbstractShooting):
+    """Windows of one length side by side: multiple shooting.
+
+    Of one time step they make a fit of the equation error, of the whole record an output-error
+    fit.
+
+    **Arguments:** `seconds` of a window, or `samples` from its start to its end.
+
+    **Raises:** `ModelError` unless one of the two is given, and positive.
+    """
+
+    seconds: float | None = eqx.field(static=True, default=None)
+    samples: int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        if (self.seconds is None) == (self.samples is None):
+            raise ModelError("tiles need a length in seconds or in samples, one of the two.")
+        if (self.seconds is not None and self.seconds <= 0) or (
+            self.samples is not None and self.samples < 1
+        ):
+            raise ModelError("tiles need a positive length.")
+
+    def shots(
+        self,
+        record: Record,
+        inputs: Sequence[str],
+        key: Key[Array, ""] | None = None,
+        *,
+        joined: bool = False,
+    ) -> Shots:
+        """Tiles of each unbroken stretch; the last of a stretch may be shorter."""
+        if self.samples is not None:
+            return _tiles(record, inputs, self.samples + 1, joined)
+        steps = max(round(float(self.seconds or 0.0) / _seconds_of_a_sample(record)), 1)
+        return _tiles(record, inputs, steps + 1, joined)
+
+    def describe(self) -> dict[str, object]:
+        """Name and length."""
+        return {"windows": "tiles", "seconds": self.seconds, "samples": self.samples}
+
+
+class RandomShots(AbstractShooting):
+    """Windows of random start and length: randomised multiple shooting.
+
+    **Arguments:** `windows`, as the integral criterion draws them, on samples.
+    """
+
+    windows: RandomWindows
+
+    @property
+    def needs_key(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def overlap(self) -> bool:
+        """True."""
+        return True
+
+    def shots(
+        self,
+        record: Record,
+        inputs: Sequence[str],
+        key: Key[Array, ""] | None,
+        *,
+        joined: bool = False,
+    ) -> Shots:
+        """The drawn windows; those that a gap breaks are emptied but for one sample."""
+        if key is None:
+            raise ModelError("random windows need a key: key=jax.random.key(seed).")
+        if self.windows.between_samples:
+            raise ModelError("a simulation starts on a sample (between_samples=False).")
+        self.windows.check(record.sample_count, record.time_step)
+        step = _seconds_of_a_sample(record)
+        longest = min(round(float(self.windows.beta) / step) + 1, record.sample_count)
+        drawn = self.windows.draw(key, record.sample_count, record.time_step)
+        length = drawn.stop - drawn.start + 1
+        present = record.present(inputs)
+        if present is not None:
+            absent = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(~present)])
+            unbroken = absent[drawn.stop + 1] == absent[drawn.start]
+            length = jnp.where(unbroken, length, 1)
+        return Shots(drawn.start, length, longest)
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings."""
+        return {"shooting": "random", **self.windows.describe()}
+
+
+def _seconds_of_a_sample(record: Record) -> float:
+    if not is_concrete(record.time_step):
+        raise ModelError(
+            "the number of samples of a window must be known before tracing: give "
+            "Tiles(samples=...) or keep the record's time step out of jit and vmap."
+        )
+    return float(record.time_step)
+
+
+def _tiles(record: Record, inputs: Sequence[str], longest: int, joined: bool) -> Shots:
+    """Windows of up to `longest` samples, from the last sample of the one before, or after it."""
+    longest = min(longest, record.sample_count)
+    if is_concrete(record):
+        stretches = [(part.start, part.stop) for part in record.segments(inputs)]
+    elif record.present(inputs) is None:
+        stretches = [(0, record.sample_count)]
+    else:
+        raise ModelError("a record with gaps cannot be traced here: cut it at its gaps first.")
+    first = [
+        (start, min(longest, stop - start))
+        for begin, stop in stretches
+        for start in range(begin, stop - 1, longest - joined)
+        if stop - start >= SHORTEST
+    ]
+    if not first:
+        raise DataError(
+            f"no unbroken stretch of {SHORTEST} samples is left in which {', '.join(inputs)} are "
+            f"recorded."
+        )
+    starts, lengths = np.array(first, np.int32).T
+    return Shots(starts, lengths, int(lengths.max()))
+
+
+class Recorded(eqx.Module):
+    """What is simulated and compared of one recording.
+
+    **Fields:**
+
+    - `levels`: inputs in each window, shape `(windows, longest, inputs)`; `bends`, their curvature
+      by time steps, zero or `None` where they are straight lines between samples.
+    - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
+    - `present`: which of these count.
+    - `initial`: initial state of each window as it was recorded, `(windows, states)`; `square`,
+      mean square of each state over the record.
+    - `position`: sample at which each compared one stands in the record, `(windows, compared)`.
+    - `length` of each window in samples, `(windows,)`.
+    - `time_step` in seconds; `sample_count` of the record.
+    - `short_blocks` of time that hold it, of `short` samples; `every`, of how many samples one is
+      compared; `piece`, how many of these make a piece of time.
+    """
+
+    levels: Float[Array, "windows longest inputs"]
+    bends: Float[Array, "windows longest inputs"] | None
+    measured: Float[Array, "windows compared channels"]
+    present: Array
+    initial: Float[Array, "windows states"]
+    square: Float[Array, " states"]
+    position: Int[Array, "windows compared"]
+    length: Int[Array, " windows"]
+    time_step: Float[Array, ""]
+    sample_count: Int[Array, ""]
+    short: int = eqx.field(static=True)
+    short_blocks: int = eqx.field(static=True)
+    every: int = eqx.field(static=True)
+    piece: int = eqx.field(static=True)
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return self.initial.shape[0]
+
+    def trajectory(
+        self, method: AbstractMethod, system: AbstractSystem, initial: Float[Array, " states"]
+    ) -> tuple[Float[Array, "longest states"], Bool[Array, ""]]:
+        """Along the inputs of one window: of a recording that is mapped over its windows.
+
+        **Returns:** states, and whether the solution was kept to the window's end. What is
+        simulated behind it counts for nothing.
+        """
+        # A method of one's own need not know of bends that are not asked for.
+        bends = () if self.bends is None else (self.bends,)
+        states, _, reached = method.trajectory(system, self.levels, self.time_step, initial, *bends)
+        return states, reached >= self.length
+
+
+def over_windows(function: Callable[[Any, Recorded], Any], initial: Array, part: Recorded) -> Any:
+    """A function of each window's initial state and recording."""
+    batched = eqx.tree_at(
+        lambda r: (r.levels, r.bends, r.measured, r.present, r.initial, r.position, r.length),
+        jax.tree.map(lambda _: None, part),
+        (0, 0, 0, 0, 0, 0, 0),
+        is_leaf=lambda leaf: leaf is None,
+    )
+    return jax.vmap(function, in_axes=(0, batched))(initial, part)
+
+
+Along = tuple[Leaf, Leaf]
+"""States and inputs at points along a recording."""
+
+
+class Compared(NamedTuple):
+    """What of the windows is compared, and how they begin.
+
+    **Fields:** `channels` and `every`, of how many samples one, as of [`OutputError`][]; `given`,
+    values of initial states; `joined` as of `AbstractShooting.shots`, and `overlap`; which inputs
+    are `smooth`, `None` to keep no bends.
+    """
+
+    channels: tuple[str, ...]
+    given: dict[str, Any]
+    every: int
+    joined: bool
+    overlap: bool
+    smooth: tuple[bool, ...] | None
+
+
+def cut_records(
+    system: AbstractSystem, records: Sequence[Record], shots: Sequence[Shots], compared: Compared
+) -> tuple[list[Recorded], list[Along]]:
+    """What each recording holds in its windows; states and inputs at points spread over them."""
+    counts = [jnp.asarray(record.sample_count) for record in records]
+    if is_concrete(records):
+        records = [_filled(record) for record in records]
+    return _cut(system, records, counts, shots, compared)
+
+
+def _filled(record: Record) -> Record:
+    """A record of a length that others share, with no sample behind its end."""
+    filled = filled_up(record, shared_length(record.sample_count))
+    behind = np.arange(filled.sample_count) >= record.sample_count
+    missing = {name: filled.missing.get(name, False) | behind for name in filled.arrays}
+    return Record(filled.arrays, filled.time_step, missing=missing)
+
+
+@kept_jit
+def _cut(
+    system: AbstractSystem,
+    records: Sequence[Record],
+    counts: Sequence[Int[Array, ""]],
+    shots: Sequence[Shots],
+    compared: Compared,
+) -> tuple[list[Recorded], list[Along]]:
+    """The same of records that hold so many samples, and are filled up behind."""
+    recorded, along = [], []
+    for record, count, cut in zip(records, counts, shots):
+        states = measured_states(system, record)
+        recorded.append(_recorded(system, record, states, count, cut, compared))
+        samples = cut.samples.reshape(-1)
+        samples = samples[spread_points(samples.shape[0])]
+        along.append((states[samples], _levels(system, record, samples)))
+    return recorded, along
+
+
+def _levels(system: AbstractSystem, record: Record, samples: Array) -> Float[Array, "*n inputs"]:
+    inputs = [record[name][samples] for name in system.input_names]
+    none = jnp.zeros((*samples.shape, 0), record.time_step.dtype)
+    return jnp.stack(inputs, axis=-1) if inputs else none
+
+
+def _recorded(
+    system: AbstractSystem,
+    record: Record,
+    states: Float[Array, "n states"],
+    sample_count: Int[Array, ""],
+    shots: Shots,
+    compared: Compared,
+) -> Recorded:
+    channels, given, every, joined, overlap, smooth = compared
+    position = shots.samples[:, ::every]
+    held = jnp.arange(record.sample_count) < sample_count
+    initial = states[shots.first]
+    for name, value in given.items():
+        place = system.state_names.index(name)
+        initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
+    # An initial state that is taken from the record leaves no error there.
+    counts = shots.inside[:, ::every] & (shots.length > 1)[:, None]
+    counts = counts.at[:, 0].set(counts[:, 0] & (not joined))
+    masks = (record.present((name,)) for name in channels)
+    everywhere = jnp.ones(record.sample_count, bool)
+    present = [(everywhere if mask is None else mask)[position] for mask in masks]
+    # A window that overlaps others is one piece, by where it begins.
+    count = position.shape[1]
+    # As many as where the record is filled up, which under jit it is not.
+    shared = shared_length(record.sample_count)
+    short = -(-shared // SHORT_BLOCKS_OF_ROWS)
+    bends = None
+    if smooth is not None:
+        # Of the whole record: a window's neighbours tell what its inputs do at its ends.
+        everywhere = _levels(system, record, jnp.arange(record.sample_count))
+        bends = bends_of(everywhere, record.present(system.input_names), smooth)[shots.samples]
+    return Recorded(
+        _levels(system, record, shots.samples),
+        bends,
+        jnp.stack([record[name][position] for name in channels], axis=-1),
+        jnp.stack(present, axis=-1) & counts[:, :, None],
+        initial,
+        jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count,
+        position,
+        jnp.asarray(shots.length),
+        record.time_step,
+        sample_count,
+        short,
+        max(-(-shared // short), 2),
+        every,
+        count if overlap else min(max(short // every, 1), count),
+    )
+
+
+THRESHOLD = 1.345
+"""Standard deviations of the noise: 95 % as precise as squares where all of it is normal."""
+LEAST_NOISE = 1e-3
+"""Share of a channel's standard deviation that its noise is taken for at the least."""
+
+Threshold: TypeAlias = Float[Array, "1 channels"] | None
+"""Past which a channel's loss is straight, in units of its residuals; `None` where nowhere."""
+Columns: TypeAlias = Callable[[Array, Array, Threshold], tuple[Array, Array]]
+"""Of residuals and their slopes, two sets of columns whose products are moments from the diagonal
+up: energies, scores and curvatures."""
+
+
+def as_square(
+    residual: Float[Array, "*n channels"], threshold: Threshold
+) -> Float[Array, "*n channels"]:
+    """f(r), half the square of which is the loss."""
+    if threshold is None:
+        return residual
+    past = jnp.maximum(jnp.abs(residual), threshold)
+    bent = jnp.sign(residual) * jnp.sqrt(threshold * (2 * past - threshold))
+    return jnp.where(jnp.abs(residual) <= threshold, residual, bent)
+
+
+def for_search(
+    level: Float[Array, "*n channels"],
+    slopes: Float[Array, "*n channels columns"],
+    threshold: Threshold,
+) -> tuple[Array, Array]:
+    """f and its slopes."""
+    square = as_square(level, threshold)
+    if threshold is not None:
+        bent = jnp.clip(level, -threshold, threshold) / jnp.where(square == 0, 1.0, square)
+        slopes = slopes * jnp.where(square == 0, 1.0, bent)[..., None]
+    columns = jnp.concatenate([square[..., None], slopes], axis=-1)
+    return columns, columns
+
+
+def for_scatter(
+    level: Float[Array, "*n channels"],
+    slopes: Float[Array, "*n channels columns"],
+    threshold: Threshold,
+) -> tuple[Array, Array]:
+    """f^2, psi times slopes, and slopes times each other up to the threshold."""
+    assert threshold is not None
+    score = jnp.clip(level, -threshold, threshold)
+    energy = as_square(level, threshold) ** 2 / jnp.where(score == 0, 1.0, score)
+    inside = slopes * (jnp.abs(level) <= threshold)[..., None]
+    left = jnp.concatenate([score[..., None], inside], axis=-1)
+    return left, jnp.concatenate([energy[..., None], slopes], axis=-1)
+
+
+RIDGE = 1e-10
+"""What keeps an initial state that no residual depends on from a division by zero; relative."""
+PROFILED = 1e-6
+"""Share of the sum of squares that better initial states would still take off: as good as none."""
+MOST_TRIALS = 8
+"""Initial states that are tried for each window."""
+
+
+class _Profiling(NamedTuple):
+    """Initial states to try, the least energy so far, whether to go on, and trials left."""
+
+    trial: Float[Array, "windows s"]
+    energy: Float[Array, " quantities"]
+    going: Array
+    left: Int[Array, ""]
+
+
+class OutputMisfit(AbstractMisfit):
+    """Simulated minus recorded channels, in units of `sigma`, over all windows of all records.
+
+    `labels` are the channels.
+    `threshold` of Huber's loss by channel, in units of sigma; `None` for squares.
+    `longest_window` is 0 unless windows overlap: no residual then counts twice. `most_steps`
+    between samples may be taken of a method that the user left open, else 0.
+    """
+
+    system: AbstractParametric
+    recorded: list[Recorded]
+    known: dict[str, Leaf]
+    sigma: Float[Array, " channels"]
+    scale: Float[Array, " s"]
+    longest_window: Float[Array, ""]
+    method: AbstractMethod
+    threshold: Float[Array, "1 channels"] | None
+    names: tuple[str, ...] = eqx.field(static=True)
+    local: tuple[str, ...] = eqx.field(static=True)
+    labels: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
+    estimated: tuple[int, ...] = eqx.field(static=True)
+    state_names: tuple[str, ...] = eqx.field(static=True)
+    sharing: Sharing = eqx.field(static=True)
+    most_steps: int = eqx.field(static=True)
+
+    @property
+    def initial_state_names(self) -> tuple[str, ...]:
+        """Names of the states whose initial values are estimated."""
+        return tuple(self.state_names[i] for i in self.estimated)
+
+    @property
+    def work(self) -> int:
+        """Steps x states x tangents of an expansion, which a search takes about twelve of.
+
+        Every step of every simulation is taken with a tangent for each parameter and initial state.
+        """
+        fixed = self.method if isinstance(self.method, FixedStep) else FixedStep()
+        samples = sum(math.prod(part.levels.shape[:2]) for part in self.recorded)
+        tangents = 1 + len(self.names) + len(self.estimated)
+        return samples * fixed.steps_per_sample * len(self.state_names) * tangents
+
+    def first_initial(self) -> Float[Array, "windows s"]:
+        """As recorded."""
+        return jnp.concatenate(
+            [part.initial[:, np.array(self.estimated, int)] for part in self.recorded]
+        )
+
+    def initial_scale(self) -> Float[Array, " s"]:
+        """Size of each estimated state."""
+        return self.scale
+
+    def profiled_energy(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+    ) -> Float[Array, " quantities"]:
+        """Profiled over initial states by Gauss and Newton, while that makes the sum smaller."""
+        if not self.estimated:
+            return self.energy(theta, initial)
+        values = {**self.known, **dict(zip(self.names, theta))}
+        held, initial = held_still((dataclasses.replace(self, known=values, names=()), initial))
+        none = jnp.zeros(0, initial.dtype)
+
+        def tried(state: _Profiling) -> _Profiling:
+            at = held.expansion(none, state.trial)
+            moments = at.moments()
+            better = jnp.sum(at.energy) < jnp.sum(state.energy)
+            energy = jnp.where(better, at.energy, state.energy)
+            gradient = moments[:, 1:, :1]
+            step = -jax.vmap(lambda g, r: solve_scaled(g, r, RIDGE))(moments[:, 1:, 1:], gradient)
+            going = better & (-jnp.sum(gradient * step) > PROFILED * jnp.sum(energy))
+            trial = state.trial + step[:, :, 0]
+            return _Profiling(trial, energy, going & (state.left > 0), state.left - 1)
+
+        infinite = jnp.full(len(self.labels), jnp.inf, initial.dtype)
+        first = _Profiling(initial, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS))
+        return jax.lax.while_loop(lambda state: state.going, tried, first).energy
+
+    @property
+    def steps_label(self) -> str:
+        """The method."""
+        return self.method.label
+
+    def finer(self, factor: int) -> "OutputMisfit | None":
+        """By the method in shorter steps."""
+        method = self.method.finer(factor)
+        return None if method is None else eqx.tree_at(lambda m: m.method, self, method)
+
+    @property
+    def step_factor_limit(self) -> int:
+        """As many as `most_steps` leaves."""
+        steps = self.method.steps_per_sample if isinstance(self.method, FixedStep) else 1
+        return max(self.most_steps // steps, 1)
+
+    def energy(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+    ) -> Float[Array, " quantities"]:
+        """Of each channel, in units of sigma."""
+        found = jnp.zeros(len(self.labels), theta.dtype)
+        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
+
+            def of_window(initial: Array, window: Recorded, i: int = i) -> Array:
+                error = self._error(theta, initial, window, i)
+                return jnp.sum(as_square(error, self.threshold) ** 2, axis=0)
+
+            found = found + jnp.sum(over_windows(of_window, own, part), axis=0)
+        return found
+
+    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
+        """Of each window of each record, in pieces of time."""
+        return self._expansion(theta, initial, for_search)
+
+    def curved(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], found: Expansion
+    ) -> Expansion:
+        """With the curvature of Huber's loss itself, none past its threshold."""
+        return found if self.threshold is None else self._expansion(theta, initial, for_scatter)
+
+    def _expansion(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], columns: Columns
+    ) -> Expansion:
+        pieces, energy = [], jnp.zeros(len(self.labels), theta.dtype)
+        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
+
+            def of_window(initial: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
+                level, slopes = self._columns(theta, initial, window, i)
+                left, right = columns(level, slopes, self.threshold)
+                cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
+                moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
+                upper = jnp.triu(moments, 1)
+                moments = (
+                    moments if left is right else jnp.triu(moments) + jnp.swapaxes(upper, 1, 2)
+                )
+                return moments, jnp.sum(left[..., 0] * right[..., 0], axis=0)
+
+            moments, squares = over_windows(of_window, own, part)
+            pieces.append(moments)
+            energy = energy + jnp.sum(squares, axis=0)
+        return Expansion(pieces, energy)
+
+    @kept_jit
+    def residuals(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+    ) -> list[Float[Array, "windows compared channels"]]:
+        """Simulated minus recorded in units of sigma; 0 where nothing is compared."""
+        return self._by_window(partial(self._error, theta), initial)
+
+    @kept_jit
+    def slopes_by_initial(
+        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+    ) -> list[Float[Array, "windows compared channels s"]]:
+        """Derivatives of `residuals` by the initial states of their window."""
+        return self._by_window(jax.jacfwd(partial(self._error, theta)), initial)
+
+    def _by_window(
+        self, of: Callable[[Array, Recorded, int], Array], initial: Float[Array, "windows s"]
+    ) -> list[Array]:
+        """What is made of each window's initial state, the window and its record's number."""
+        parts = enumerate(zip(self.recorded, self._of_records(initial)))
+        return [
+            over_windows(lambda at, window, i=i: of(at, window, i), own, part)
+            for i, (part, own) in parts
+        ]
+
+    def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
+        """Of simulated minus recorded."""
+        count = sum(jnp.sum(part.present, axis=(0, 1)) for part in self.recorded)
+        return self.sigma * jnp.sqrt(energy / jnp.maximum(count, 1))
+
+    def independent_rows(self) -> Float[Array, ""]:
+        """All that are compared."""
+        return jnp.asarray(sum(jnp.sum(part.present) for part in self.recorded), float)
+
+    def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
+        """By blocks of time."""
+        p = len(self.names)
+        parts, numbers, seconds = [], [], []
+        for part, pieces in zip(self.recorded, expansion.pieces):
+            samples, most = part.short, part.short_blocks
+            number = jnp.clip(-(-part.sample_count // samples), 2, most)
+            moments = jax.vmap(lambda m: _without_initial(m, p))(pieces)
+            position = part.position[:, :: part.piece]
+            index = jnp.minimum(position // samples, number - 1).reshape(-1)
+            held = jnp.sum(_in_pieces(part.present, part.piece, axis=1), axis=(2, 3))
+            flat, held = moments.reshape(-1, *moments.shape[2:]), held.reshape(-1)
+            # Of one window the pieces are the blocks, and there is nothing to add up.
+            if part.windows > 1 or part.piece * part.every != samples or len(flat) != most:
+                flat = jax.ops.segment_sum(flat, index, num_segments=most)
+                held = jax.ops.segment_sum(held, index, num_segments=most)
+            parts.append(NormalEquations(flat, held.astype(flat.dtype), self.names))
+            numbers.append(number)
+            seconds.append(samples * part.time_step)
+        return stack_normal_equations(parts), ShortBlocks(jnp.stack(numbers), jnp.stack(seconds))
+
+    def simulated(
+        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
+    ) -> Float[Array, "compared channels"]:
+        """The channels at the compared samples of one window of record number `index`."""
+        values = {**self.known, **dict(zip(self.names, theta))}
+        system = self.system.build(self.sharing.values_of(self.local, values, index))
+        first = window.initial
+        if self.estimated:
+            first = first.at[np.array(self.estimated)].set(initial)
+        states, kept = window.trajectory(self.method, system, first)
+        found = observed(
+            system, states[:: window.every], window.levels[:: window.every], self.labels
+        )
+        # What a lost simulation shows after its loss must not pass for an answer.
+        return jnp.where(kept, found, jnp.inf)
+
+    def _error(
+        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
+    ) -> Float[Array, "compared channels"]:
+        found = self.simulated(theta, initial, window, index)
+        return jnp.where(window.present, (found - window.measured) / self.sigma[None, :], 0.0)
+
+    def _columns(
+        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
+    ) -> tuple[Float[Array, "compared channels"], Float[Array, "compared channels p+s"]]:
+        """Residuals of one window, and their derivatives by parameters and initial states."""
+        p = theta.shape[0]
+        unknown = jnp.concatenate([theta, initial])
+        return jax.vmap(
+            lambda along: jax.jvp(
+                lambda u: self._error(u[:p], u[p:], window, index), (unknown,), (along,)
+            ),
+            out_axes=(None, 2),
+        )(jnp.eye(unknown.shape[0], dtype=unknown.dtype))
+
+    def _of_records(self, initial: Float[Array, "windows s"]) -> list[Float[Array, "windows s"]]:
+        edges = np.cumsum([part.windows for part in self.recorded])[:-1]
+        return jnp.split(initial, edges)
+
+
+def observed(
+    system: AbstractSystem,
+    states: Float[Array, "n states"],
+    levels: Float[Array, "n inputs"],
+    channels: tuple[str, ...],
+) -> Float[Array, "n channels"]:
+    """Channels of a trajectory: states, their derivatives `d<state>`, and outputs."""
+    names = system.state_names
+    rates = {f"d{name}": i for i, name in enumerate(names)}
+    outputs = dict(system.outputs)
+    flow = made = None
+    columns = []
+    for channel in channels:
+        if channel in names:
+            columns.append(states[:, names.index(channel)])
+        elif channel in outputs:
+            made = jax.vmap(system.output)(states, levels) if made is None else made
+            columns.append(made[channel])
+        else:
+            flow = jax.vmap(system.derivative)(states, levels) if flow is None else flow
+            columns.append(flow[:, rates[channel]])
+    return jnp.stack(columns, axis=-1)
+
+
+def _in_pieces(values: Array, length: int, axis: int = 0) -> Array:
+    """One axis cut into pieces of a length, the last one filled up with zeros."""
+    n = values.shape[axis]
+    count = -(-n // length)
+    pad = [(0, 0)] * values.ndim
+    pad[axis] = (0, count * length - n)
+    shape = (*values.shape[:axis], count, length, *values.shape[axis + 1 :])
+    return jnp.pad(values, pad).reshape(shape)
+
+
+def _without_initial(
+    pieces: Float[Array, "pieces columns columns"], p: int
+) -> Float[Array, "pieces 1+p 1+p"]:
+    """Moments of minus the residual and of its derivatives while initial states follow."""
+    head = jnp.eye(1 + p, dtype=pieces.dtype).at[0, 0].set(-1.0)
+    if pieces.shape[-1] == 1 + p:
+        return jnp.einsum("ia,pij,jb->pab", head, pieces, head)
+    whole = jnp.sum(pieces, axis=0)
+    following = solve_scaled(whole[1 + p :, 1 + p :], whole[1 + p :, 1 : 1 + p], ridge=RIDGE)
+    tail = jnp.concatenate([jnp.zeros_like(whole[1 + p :, :1]), -following], axis=1)
+    mix = jnp.concatenate([head, tail])
+    return jnp.einsum("ia,pij,jb->pab", mix, pieces, mix)
 
 
 class OutputError(AbstractObjective):
@@ -122,7 +898,17 @@ class OutputError(AbstractObjective):
         for record in specified.records:
             for name in system.input_names:
                 _ = record.signals[name]
-        _require_sigma(self.sigma or {}, channels)
+        for name, value in (self.sigma or {}).items():
+            if name not in channels:
+                raise ModelError(
+                    f"sigma is given for '{name}', which is not compared; compared are: "
+                    f"{', '.join(channels)}."
+                )
+            if not is_number(value) or (is_concrete(value) and not 0 < float(value) < np.inf):
+                raise ModelError(
+                    f"sigma of {name} is {value!r}: a standard deviation is a positive number, in "
+                    f"the unit of {name}."
+                )
         given = self.initial_states if isinstance(self.initial_states, Mapping) else {}
         estimated = _estimated(system, specified.records, self.initial_states)
         joined = not estimated
@@ -215,20 +1001,6 @@ def _computed(record: Record, names: Sequence[str]) -> set[str]:
     sources = {n: {sensor(source) for source in record.noise.kernels.get(n, {})} for n in names}
     sensed = {n for n in names if n in sources[n]}
     return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
-
-
-def _require_sigma(sigma: Mapping[str, Any], channels: tuple[str, ...]) -> None:
-    if unknown := [name for name in sigma if name not in channels]:
-        raise ModelError(
-            f"sigma is given for '{unknown[0]}', which is not compared; compared are: "
-            f"{', '.join(channels)}."
-        )
-    for name, value in sigma.items():
-        if not is_number(value) or (is_concrete(value) and not 0 < float(value) < np.inf):
-            raise ModelError(
-                f"sigma of {name} is {value!r}: a standard deviation is a positive number, in the "
-                f"unit of {name}."
-            )
 
 
 def _estimated(

@@ -63,7 +63,7 @@ def discovery_document(
         "path": [
             {
                 "equation": name,
-                "added": _family(step.added),
+                "added": step.added.partition("@")[0],
                 "unexplained": finite(step.unexplained),
                 "of_motion": finite(step.of_motion),
                 "std_error": finite(step.std_error),
@@ -82,7 +82,10 @@ def discovery_document(
             for name in found.estimate.known
         },
         "equation": "; ".join(
-            [*map(equation_in_words, procedure.equations), *_mode_as_equation(found)]
+            [
+                *map(equation_in_words, procedure.equations),
+                *([f"with {_mode_in_words(found.mode)}"] if found.mode else []),
+            ]
         ),
         "model_file": model_file,
         "warnings": [f._asdict() for f in (*found.findings, *found.estimate.findings())],
@@ -106,14 +109,6 @@ def _mode(found: Discovery) -> Document:
             "chosen_again": None,
         }
     }
-
-
-def _mode_as_equation(found: Discovery) -> list[str]:
-    return [] if found.mode is None else [f"with {_mode_in_words(found.mode)}"]
-
-
-def _family(name: str) -> str:
-    return name.partition("@")[0]
 
 
 def _parameters(found: Discovery) -> Document:
@@ -286,17 +281,13 @@ def choice_in_words(document: Document) -> str:
 
 def widths_in_words(document: Document) -> str:
     """Widths of laws that have one."""
-    said = [
-        f"{name} has the width {_with_error(one)} {one['width_unit']}".rstrip()
-        for name, one in document["terms"].items()
-        if one["width"] is not None
-    ]
+    said = []
+    for name, term in document["terms"].items():
+        if term["width"] is not None:
+            error = term["width_std_error"]
+            width = number(term["width"], 4) + (f" +- {number(error, 2)}" if error else "")
+            said.append(f"{name} has the width {width} {term['width_unit']}".rstrip())
     return f"{'; '.join(said)}." if said else ""
-
-
-def _with_error(one: Document) -> str:
-    error = one["width_std_error"]
-    return number(one["width"], 4) + (f" +- {number(error, 2)}" if error else "")
 
 
 def print_discovery(document: Document, console: Console) -> None:

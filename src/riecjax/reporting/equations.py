@@ -4,11 +4,18 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from riecjax.equations.bases import AbstractShape, Polynomial, RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, constant
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.term import (
+    AbstractShape,
+    AbstractTerm,
+    Expression,
+    Polynomial,
+    RoofFunctions,
+    Term,
+    Terms,
+    constant,
+)
 from riecjax.leaves import Leaf, is_concrete
 
 Signed = tuple[bool, str]

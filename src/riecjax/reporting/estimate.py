@@ -1,6 +1,6 @@
 """An estimate in plain data, and as tables on a terminal."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from rich.console import Console
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number
 from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_rich, print_table
+from riecjax.reporting.tables import in_rich, print_table, say
 
 
 def estimate_entries(model: str, estimate: Estimate) -> Document:
@@ -33,12 +33,18 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
             estimate.stage_names, estimate.equation_names, estimate.stages
         )
     ]
-    units = dict(estimate.units)
+    units, parameters = dict(estimate.units), parameter_entries(estimate)
+    # Of each parameter, what only the linear estimate says of its windows too.
+    for i, name in enumerate(estimate.parameters):
+        parameters[name] |= {
+            "naive_std_error": finite(estimate.naive[..., i]),
+            "effective_windows": finite(estimate.effective_windows[..., i]),
+        }
     return {
         "schema": SCHEMA,
         "model": model,
         "criterion": estimate.criterion.describe(),
-        "parameters": _identified(estimate),
+        "parameters": parameters,
         "known": {
             name: {"value": finite(estimate[name]), "unit": units.get(name, "")}
             for name in estimate.known
@@ -64,41 +70,24 @@ def _whole(number: Array) -> Any:
     return np.asarray(number).astype(int).tolist()
 
 
-def _identified(estimate: Estimate) -> dict[str, Any]:
-    """Of each parameter, what only the linear estimate says of its windows too."""
-    entries = parameter_entries(estimate)
-    effective = estimate.effective_windows
-    for i, name in enumerate(estimate.parameters):
-        entries[name] |= {
-            "naive_std_error": finite(estimate.naive[..., i]),
-            "effective_windows": finite(effective[..., i]),
-        }
-    return entries
-
-
 def print_estimate(document: Document, console: Console) -> None:
     """Parameters, refined ones where there are, and what each equation leaves."""
     criterion = document["criterion"]
     settings = ", ".join(f"{k} {v}" for k, v in criterion.items() if k != "name")
     heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
-    console.print(heading, highlight=False, markup=False)
+    say(console, heading)
     print_table(in_rich(parameter_table(document)), console)
-    for line in _residuals_in_words(document["residual"]):
-        console.print(line, highlight=False, markup=False)
-
-
-def _residuals_in_words(residual: Document) -> Iterator[str]:
-    """What each stage leaves, and each equation of a stage of several."""
-    for stage in residual["stages"]:
-        yield (
+    # What each stage leaves, and each equation of a stage of several.
+    for stage in document["residual"]["stages"]:
+        say(
+            console,
             f"{stage['equation']}: relative residual {100 * stage['relative_rms']:.3g} %, "
-            f"condition number {number(stage['condition_number'], 3)}, {stage['rows']} rows"
+            f"condition number {number(stage['condition_number'], 3)}, {stage['rows']} rows",
         )
         for name in several(stage):
-            left = residual["equations"][name]
-            yield (
-                f"{name}: relative residual {100 * left['relative_rms']:.3g} %, {left['rows']} rows"
-            )
+            left = document["residual"]["equations"][name]
+            share = f"{100 * left['relative_rms']:.3g} %"
+            say(console, f"{name}: relative residual {share}, {left['rows']} rows")
 
 
 def several(stage: Document) -> list[str]:

@@ -2,7 +2,6 @@
 
 import functools
 import importlib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -73,29 +72,17 @@ def _(source: Assessment) -> Document:
 
 def to_dict(source: Any) -> dict[str, dict[str, Any]]:
     """Of each parameter its numbers, see [`Tabled.to_dict`][riecjax.shows.Tabled.to_dict]."""
-    return _plain(document_of(on_host(source)))
-
-
-def _plain(document: Document) -> dict[str, dict[str, Any]]:
-    found = {
+    document = document_of(on_host(source))
+    return {
         name: {
             "value": entry["value"],
-            "std_error": entry["std_error"],
-            "interval": tuple(entry["interval95"]),
+            "std_error": entry.get("std_error"),
+            "interval": tuple(entry["interval95"]) if part == "parameters" else None,
             "unit": entry["unit"],
-            "known": False,
+            "known": part == "known",
         }
-        for name, entry in document["parameters"].items()
-    }
-    return found | {
-        name: {
-            "value": entry["value"],
-            "std_error": None,
-            "interval": None,
-            "unit": entry["unit"],
-            "known": True,
-        }
-        for name, entry in document["known"].items()
+        for part in ("parameters", "known")
+        for name, entry in document[part].items()
     }
 
 
@@ -166,17 +153,14 @@ def paper_table(source: Any) -> Table:
             f"a table shows one estimate, not a batch of shape {shape}: take one out by member(0), "
             f"or all of them by to_frame()."
         )
-    return Table(("parameter", "value", "±", "unit"), list(_paper_rows(to_dict(source))))
-
-
-def _paper_rows(entries: dict[str, dict[str, Any]]) -> Iterator[tuple[str, ...]]:
-    for name, entry in entries.items():
+    rows = []
+    for name, entry in to_dict(source).items():
         said = with_error(entry["value"], entry["std_error"])
-        bracketed = said.startswith("(")
-        power = said[said.index(")") + 1 :] if bracketed else ""
+        power = said[said.index(")") + 1 :] if said.startswith("(") else ""
         value, _, error = said.removesuffix(power).strip("()").partition(" ± ")
         error = "known" if entry["known"] else f"{error}{power}"
-        yield name, f"{value}{power}", error, entry["unit"]
+        rows.append((name, f"{value}{power}", error, entry["unit"]))
+    return Table(("parameter", "value", "±", "unit"), rows)
 
 
 def to_markdown(source: Any) -> str:

@@ -6,16 +6,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
 from rich.console import Console
 
 from riecjax.assessment.assessment import Assessment, Refinement
 from riecjax.errors import printable
-from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.records.recording import common_steps
 from riecjax.refinement.refine import Refined
-from riecjax.reporting.charts.chart import BLUE, GREY, RUST, Axis, Chart, Level, Line, Panel
 from riecjax.reporting.checking import (
     excitation_entries,
     noise_entries,
@@ -29,8 +26,8 @@ from riecjax.reporting.estimate import (
     parameter_entries,
     print_estimate,
 )
+from riecjax.reporting.tables import say
 from riecjax.reporting.verdict import as_typed, print_verdict, verdict_entries
-from riecjax.studies.sweep import WindowSweep
 
 
 def identification_document(result: Assessment, command: Sequence[str] = ()) -> Document:
@@ -40,7 +37,11 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
     """
     estimate, refinement = result.estimate, result.refinement
     found = estimate_entries(result.model.name, estimate)
-    identified = found["parameters"]
+    identified, key, sweep = found["parameters"], result.key, result.sweep
+    if key is not None:
+        # The seed that `jax.random.key` makes this key of: its words, the highest first.
+        words = jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
+        seed = int.from_bytes(np.asarray(words).astype(">u4").tobytes(), "big")
     if refinement is not None and refinement.chosen:
         found["parameters"] = parameter_entries(result.answer)
     return {
@@ -50,10 +51,28 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
         "modes": mode_entries(result.modes),
         "excitation": excitation_entries(result.checked),
         "noise": noise_entries(result.recordings, result.checked.signals),
-        "correlation": _correlation(estimate),
+        "correlation": {
+            "parameters": list(estimate.parameters),
+            "matrix": finite(np.asarray(estimate.correlation)),
+        },
         "residual_tests": None if result.residuals is None else result.residuals.describe(),
         "window_choice": None if result.choice is None else result.choice.describe(),
-        "window_sweep": None if result.sweep is None else _sweep_entries(result.sweep),
+        "window_sweep": None
+        if sweep is None
+        else {
+            "alpha": finite(sweep.alpha),
+            "beta": finite(sweep.beta),
+            "parameters": {
+                name: {
+                    "value": finite(sweep.theta[:, j]),
+                    "std_error": finite(sweep.standard_errors[:, j]),
+                }
+                for j, name in enumerate(sweep.parameters)
+            },
+            "relative_rms": {
+                label: finite(sweep.relative_rms[:, i]) for i, label in enumerate(sweep.stage_names)
+            },
+        },
         "refinement": None if refinement is None else refinement_entries(refinement, identified),
         "validation": [
             {"on": run.recording.name, **run.held.describe()} for run in result.validations
@@ -61,7 +80,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
         "warnings": [finding._asdict() for finding in result.findings()],
         "provenance": {
             "command": as_typed(command) if command else None,
-            "seed": _seed(result.key),
+            "seed": None if key is None else seed,
             "records": [
                 {
                     "file": printable(recording.source),
@@ -84,55 +103,8 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
     }
 
 
-def _seed(key: Key[Array, ""] | None) -> int | None:
-    """The seed that `jax.random.key` makes this key of: its words, the highest first."""
-    if key is None:
-        return None
-    words = jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
-    return int.from_bytes(np.asarray(words).astype(">u4").tobytes(), "big")
-
-
-def _correlation(estimate: Estimate) -> dict[str, Any]:
-    return {
-        "parameters": list(estimate.parameters),
-        "matrix": [[finite(float(value)) for value in row] for row in estimate.correlation],
-    }
-
-
-def _sweep_entries(sweep: WindowSweep) -> dict[str, Any]:
-    return {
-        "alpha": [float(value) for value in sweep.alpha],
-        "beta": [float(value) for value in sweep.beta],
-        "parameters": {
-            name: {
-                "value": [finite(float(value)) for value in sweep.theta[:, j]],
-                "std_error": [finite(float(value)) for value in sweep.standard_errors[:, j]],
-            }
-            for j, name in enumerate(sweep.parameters)
-        },
-        "relative_rms": {
-            label: [finite(float(value)) for value in sweep.relative_rms[:, i]]
-            for i, label in enumerate(sweep.stage_names)
-        },
-    }
-
-
 def print_identification(document: Document, console: Console) -> None:
     """The verdict, and in a line what the values are."""
-    print_verdict(document, console)
-    console.print()
-    if converted := document["provenance"]["converted"]:
-        said = ", ".join(f"{name} from {unit}" for name, unit in converted.items())
-        console.print(f"Converted to SI: {said}.", highlight=False, markup=False)
-    for line in (_answer_in_words(document), *modes_in_words(document["modes"])):
-        console.print(line, highlight=False, markup=False)
-    for validation in document["validation"]:
-        line = f"validated on {validation['on']}: {validation['verdict']}"
-        console.print(line, highlight=False, markup=False)
-
-
-def _answer_in_words(document: Document) -> str:
-    """Where the values come from, and how much there is to say beside them."""
     refinement, criterion = document["refinement"], document["criterion"]
     how = criterion["name"].upper()
     if "alpha" in criterion:
@@ -143,29 +115,41 @@ def _answer_in_words(document: Document) -> str:
         how = f"refined by simulation{', which leaves white noise' if white else ''}"
     said = len(document["warnings"])
     more = f" {said} finding{'s' if said != 1 else ''} and" if said else ""
-    return f"Values: {how}. Add --verbose for{more} how they were found."
+    print_verdict(document, console)
+    say(console, "")
+    if converted := document["provenance"]["converted"]:
+        units = ", ".join(f"{name} from {unit}" for name, unit in converted.items())
+        say(console, f"Converted to SI: {units}.")
+    say(
+        console,
+        f"Values: {how}. Add --verbose for{more} how they were found.",
+        *modes_in_words(document["modes"]),
+        *_validations_in_words(document),
+    )
 
 
 def print_everything(document: Document, console: Console) -> None:
     """The verdict, and all there is to say of how it came about."""
     print_verdict(document, console)
-    console.print()
-    for equation in document["equations"]:
-        console.print(equation, highlight=False, markup=False)
+    say(console, "", *document["equations"])
     print_estimate(document, console)
     refinement = document["refinement"]
-    for line in modes_in_words(document["modes"]):
-        console.print(line, highlight=False, markup=False)
+    say(console, *modes_in_words(document["modes"]))
     if refinement is not None:
-        for line in (choice_in_words(refinement), *refinement_in_words(refinement)):
-            console.print(line, highlight=False, markup=False)
-    for line in windows_in_words(document):
-        console.print(line, highlight=False, markup=False)
-    for validation in document["validation"]:
-        line = f"validated on {validation['on']}: {validation['verdict']}"
-        console.print(line, highlight=False, markup=False)
-    for step in document["provenance"]["preparation"]:
-        console.print(f"prepared: {step}", highlight=False, markup=False)
+        say(console, choice_in_words(refinement))
+        # What became of the search, if its values are the answer.
+        if refinement["refined"] is not None and refinement["chosen"]:
+            say(console, *search_in_words(refinement))
+    say(
+        console,
+        *windows_in_words(document),
+        *_validations_in_words(document),
+        *(f"prepared: {step}" for step in document["provenance"]["preparation"]),
+    )
+
+
+def _validations_in_words(document: Document) -> Iterator[str]:
+    return (f"validated on {run['on']}: {run['verdict']}" for run in document["validation"])
 
 
 def windows_in_words(document: Document) -> Iterator[str]:
@@ -183,10 +167,6 @@ def windows_in_words(document: Document) -> Iterator[str]:
             f"{high:.3g} to {low:.3g} Hz. {choice['reason']}"
         )
     yield from noise_in_words(document["noise"])
-
-
-LOWEST = 0.3
-"""Where nothing is left, beside the least that is, on a logarithmic axis."""
 
 
 def mode_entries(modes: Sequence[ModeEvidence]) -> list[Document]:
@@ -251,37 +231,6 @@ def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
                 f"no mode near {stray['asked_hz']:.4g} Hz: the search for "
                 f"{stray['parameters'][0]} ended at {number(stray['found_hz'], 3)} Hz."
             )
-
-
-def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
-    """What a mode at each frequency leaves of its equation, and what is left without one."""
-    rows = []
-    for mode in modes:
-        frequency = np.asarray(mode.map.frequency)
-        left = np.asarray(mode.map.unexplained)
-        # Where no mode fits there is no best damping either, which the other share depends on.
-        fits = np.isfinite(left)
-        # A logarithmic axis has no room for nothing.
-        floor = LOWEST * np.min(left, where=left > 0, initial=1.0)
-        shown = np.where(fits, np.maximum(left, floor), np.nan)
-        without = np.where(fits, np.asarray(mode.map.without), np.nan)
-        marks = [
-            Line(frequency, without, "without a mode", GREY),
-            Line(frequency, shown, "with a mode there", RUST, markers=True),
-            Level(mode.frequency[0], "x", "the mode found", BLUE, "dashed"),
-        ]
-        share = Axis(f"share of {mode.stage} unexplained", log=True)
-        rows.append([Panel(marks, Axis("frequency of the mode / Hz", log=True), share)])
-    return Chart(
-        rows,
-        "The mode map: of each frequency that a hidden mode could have, the share of the target's "
-        "energy that the equation then leaves, at the best mass and the best damping ratio from "
-        "0.02 to 0.8. Both shares are of the equation multiplied by that mode's own polynomial, "
-        "so that the share without a mode, too, depends on its frequency and damping; where the "
-        "best damping jumps from one value to another, it has a step. Gaps are frequencies at "
-        "which only a negative mass would fit; at the lowest points noise accounts for all.",
-        legend=True,
-    )
 
 
 def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Document:
@@ -358,10 +307,13 @@ def choice_in_words(entries: Document) -> str:
     if entries["refined"] is None:
         return f"not refined: {declined}."
     if declined is not None and not left["white"]:
+        unseen = [run for run in entries["simulations"] if not run["fitted"]]
+        fits = (f"{r['on']} {_worst(r['before'])} -> {_worst(r['after'])} %" for r in unseen)
+        predicted = f" (worst fit on {', '.join(fits)})" if unseen else ""
         return (
             f"refined by output error, but that is not the answer: {declined}. The identified "
             f"values are the physical parameters; the refined ones are for predicting motions like "
-            f"these{_predicted(entries)}."
+            f"these{predicted}."
         )
     if declined is not None:
         return f"refined by output error, but that is not the answer: {declined}."
@@ -387,25 +339,10 @@ def choice_in_words(entries: Document) -> str:
     )
 
 
-def _predicted(entries: Document) -> str:
-    said = [
-        f"{run['on']} {_worst(run['before'])} -> {_worst(run['after'])} %"
-        for run in entries["simulations"]
-        if not run["fitted"]
-    ]
-    return f" (worst fit on {', '.join(said)})" if said else ""
-
-
 def _worst(described: Document) -> str:
     fits = [s["fit_percent"] for s in described["signals"].values() if s["judged"]]
     known = [fit for fit in fits if fit is not None]
     return f"{min(known):.4g}" if known else "?"
-
-
-def refinement_in_words(entries: Document) -> Iterator[str]:
-    """What was refined, what it left, and what became of predictions, if it is the answer."""
-    if entries["refined"] is not None and entries["chosen"]:
-        yield from search_in_words(entries)
 
 
 def search_in_words(entries: Document) -> Iterator[str]:
@@ -416,10 +353,15 @@ def search_in_words(entries: Document) -> Iterator[str]:
         f"({entries['steps']} steps)"
     )
     yield f"left before and after, of {entries['basis']}:"
+    whiteness = entries["whiteness"]
+    tested = whiteness is not None and not whiteness["vanishing"]
     for name, left in entries["left"].items():
+        # Beside what the sensor's noise would leave.
+        power = whiteness["channels"].get(name, {}).get("chi_squared") if tested else None
+        noise = "" if power is None else f", {number(power**0.5, 3)} times the sensor's noise"
         yield (
             f"{name}: {_number(left['before'])} before, {_number(left['after'])} {left['unit']} "
-            f"r.m.s. after{_in_noise(entries, name)}"
+            f"r.m.s. after{noise}"
         )
     for run in entries["simulations"]:
         where = f"{run['on']} (fitted)" if run["fitted"] else run["on"]
@@ -433,15 +375,6 @@ def search_in_words(entries: Document) -> Iterator[str]:
         f"refined intervals: {intervals['method']}, {intervals['blocks']} blocks of "
         f"{intervals['block_seconds']:.3g} s; of what was identified:"
     )
-
-
-def _in_noise(entries: Document, name: str) -> str:
-    """What is left beside what the sensor's noise would leave."""
-    left = entries["whiteness"]
-    if left is None or left["vanishing"]:
-        return ""
-    power = left["channels"].get(name, {}).get("chi_squared")
-    return "" if power is None else f", {number(power**0.5, 3)} times the sensor's noise"
 
 
 def _fit(described: Document, name: str) -> str:

@@ -1,6 +1,6 @@
 """Figures of an identification: fit, window sweep, validation."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.assessment.asked import TINY
-from riecjax.assessment.assessment import Assessment, ValidationRun
+from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import evaluate
-from riecjax.equations.term import Terms
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import values_of_record
 from riecjax.records.record import Record, samples_with_nan
@@ -42,13 +42,19 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
-from riecjax.reporting.identification import mode_map_figure
 from riecjax.studies.choice import WindowChoice
 from riecjax.studies.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residuals import EquationResidual, ResidualTests
-from riecjax.validation.time_series import CrossCorrelation, ErrorSpectrum, unbroken
+from riecjax.validation.residuals import (
+    CrossCorrelation,
+    EquationResidual,
+    ErrorSpectrum,
+    ResidualTests,
+    unbroken,
+)
 
+LOWEST = 0.3
+"""Where nothing is left, beside the least that is, on a logarithmic axis."""
 MOST_POINTS = 4000
 """Samples or windows of a panel that are drawn."""
 NORMAL_95 = 1.96
@@ -76,7 +82,7 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
         figures |= window_choice_figures(result.choice)
     for i, run in enumerate(result.validations):
         if run.held.signals:
-            figures[f"validation_{i + 1}"] = validation_figure(run)
+            figures[f"validation_{i + 1}"] = held_out_figure(run.held, f"{run.recording.name}: ")
     return figures
 
 
@@ -139,13 +145,39 @@ def correlation_figure(estimate: Estimate) -> Chart:
     )
 
 
-def validation_figure(run: ValidationRun) -> Chart:
-    """Measured and simulated signals over time."""
-    return held_out_figure(run.held, f"{run.recording.name}: ")
+def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
+    """What a mode at each frequency leaves of its equation, and what is left without one."""
+    rows = []
+    for mode in modes:
+        frequency = np.asarray(mode.map.frequency)
+        left = np.asarray(mode.map.unexplained)
+        # Where no mode fits there is no best damping either, which the other share depends on.
+        fits = np.isfinite(left)
+        # A logarithmic axis has no room for nothing.
+        floor = LOWEST * np.min(left, where=left > 0, initial=1.0)
+        shown = np.where(fits, np.maximum(left, floor), np.nan)
+        without = np.where(fits, np.asarray(mode.map.without), np.nan)
+        marks = [
+            Line(frequency, without, "without a mode", GREY),
+            Line(frequency, shown, "with a mode there", RUST, markers=True),
+            Level(mode.frequency[0], "x", "the mode found", BLUE, "dashed"),
+        ]
+        share = Axis(f"share of {mode.stage} unexplained", log=True)
+        rows.append([Panel(marks, Axis("frequency of the mode / Hz", log=True), share)])
+    return Chart(
+        rows,
+        "The mode map: of each frequency that a hidden mode could have, the share of the target's "
+        "energy that the equation then leaves, at the best mass and the best damping ratio from "
+        "0.02 to 0.8. Both shares are of the equation multiplied by that mode's own polynomial, "
+        "so that the share without a mode, too, depends on its frequency and damping; where the "
+        "best damping jumps from one value to another, it has a step. Gaps are frequencies at "
+        "which only a negative mass would fit; at the lowest points noise accounts for all.",
+        legend=True,
+    )
 
 
 def held_out_figure(held: HeldOut, about: str = "") -> Chart:
-    """The same, its caption after a few words about the recording."""
+    """Measured and simulated signals over time; the caption after words about the recording."""
     assert held.measured is not None
     measured, names = held.measured, list(held.signals)
     units, time = dict(measured.units), np.asarray(measured.elapsed)

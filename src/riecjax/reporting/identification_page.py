@@ -1,11 +1,10 @@
 """The page of an identification, and its folder."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from riecjax.assessment.assessment import Assessment
-from riecjax.reporting.checking import named
+from riecjax.reporting.checking import excitation_table, named
 from riecjax.reporting.document import Document, ends_of, number
 from riecjax.reporting.estimate import parameter_table, several
 from riecjax.reporting.identification import (
@@ -33,7 +32,11 @@ def identification_page(document: Document) -> Page:
         _refinement(document["refinement"]),
         _fit(document),
         Section("Curves", charts=("curves",)),
-        _modes(document["modes"]),
+        Section(
+            "Hidden modes",
+            [_sentence(line) for line in modes_in_words(document["modes"])],
+            charts=("mode_map",) if document["modes"] else (),
+        ),
         _validation(document["validation"]),
         _residuals(document["residual_tests"] or {}),
         Section("Estimates by window length", charts=("window_sweep",)),
@@ -64,7 +67,8 @@ def _answer(document: Document) -> Section:
         rows.append(
             (
                 *(name, number(entry["value"]), entry["unit"], doubt_in_words(judged["share"])),
-                *(_interval(judged["doubt"]), judged["level"], judged["reason"]),
+                BETWEEN.format(*ends_of(judged["doubt"])),
+                *(judged["level"], judged["reason"]),
             )
         )
     header = ("parameter", "value", "unit", "doubt", "from .. to", "verdict", "because of")
@@ -90,32 +94,15 @@ def _parameters(document: Document) -> Section:
     return Section(
         "Parameters",
         text=[_sentence(line) for line in (*said, by, *windows_in_words(document))],
-        tables=[parameter_table(document, BETWEEN), _excitation(document["excitation"])],
-        charts=("correlation",),
-    )
-
-
-def _modes(modes: list[Document]) -> Section | None:
-    if not modes:
-        return None
-    text = [_sentence(line) for line in modes_in_words(modes)]
-    return Section("Hidden modes", text=text, charts=("mode_map",))
-
-
-def _excitation(entries: Mapping[str, Any]) -> Table:
-    return Table(
-        ("parameter", "equation", "own share / %", "noise / %"),
-        [
-            (
-                name,
-                entry["equation"],
-                _percent(entry["own_share"], 3),
-                _percent(entry["noise_share"], 2),
-            )
-            for name, entry in entries.items()
+        tables=[
+            parameter_table(document, BETWEEN),
+            excitation_table(
+                document["excitation"],
+                "How each is excited: the share of its regressor that no combination of the others "
+                "could do as well, and the share that sensors' noise makes up",
+            ),
         ],
-        "How each is excited: the share of its regressor that no combination of the others could "
-        "do as well, and the share that sensors' noise makes up",
+        charts=("correlation",),
     )
 
 
@@ -123,10 +110,15 @@ def _refinement(entries: Document | None) -> Section | None:
     if entries is None or entries["refined"] is None:
         return None
     by, *_, intervals = search_in_words(entries)
-    header, channels = ["left, r.m.s.", "before", "after", "unit"], {}
-    if entries["whiteness"] is not None:
+    header, channels, caption = ["left, r.m.s.", "before", "after", "unit"], {}, ""
+    if (whiteness := entries["whiteness"]) is not None:
         header += ["whiteness", "chi-squared"]
-        channels = entries["whiteness"]["channels"]
+        channels = whiteness["channels"]
+        caption = (
+            f"Whiteness: Ljung-Box over 20 lags, 1 of white noise, which stays below "
+            f"{whiteness['threshold']:.2g}. Chi-squared: what is left in units of the sensor's "
+            f"noise power"
+        )
     left = [
         (
             *(name, number(one["before"], 4), number(one["after"], 4), one["unit"]),
@@ -135,13 +127,18 @@ def _refinement(entries: Document | None) -> Section | None:
         for name, one in entries["left"].items()
     ]
     fits = [
-        (f"{run['on']}{' (fitted)' if run['fitted'] else ''}: {name}", *_before_after(run, name))
+        (
+            f"{run['on']}{' (fitted)' if run['fitted'] else ''}: {name}",
+            *(
+                _fixed((run[when]["signals"].get(name) or {}).get("fit_percent"))
+                for when in ("before", "after")
+            ),
+        )
         for run in entries["simulations"]
         for name in run["after"]["signals"]
     ]
-    tables = [Table(header, left, _about(entries["whiteness"]))]
-    if fits:
-        tables.append(Table(("simulated, fit", "before / %", "after / %"), fits))
+    tables = [Table(header, left, caption)]
+    tables.append(Table(("simulated, fit", "before / %", "after / %"), fits))
     at_bound = entries["at_bound"]
     return Section(
         "Refinement",
@@ -156,20 +153,6 @@ def _refinement(entries: Document | None) -> Section | None:
     )
 
 
-def _about(left: Document | None) -> str:
-    if left is None:
-        return ""
-    return (
-        f"Whiteness: Ljung-Box over 20 lags, 1 of white noise, which stays below "
-        f"{left['threshold']:.2g}. Chi-squared: what is left in units of the sensor's noise power"
-    )
-
-
-def _before_after(run: Document, name: str) -> Iterator[str]:
-    for when in ("before", "after"):
-        yield _fixed((run[when]["signals"].get(name) or {}).get("fit_percent"))
-
-
 def _fit(document: Document) -> Section:
     residual, rows = document["residual"], []
     for stage in residual["stages"]:
@@ -177,14 +160,14 @@ def _fit(document: Document) -> Section:
             (
                 stage["equation"],
                 ", ".join(stage["parameters"]),
-                _percent(stage["relative_rms"], 3),
+                _percent(stage["relative_rms"]),
                 number(stage["condition_number"], 3),
                 str(stage["rows"]),
             )
         )
         for name in several(stage):
             left = residual["equations"][name]
-            rows.append((name, "", _percent(left["relative_rms"], 3), "", str(left["rows"])))
+            rows.append((name, "", _percent(left["relative_rms"]), "", str(left["rows"])))
     header = ("equation", "estimates", "relative residual / %", "condition number", "rows")
     return Section("Fit", tables=[Table(header, rows)], charts=("fit",))
 
@@ -220,16 +203,16 @@ def _validation(runs: list[Document]) -> Section | None:
 
 
 def _residuals(tests: Mapping[str, Document]) -> Section:
-    rows = [
-        (
-            name,
-            _percent(one["relative_rms"], 3),
-            "none" if one["peak"] is None else f"{one['peak']['frequency']:.3g}",
-            *_strongest(one["follows"]),
-            number(one["correlation_time_s"], 2),
-        )
-        for name, one in tests.items()
-    ]
+    rows = []
+    for name, one in tests.items():
+        strongest = ("none", "", "", "")
+        if one["follows"]:
+            first = one["follows"][0]
+            correlation, bound = (f"{first[key]:.2f}" for key in ("correlation", "bound"))
+            strongest = (first["signal"], correlation, bound, number(first["lag_s"], 3))
+        peak = "none" if one["peak"] is None else f"{one['peak']['frequency']:.3g}"
+        left, alike = _percent(one["relative_rms"]), number(one["correlation_time_s"], 2)
+        rows.append((name, left, peak, *strongest, alike))
     header = (
         "equation",
         "error / %",
@@ -248,20 +231,8 @@ def _residuals(tests: Mapping[str, Document]) -> Section:
     )
 
 
-def _strongest(follows: list[Document]) -> tuple[str, str, str, str]:
-    if not follows:
-        return ("none", "", "", "")
-    first = follows[0]
-    return (
-        first["signal"],
-        f"{first['correlation']:.2f}",
-        f"{first['bound']:.2f}",
-        number(first["lag_s"], 3),
-    )
-
-
 def _residual_in_words(name: str, one: Document) -> str:
-    said = [f"{name}: the error is {_percent(one['relative_rms'], 3)} % of the target"]
+    said = [f"{name}: the error is {_percent(one['relative_rms'])} % of the target"]
     if (peak := one["peak"]) is not None:
         said.append(
             f"{100 * peak['share']:.0f} % of its power lies from {peak['low']:.3g} to "
@@ -291,8 +262,8 @@ def _choice(choice: Document | None) -> Section | None:
     rows = [
         (
             name,
-            _percent(one["current_error_share"], 3),
-            _percent(one["least_error_share"], 3),
+            _percent(one["current_error_share"]),
+            _percent(one["least_error_share"]),
             number(one["best_length_s"], 3),
         )
         for name, one in choice["equations"].items()
@@ -328,11 +299,7 @@ def _sentence(line: str) -> str:
     return f"{line[0].upper()}{line[1:].rstrip('.')}."
 
 
-def _interval(ends: list[float | None]) -> str:
-    return BETWEEN.format(*ends_of(ends))
-
-
-def _percent(share: float | None, digits: int) -> str:
+def _percent(share: float | None, digits: int = 3) -> str:
     return number(None if share is None else 100 * share, digits)
 
 

@@ -237,7 +237,9 @@ def banded(
     """
     values = np.asarray(over_roads)
     with np.errstate(invalid="ignore"):
-        low, middle, high = (_quantile(values, q) for q in (0.025, 0.5, 0.975))
+        # Of an order that is there: between a number and infinity lies nothing.
+        shares = (0.025, 0.5, 0.975)
+        low, middle, high = np.quantile(values, shares, axis=0, method="nearest")
     drawn = np.abs(middle) <= shown
     return Line(
         x,  # pyright: ignore[reportArgumentType]
@@ -248,11 +250,6 @@ def banded(
         low=np.where(drawn, low, np.nan),
         high=np.where(drawn & np.isfinite(high), np.minimum(high, 1e9), np.nan),
     )
-
-
-def _quantile(values: np.ndarray, share: float) -> np.ndarray:
-    # Of an order that is there: between a number and infinity lies nothing.
-    return np.quantile(values, share, axis=0, method="nearest")
 
 
 def tables_at_a_glance(roads: RoadResult) -> Chart:
@@ -338,25 +335,11 @@ QUANTITIES = {
 }
 
 
-def figure_9(trajectories: dict[str, Trajectories]) -> Chart:
-    """On a Robson road."""
-    return _figure(
-        trajectories["road"], SHOWN["road"], "Figure 9. Validation of B_id models on a Robson road."
-    )
-
-
-def figure_10(trajectories: dict[str, Trajectories]) -> Chart:
-    """On the pot-hole."""
-    return _figure(
-        trajectories["pothole"],
-        SHOWN["pothole"],
-        "Figure 10. Validation of B_id models on the pot-hole.",
-    )
-
-
-def _figure(found: Trajectories, between: tuple[float, float], caption: str) -> Chart:
+def figures_9_and_10(found: Trajectories, where: str, caption: str) -> Chart:
+    """What identified models predict of the source's motion on one of the inputs."""
     time = np.asarray(found.time)
-    drawn = (time >= between[0]) & (time <= between[1])
+    first, last = SHOWN[where]
+    drawn = (time >= first) & (time <= last)
     rows = []
     for i, state in enumerate(VALIDATED_STATES):
         what, unit, factor = QUANTITIES[state]
@@ -591,8 +574,16 @@ def study_charts(study: PaperStudy, shapes: Reconstruction) -> dict[str, Chart]:
     """All figures of the paper, and the map of window lengths."""
     return table_charts(study.roads, shapes) | {
         "figure_2": figure_2(study.demonstrations),
-        "figure_9": figure_9(study.trajectories),
-        "figure_10": figure_10(study.trajectories),
+        "figure_9": figures_9_and_10(
+            study.trajectories["road"],
+            "road",
+            "Figure 9. Validation of B_id models on a Robson road.",
+        ),
+        "figure_10": figures_9_and_10(
+            study.trajectories["pothole"],
+            "pothole",
+            "Figure 10. Validation of B_id models on the pot-hole.",
+        ),
         "figure_11": figure_11(study.variations),
         "figure_12": figure_12(study.variations),
         "figure_13": figure_13(study.damper, study.variations),

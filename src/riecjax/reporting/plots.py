@@ -34,10 +34,10 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of, needed
-from riecjax.reporting.identification import mode_map_figure
 from riecjax.reporting.identification_figures import (
     held_out_figure,
     identification_figures,
+    mode_map_figure,
     spectra_figure,
     sweep_figure,
 )
@@ -107,24 +107,10 @@ def _(thing: AbstractEstimate) -> Chart:
     return relative_figure({"": document_of(on_host(thing))})
 
 
-@chart_of.register
-def _(thing: WindowSweep) -> Chart:
-    return sweep_figure(thing)
-
-
-@chart_of.register
-def _(thing: ModeEvidence) -> Chart:
-    return mode_map_figure([thing])
-
-
-@chart_of.register
-def _(thing: HeldOut) -> Chart:
-    return held_out_figure(thing)
-
-
-@chart_of.register
-def _(thing: ResidualTests) -> Chart:
-    return spectra_figure(thing)
+chart_of.register(WindowSweep, sweep_figure)
+chart_of.register(HeldOut, held_out_figure)
+chart_of.register(ResidualTests, spectra_figure)
+chart_of.register(ModeEvidence, lambda thing: mode_map_figure([thing]))
 
 
 @chart_of.register
@@ -180,10 +166,13 @@ def relative_figure(documents: Mapping[str, Document]) -> Chart:
     reach = max((end for end in ends if math.isfinite(end)), default=1.0)
     limit = FARTHEST if reach > FARTHEST else None
     several = len(documents) > 1
-    labels = tuple(n if several else _value_in_words(n, first[n]) for n in names)
+    labels = []
+    for name in names:
+        value = "" if several else with_error(first[name]["value"], first[name]["std_error"])
+        labels.append(name if several else f"{name} = {value} {first[name]['unit']}".rstrip())
     of = f"the value of {next(iter(documents))}" if several else "the value"
     x = Axis(f"95 % interval, from {of} / %", low=None if limit is None else -limit, high=limit)
-    y = Axis(categories=labels, low=-0.5, high=len(names) - 0.5, reverse=True)
+    y = Axis(categories=tuple(labels), low=-0.5, high=len(names) - 0.5, reverse=True)
     return single(marks, x, y, "Parameters with their 95 % intervals.")
 
 
@@ -212,7 +201,3 @@ def _percent(values: Iterable[Any], reference: Any) -> list[float]:
     if not reference:
         return [math.nan for _ in values]
     return [math.nan if v is None else 100 * (v - reference) / abs(reference) for v in values]
-
-
-def _value_in_words(name: str, entry: Mapping[str, Any]) -> str:
-    return f"{name} = {with_error(entry['value'], entry['std_error'])} {entry['unit']}".rstrip()

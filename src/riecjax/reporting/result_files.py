@@ -163,7 +163,7 @@ def _unreadable(file: Path) -> Iterator[None]:
 
 
 def _results(file: Path) -> Results:
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise DataError(f"there is no file '{file}'.")
     with _unreadable(file):
         text = read_plain(file).decode()

@@ -131,7 +131,12 @@ def in_latex(table: Table) -> str:
     for row in table.rows:
         cells = [latex_name(row[0])]
         for header, cell in zip(table.header[1:], row[1:]):
-            cells.append(latex_unit(cell) if header == "unit" else _latex_number(cell))
+            said = latex_unit(cell) if header == "unit" else _latex_text(cell)
+            if header != "unit" and re.match(r"[-(]?\d", cell):
+                plain = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
+                said = re.sub(r"10\^(-?\d+)", r"10^{\1}", plain)
+                said = f"${said}$"
+            cells.append(said)
         rows.append(f"{' & '.join(cells)} \\\\")
     align = "".join("l" if h in (table.header[0], "unit") else "r" for h in table.header)
     head = f"{' & '.join(map(_latex_text, table.header))} \\\\"
@@ -162,14 +167,6 @@ def latex_unit(unit: str) -> str:
 def _latex_text(text: str) -> str:
     text = text.replace("±", "$\\pm$").replace("Δ", "$\\Delta$")
     return re.sub(r"([_%&#])", r"\\\1", text)
-
-
-def _latex_number(cell: str) -> str:
-    if not re.match(r"[-(]?\d", cell):
-        return _latex_text(cell)
-    said = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
-    raised = re.sub(r"10\^(-?\d+)", r"10^{\1}", said)
-    return f"${raised}$"
 
 
 def with_error(value: float | None, error: float | None) -> str:

@@ -7,12 +7,11 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from riecjax.assessment.verdict import Cause, Step, Verdict, percent
 from riecjax.reporting.document import Document, ends_of, finite, number
-from riecjax.reporting.tables import print_table
+from riecjax.reporting.page import Table
+from riecjax.reporting.tables import in_rich, print_table, say
 
 MOST_STEPS = 3
 """Things to do next that are told."""
@@ -137,39 +136,26 @@ def _grouped(words: Sequence[str]) -> list[list[str]]:
 def print_verdict(document: Document, console: Console) -> None:
     """Sentence, table, reasons and what to do next."""
     entries = document["verdict"]
-    console.print(Text(entries["sentence"], style="bold"))
-    console.print()
-    print_table(_table(document), console)
-    for line in reasons_in_words(entries):
-        console.print(line, highlight=False, markup=False)
+    say(console, entries["sentence"], style="bold")
+    say(console, "")
+    # The answer with its doubt and level; standard errors are in the full table.
+    rows = []
+    for name, entry in document["parameters"].items():
+        judged, ends = entries["parameters"][name], entry["interval95"]
+        interval = "?" if None in ends else " .. ".join(ends_of(ends))
+        doubt = doubt_in_words(judged["share"])
+        value = number(entry["value"])
+        rows.append((name, value, interval, doubt, entry["unit"], judged["level"]))
+    for name, entry in document["known"].items():
+        rows.append((name, number(entry["value"]), "known", "", entry["unit"], ""))
+    header = ("parameter", "value", "95 % interval", "doubt", "unit", "verdict")
+    print_table(in_rich(Table(header, rows), header[1:4], STYLES), console)
+    say(console, *reasons_in_words(entries))
     for step in entries["next"]:
-        console.print()
-        ending = ":" if step["command"] else "."
-        console.print(f"{step['words']}{ending}", highlight=False, markup=False)
+        say(console, "", f"{step['words']}{':' if step['command'] else '.'}")
         if step["command"]:
             # Not wrapped: a command is to be pasted.
-            console.print(f"  {step['command']}", highlight=False, markup=False, soft_wrap=True)
-
-
-def _table(document: Document) -> Table:
-    """The answer with its doubt and level; standard errors are in the full table."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for column in ("parameter", "value", "95 % interval", "doubt", "unit", "verdict"):
-        right = column in ("value", "95 % interval", "doubt")
-        table.add_column(column, justify="right" if right else "left", no_wrap=True)
-    for name, entry in document["parameters"].items():
-        judged = document["verdict"]["parameters"][name]
-        table.add_row(
-            Text(name),
-            number(entry["value"]),
-            "?" if None in entry["interval95"] else " .. ".join(ends_of(entry["interval95"])),
-            doubt_in_words(judged["share"]),
-            Text(entry["unit"]),
-            Text(judged["level"], style=STYLES[judged["level"]]),
-        )
-    for name, entry in document["known"].items():
-        table.add_row(Text(name), number(entry["value"]), "known", "", Text(entry["unit"]), "")
-    return table
+            say(console, f"  {step['command']}", wrapped=False)
 
 
 def doubt_in_words(share: float | None) -> str:

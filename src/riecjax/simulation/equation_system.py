@@ -13,7 +13,7 @@ the coefficients, and is checked where they are known.
 A system to simulate, made from the very equations that were identified.
 
 Let z be the unknowns: the highest derivative of each signal that moves, and what static equations
-such as F_t = K_t x1 determine (`motions` reads off which these are). Mechanics is linear in its
+such as F_t = K_t x1 determine (`read_structure` finds which these are). Mechanics is linear in its
 accelerations, so the residuals r of all equations are affine in z,
 
     r(z) = r0 + J z,    and they vanish at    z = -J^-1 r0,
@@ -22,9 +22,35 @@ which is what a solver of differential equations asks for. r0 is r(0). Column i 
 derivative of r along e_i: exact for any expression that reads z linearly, where a difference
 quotient would round, and all columns share one linearisation. J holds masses and their couplings;
 for one unknown z is a division.
+
+Hidden modes attached to a system that was written by hand.
+
+Where the body's acceleration is coupled to no other, as in m v' = F(x, u), a force f that is taken
+from the body changes v' by f / m and nothing else: the system need not be known from the inside.
+Whether that is so, its equations tell.
+
+Hidden modes written out for a simulation: two more states each, and their force on the body.
+
+With velocity v of the body, w of the mass, and deflection d,
+
+    d' = v - w,    M w' = f,    f = K d + B (v - w),
+
+and every equation that accelerates the body gains f, with the sign of its inertia. No acceleration
+is in f, so that the equations have no more unknowns than without modes.
+
+Springs in series with force elements, written out for a simulation: one more state each.
+
+With f the force of both, v the velocity across them and v_in(f) that across the element alone,
+
+    f' = K (v - v_in(f)),
+
+v_in being the inverse of the element's law: f / c of a linear one, and of a piecewise linear map
+through (v_i, F_i) the map through (F_i, v_i). The law must rise; where values tried on the way to
+an answer do not, a least slope stands in for them.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -35,22 +61,174 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression
+from riecjax.equations.hidden_elements import (
+    HiddenMode,
+    ModeParameters,
+    SeriesSpring,
+    element_sign,
+    inertia_sign,
+    stiffness_name,
+)
 from riecjax.equations.procedure import Procedure, as_procedure
-from riecjax.equations.term import AbstractTerm, Term, Terms
+from riecjax.equations.term import AbstractTerm, Expression, RoofFunctions, Term, Terms, difference
 from riecjax.errors import ModelError, users_code
-from riecjax.leaves import is_concrete
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.signals import Signals
-from riecjax.simulation.hidden_elements import (
-    ModeStates,
-    SpringElement,
-    carried_states,
-    with_forces,
-    with_springs,
-)
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Quantities
+
+
+class ModeStates(NamedTuple):
+    """Names of a mode's states, and of what they depend on.
+
+    **Fields:** `deflection`, body minus mass; `velocity` of the mass; `body`, the signal that is
+    the body's velocity; `parameters`; `units` of the two states.
+    """
+
+    deflection: str
+    velocity: str
+    body: str
+    parameters: ModeParameters
+    units: tuple[str, str]
+
+    @classmethod
+    def of(cls, number: int, mode: HiddenMode, equations: Sequence[Equation]) -> "ModeStates":
+        """Of the mode with this number, from 0, that some of the equations have."""
+        name = "mode" if number == 0 else f"mode_{number + 1}"
+        parameters = ModeParameters.of(number)
+        mass = mode.units(number, equations)[parameters.mass]
+        units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(mass, ("", ""))
+        body = body_velocity(mode, equations)
+        return cls(f"{name}_deflection", f"{name}_velocity", body, parameters, units)
+
+    def rates(self, signals: Mapping[str, Array], values: Mapping[str, Leaf]) -> dict[str, Array]:
+        """Time derivatives of the two states."""
+        mass, stiffness, damping = (jnp.asarray(values[name]) for name in self.parameters)
+        stretching = signals[self.body] - signals[self.velocity]
+        force = stiffness * signals[self.deflection] + damping * stretching
+        return {self.deflection: stretching, self.velocity: force / mass}
+
+    def force(self, sign: Leaf) -> tuple[Term, Term]:
+        """Terms of the force in an equation whose inertia has this sign."""
+        _, stiffness, damping = self.parameters
+        return (
+            Term(stiffness, self.deflection, sign=sign),
+            Term(damping, difference(self.body, self.velocity), sign=sign),
+        )
+
+
+def body_velocity(mode: HiddenMode, equations: Sequence[Equation]) -> str:
+    """The signal that is the velocity of a mode's body."""
+    inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
+    if inertia.derivative == 1:
+        return mode.on
+    terms = [term for e in equations for term in e.terms if term.of == inertia.of]
+    named = (t.measured[0] for t in terms if isinstance(t, Term) and t.derivative and t.measured)
+    return next(named, f"d{inertia.of}")
+
+
+def with_forces(
+    equations: tuple[Equation, ...], modes: Sequence[HiddenMode]
+) -> tuple[tuple[Equation, ...], tuple[ModeStates, ...]]:
+    """Equations with the forces of their modes, and the states that these read."""
+    states = tuple(ModeStates.of(number, mode, equations) for number, mode in enumerate(modes))
+    carrying = []
+    for equation in equations:
+        terms = list(equation.terms)
+        for mode, own in zip(modes, states):
+            if (inertia := mode.inertia(equation)) is not None:
+                terms += own.force(inertia_sign(inertia))
+        is_carrying = len(terms) > len(equation.terms)
+        carrying.append(equation.of_terms(*terms) if is_carrying else equation)
+    return tuple(carrying), states
+
+
+def carried_states(modes: Iterable[ModeStates]) -> dict[str, str]:
+    """States of modes to what they start from: the body's velocity, or nothing."""
+    pairs = (((mode.deflection, ""), (mode.velocity, mode.body)) for mode in modes)
+    return dict(itertools.chain.from_iterable(pairs))
+
+
+LEAST_SLOPE = 0.01
+"""Of a map, as a share of its mean slope."""
+
+
+class SpringElement(eqx.Module):
+    """A force element with a spring in series.
+
+    **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
+    `stiffness`, the name of the spring's parameter.
+    """
+
+    element: AbstractTerm
+    state: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    stiffness: str = eqx.field(static=True)
+
+    def rate(
+        self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
+    ) -> Float[Array, " 1"]:
+        """Time derivative of the force."""
+        own = jnp.stack([values[name] for name in self.element.parameters])
+        if isinstance(self.element, Term):
+            inner = force / own[0]
+        else:
+            assert isinstance(self.element, Terms)
+            assert isinstance(self.element.basis, RoofFunctions)
+            points = self.element.basis.break_points
+            inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
+        return values[self.stiffness] * (velocity - inner)
+
+    def static(
+        self, velocity: Float[Array, " n"], values: Mapping[str, Array]
+    ) -> Float[Array, " n"]:
+        """The force at a velocity that does not change: the spring takes up none of it."""
+        own = jnp.stack([values[name] for name in self.element.parameters])
+        if isinstance(self.element, Term):
+            return own[0] * velocity
+        assert isinstance(self.element, Terms)
+        assert isinstance(self.element.basis, RoofFunctions)
+        forces = _rising(own, self.element.basis.break_points)
+        return self.element.basis.interpolate(forces, velocity)
+
+
+def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
+    """The same map where it rises, and one of least slope where it does not."""
+    mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
+    least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
+    rises = jnp.maximum(jnp.diff(forces), least)
+    return forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
+
+
+def with_springs(
+    equations: tuple[Equation, ...], springs: Sequence[SeriesSpring]
+) -> tuple[tuple[Equation, ...], tuple[SpringElement, ...]]:
+    """Equations that hold elements' forces in the elements' places, and these elements.
+
+    **Raises:** `ModelError` for an element whose law has no inverse that is known.
+    """
+    found = tuple(_element(number, spring, equations) for number, spring in enumerate(springs))
+    replaced = []
+    for equation in equations:
+        terms = []
+        for term in equation.terms:
+            name = next((f.state for f, s in zip(found, springs) if s.of in term.parameters), None)
+            terms.append(term if name is None else Term(element_sign(term), name))
+        replaced.append(equation.of_terms(*terms))
+    return tuple(replaced), found
+
+
+def _element(number: int, spring: SeriesSpring, equations: Sequence[Equation]) -> SpringElement:
+    first = next(e for equation in equations if (e := spring.element(equation)) is not None)
+    if isinstance(first, Terms) and not isinstance(first.basis, RoofFunctions):
+        raise ModelError(
+            f"a spring in series with {first.prefix} needs the inverse of its law, which is known "
+            f"of one coefficient and of roof functions (rx.roof) only."
+        )
+    name = "series_force" if number == 0 else f"series_{number + 1}_force"
+    force = next((e.unit for e in equations if spring.element(e) is not None), "")
+    return SpringElement(first, name, force, stiffness_name(number))
 
 
 class Motion(NamedTuple):
@@ -105,25 +283,60 @@ def read_structure(
     [`equation_system`][].
     """
     motions = _motions(label, equations, inputs, rates)
-    determined = tuple(
-        _determined(label, equation, motions, rates)
-        for equation in equations
-        if not _is_dynamic(equation, motions)
-    )
+    leading = {motion.names[-1] for motion in motions}
+
+    def is_dynamic(term: AbstractTerm) -> bool:
+        if isinstance(term.of, str):
+            return derivative_name(term.of, term, motions) in leading
+        return bool(term.derivative or leading & set(signals_read(term.of)))
+
+    # A static equation determines its first plain signal with a number for coefficient.
+    moving = {name for motion in motions for name in motion.names} | set(rates)
+    determined = []
+    for equation in equations:
+        if any(map(is_dynamic, equation.terms)):
+            continue
+        known = (t.of for t in equation.terms if not (t.parameters or t.derivative))
+        plain = (of for of in known if isinstance(of, str))
+        free = next((of for of in plain if of not in moving), None)
+        if free is None:
+            raise ModelError(
+                f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no "
+                f"signal with a number for coefficient that it could determine."
+            )
+        determined.append(free)
     forces = tuple(one.state for one in elements)
-    structure = Structure(motions, tuple(rates.items()), determined, (), (), modes, forces)
-    _check_count(label, equations, structure.unknowns)
-    settled = {*structure.states, *structure.unknowns}
+    given = tuple(rates.items())
+    structure = Structure(motions, given, tuple(determined), (), (), modes, forces)
+    unknowns = structure.unknowns
+    if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
+        raise ModelError(
+            f"{label} cannot be simulated: two equations determine {', '.join(sorted(repeated))}."
+        )
+    if len(equations) != len(unknowns):
+        remedy = (
+            "Leave out those that follow from the others."
+            if len(equations) > len(unknowns)
+            else "Add equations, or name those signals that are measured as inputs (inputs=...)."
+        )
+        raise ModelError(
+            f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
+            f"unknown(s) ({', '.join(unknowns)}). {remedy}"
+        )
+    settled = {*structure.states, *unknowns}
     terms = [(equation.name, term) for equation in equations for term in equation.terms]
-    read = _expressions([*terms, *((label, one.element) for one in elements)], motions)
+    read: list[Expression] = []
+    for name, term in (*terms, *((label, one.element) for one in elements)):
+        if not isinstance(term, Term | Terms):
+            raise ModelError(
+                f"{name} cannot be simulated: {type(term).__name__} is a term of an unknown kind."
+            )
+        of = term.of
+        read.append(derivative_name(of, term, motions) if isinstance(of, str) else of)
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
     _check_derivatives(label, equations, structure)
-    functions = [
-        (term.of, term.basis if isinstance(term, Terms) else None)
-        for equation in equations
-        for term in equation.terms
-    ]
+    functions = [(t.of, t.basis if isinstance(t, Terms) else None) for _, t in terms]
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
     return structure._replace(reversing=reversing_states(functions, structure.states, signals))
 
@@ -208,66 +421,6 @@ def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]
             f"it (measured=...)."
         )
     return measured[term.derivative - 1]
-
-
-def _is_dynamic(equation: Equation, motions: tuple[Motion, ...]) -> bool:
-    leading = {motion.names[-1] for motion in motions}
-    for term in equation.terms:
-        if isinstance(term.of, str):
-            if derivative_name(term.of, term, motions) in leading:
-                return True
-        elif term.derivative or leading & set(signals_read(term.of)):
-            return True
-    return False
-
-
-def _determined(
-    label: str, equation: Equation, motions: tuple[Motion, ...], rates: Mapping[str, Expression]
-) -> str:
-    """The signal that a static equation determines."""
-    settled = {name for motion in motions for name in motion.names} | set(rates)
-    for term in equation.terms:
-        free = not term.parameters and isinstance(term.of, str) and not term.derivative
-        if free and term.of not in settled:
-            return str(term.of)
-    raise ModelError(
-        f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no signal "
-        f"with a number for coefficient that it could determine."
-    )
-
-
-def _check_count(label: str, equations: tuple[Equation, ...], unknowns: tuple[str, ...]) -> None:
-    if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
-        raise ModelError(
-            f"{label} cannot be simulated: two equations determine {', '.join(sorted(repeated))}."
-        )
-    if len(equations) == len(unknowns):
-        return
-    remedy = (
-        "Leave out those that follow from the others."
-        if len(equations) > len(unknowns)
-        else "Add equations, or name those signals that are measured as inputs (inputs=...)."
-    )
-    raise ModelError(
-        f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} unknown(s) "
-        f"({', '.join(unknowns)}). {remedy}"
-    )
-
-
-def _expressions(
-    terms: Sequence[tuple[str, AbstractTerm]], motions: tuple[Motion, ...]
-) -> list[Expression]:
-    """What terms read, each with the name of its equation."""
-    found: list[Expression] = []
-    for name, term in terms:
-        if not isinstance(term, Term | Terms):
-            raise ModelError(
-                f"{name} cannot be simulated: {type(term).__name__} is a term of an unknown kind."
-            )
-        found.append(
-            derivative_name(term.of, term, motions) if isinstance(term.of, str) else term.of
-        )
-    return found
 
 
 class _Listening(Signals):
@@ -561,7 +714,14 @@ def equation_system(
     procedure = as_procedure(model)
     equations = tuple(equation for stage in procedure.stages for equation in stage)
     label = " + ".join(equation.name for equation in equations)
-    numbers = _numbers(label, procedure, values)
+    known: dict[str, Any] = {**procedure.known, **values}
+    names = procedure.parameters
+    if missing := [name for name in names if name not in known]:
+        raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
+    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
+    for name, number in numbers.items():
+        if number.shape != ():
+            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
     equations, elements = with_springs(equations, procedure.springs)
     equations, modes = with_forces(equations, procedure.modes)
     rates = {**{one.state: one for one in procedure.memories}, **(rates or {})}
@@ -573,20 +733,6 @@ def equation_system(
     if is_concrete(equations, numbers):
         _check_solvable(label, system)
     return system
-
-
-def _numbers(
-    label: str, procedure: Procedure, values: Mapping[str, Array | float]
-) -> dict[str, Array]:
-    known: dict[str, Any] = {**procedure.known, **values}
-    names = procedure.parameters
-    if missing := [name for name in names if name not in known]:
-        raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
-    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
-    for name, number in numbers.items():
-        if number.shape != ():
-            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    return numbers
 
 
 def _check_solvable(label: str, system: EquationSystem) -> None:
@@ -626,3 +772,125 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
         raise ModelError(
             f"{label} cannot be simulated: {', '.join(unknowns)} must enter its equations linearly."
         )
+
+
+class Attachment(NamedTuple):
+    """How a mode of a procedure is attached: its states, and the body's mass, named or known, by
+    which the body's acceleration is the force on it divided."""
+
+    states: ModeStates
+    body_mass: str | float
+
+
+class WithModes(AbstractSystem):
+    """A system some of whose bodies carry hidden modes.
+
+    Exact where a body's acceleration is coupled to no other. Outputs are those of the system
+    without modes: forces that depend on its states, not accelerations.
+
+    **Fields:** `inner`, the system; `modes`; `values` of these and of their bodies' masses.
+    """
+
+    inner: AbstractSystem
+    modes: tuple[Attachment, ...] = eqx.field(static=True)
+    values: dict[str, Leaf]
+
+    @property
+    def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The system's, then deflection and velocity of each mode."""
+        names = [n for m in self.modes for n in (m.states.deflection, m.states.velocity)]
+        units = [unit for mode in self.modes for unit in mode.states.units]
+        return (*self.inner.states, *zip(names, units))
+
+    @property
+    def inputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The system's."""
+        return self.inner.inputs
+
+    @property
+    def outputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The system's."""
+        return self.inner.outputs
+
+    @property
+    def reversing(self) -> tuple[str, ...]:
+        """The system's."""
+        return self.inner.reversing
+
+    @property
+    def velocity_of(self) -> Mapping[str, str]:
+        """The system's."""
+        return self.inner.velocity_of
+
+    @property
+    def carried(self) -> Mapping[str, str]:
+        """The modes' states."""
+        return {**self.inner.carried, **carried_states(mode.states for mode in self.modes)}
+
+    def derivative(
+        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
+    ) -> Float[Array, " states"]:
+        """Time derivative of the state, each body's less what its modes take."""
+        count = len(self.inner.states)
+        flow = self.inner.derivative(state[:count], inputs)
+        signals = dict(zip(self.state_names, state))
+        rates = []
+        for names, body_mass in self.modes:
+            own = names.rates(signals, self.values)
+            body = self.values[body_mass] if isinstance(body_mass, str) else body_mass
+            taken = self.values[names.parameters.mass] * own[names.velocity] / body
+            flow = flow.at[self.inner.state_names.index(names.body)].add(-taken)
+            rates += [own[names.deflection], own[names.velocity]]
+        return jnp.concatenate([flow, jnp.stack(rates)])
+
+    def output(
+        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
+    ) -> Mapping[str, Float[Array, ""]]:
+        """The system's."""
+        return self.inner.output(state[: len(self.inner.states)], inputs)
+
+
+def attachments(procedure: Procedure, inner: AbstractSystem) -> tuple[Attachment, ...] | None:
+    """How modes of a procedure are attached to the system that it is of.
+
+    **Returns:** `None` where the body's velocity is no state of the system, or where the equations
+    say that its acceleration is coupled to others. Of equations that cannot be simulated, it is
+    taken for granted that it is not.
+    """
+    equations = [equation for stage in procedure.stages for equation in stage]
+    found = []
+    for number, mode in enumerate(procedure.modes):
+        states = ModeStates.of(number, mode, equations)
+        inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
+        mass = abs(float(inertia.number)) if inertia.name is None else inertia.name
+        if states.body not in inner.state_names:
+            return None
+        found.append(Attachment(states, mass))
+    generic = np.random.default_rng(0).uniform(0.5, 1.5, len(procedure.parameters))
+    values = dict(zip(procedure.parameters, generic))
+    try:
+        system = equation_system(procedure, values)
+    except ModelError:
+        return tuple(found)
+    return tuple(found) if all(_uncoupled(system, one, values) for one in found) else None
+
+
+def _uncoupled(system: EquationSystem, one: Attachment, values: Mapping[str, float]) -> bool:
+    """Whether a mode's spring accelerates its body by force over mass, and changes nothing else."""
+    unknowns = system.structure.unknowns
+    state = np.random.default_rng(1).uniform(0.2, 0.9, len(system.states))
+    level = jnp.asarray(np.linspace(0.3, 0.7, len(system.inputs)))
+    none = jnp.zeros(len(unknowns))
+    stretched = state + (np.array(system.state_names) == one.states.deflection)
+    before, slopes, _ = system.probed(jnp.asarray(state), level, none)
+    after, _, _ = system.probed(jnp.asarray(stretched), level, none)
+    change = -np.linalg.solve(np.asarray(slopes), np.asarray(after - before))
+    bodies = [motion for motion in system.structure.motions if one.states.body in motion.names]
+    if not bodies:
+        return False
+    mass = values[one.body_mass] if isinstance(one.body_mass, str) else one.body_mass
+    expected = np.zeros(len(unknowns))
+    stiffness = values[one.states.parameters.stiffness]
+    expected[unknowns.index(bodies[0].names[-1])] = -stiffness / mass
+    rounding = 1e3 * np.finfo(change.dtype).eps
+    return bool(np.allclose(change, expected, rtol=rounding, atol=rounding * np.max(abs(expected))))

@@ -118,14 +118,13 @@ def modes(matrix: Float[Array, "states states"]) -> list[Mode]:
     floor = 1e-9 * np.max(np.abs(values))
     order = np.argsort(np.real(values))
     pairs = [(complex(values[i]), vectors[:, i]) for i in order]
-    return [_mode(v, shape) for v, shape in pairs if v.imag >= 0 and abs(v) > floor]
-
-
-def _mode(value: complex, shape: np.ndarray) -> Mode:
-    if value.imag == 0:
-        return Mode(complex(value), None, None, shape)
-    size = abs(value)
-    return Mode(complex(value), size / (2 * np.pi), -value.real / size, shape)
+    return [
+        Mode(v, abs(v) / (2 * np.pi), -v.real / abs(v), shape)
+        if v.imag
+        else Mode(v, None, None, shape)
+        for v, shape in pairs
+        if v.imag >= 0 and abs(v) > floor
+    ]
 
 
 FOLDS = 2.5
@@ -157,8 +156,11 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     inputs = np.stack(levels, axis=-1) if levels else np.zeros((len(states), 0))
     duration = len(states) * float(record.time_step)
     few = spread_points(len(states))
-    rates = _growth_rates(jacobians(system, states[few], inputs[few]))
-    if not rates.size or np.max(rates) * duration < np.log(MOST_GROWTH):
+    slopes = jacobians(system, states[few], inputs[few])
+    finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
+    if not len(finite):
+        return None
+    if np.max(np.real(np.linalg.eigvals(finite))) * duration < np.log(MOST_GROWTH):
         return None
     stride = -(-len(states) // MOST_POINTS)
     spread = np.std(states, axis=0)
@@ -168,26 +170,10 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     step = stride * float(record.time_step)
     sizes = np.linalg.norm(slopes * step, 2, axis=(1, 2))
     slopes = slopes * np.minimum(1.0, STEEPEST / np.maximum(sizes, STEEPEST))[:, None, None]
-    lengths, logs = _by_length(scipy.linalg.expm(slopes * step))
-    if np.max(logs) <= np.log(MOST_GROWTH):
-        return None
-    first = int(np.argmax(logs > FOLDS))
-    below = first - 1 if first else 0
-    share = np.interp(FOLDS, logs[[below, first]], lengths[[below, first]])
-    samples = max(float(share) * stride, FEWEST_SAMPLES)
-    return Growth(float(np.exp(min(np.max(logs), 700.0))), samples * float(record.time_step))
-
-
-def _growth_rates(slopes: Float[np.ndarray, "n s s"]) -> Float[np.ndarray, " m"]:
-    finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
-    return np.max(np.real(np.linalg.eigvals(finite)), axis=1) if len(finite) else np.zeros(0)
-
-
-def _by_length(
-    products: Float[np.ndarray, "n s s"],
-) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
-    """Lengths in samples, and the logarithm of the largest growth over any block so long."""
-    lengths, logs = [1.0], [float(np.max(np.log(np.linalg.norm(products, 2, axis=(1, 2)))))]
+    # Lengths in samples, and the logarithm of the largest growth over any block so long.
+    products = scipy.linalg.expm(slopes * step)
+    lengths = [1.0]
+    logs = [float(np.max(np.log(np.linalg.norm(products, 2, axis=(1, 2)))))]
     scale = np.zeros(len(products))
     while len(products) > 1:
         even, rest = len(products) // 2 * 2, len(products) % 2
@@ -201,4 +187,11 @@ def _by_length(
         products, scale = products / size[:, None, None], scale + np.log(size)
         lengths.append(2 * lengths[-1])
         logs.append(float(np.max(scale)))
-    return np.array(lengths), np.array(logs)
+    lengths, logs = np.array(lengths), np.array(logs)
+    if np.max(logs) <= np.log(MOST_GROWTH):
+        return None
+    first = int(np.argmax(logs > FOLDS))
+    below = first - 1 if first else 0
+    share = np.interp(FOLDS, logs[[below, first]], lengths[[below, first]])
+    samples = max(float(share) * stride, FEWEST_SAMPLES)
+    return Growth(float(np.exp(min(np.max(logs), 700.0))), samples * float(record.time_step))

@@ -19,7 +19,7 @@ steps k times as short ask for tolerances k^-5 times as large (`finer`).
 A grid that is indexed instead of searched costs nothing. That is why `FixedStep` runs its own scan
 over the samples. The same tableau on the quarter car takes 1.3 to 1.9 times as long inside
 `diffeqsolve`, which saves by interpolation, and 1.2 to 1.6 times with diffrax's `solver.step` in
-the same scan, 3 to 4 times in a batch: `python -m benchmarks --only bypassed`.
+the same scan, 3 to 4 times in a batch: benchmarks/NOTES.md.
 `Adaptive` is that `diffeqsolve`, for reference solutions, unfamiliar systems and stiff ones.
 
 A step of a small system is a few dozen additions, and what it costs is how they are started. Where
@@ -320,19 +320,15 @@ class Adaptive(AbstractMethod):
         states = jnp.where(
             lost[:, None], solution.ys[jnp.maximum(reached - 1, 0)][None], solution.ys
         )
-        return states, _status_of(solution.result, reached > last), reached
-
-
-def _status_of(result: DIFFRAX_RESULTS, complete: Array) -> SimulationStatus:
-    failed = SimulationStatus.where(
-        result == DIFFRAX_RESULTS.max_steps_reached,
-        SimulationStatus.max_steps_reached,
-        SimulationStatus.solver_failed,
-    )
-    finished = SimulationStatus.where(
-        complete, SimulationStatus.successful, SimulationStatus.diverged
-    )
-    return SimulationStatus.where(result == DIFFRAX_RESULTS.successful, finished, failed)
+        result, choose = solution.result, SimulationStatus.where
+        failed = choose(
+            result == DIFFRAX_RESULTS.max_steps_reached,
+            SimulationStatus.max_steps_reached,
+            SimulationStatus.solver_failed,
+        )
+        finished = choose(reached > last, SimulationStatus.successful, SimulationStatus.diverged)
+        status = choose(result == DIFFRAX_RESULTS.successful, finished, failed)
+        return states, status, reached
 
 
 _State = tuple[Array, ...]

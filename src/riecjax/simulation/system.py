@@ -111,7 +111,12 @@ def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n s
         if source == "measured":
             columns.append(record[name])
         elif source == "differences":
-            columns.append(_differences(record[integral[name]], record.time_step))
+            # Second-order differences, one-sided at the ends.
+            q = record[integral[name]]
+            first = -3 * q[0] + 4 * q[1] - q[2]
+            last = 3 * q[-1] - 4 * q[-2] + q[-3]
+            rises = jnp.concatenate([first[None], q[2:] - q[:-2], last[None]])
+            columns.append(rises / (2 * record.time_step))
         else:
             columns.append(jnp.zeros(record.sample_count, record.time_step.dtype))
     known = dict(record.arrays) | dict(zip(system.state_names, columns))
@@ -119,11 +124,3 @@ def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n s
         if name not in record.arrays:
             columns[system.state_names.index(name)] = samples
     return jnp.stack(columns, axis=-1)
-
-
-def _differences(samples: Array, step: Array) -> Array:
-    """Second-order differences, one-sided at the ends."""
-    inner = samples[2:] - samples[:-2]
-    first = -3 * samples[0] + 4 * samples[1] - samples[2]
-    last = 3 * samples[-1] - 4 * samples[-2] + samples[-3]
-    return jnp.concatenate([first[None], inner, last[None]]) / (2 * step)

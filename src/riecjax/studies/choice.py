@@ -27,7 +27,7 @@ from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Records, as_records
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined
-from riecjax.validation.time_series import ErrorSpectrum, error_spectrum
+from riecjax.validation.residuals import ErrorSpectrum, error_spectrum
 
 PARTS = 8
 """A segment of the spectra is this part of the records: long, for the sake of long windows."""

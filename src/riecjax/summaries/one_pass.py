@@ -25,10 +25,9 @@ from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
 from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
 from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
-from riecjax.equations.expressions import evaluate
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Terms
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices

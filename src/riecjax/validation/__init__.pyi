@@ -1,12 +1,12 @@
 from .equation_errors import EquationError as EquationError
 from .equation_errors import equation_error as equation_error
-from .goodness_of_fit import Validation as Validation
-from .goodness_of_fit import nrmse_fit as nrmse_fit
-from .goodness_of_fit import percentage_error as percentage_error
-from .goodness_of_fit import validate as validate
-from .goodness_of_fit import variance_accounted_for as variance_accounted_for
 from .held_out import HeldOut as HeldOut
+from .held_out import Validation as Validation
+from .held_out import nrmse_fit as nrmse_fit
+from .held_out import percentage_error as percentage_error
+from .held_out import validate as validate
 from .held_out import validate_held_out as validate_held_out
+from .held_out import variance_accounted_for as variance_accounted_for
 from .late_signals import SignalDelay as SignalDelay
 from .late_signals import signal_delays as signal_delays
 from .residuals import ResidualTests as ResidualTests

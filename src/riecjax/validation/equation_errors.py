@@ -183,7 +183,13 @@ _compiled = kept_jit(equation_error)
 def _error_of(
     equation: Equation, record: Record, values: Mapping[str, float | Array]
 ) -> EquationError:
-    weight = _shortest_weight(equation, record)
+    # The boxcar, if the record holds every derivative that it needs.
+    weight = Boxcar()
+    try:
+        for term in equation.terms:
+            term.expression(record, max(term.derivative - weight.smoothness, 0))
+    except DataError:
+        weight = Hat()
     span, step = weight.smoothness, record.time_step
     if record.sample_count <= span + 1:
         raise DataError(
@@ -212,17 +218,6 @@ def _error_of(
         equation.unit,
         0.5 * (record.elapsed[span:] + record.elapsed[:-span]),
     )
-
-
-def _shortest_weight(equation: Equation, record: Record) -> Boxcar | Hat:
-    """The boxcar, if the record holds every derivative that it needs."""
-    boxcar = Boxcar()
-    try:
-        for term in equation.terms:
-            term.expression(record, max(term.derivative - boxcar.smoothness, 0))
-    except DataError:
-        return Hat()
-    return boxcar
 
 
 def _value(values: Mapping[str, float | Array], name: str) -> Array:

@@ -5,30 +5,178 @@ A simulation that runs to its end has shown nothing yet. The verdict is about th
 below 0 % the measured mean would have been the better prediction.
 
 Stretches of a recording along which a model can be simulated from a state that is known.
+
+How well predicted signals fit measured ones.
+
+With the error e and the measured x of mean m and standard deviation s over n samples,
+
+    p   = 100 |e| / |x|                eq. (28)
+    fit = 100 (1 - |e| / |x - m|)      NRMSE fit
+    VAF = 100 (1 - var(e) / var(x))    variance accounted for.
+
+|x|^2 = n (s^2 + m^2) and |x - m|^2 = n s^2, so p = (100 - fit) s / sqrt(s^2 + m^2): of a position
+far from zero p is small even if its motion is predicted badly, while fit and VAF do not depend on
+where zero is. |e|^2 / |x - m|^2 = 1 - R^2: a fit of 80 % is an R^2 of 0.96, 50 % one of 0.75. VAF
+leaves the error's mean out as well: it is 100 R^2 for errors of zero mean and larger otherwise.
 """
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import DataError, SimulationError
 from riecjax.records.record import Record
 from riecjax.shows import Drawn
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
-from riecjax.simulation.system import AbstractSystem, Quantities, state_sources
-from riecjax.validation.goodness_of_fit import (
-    PREDICTS_ROUGHLY,
-    PREDICTS_WELL,
-    SignalFit,
-    signal_fit,
-)
+from riecjax.simulation.system import AbstractSystem, state_sources
+
+PREDICTS_WELL = 80.0
+"""Fit in percent from which a signal is predicted well: an error of a fifth of its deviation."""
+PREDICTS_ROUGHLY = 50.0
+"""Fit in percent from which a signal is predicted at all."""
+
+
+def nrmse_fit(
+    predicted: Float[Array, "*batch n"],
+    measured: Float[Array, "*batch n"],
+    present: Bool[Array, " n"] | None = None,
+) -> Float[Array, "*batch"]:
+    """100 (1 - ||predicted - measured|| / ||measured - mean||) in percent, over the last axis.
+
+    100 is perfect, 0 as good as the measured mean, below 0 worse than it. Samples that are not
+    `present` are left out. NaN of a signal that does not vary.
+    """
+    error, valid = _error(predicted, measured, present)
+    spread = _spread(measured, valid)
+    varies = spread > 0
+    share = jnp.sum(error**2, axis=-1) / jnp.where(varies, spread, 1.0)
+    # The root of 0 has no derivative, and a perfect prediction is where a fit wants to go.
+    imperfect = share > 0
+    root = jnp.where(imperfect, jnp.sqrt(jnp.where(imperfect, share, 1.0)), 0.0)
+    return jnp.where(varies, 100 * (1 - root), jnp.nan)
+
+
+def variance_accounted_for(
+    predicted: Float[Array, "*batch n"],
+    measured: Float[Array, "*batch n"],
+    present: Bool[Array, " n"] | None = None,
+) -> Float[Array, "*batch"]:
+    """100 (1 - var(predicted - measured) / var(measured)) in percent, over the last axis.
+
+    100 for a prediction that is off by a constant only. Samples that are not `present` are left
+    out. NaN of a signal that does not vary.
+    """
+    error, valid = _error(predicted, measured, present)
+    spread = _spread(measured, valid)
+    varies = spread > 0
+    share = _spread(error, valid) / jnp.where(varies, spread, 1.0)
+    return jnp.where(varies, 100 * (1 - share), jnp.nan)
+
+
+def percentage_error(
+    predicted: Float[Array, "*batch n"],
+    measured: Float[Array, "*batch n"],
+    present: Bool[Array, " n"] | None = None,
+) -> Float[Array, "*batch"]:
+    """p_i of eq. (28): 100 ||predicted - measured|| / ||measured||, over the last axis.
+
+    0 is perfect; predicting zero gives 100. Samples that are not `present` are left out.
+    """
+    error, valid = _error(predicted, measured, present)
+    reference = jnp.where(valid, measured, 0.0)
+    distance = jnp.sqrt(jnp.sum(error**2, axis=-1))
+    return 100 * distance / jnp.sqrt(jnp.sum(reference**2, axis=-1))
+
+
+def _error(
+    predicted: Array, measured: Array, present: Array | None
+) -> tuple[Float[Array, "*batch n"], Bool[Array, "*batch n"]]:
+    """Error, zero where a sample is missing, and the mask of the samples that are not."""
+    valid = jnp.broadcast_to(True if present is None else present, measured.shape)
+    return jnp.where(valid, predicted - measured, 0.0), valid
+
+
+def _spread(values: Array, valid: Array) -> Array:
+    """Sum of squares about the mean."""
+    count = jnp.maximum(jnp.sum(valid, axis=-1, keepdims=True), 1)
+    mean = jnp.sum(jnp.where(valid, values, 0.0), axis=-1, keepdims=True) / count
+    return jnp.sum(jnp.where(valid, values - mean, 0.0) ** 2, axis=-1)
+
+
+class Validation(dict[str, Array]):
+    """p_i in percent by signal name; `total` is their sum, as in Table 5."""
+
+    @property
+    def total(self) -> Array:
+        """Sum over the signals."""
+        return sum(self.values(), start=jnp.zeros(()))
+
+
+def present_in_both(one: Record, other: Record, signal: str) -> Bool[Array, " n"] | None:
+    """Where both records have their sample of a signal; `None` if they have all."""
+    first, second = one.present((signal,)), other.present((signal,))
+    if first is None or second is None:
+        return second if first is None else first
+    return first & second
+
+
+def validate(predicted: Record, measured: Record, signals: Sequence[str]) -> Validation:
+    """p_i of every signal of a simulated record, compared with the measured one.
+
+    Samples that are missing in either record are left out.
+
+    **Raises:** `DataError` if a signal is missing in either record.
+    """
+    return Validation(
+        {
+            s: percentage_error(predicted[s], measured[s], present_in_both(predicted, measured, s))
+            for s in signals
+        }
+    )
+
+
+class SignalFit(NamedTuple):
+    """How well one signal is predicted, in percent, over `samples` samples."""
+
+    p: Float[Array, ""]
+    """Error of eq. (28); 0 is perfect."""
+    fit: Float[Array, ""]
+    """`nrmse_fit`; 100 is perfect, 0 the measured mean."""
+    vaf: Float[Array, ""]
+    """Variance accounted for; 100 is perfect but for a constant."""
+    samples: int
+
+    @property
+    def grade(self) -> str:
+        """well, roughly, not, worse than its mean; or unknown, of a signal that does not vary."""
+        fit = float(self.fit)
+        if np.isnan(fit):
+            return "unknown"
+        if fit >= PREDICTS_WELL:
+            return "well"
+        if fit >= PREDICTS_ROUGHLY:
+            return "roughly"
+        return "not" if fit >= 0 else "worse than its mean"
+
+
+def signal_fit(
+    predicted: Float[Array, " n"], measured: Float[Array, " n"], present: Bool[Array, " n"]
+) -> SignalFit:
+    """All measures of one signal's prediction over the samples that are `present`."""
+    return SignalFit(
+        percentage_error(predicted, measured, present),
+        nrmse_fit(predicted, measured, present),
+        variance_accounted_for(predicted, measured, present),
+        int(jnp.sum(present)),
+    )
+
 
 SHORTEST_STRETCH = 20
 """Samples of an unbroken stretch below which it is skipped: it would be all transient."""
@@ -184,20 +332,33 @@ def validate_held_out(
     system.require_states(given)
     recorded = [name for name in system.state_names if name in measured.arrays]
     compared = _compared(system, measured, signals)
-    sources = _sources(system, measured) | dict.fromkeys(given, "given")
-    driven, inputs = _driven(system, measured)
+    sources = state_sources(system, measured)
+    sources |= {name: "carried" for name in system.carried if sources[name] == "zero"}
+    sources |= dict.fromkeys(given, "given")
+    # A free motion has no inputs: some signal only says how many samples there are.
+    inputs = measured.select(*(system.input_names or list(measured.arrays)[:1]))
     runs: list[_Run] = []
     for start, stop in unbroken_stretches(system, measured, recorded, sources, horizon):
         # What the caller gives holds at the start; further on the record knows better.
         held = {n: v for n, v in given.items() if not runs or n not in recorded}
         first = _initial_state(system, measured, start, sources, held)
-        simulation = _simulate(driven, inputs, start, stop, method, first)
+        simulation = _simulate(system, inputs, start, stop, method, first)
         runs.append(
             _Run(start, stop, simulation, min(int(simulation.samples_reached), stop - start))
         )
-    record, simulated = _joined(driven, measured, runs)
-    fits = {name: _fit(record, measured, name, simulated) for name in compared}
-    reason = _reason(runs)
+    record, simulated = _joined(system, measured, runs)
+    fits: dict[str, SignalFit] = {}
+    for name in compared:
+        there = measured.present((name,))
+        both = jnp.asarray(simulated) if there is None else there & jnp.asarray(simulated)
+        fits[name] = signal_fit(record[name], measured[name], both)
+    reason = ""
+    for run in runs:
+        if run.reached < run.stop - run.start and not reason:
+            try:
+                run.simulation.checked()
+            except SimulationError as error:
+                reason = str(error)
     judged = tuple(signals or [name for name in compared if name in recorded] or compared)
     drifting = _drifting(system, measured, record, simulated, fits)
     grades = {fits[name].grade for name in judged} - {"unknown"}
@@ -218,12 +379,6 @@ def validate_held_out(
         horizon,
         measured.select(*compared),
     )
-
-
-def _fit(record: Record, measured: Record, name: str, simulated: np.ndarray) -> SignalFit:
-    present = measured.present((name,))
-    both = jnp.asarray(simulated) if present is None else present & jnp.asarray(simulated)
-    return signal_fit(record[name], measured[name], both)
 
 
 def _compared(
@@ -249,11 +404,6 @@ def _compared(
     return tuple(signals)
 
 
-def _sources(system: AbstractSystem, measured: Record) -> dict[str, str]:
-    sources = state_sources(system, measured)
-    return sources | {name: "carried" for name in system.carried if sources[name] == "zero"}
-
-
 def _initial_state(
     system: AbstractSystem,
     measured: Record,
@@ -276,35 +426,6 @@ def _initial_state(
     there |= {name: value[None] for name, value in values.items()}
     levels = system.carried_levels(there)
     return {name: level[0] for name, level in levels.items()} | values
-
-
-class _Undriven(AbstractSystem):
-    """A system without inputs, along a record that only says how many samples there are."""
-
-    inner: AbstractSystem
-
-    inputs: ClassVar[Quantities] = (("", ""),)
-
-    @property
-    def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.inner.states
-
-    @property
-    def outputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.inner.outputs
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        return self.inner.derivative(state, inputs[:0])
-
-    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
-        return self.inner.output(state, inputs[:0])
-
-
-def _driven(system: AbstractSystem, measured: Record) -> tuple[AbstractSystem, Record]:
-    """The system with at least one input, and the record of its inputs."""
-    if system.input_names:
-        return system, measured.select(*system.input_names)
-    return _Undriven(system), Record({"": jnp.zeros(measured.sample_count)}, measured.time_step)
 
 
 def _simulate(
@@ -345,17 +466,7 @@ def _joined(
     lacking = {} if simulated.all() else {name: jnp.asarray(~simulated) for name in made}
     signals = {name: jnp.asarray(values) for name, values in arrays.items()}
     record = measured.with_signals(signals, units, lacking)
-    return record.select(*(n for n in system.input_names if n), *made), simulated
-
-
-def _reason(runs: Sequence[_Run]) -> str:
-    for run in runs:
-        if run.reached < run.stop - run.start:
-            try:
-                run.simulation.checked()
-            except SimulationError as error:
-                return str(error)
-    return ""
+    return record.select(*system.input_names, *made), simulated
 
 
 def _drifting(

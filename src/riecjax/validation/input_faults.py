@@ -21,7 +21,7 @@ from riecjax.records.derived import line_taken_off
 from riecjax.records.noise import noise_level
 from riecjax.records.record import Record
 from riecjax.validation.equation_errors import EquationError, errors_over_records
-from riecjax.validation.window_errors import window_errors
+from riecjax.validation.residuals import window_errors
 
 PARTS = 20
 """Parts of a record whose mean errors are compared."""
@@ -158,8 +158,22 @@ def silent_inputs(
             continue
         name = inputs[0]
         for number, (record, error) in enumerate(zip(records, of_records, strict=True), 1):
-            said = _silence(record, name)
-            if not said or _explained(error, windows):
+            # In words, that a signal says nothing; values too large to be squared are no silence.
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = np.asarray(record[name], float)
+                missing = record.missing.get(name)
+                present = np.ones(values.size, bool) if missing is None else ~np.asarray(missing)
+                spread = float(np.std(values[present]))
+                said = ""
+                if not spread > 1e-12 * float(np.max(np.abs(values))):
+                    said = "never varies"
+                elif float(noise_level(values, present)) > NOISE_ALONE * spread:
+                    said = "is noise alone"
+            if not said:
+                continue
+            over_windows = None if windows is None else window_errors([error], windows)
+            left = error.relative_rms if over_windows is None else over_windows.relative_rms
+            if not float(left) > NOTHING_EXPLAINED:
                 continue
             where = f" in recording {number}" if len(records) > 1 else ""
             yield Finding(
@@ -172,22 +186,3 @@ def silent_inputs(
                 doubt=1.0,
                 step=f"Check the sensor of {name}, its cable and its column",
             )
-
-
-# Values too large to be squared are no silence.
-@np.errstate(over="ignore", invalid="ignore")
-def _silence(record: Record, name: str) -> str:
-    """In words, that a signal says nothing; empty if it says something."""
-    values = np.asarray(record[name], float)
-    missing = record.missing.get(name)
-    present = np.ones(values.size, bool) if missing is None else ~np.asarray(missing)
-    spread = float(np.std(values[present]))
-    if not spread > 1e-12 * float(np.max(np.abs(values))):
-        return "never varies"
-    return "is noise alone" if float(noise_level(values, present)) > NOISE_ALONE * spread else ""
-
-
-def _explained(error: EquationError, windows: AbstractWindows | None) -> bool:
-    found = None if windows is None else window_errors([error], windows)
-    left = float(error.relative_rms) if found is None else found.relative_rms
-    return not left > NOTHING_EXPLAINED

@@ -6,40 +6,746 @@ Of a complete model white noise is left, or what sensors make of it. A mode that
 shows as a peak of the error's spectrum, a force as an error that follows a signal, and stretches
 of the record that do not belong together as errors of unequal size. Each is reported only where
 chance does not explain it and it is large enough to matter.
+
+Second-order statistics of an equation error: correlation, spectrum, and what chance would make.
+
+Both are of the error as a series in time with gaps. Correlations say what it follows and for how
+long; the spectrum over which frequencies it is spread, and whether it gathers in a peak.
+
+Eq. (18) on recorded data: whether errors of random windows have one variance and no correlation.
+
+The paper argues by symmetry. Windows drawn at random have one expected mean square error sigma^2,
+and any two of them one cross-correlation epsilon, small if windows are much shorter than the
+record. The symmetry holds before anything is known of the record. On a given one the errors of
+some stretches can outweigh all others, or all errors can share a constant part.
+
+Loops of what a model leaves: a force that depends on the way that the motion came.
+
+A function of velocity or of position that the model has wrong leaves something too. So what any
+such function explains is taken out first: straight lines between knots of each, the direction of
+motion, and the acceleration, which also stands for what is a little late. Where hysteresis is
+missing, a state that goes with the displacement explains most of the rest; where a signal that the
+model does not read changes a force, that signal times the velocity or its direction does. Each is
+judged on parts of the recordings that it was not fitted to.
 """
 
 import itertools
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
+import scipy.fft
+import scipy.signal
+from jaxtyping import Array, Bool, Float, Int
 
+from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
-from riecjax.equations.memories import with_memories
-from riecjax.equations.motions import motions_and_unread
+from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths, with_memories
+from riecjax.equations.motions import Motion, motions_and_unread
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, told_apart
 from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
-from riecjax.records.record import Record, Records, as_records
+from riecjax.records.record import Record, Records, as_records, samples_with_nan
 from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined, with_pads
-from riecjax.validation.loops import Loop, loop_of
-from riecjax.validation.time_series import (
-    Autocorrelation,
-    CrossCorrelation,
-    ErrorSpectrum,
-    Peak,
-    autocorrelation,
-    cross_correlation,
-    error_spectrum,
-    moving_average,
-)
-from riecjax.validation.window_errors import WindowErrors, window_errors
+
+LEVEL = 0.05
+"""Probability that chance alone passes a bound."""
+
+# Bounds of correlations. Of two independent series of n values, with autocovariances R_1 and R_2,
+# the sum c = sum_t x_t y_(t+k) has mean zero and the variance
+#
+#     E c^2 = sum_(t,s) E(x_t x_s) E(y_(t+k) y_(s+k)) = sum_j (n - |j|) R_1(j) R_2(j),
+#
+# and the correlation c / (n s_1 s_2) therefore (1/n) sum_j r_1(j) r_2(j), to first order in 1/n:
+# Bartlett's formula. For white noise it is 1/n. Two signals that oscillate at one frequency pass
+# 1.96 / sqrt(n) all the time; n times the variance is how many samples tell as much as one
+# independent sample, and correlations at lags closer than that are one test, not several.
+#
+# What the integrated autocorrelation says. A sum over m = lags + 1 successive values has the
+# variance s^2 (m + 2 sum_(k < m) (m - k) r(k)): in units of m s^2, that of white noise, it is
+# 1 + 2 sum (1 - k/m) r(k). It goes to zero where eq. (8) bounds the impulse of the error, since
+# the variance then stays while m grows.
+
+
+class Autocorrelation(NamedTuple):
+    """Autocorrelation of an error.
+
+    **Fields:**
+
+    - `lag` in seconds and `values`, shape `(lags + 1,)`, 1 at lag zero.
+    - `bound`: 95 % of the values of white noise lie within plus or minus this.
+    - `correlation_time`: sum of the squared values over lags of both signs, in seconds: how long
+      an error stays like itself, with either sign. One time step for white noise.
+    - `integrated`: sum of the values themselves over lags of both signs, tapered to the longest,
+      in seconds. One time step for white noise; near zero where only modes make the error.
+    """
+
+    lag: Float[np.ndarray, " lags"]
+    values: Float[np.ndarray, " lags"]
+    bound: float
+    correlation_time: float
+    integrated: float
+
+
+class CrossCorrelation(NamedTuple):
+    """Correlation of an error with one signal.
+
+    **Fields:**
+
+    - `signal`: its name.
+    - `lag` in seconds and `values`, shape `(2 lags + 1,)`; at a positive lag the error comes later.
+    - `bound`: two independent series with these autocorrelations stay below it at every lag of
+      every signal of the equation, with 95 % probability.
+    """
+
+    signal: str
+    lag: Float[np.ndarray, " lags"]
+    values: Float[np.ndarray, " lags"]
+    bound: float
+
+    @property
+    def largest(self) -> float:
+        """The correlation of largest size."""
+        return float(self.values[np.argmax(np.abs(self.values))])
+
+    @property
+    def largest_lag(self) -> float:
+        """Its lag in seconds."""
+        return float(self.lag[np.argmax(np.abs(self.values))])
+
+
+def autocorrelation(
+    values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"], lags: int, time_step: float
+) -> Autocorrelation:
+    """Autocorrelation about the mean at lags from zero; zeros of a series that does not vary."""
+    centred = _centred(values, present)
+    forward = np.arange(lags + 1)
+    found = _correlation(centred, centred, present, present, forward)
+    taper = 1 - forward[1:] / (lags + 1)
+    return Autocorrelation(
+        forward * time_step,
+        found,
+        float(tails.normal(LEVEL / 2) / np.sqrt(max(present.sum(), 1))),
+        time_step * float(1 + 2 * np.sum(found[1:] ** 2)),
+        time_step * float(1 + 2 * np.sum(taper * found[1:])),
+    )
+
+
+def cross_correlation(
+    error: Float[np.ndarray, " n"],
+    signal: Float[np.ndarray, " n"],
+    present: Bool[np.ndarray, " n"],
+    lags: int,
+    time_step: float,
+    *,
+    name: str = "",
+    signals: int = 1,
+) -> CrossCorrelation:
+    """Correlation of an error with a signal about their means, at lags of both signs.
+
+    The bound takes Bartlett's variance, and Bonferroni's correction for as many lags as are
+    independent, of this and of all `signals`.
+    """
+    one, other = _centred(error, present), _centred(signal, present)
+    both = np.arange(-lags, lags + 1)
+    values = _correlation(one, other, present, present, both)
+    variance = bartlett_variance(one, other)
+    apart = max(both.size / max(variance * present.sum(), 1.0), 1.0)
+    quantile = tails.normal(LEVEL / (2 * apart * signals))
+    return CrossCorrelation(name, both * time_step, values, float(quantile * np.sqrt(variance)))
+
+
+def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> float:
+    """Variance of the correlation of two independent series: sum_k r_1(k) r_2(k) / n (Bartlett).
+
+    Of series about their means, zero where a sample is missing; 0 of a silent one.
+    """
+    size = scipy.fft.next_fast_len(2 * one.size, real=True)
+    power = [np.abs(np.fft.rfft(series, size)) ** 2 for series in (one, other)]
+    first, second = (np.fft.irfft(p, size) for p in power)
+    scale = first[0] * second[0]
+    count = np.count_nonzero((one != 0) | (other != 0))
+    return float(np.sum(first * second) / (scale * count)) if scale > 0 and count else 0.0
+
+
+def moving_average(
+    values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"], count: int
+) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
+    """Means of `count` successive values, and a mask of those that are whole."""
+    running = np.concatenate([[0.0], np.cumsum(np.where(present, values, 0.0))])
+    absent = np.concatenate([[0], np.cumsum(~present)])
+    whole = absent[count:] == absent[:-count]
+    return np.where(whole, (running[count:] - running[:-count]) / count, 0.0), whole
+
+
+def _centred(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+    mean = np.sum(values, where=present) / max(present.sum(), 1)
+    return np.where(present, values - mean, 0.0)
+
+
+def _correlation(
+    one: np.ndarray,
+    other: np.ndarray,
+    one_valid: np.ndarray,
+    other_valid: np.ndarray,
+    lags: Int[np.ndarray, " lags"],
+) -> Float[np.ndarray, " lags"]:
+    """Mean product of the pairs that are valid at each lag, over the root mean squares."""
+    pairs = np.round(_products(one_valid.astype(float), other_valid.astype(float), lags))
+    squares = np.sum(one**2) / max(one_valid.sum(), 1) * np.sum(other**2)
+    scale = np.sqrt(squares / max(other_valid.sum(), 1))
+    if not scale > 0:
+        return np.where(lags == 0, 1.0 if one is other else 0.0, 0.0)
+    return np.where(pairs > 0, _products(one, other, lags) / np.maximum(pairs, 1) / scale, 0.0)
+
+
+def _products(one: np.ndarray, other: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    """Sum over t of one[t + lag] other[t]."""
+    size = scipy.fft.next_fast_len(2 * one.size, real=True)
+    spectrum = np.fft.rfft(one, size) * np.conj(np.fft.rfft(other, size))
+    return np.fft.irfft(spectrum, size)[lags % size]
+
+
+# When a peak is no chance. One periodogram scatters by its own size. The mean over K segments under
+# Hann windows that overlap by half scatters by sqrt((1 + 2 c^2) / K), where neighbouring segments
+# correlate by c = 1/6, so c^2 = 1/36 between their powers. The three-point smoothing
+# (1, 2, 1) / 4 leaves 0.78 of that, since Hann's neighbouring frequencies correlate by 4/9. So
+# the 8 segments that are asked for scatter by 0.28, and a factor of 4, log 4 = 1.4, is five
+# standard deviations.
+#
+# How wide a mode is. Under white excitation the power of a lightly damped mode is
+# 1 / (1 + ((f - f_0) / h)^2) with h = zeta f_0. It is half at f_0 - h and f_0 + h, a width of
+# 2 zeta f_0, and half of it lies between: (2 / pi) arctan(1).
+
+SEGMENTS = 32
+"""A segment of the spectrum is this part of the record; segments overlap by half."""
+FEWEST_SEGMENTS = 8
+"""Segments below which a spectrum is too rough to look for a peak."""
+SHORTEST_SEGMENT = 64
+"""Samples of a segment, unless the unbroken stretches are shorter."""
+BAND_SHARE = 0.99
+"""Share of the power common to target and explained part that the model's band holds."""
+PROMINENCE = 4.0
+"""How many times the spectrum of its surroundings, on either side, a peak is: 6 dB."""
+PEAK_BAND = 0.9
+"""Part of the model's band in which a peak is a mode's, and not the end of the excitation."""
+PEAK_SHARE = 0.3
+"""Share of the error's power in the model's band that a peak holds between its half-power points.
+"""
+
+
+class Peak(NamedTuple):
+    """A peak of an error's spectrum.
+
+    **Fields:** `frequency`, half-power points `low` and `high` in hertz; `share` of the error's
+    power in the model's band that lies between them; `size`, root mean square of that part
+    of the error relative to the target's.
+    """
+
+    frequency: float
+    low: float
+    high: float
+    share: float
+    size: float
+
+    @property
+    def bandwidth(self) -> float:
+        """Width between the half-power points in hertz."""
+        return self.high - self.low
+
+
+class ErrorSpectrum(NamedTuple):
+    """One-sided power spectral densities, in (unit of the equation)^2/Hz.
+
+    **Fields:** `frequency` in hertz; densities of `error`, `explained` part and `target`; `common`,
+    real part of the density between target and explained part, to which noise in only one of them
+    adds nothing; all of shape `(frequencies,)`. `segments` averaged over.
+    """
+
+    frequency: Float[np.ndarray, " frequencies"]
+    error: Float[np.ndarray, " frequencies"]
+    explained: Float[np.ndarray, " frequencies"]
+    target: Float[np.ndarray, " frequencies"]
+    common: Float[np.ndarray, " frequencies"]
+    segments: int
+
+    @property
+    def resolution(self) -> float:
+        """Hertz from one frequency to the next."""
+        return float(self.frequency[1])
+
+    @property
+    def band(self) -> float:
+        """Hertz up to which 99 % of the power common to target and explained part lies.
+
+        Sensor noise that differentiation raises towards half the sampling rate is in one of them
+        only, so this is the band of the motion, whatever the noise above it.
+        """
+        running = np.cumsum(np.maximum(self.common, 0.0))
+        if not running[-1] > 0:
+            return float(self.frequency[-1])
+        return float(self.frequency[np.searchsorted(running, BAND_SHARE * running[-1])])
+
+    def peak(self) -> Peak | None:
+        """The peak of the error that holds most power, if there is a genuine one.
+
+        It stands out fourfold on both sides, is no wider than its frequency (a mode of half the
+        critical damping), has both half-power points below nine tenths of the model's band, and
+        holds 30 % of the error's power there. A rise towards half the sampling rate, as of
+        differentiated noise, is no peak, nor one that only ends where the excitation does.
+        """
+        from scipy.signal import find_peaks  # half a second, which the first answer need not wait
+
+        if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
+            return None
+        smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
+        level = np.log(np.maximum(smooth, np.finfo(float).tiny))
+        tops, _ = find_peaks(level, prominence=np.log(PROMINENCE))
+        peaks = (self._peak_at(int(top), smooth) for top in tops)
+        genuine = [
+            p
+            for p in peaks
+            if p.bandwidth <= p.frequency
+            and p.high < PEAK_BAND * self.band
+            and p.share >= PEAK_SHARE
+        ]
+        return max(genuine, key=lambda p: p.share, default=None)
+
+    def _peak_at(self, top: int, smooth: Float[np.ndarray, " frequencies"]) -> Peak:
+        from scipy.signal import peak_widths
+
+        # As prominence the whole height, so that half the prominence is half the power.
+        height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
+        edges = peak_widths(smooth, [top], prominence_data=height)
+        low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
+        inside = (self.frequency >= low) & (self.frequency <= high)
+        # The mean is no oscillation, so it does not count.
+        total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
+        power = np.sum(self.error, where=inside)
+        whole = np.sum(self.target)
+        return Peak(
+            float(self.frequency[top]),
+            low,
+            high,
+            float(power / total) if total > 0 else 0.0,
+            float(np.sqrt(power / whole)) if whole > 0 else 0.0,
+        )
+
+
+def error_spectrum(
+    error: EquationError, *, parts: int = SEGMENTS, detrend: bool = True
+) -> ErrorSpectrum:
+    """Welch's spectra of an equation error and of what the model explains.
+
+    Hann windows on segments that overlap by half; none reaches over a gap. Not under jit.
+
+    **Arguments:** `parts`: a segment is this part of the record, 64 samples at least; shorter
+    where unbroken stretches are. `detrend`: take each segment's mean off.
+    """
+    from scipy.signal import csd
+
+    runs = unbroken(np.asarray(error.present))
+    length = segment_length([run.stop - run.start for run in runs], parts)
+    left, explained, target = map(np.asarray, (error.error, error.explained, error.target))
+    pairs = {
+        "error": (left, left),
+        "explained": (explained, explained),
+        "target": (target, target),
+        "common": (target, explained),
+    }
+    sums = {name: np.zeros(length // 2 + 1) for name in pairs}
+    count = 0
+    for run in runs:
+        # A longer run of segments counts for more, as in one mean over all of them.
+        segments = max((run.stop - run.start - length) // (length - length // 2) + 1, 0)
+        count += segments
+        for name, (one, other) in pairs.items() if segments else ():
+            _, density = csd(
+                one[run],
+                other[run],
+                fs=1 / float(error.time_step),
+                nperseg=length,
+                detrend="constant" if detrend else False,  # pyright: ignore[reportArgumentType]
+            )
+            sums[name] += segments * np.real(density)
+    frequency = np.fft.rfftfreq(length, float(error.time_step))
+    means = {name: total / max(count, 1) for name, total in sums.items()}
+    return ErrorSpectrum(frequency, **means, segments=count)
+
+
+def unbroken(present: Bool[np.ndarray, " n"]) -> list[slice]:
+    """Stretches without a missing value."""
+    edges = np.flatnonzero(np.diff(np.pad(present.astype(np.int8), 1)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
+
+
+def segment_length(stretches: list[int], parts: int) -> int:
+    """Samples in a segment: as wanted, unless half of all samples lie in shorter stretches."""
+    if not stretches:
+        return SHORTEST_SEGMENT
+    longest_first = np.sort(stretches)[::-1]
+    running = np.cumsum(longest_first)
+    typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
+    return max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
+
+
+# Why eq. (18) allows ordinary least squares. With n windows the errors' covariance is
+#
+#     S = sigma^2 ((1 - epsilon) I + epsilon 1 1'),
+#     S^-1 = (I - c 1 1') / (sigma^2 (1 - epsilon)),   c = epsilon / (1 - epsilon + n epsilon),
+#
+# so that generalised least squares solves (A'A - c A'1 1'A) theta = A'y - c A'1 1'y. Regressors of
+# zero mean have A'1 = 0, and this is ordinary least squares whatever epsilon is. What a constant
+# part does harm to is the average: the mean of n errors has the variance
+# sigma^2 ((1 - epsilon) / n + epsilon), which does not fall below epsilon sigma^2.
+#
+# How large epsilon is by chance. White noise of density N has E e_1 e_2 = N E(overlap) for two
+# windows and E e^2 = N E(T). A window covers an instant with probability about E(T) / t_max, two
+# windows both with its square, so E(overlap) = E(T)^2 / t_max and epsilon = E(T) / t_max. The mean
+# error being normal, the estimate below is epsilon times chi-square with one degree of freedom,
+# which exceeds 10 with a probability of 0.2 %.
+
+LENGTHS = 4
+"""Window lengths from alpha to beta, each at every start."""
+BLOCK_LENGTH = 2
+"""Longest windows to a block of time; no window reaches over its end, so blocks share no data."""
+BLOCKS_TO_STRETCH = 5
+"""Blocks to a stretch at least, whose scatter separates chance from change."""
+MOST_STRETCHES = 8
+FEWEST_STRETCHES = 3
+BATCH = 2**20
+"""Samples of blocks that are looked at together."""
+SILENT = 1e-6
+"""Mean square relative to the loudest block's below which a block is just silent."""
+
+
+class WindowErrors(NamedTuple):
+    """Errors of windows along the record.
+
+    **Fields:**
+
+    - `relative_rms`: root mean square of the windows' errors relative to the targets'.
+    - `start`, `stop`: first and last time of each stretch in seconds from the first recording's
+      first sample, records one after the other; shape `(stretches,)`.
+    - `mean_square`: mean square error of the windows of each stretch relative to that of all.
+    - `target_mean_square`: the same of the target.
+    - `p_value`: probability that equal stretches differ as much; NaN where the record is too short
+      for three stretches.
+    - `correlation`: epsilon, the mean product of the errors of two windows drawn at random from
+      one record, over the mean square.
+    - `window_share`: mean T / t_max, the epsilon of white noise.
+    """
+
+    relative_rms: float
+    start: Float[np.ndarray, " stretches"]
+    stop: Float[np.ndarray, " stretches"]
+    mean_square: Float[np.ndarray, " stretches"]
+    target_mean_square: Float[np.ndarray, " stretches"]
+    p_value: float
+    correlation: float
+    window_share: float
+
+    @property
+    def ratio(self) -> float:
+        """Mean square error of the loudest stretch over the quietest's; 1 if all are silent."""
+        return _ratio(self.mean_square)
+
+    @property
+    def target_ratio(self) -> float:
+        """The same of the target: how uneven the motion itself is."""
+        return _ratio(self.target_mean_square)
+
+
+class _Blocks(NamedTuple):
+    """Means over the windows in each block of time, shape `(blocks,)`; `start` in samples."""
+
+    start: np.ndarray
+    error: np.ndarray
+    error_square: np.ndarray
+    target_square: np.ndarray
+
+
+def window_errors(errors: list[EquationError], windows: AbstractWindows) -> WindowErrors | None:
+    """Errors of boxcar windows over the records of one equation (not under jit).
+
+    `None` where no record is long enough for two blocks of time of twice the longest window.
+    """
+    step = float(errors[0].time_step)
+    alpha, beta = float(windows.alpha), float(windows.beta)
+    longest = max(round(beta / step), 1)
+    lags = np.unique(np.round(np.geomspace(max(alpha / step, 1), longest, LENGTHS)).astype(int))
+    length = BLOCK_LENGTH * longest
+    sizes = [error.error.size for error in errors]
+    records = [
+        _blocks(error, lags, length, before)
+        for error, before in zip(errors, np.cumsum([0, *sizes[:-1]]))
+    ]
+    count = sum(blocks.start.size for blocks in records)
+    if count < 2:
+        return None
+    size = max(BLOCKS_TO_STRETCH, -(-count // MOST_STRETCHES))
+    stretches = [stretch for blocks in records for stretch in _stretches(blocks, size)]
+    error, target = (
+        np.concatenate([getattr(blocks, field) for blocks in records]).mean()
+        for field in ("error_square", "target_square")
+    )
+    # Every block holds as many windows, so that means of blocks are means of windows.
+    shared = sum(
+        blocks.start.size * blocks.error.mean() ** 2 for blocks in records if len(blocks.start)
+    )
+    middle, half = np.asarray(joined(errors, 0).times), 0.5 * errors[0].span * step
+    return WindowErrors(
+        relative_rms=float(np.sqrt(_share(error, target))),
+        start=np.array([middle[part.start[0]] for part in stretches]) - half,
+        stop=np.array([middle[part.start[-1] + length - 1] for part in stretches]) + half,
+        mean_square=np.array([_share(part.error_square.mean(), error) for part in stretches]),
+        target_mean_square=np.array(
+            [_share(part.target_square.mean(), target) for part in stretches]
+        ),
+        p_value=_p_value([part.error_square for part in stretches]),
+        correlation=_share(shared / count, error),
+        window_share=float(np.mean(lags) * len(sizes) / np.sum(sizes)),
+    )
+
+
+def _blocks(error: EquationError, lags: np.ndarray, length: int, before: int) -> _Blocks:
+    """Blocks of `length` samples of each unbroken stretch, the rest of it left out.
+
+    **Arguments:** `before`, samples of the records before this one, from which starts count.
+    """
+    step = float(error.time_step)
+    starts = [
+        start
+        for run in unbroken(np.asarray(error.present))
+        for start in range(run.start, run.stop - length + 1, length)
+    ]
+    rises, targets = (
+        _rises(np.asarray(values) * step, np.array(starts, int), lags, length)
+        for values in (error.error, error.target)
+    )
+    return _Blocks(np.array(starts, int) + before, rises.mean, rises.square, targets.square)
+
+
+class _Rises(NamedTuple):
+    """Mean and mean square over all windows in each block, shape `(blocks,)`."""
+
+    mean: np.ndarray
+    square: np.ndarray
+
+
+def _rises(values: np.ndarray, starts: np.ndarray, lags: np.ndarray, length: int) -> _Rises:
+    """Of sums over every window of these lengths in blocks that begin at `starts`.
+
+    A window's sum is the rise of the block's own running sum, one lag for all blocks at a time.
+    """
+    mean, square = np.zeros(starts.size), np.zeros(starts.size)
+    windows = int(np.sum(length + 1 - lags))
+    for some in np.array_split(np.arange(starts.size), max(starts.size * length // BATCH, 1)):
+        blocks = values[starts[some, None] + np.arange(length)]
+        running = np.pad(np.cumsum(blocks, axis=1), [(0, 0), (1, 0)])
+        for lag in lags:
+            rises = running[:, lag:] - running[:, :-lag]
+            mean[some] += rises.sum(1) / windows
+            square[some] += np.einsum("ij,ij->i", rises, rises) / windows
+    return _Rises(mean, square)
+
+
+def _stretches(blocks: _Blocks, size: int) -> list[_Blocks]:
+    """A record's blocks in stretches of at least `size`, as equal as possible."""
+    count = blocks.start.size // size
+    edges = np.linspace(0, blocks.start.size, count + 1).astype(int)
+    return [_Blocks(*(v[a:b] for v in blocks)) for a, b in itertools.pairwise(edges) if count]
+
+
+def _p_value(stretches: list[np.ndarray]) -> float:
+    """Analysis of variance of the logarithms of the blocks' mean squares.
+
+    A mean square of nu degrees of freedom scatters in proportion to its size, its logarithm by
+    about sqrt(2 / nu) whatever the size, as the analysis presumes; nor does one loud block decide.
+    """
+    if len(stretches) < FEWEST_STRETCHES:
+        return float("nan")
+    largest = max(square.max() for square in stretches)
+    if largest == min(square.min() for square in stretches):
+        return float("nan")
+    return tails.equal_means([np.log(np.maximum(s, SILENT * largest)) for s in stretches])
+
+
+def _share(part: float, whole: float) -> float:
+    return float(part / whole) if whole > 0 else 0.0
+
+
+def _ratio(mean_square: np.ndarray) -> float:
+    if not mean_square.size or not np.max(mean_square) > 0:
+        return 1.0
+    return float(np.max(mean_square) / max(np.min(mean_square), np.finfo(float).tiny))
+
+
+KNOTS = 9
+"""Of the straight lines that stand for any function of one signal."""
+PARTS = 40
+"""Parts of the recordings, every other of which is explained by the rest."""
+NOTABLE_GAIN = 0.5
+"""Share of what no function explains, from which on it is a loop."""
+MOST_VALUES = 2**16
+"""Values that are enough."""
+
+Series = list[Float[np.ndarray, " n"]]
+"""A signal of each record."""
+
+
+class Loop(NamedTuple):
+    """What explains most of what no function of velocity or position does.
+
+    **Fields:** `law`, of hysteresis, or empty where the signal `by` changes a force; `motion`;
+    `width` within which it turns round; `gain`, share of the rest that it explains; `size`, root
+    mean square of that relative to the target; `dry`, whether it is dry friction that is changed.
+    """
+
+    law: str
+    motion: Motion
+    width: float
+    by: str
+    gain: float
+    size: float
+    dry: bool = False
+
+    def describe(self) -> dict[str, object]:
+        """Plain data for JSON."""
+        return {**self._asdict(), "motion": self.motion._asdict()}
+
+    def finding(self, time_step: float) -> Finding:
+        """`hysteresis`, or `residual_follows_signal` of one that the model does not read."""
+        v, x = self.motion.velocity, self.motion.position
+        of_both = f"{v} and {x}" if x else v
+        size = f"{100 * self.size:.2g} % of the target"
+        share = f"{100 * self.gain:.0f} % of what no function of {of_both} explains"
+        if self.by:
+            changed = f"the direction of {v}" if self.dry else v
+            return Finding(
+                "residual_follows_signal",
+                f"what the model leaves follows {self.by} times {changed}, which explains {share}, "
+                f"{size}: {self.by} changes a {'friction' if self.dry else 'damping'} force and "
+                f"the model does not use it. Add a term in it (riecjax discover).",
+                (self.by,),
+            )
+        windows = f"--alpha {2 * time_step:.3g} --beta {10 * time_step:.3g}"
+        width = f"{self.width:.2g} {self.motion.unit}".rstrip()
+        return Finding(
+            "hysteresis",
+            f"what the model leaves runs in loops over {v}: a state that turns round within about "
+            f"{width} of displacement ({self.law}) explains {share}, {size}. Hysteresis is "
+            f"missing: find its law by windows that are no longer than it takes to turn (riecjax "
+            f"discover {windows}).",
+            step=f"Find the law of the hysteresis: riecjax discover, with {windows}",
+        )
+
+
+def loop_of(
+    errors: list[EquationError],
+    records: list[Record],
+    motions: Sequence[Motion],
+    unread: Sequence[str],
+    count: int,
+) -> Loop | None:
+    """The largest loop of an equation's error, if any is notable.
+
+    **Arguments:** `errors` of the equation, one for each of `records`; `motions` that it reads, and
+    signals that the model leaves `unread`; error and regressors are averaged over `count` samples.
+    """
+    error = joined(errors, count)
+    present = np.asarray(error.present)
+
+    def averaged(values: np.ndarray) -> np.ndarray:
+        found, whole = moving_average(values, present, count)
+        return found[whole]
+
+    ends = [averaged(np.asarray(one)) for one in (error.error, error.target)]
+    loops = []
+    for motion in (one for one in motions if one.velocity):
+        kinds, columns = [], list(ends)
+        for kind, signals in _regressors(motion, unread, records):
+            values = [np.asarray(of.centred(np.asarray(one))) for of, one in zip(errors, signals)]
+            columns.append(averaged(with_pads(values, count)))
+            kinds.append(kind)
+        loops.append(largest(columns, kinds))
+    return max(filter(None, loops), key=lambda one: one.size, default=None)
+
+
+def _regressors(
+    motion: Motion, unread: Sequence[str], records: Sequence[Record]
+) -> Iterator[tuple[Loop | None, Series]]:
+    """What is taken out first, and each that may explain the rest, as signals of each record."""
+    v = _each(records, motion.velocity)
+    # Without a recorded position a spring would pass for a state that goes with the displacement.
+    if motion.position:
+        x = _each(records, motion.position)
+    else:
+        ways = [np.cumsum(pieces_of_way(motion.velocity, record)) for record in records]
+        x = [scipy.signal.detrend(np.concatenate([[0.0], way])) for way in ways]
+    for signals in (v, x):
+        every = np.concatenate(signals)
+        knots = np.linspace(every.min(), every.max(), KNOTS)
+        for i in range(KNOTS):
+            yield None, [np.interp(one, knots, np.eye(KNOTS)[i]) for one in signals]
+    yield None, [np.sign(one) for one in v]
+    yield None, [np.gradient(one) for one in v]
+    for law in (Dahl, BoucWen):
+        for width in usual_widths(motion.velocity, records):
+            memory = law("state", motion.velocity, float(width))
+            found = Loop(law.__name__, motion, float(width), "", 0.0, 0.0)
+            yield found, [memory.course(record) for record in records]
+    for name in unread:
+        s = _each(records, name)
+        for dry in (False, True):
+            found = Loop("", motion, 0.0, name, 0.0, 0.0, dry)
+            yield found, [one * (np.sign(w) if dry else w) for one, w in zip(s, v)]
+
+
+def largest(columns: list[Float[np.ndarray, " n"]], kinds: Sequence[Loop | None]) -> Loop | None:
+    """The one that explains most of what those without a kind leave of the first, if it is most.
+
+    **Arguments:** `columns`: the error, the target, and the regressors; `kinds` of the latter.
+    """
+    every = max(len(columns[0]) // MOST_VALUES, 1)
+    thinned = np.stack([column[::every] for column in columns], axis=1)
+    part = np.arange(len(thinned)) * PARTS // max(len(thinned), 1) % 2
+    error, energy = np.delete(thinned, 1, axis=1), float(np.sum(thinned[:, 1] ** 2))
+    grams = [error[part == i].T @ error[part == i] for i in (0, 1)]
+    base = [1 + i for i, kind in enumerate(kinds) if kind is None]
+    before = _left(grams, base)
+    best: Loop | None = None
+    for i, kind in enumerate(kinds):
+        if kind is None or not before > 0 or not energy > 0:
+            continue
+        gained = before - _left(grams, [*base, 1 + i])
+        found = kind._replace(gain=gained / before, size=float(np.sqrt(max(gained, 0) / energy)))
+        if found.gain > max(NOTABLE_GAIN, 0.0 if best is None else best.gain):
+            best = found
+    return best
+
+
+def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
+    """Energy that columns leave of the first, each half by coefficients from the other."""
+    at, total = np.array([0, *columns]), 0.0
+    for fitted, held in (grams, grams[::-1]):
+        gram, moment = fitted[np.ix_(at[1:], at[1:])], fitted[at[1:], 0]
+        size = np.sqrt(np.diagonal(gram))
+        scale = 1 / np.where(size > 0, size, 1.0)
+        theta = np.linalg.pinv(gram * np.outer(scale, scale), 1e-9, hermitian=True)
+        v = np.concatenate([[1.0], -scale * (theta @ (scale * moment))])
+        total += float(v @ held[np.ix_(at, at)] @ v)
+    return total
+
+
+def _each(records: Sequence[Record], name: str) -> Series:
+    return [np.nan_to_num(samples_with_nan(record, name)) for record in records]
+
 
 NOTABLE_SIZE = 0.02
 """Share of the target below which an error does not matter."""
@@ -102,8 +808,13 @@ class EquationResidual(NamedTuple):
 
     def findings(self) -> list[Finding]:
         """`unmodelled_mode`, `hysteresis`, `residual_follows_signal`, `uneven_errors`."""
-        of_model = (self._mode(), self._looping(), self._following())
-        made = () if self.explained else itertools.chain(*of_model)
+        made: list[Finding] = []
+        if not self.explained:
+            made += self._mode()
+            if self.loop is not None and self.loop.size >= NOTABLE_SIZE:
+                loop = self.loop.finding(float(self.error.time_step))
+                made.append(loop._replace(message=f"{self.name}: {loop.message}"))
+            made += self._following()
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
 
@@ -139,11 +850,6 @@ class EquationResidual(NamedTuple):
             f"{late} (on the command line: --add-spring {self.dampers[0]}; "
             f"rx.SeriesSpring('{self.dampers[0]}'))"
         )
-
-    def _looping(self) -> Iterator[Finding]:
-        if self.loop is not None and self.loop.size >= NOTABLE_SIZE:
-            found = self.loop.finding(float(self.error.time_step))
-            yield found._replace(message=f"{self.name}: {found.message}")
 
     def _following(self) -> Iterator[Finding]:
         if not self.follows or (self.loop is not None and self.loop.by):
@@ -322,47 +1028,29 @@ def residual_tests(
         residual = _residual(name, of_equation, recordings, windows, lags)
         is_notable = residual.averaged_size >= NOTABLE_SIZE
         count = round(residual.averaged / float(recordings[0].time_step))
+        # Where the equation could hide something.
+        sprung = {spring.of for spring in procedure.springs}
+        elements = force_elements(procedure.equations, [equation])
+        free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
+        loop = None
+        if is_notable:  # hysteresis, or a signal of no name that changes a force
+            units = {name: unit for record in recordings for name, unit in record.units}
+            common = [n for n in first.arrays if all(n in each.arrays for each in recordings)]
+            unread = [name for name in common if name not in named]
+            motions, unread = motions_and_unread(equation, first, {*common}, units, unread)
+            loop = loop_of(of_equation, recordings, motions, unread, count)
         residual = residual._replace(
-            **_lacking(procedure, equation),
-            loop=_loop(equation, of_equation, recordings, named, count) if is_notable else None,
+            bodies=accelerated(equation),
+            carrying=tuple(m.on for m in procedure.modes if m.inertia(equation) is not None),
+            dampers=tuple(name for name, term in free.items() if isinstance(term, Term)),
+            maps=tuple(name for name, term in free.items() if not isinstance(term, Term)),
+            loop=loop,
             parameters=equation.parameters,
             names=tuple(sorted(named)),
             explained=not faulty.isdisjoint(read),
         )
         found.append(residual)
     return ResidualTests(tuple(found), tuple(faults))
-
-
-def _loop(
-    equation: Equation,
-    errors: list[EquationError],
-    records: list[Record],
-    named: Container[str],
-    count: int,
-) -> Loop | None:
-    """Of an error that is worth it: hysteresis, or a signal of no name that changes a force."""
-    units = {name: unit for record in records for name, unit in record.units}
-    common = [name for name in records[0].arrays if all(name in one.arrays for one in records)]
-    unread = [name for name in common if name not in named]
-    motions, unread = motions_and_unread(equation, records[0], {*common}, units, unread)
-    return loop_of(errors, records, motions, unread, count)
-
-
-def _lacking(procedure: Procedure, equation: Equation) -> dict[str, tuple[str, ...]]:
-    """Where an equation could hide something, by field of `EquationResidual`."""
-    sprung = {spring.of for spring in procedure.springs}
-    free = {
-        name: term
-        for name, term in force_elements(procedure.equations, [equation]).items()
-        if not sprung & {*term.parameters}
-    }
-    carrying = (mode.on for mode in procedure.modes if mode.inertia(equation) is not None)
-    return {
-        "bodies": accelerated(equation),
-        "carrying": tuple(carrying),
-        "dampers": tuple(name for name, term in free.items() if isinstance(term, Term)),
-        "maps": tuple(name for name, term in free.items() if not isinstance(term, Term)),
-    }
 
 
 def _residual(
@@ -411,8 +1099,14 @@ def _follows(
     ]
     found = []
     for name in common:
-        signal, valid = _signal(errors, records, name, lags)
-        signal, valid = moving_average(signal, valid, count)
+        # At the times of the joined errors, with a mask of its samples that are present.
+        values, masks = [], []
+        for part, record in zip(errors, records):
+            missing = record.missing.get(name)
+            values.append(np.asarray(part.centred(record[name])))
+            gone = np.zeros(values[-1].size) if missing is None else part.centred(missing * 1.0)
+            masks.append(np.asarray(gone) == 0)
+        signal, valid = moving_average(with_pads(values, lags), with_pads(masks, lags), count)
         both = present & valid
         if both.any() and np.ptp(signal[both]) > 0:
             step = float(errors[0].time_step)
@@ -420,16 +1114,3 @@ def _follows(
                 cross_correlation(error, signal, both, lags, step, name=name, signals=len(common))
             )
     return tuple(sorted(found, key=lambda one: -abs(one.largest)))
-
-
-def _signal(
-    errors: list[EquationError], records: list[Record], name: str, pad: int
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """A signal at the times of the joined errors, and a mask of its samples that are present."""
-    values, valid = [], []
-    for error, record in zip(errors, records):
-        missing = record.missing.get(name)
-        values.append(np.asarray(error.centred(record[name])))
-        gone = np.zeros(values[-1].size) if missing is None else error.centred(missing * 1.0)
-        valid.append(np.asarray(gone) == 0)
-    return with_pads(values, pad), with_pads(valid, pad)

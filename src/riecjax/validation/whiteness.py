@@ -27,8 +27,8 @@ from jaxtyping import Array, Bool, Float
 from riecjax import tails
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.output_misfit import OutputMisfit
-from riecjax.validation.time_series import autocorrelation
+from riecjax.refinement.output_error import OutputMisfit
+from riecjax.validation.residuals import autocorrelation
 
 LAGS = 20
 LEVEL = 0.01
@@ -96,7 +96,8 @@ def whiteness(
     masks = [np.asarray(part.present) for part in misfit.recorded]
     if not all(np.isfinite(part).all() for part in left):
         return None
-    size = np.sqrt(_mean_squares(left, masks))
+    squares = sum(np.sum(one**2, axis=(0, 1)) for one in left)
+    size = np.sqrt(squares / np.maximum(sum(np.sum(one, axis=(0, 1)) for one in masks), 1))
     series = left
     if any(part.windows > 1 and part.measured.shape[1] < MANY_SAMPLES for part in misfit.recorded):
         weight = 1 / np.where(size > 0, size, 1.0)
@@ -124,13 +125,6 @@ def whiteness(
     tests = len(misfit.labels) * len(misfit.recorded)
     threshold = tails.chi_square(LEVEL / tests, LAGS) / LAGS
     return Whiteness(statistics, threshold, chi_squared, shares)
-
-
-def _mean_squares(
-    left: list[Float[np.ndarray, "w n c"]], masks: list[Bool[np.ndarray, "w n c"]]
-) -> Float[np.ndarray, " c"]:
-    squares = sum(np.sum(one**2, axis=(0, 1)) for one in left)
-    return squares / np.maximum(sum(np.sum(one, axis=(0, 1)) for one in masks), 1)
 
 
 def ljung_box(values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"]) -> float:

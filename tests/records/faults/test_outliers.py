@@ -53,13 +53,6 @@ def test_all_are_found_none_is_false_and_the_repair_is_as_good_as_a_sample(noise
     assert 0.25 < np.std(np.concatenate(errors)) < 0.5
 
 
-def test_spikes_of_ten_noises_mostly_are():
-    values, where = spiked(noisy(0, 0.05)["x"], 10 * size_of(0.05, "x"), 0)
-    found = find_spikes(values).places
-    assert np.isin(where, found).mean() > 0.8
-    assert np.isin(found, where).all()
-
-
 def test_without_noise_most_are_and_none_is_false():
     values, where = spiked(CLEAN["x"], 0.2 * CLEAN["x"].std(), 0)
     found = find_spikes(values).places
@@ -74,14 +67,6 @@ def test_groups_of_up_to_three_count_and_longer_ones_do_not():
         values[500 : 500 + length] += size
         expected = np.arange(500, 500 + length) if length <= 3 else []
         np.testing.assert_array_equal(find_spikes(values).places, expected)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_precision_scale_offset_and_sign_do_not_matter(dtype):
-    values, where = spiked(noisy(0, 0.01)["x"], 20 * size_of(0.01, "x"), 0)
-    for factor, offset in ((1, 0), (-1, 3), (1e-30, 0), (1e30, 0)):
-        changed = (factor * values + offset).astype(dtype)
-        np.testing.assert_array_equal(find_spikes(changed).places, where)
 
 
 def test_next_to_gaps_at_the_ends_and_in_a_short_record():
@@ -113,45 +98,8 @@ def test_where_the_noise_changes_each_spike_is_held_against_its_own():
     np.testing.assert_array_equal(find_spikes(values).places, [400, 1100, 3300])
 
 
-RATE = 500
-TIME = np.arange(4 * RATE) / RATE
-WITHOUT = {
-    "constant": lambda rng: np.full(TIME.size, 3.0),
-    "fast sine": lambda rng: np.sin(2 * np.pi * 0.37 * RATE * TIME),
-    "steps": lambda rng: np.repeat(rng.normal(size=40), TIME.size // 40),
-    "relay with noise": lambda rng: np.sign(np.sin(9 * TIME)) + 0.01 * rng.normal(size=TIME.size),
-    "triangles": lambda rng: np.abs((3 * TIME) % 2 - 1) + 1e-3 * rng.normal(size=TIME.size),
-    "kerbs": lambda rng: 0.1 * (TIME % 0.5 < 0.25) + 1e-4 * rng.normal(size=TIME.size),
-    "corners of friction": lambda rng: np.sin(8 * TIME) + 0.3 * np.sign(np.cos(8 * TIME)),
-    "encoder": lambda rng: np.round(40 * np.sin(3 * TIME)) / 40,
-    "clipped": lambda rng: np.clip(np.sin(8 * TIME) + 0.01 * rng.normal(size=TIME.size), -0.7, 0.7),
-    "impacts": lambda rng: np.convolve(
-        np.isin(np.arange(TIME.size), rng.choice(TIME.size, 12)), np.hanning(9), "same"
-    ) + 1e-3 * rng.normal(size=TIME.size),
-    "pulses of a command": lambda rng: 1.0 * (np.arange(TIME.size) % 97 == 0),
-    "white noise": lambda rng: rng.normal(size=TIME.size),
-    "axis at rest": lambda rng: np.maximum(np.sin(3 * TIME), 0.3),
-}  # fmt: skip
-
-
-@pytest.mark.no_finding("outliers")
-@pytest.mark.parametrize("kind", WITHOUT)
-def test_what_machines_do_is_no_outlier(kind):
-    for seed in range(10):
-        values = WITHOUT[kind](np.random.default_rng(seed))
-        record = Record.from_samples({"x": values, "y": TIME}, time_step=1 / RATE)
-        check_signals(record, ["x"])
-
-
-@pytest.mark.no_finding("outliers")
-def test_no_alarm_on_motions_with_noise():
-    for seed in range(60):
-        record = Record.from_samples(noisy(seed, (0, 0.01, 0.05)[seed % 3]), time_step=0.01)
-        check_signals(record, ["x", "dx", "u"])
-
-
 def test_a_command_keeps_its_pulses_and_loses_what_nothing_commands():
-    values = WITHOUT["pulses of a command"](None)
+    values = 1.0 * (np.arange(2000) % 97 == 0)
     values[200] = 1e12
     np.testing.assert_array_equal(find_spikes(values).places, [200])
 

@@ -5,8 +5,7 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.models.catalogue import find_model
-from riecjax.records.noise import Noise
-from riecjax.records.preparation.alignment import align, declared_pairs, set_clocks, shift
+from riecjax.records.preparation.alignment import align, declared_pairs, set_clocks
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import read_recording
 
@@ -31,43 +30,6 @@ def recorded(noise: float = 0.0, seed: int = 0, count: int = TIME.size, **late: 
 PAIRS = [("q", "dq"), ("dq", "ddq")]
 
 
-@pytest.mark.parametrize("count", [4000, 300])
-@pytest.mark.parametrize("late", [3.0, -2.0, 0.37, -5.81])
-def test_a_shifted_signal_is_what_it_was_so_much_later(late, count):
-    record = recorded(count=count, q=late)
-    shifted = shift(record, {"q": late * STEP})
-    time = STEP * np.round(np.asarray(shifted.elapsed) / STEP)
-    np.testing.assert_allclose(shifted["q"], motion(time), atol=1e-6)
-    np.testing.assert_allclose(shifted["dq"], motion(time, 1), atol=1e-9)
-    assert record.sample_count - shifted.sample_count < (15 if count == 300 else 100)
-
-
-def test_gaps_grow_by_what_cannot_be_computed():
-    q = motion(TIME - 0.5 * STEP)
-    q[2000:2010] = np.nan
-    shifted = shift(Record.from_samples({"q": q}, time_step=STEP), {"q": 0.5 * STEP})
-    values, time = samples_with_nan(shifted, "q"), np.asarray(shifted.elapsed)
-    there = ~np.isnan(values)
-    np.testing.assert_allclose(values[there], motion(time[there]), atol=1e-6)
-    assert 10 < np.sum(~there) < 110
-
-
-def test_noise_goes_on_with_its_size():
-    noise = np.random.default_rng(0).normal(size=4000)
-    record = Record.from_samples({"q": noise}, time_step=STEP)
-    record = record.with_noise(Noise.given({"q": 1.0}))
-    for late in (0.5, 0.2, 3.0):
-        shifted = shift(record, {"q": late * STEP})
-        std = float(shifted.noise.std("q"))
-        assert std == pytest.approx(np.std(np.asarray(shifted["q"])), rel=0.04)
-
-
-@pytest.mark.parametrize("seconds", [np.nan, np.inf, 11.0])
-def test_impossible_shifts(seconds):
-    with pytest.raises(DataError, match="half the record"):
-        shift(recorded(), {"q": seconds})
-
-
 @pytest.mark.parametrize("ppm", [500.0, -2000.0])
 def test_a_signal_of_another_clock_is_brought_to_the_records(ppm):
     slow = motion(TIME * (1 - 1e-6 * ppm))
@@ -84,21 +46,6 @@ def test_a_signal_of_another_clock_is_brought_to_the_records(ppm):
         np.testing.assert_allclose(set_["dq"], motion(time, 1), atol=1e-9)
         assert 50 < np.sum(~there) < 110
         assert record.sample_count - start - set_.sample_count < 110
-
-
-def test_noise_of_another_clock_goes_on_with_its_size():
-    noise = np.random.default_rng(0).normal(size=4000)
-    record = Record.from_samples({"q": noise}, time_step=STEP)
-    found = set_clocks(record.with_noise(Noise.given({"q": 1.0})), {"q": 3000.0})
-    assert float(found.noise.std("q")) == pytest.approx(np.std(np.asarray(found["q"])), rel=0.04)
-
-
-@pytest.mark.parametrize(
-    ("ppm", "count", "said"), [(np.nan, 4000, "no clock"), (1e5, 4000, "10"), (50.0, 80, "long")]
-)
-def test_impossible_clocks(ppm, count, said):
-    with pytest.raises(DataError, match=said):
-        set_clocks(recorded(count=count), {"q": ppm})
 
 
 @pytest.mark.no_finding("late_signal")

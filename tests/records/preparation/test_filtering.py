@@ -1,12 +1,21 @@
-import hypothesis
-import hypothesis.strategies as st
+"""Filters and derivatives, against SciPy, closed forms and white noise."""
+
 import numpy as np
 import pytest
 import scipy.signal
 
+from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.records.noise import Noise
-from riecjax.records.preparation.filtering import low_pass, remove_drift, remove_offset, unfilter
+from riecjax.records.preparation.filtering import (
+    derivative_taps,
+    differentiate,
+    low_pass,
+    remove_drift,
+    remove_offset,
+    unfilter,
+    with_local_derivative,
+)
 from riecjax.records.record import Record
 
 RATE = 1000.0
@@ -45,13 +54,6 @@ def test_low_pass_agrees_with_filtfilt_and_leaves_other_signals():
     np.testing.assert_array_equal(filtered["force"], signals["force"][50:-50])
 
 
-def test_low_pass_cuts_five_periods_of_the_lowest_cut_off_and_keeps_time():
-    filtered = low_pass(record(q=TIME, p=TIME), {"q": 100.0, "p": 20.0})
-    assert filtered.sample_count == 4000 - 2 * 250
-    np.testing.assert_allclose(filtered.start_time, 0.25)
-    np.testing.assert_allclose(filtered.time, TIME[250:-250])
-
-
 TAU = 0.004
 
 
@@ -77,60 +79,11 @@ def test_a_low_pass_of_first_order_is_undone(frequency):
     np.testing.assert_array_equal(found["p"], TIME[3:-3])
 
 
-def test_noise_grows_as_a_low_pass_is_undone():
-    white = np.random.default_rng(0).normal(size=40_000)
-    noisy = record(q=white).with_noise(Noise.given({"q": 1.0}))
-    found = unfilter(noisy, {"q": TAU})
-    assert float(found.noise.std("q")) == pytest.approx(np.std(np.asarray(found["q"])), rel=0.02)
-    assert float(found.noise.std("q")) > 3
-
-
-@pytest.mark.parametrize("seconds", [0.0, -TAU, np.nan, np.inf])
-def test_no_low_pass_has_such_a_time_constant(seconds):
-    with pytest.raises(DataError, match="must be positive"):
-        unfilter(record(q=TIME), {"q": seconds})
-
-
-@pytest.mark.parametrize("cutoff", [0.0, -5.0, 500.0, 1e9])
-def test_impossible_cut_off(cutoff):
-    with pytest.raises(DataError, match="between 0 and half the sampling rate, 500 Hz"):
-        low_pass(record(q=TIME), {"q": cutoff})
-
-
-def test_low_pass_of_a_missing_signal():
-    with pytest.raises(DataError, match="no signal 'speed'"):
-        low_pass(record(q=TIME), {"speed": 10.0})
-
-
-@pytest.mark.parametrize("sample_count", [2, 3, 10, 15, 16, 17, 100, 102])
-def test_low_pass_of_a_record_that_is_too_short(sample_count):
-    with pytest.raises(DataError, match="too short to be filtered at 100 Hz"):
-        low_pass(record(q=TIME[:sample_count]), {"q": 100.0})
-
-
-def test_low_pass_of_a_short_record_that_will_do():
-    assert low_pass(record(q=TIME[:150]), {"q": 100.0}).sample_count == 50
-
-
 def with_missing(values: np.ndarray, *gaps: slice, **others: np.ndarray) -> Record:
     values = values.copy()
     for gap in gaps:
         values[gap] = np.nan
     return Record.from_samples({"q": values, **others}, time_step=1 / RATE)
-
-
-def test_low_pass_treats_stretches_as_records_of_their_own():
-    values = np.random.default_rng(3).normal(size=4000).cumsum()
-    filtered = low_pass(with_missing(values, slice(1500, 1510), force=TIME), {"q": 100.0})
-    alone = low_pass(record(q=values[:1500]), {"q": 100.0})
-    after = low_pass(record(q=values[1510:]), {"q": 100.0})
-    assert filtered.segments(["q"]) == [slice(0, 1400), slice(1510, 3900)]
-    np.testing.assert_array_equal(filtered["q"][:1400], alone["q"])
-    np.testing.assert_array_equal(filtered["q"][1510:], after["q"])
-    # Missing samples hold the last value, and a signal that was not treated lacks nothing.
-    np.testing.assert_array_equal(filtered["q"][1400:1510], np.full(110, alone["q"][-1]))
-    assert filtered.segments(["force"]) == [slice(0, 3900)]
-    np.testing.assert_array_equal(filtered["force"], TIME[50:-50])
 
 
 def test_low_pass_loses_five_periods_of_a_signals_own_cut_off_beside_its_gaps():
@@ -140,60 +93,6 @@ def test_low_pass_loses_five_periods_of_a_signals_own_cut_off_beside_its_gaps():
     np.testing.assert_allclose(filtered.time[0], 0.25)
     assert filtered.segments(["p"]) == [slice(0, 1500), slice(2001, 3500)]
     assert filtered.segments(["q"]) == [slice(0, 1700), slice(1801, 3500)]
-
-
-def test_low_pass_keeps_a_pause():
-    stamps = np.concatenate([TIME[:2000], 60 + TIME[:2000]])
-    values = np.sin(2 * np.pi * 5 * stamps)
-    paused = Record.from_samples({"q": values}, time=stamps)
-    filtered = low_pass(paused, {"q": 100.0})
-    there = np.asarray(filtered.present(["q"]))
-    assert there.sum() == 4000 - 4 * 50
-    np.testing.assert_array_equal(
-        np.asarray(filtered.time)[there], np.concatenate([stamps[50:1950], stamps[2050:3950]])
-    )
-    expected = np.sin(2 * np.pi * 5 * np.asarray(filtered.time)[there])
-    np.testing.assert_allclose(filtered["q"][there], expected, atol=2e-5)
-
-
-def test_low_pass_gives_up_stretches_that_are_too_short_and_no_others():
-    broken = with_missing(TIME, slice(1000, 1001), slice(1102, 1103))
-    filtered = low_pass(broken, {"q": 100.0})
-    assert filtered.segments(["q"]) == [slice(0, 900), slice(1103, 3900)]
-
-
-def test_low_pass_of_nothing_but_short_stretches():
-    broken = with_missing(TIME, *(slice(at, at + 1) for at in range(0, 4000, 100)))
-    match = "no stretch of 'q'.*more than 102 samples, and the longest has 99. Raise the cut-off"
-    with pytest.raises(DataError, match=match):
-        low_pass(broken, {"q": 100.0})
-
-
-def test_low_pass_of_nothing_changes_nothing():
-    assert low_pass(record(q=TIME), {}).sample_count == 4000
-
-
-@hypothesis.given(st.lists(st.integers(0, 3999), max_size=6), st.sampled_from([20.0, 60.0]))
-@hypothesis.settings(deadline=None, max_examples=30)
-def test_low_pass_never_feels_another_stretch(gaps, cutoff):
-    values = np.sin(2 * np.pi * 3 * TIME)
-    broken = with_missing(values, *(slice(at, at + 1) for at in gaps))
-    # Each stretch far above the one before: what came across would show.
-    number = np.cumsum(np.asarray(broken.missing.get("q", np.zeros(4000, bool))))
-    lifted = broken.with_signals({"q": broken["q"] + 1e3 * number}, missing=dict(broken.missing))
-    try:
-        filtered = low_pass(lifted, {"q": cutoff})
-    except DataError:
-        longest = max(s.stop - s.start for s in broken.segments(["q"]))
-        # Nothing but one long stretch at the record's ends is cut for the ends' sake as well.
-        assert longest <= 2 * 2 * 5 * RATE / cutoff
-        return
-    cut = (4000 - filtered.sample_count) // 2
-    # In NumPy, since JAX compiles an indexing anew for every length.
-    there = ~np.asarray(filtered.missing.get("q", np.zeros(filtered.sample_count, bool)))
-    expected = (values + 1e3 * number)[cut:-cut]
-    # Gain at 3 Hz of a low-pass at 20 Hz: 1 / (1 + 0.15^8).
-    np.testing.assert_allclose(np.asarray(filtered["q"])[there], expected[there], rtol=0, atol=1e-3)
 
 
 def test_offset_is_the_mean_of_what_is_there():
@@ -226,9 +125,89 @@ def test_drift_of_a_line_is_all_of_it():
     np.testing.assert_allclose(freed["p"], scipy.signal.detrend(TIME**2), atol=1e-12)
 
 
-@pytest.mark.parametrize("step", [remove_offset, remove_drift])
-def test_offset_and_drift_of_unknown_or_no_signals(step):
-    with pytest.raises(DataError, match="no signal 'speed'"):
-        step(record(q=TIME), "speed")
-    with pytest.raises(DataError, match=r"name the signals.*there are: q"):
-        step(record(q=TIME))
+def test_differences_are_exact_for_parabolas_at_the_ends_too():
+    values = 3 - 2 * TIME + 5 * TIME**2
+    derived = differentiate(Record({"q": values}, 1 / RATE, units={"q": "m"}), "q", "dq")
+    np.testing.assert_allclose(derived["dq"], -2 + 10 * TIME, rtol=0, atol=1e-10)
+    assert dict(derived.units)["dq"] == "m/s"
+
+
+def test_difference_of_two_samples():
+    derived = differentiate(Record({"q": np.array([1.0, 3.0])}, 0.5), "q", "dq")
+    assert derived["dq"].tolist() == [4.0, 4.0]
+
+
+def test_one_sample_between_gaps_has_no_slope_and_two_have_one():
+    values = np.array([0.0, 1.0, np.nan, 5.0, np.nan, 7.0, 9.0])
+    derived = differentiate(Record.from_samples({"q": values}, time_step=1.0), "q", "dq")
+    assert derived.segments(["dq"]) == [slice(0, 2), slice(5, 7)]
+    assert derived["dq"].tolist() == [1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0]
+
+
+def test_no_two_samples_in_succession():
+    values = np.array([0.0, np.nan, 1.0, np.nan])
+    with pytest.raises(DataError, match="'q' has no derivative"):
+        differentiate(Record.from_samples({"q": values}, time_step=1.0), "q", "dq")
+
+
+FINE_STEP = 0.01
+FINE_TIME = np.arange(4000) * FINE_STEP
+MOTION = np.sin(2 * np.pi * 0.7 * FINE_TIME) + 0.4 * np.sin(2 * np.pi * 1.9 * FINE_TIME + 1)
+SLOPE = (
+    2
+    * np.pi
+    * (
+        0.7 * np.cos(2 * np.pi * 0.7 * FINE_TIME)
+        + 0.4 * 1.9 * np.cos(2 * np.pi * 1.9 * FINE_TIME + 1)
+    )
+)
+
+
+def noisy(level, seed=0):
+    white = np.random.default_rng(seed).normal(size=FINE_TIME.size)
+    return Record({"x": MOTION + level * white}, FINE_STEP, units={"x": "m"})
+
+
+@pytest.mark.parametrize("count", [3, 8, 25])
+def test_taps_are_those_of_savitzky_and_golay(count):
+    reference = scipy.signal.savgol_coeffs(2 * count + 1, 4, deriv=1, delta=0.02, use="conv")
+    np.testing.assert_allclose(derivative_taps(count, 0.02), reference, atol=1e-9)
+
+
+def test_a_polynomial_of_fourth_order_has_its_slope():
+    time = FINE_TIME - 20
+    record = Record({"x": 3 - time + 0.1 * time**2 - 0.02 * time**3 + 1e-3 * time**4}, FINE_STEP)
+    found, half_width = with_local_derivative(record, "x", "v", 0.1)
+    inner = time[10:-10]
+    assert half_width == pytest.approx(0.1)
+    np.testing.assert_allclose(found.time, FINE_TIME[10:-10])
+    slope = -1 + 0.2 * inner - 0.06 * inner**2 + 4e-3 * inner**3
+    np.testing.assert_allclose(found["v"], slope, atol=1e-7)
+
+
+@pytest.mark.parametrize("level", [0.001, 0.01, 0.05])
+def test_smoothing_errs_by_little_of_the_noise_that_is_left(level):
+    record, half_width = with_local_derivative(noisy(level), "x", "v")
+    count = round(half_width / FINE_STEP)
+    clean = np.convolve(MOTION, derivative_taps(count, FINE_STEP), "valid")
+    bias = np.sqrt(np.mean((clean - SLOPE[count:-count]) ** 2))
+    left = float(record.noise.std("v"))
+    # Half widths come in steps of 8 % and of whole samples; the error grows with the fourth power.
+    assert 0.01 * left < bias < 0.08 * left
+    errors = np.asarray(record["v"]) - SLOPE[count:-count]
+    assert np.std(errors) == pytest.approx(left, rel=0.15)
+    assert record.noise.kernels["v"].keys() == {"x"}
+    assert dict(record.units)["v"] == "m/s"
+
+
+@pytest.mark.parametrize("count", [1000, *nightly([4000])])
+def test_noise_that_stands_out_by_chance_is_not_taken_for_motion(count):
+    """Of a thousand frequencies one is likely to; the polynomial then was 3 samples wide."""
+    recordings = (noisy(0.05, seed).part(0, count) for seed in range(150))
+    widths = [with_local_derivative(one, "x", "v")[1] for one in recordings]
+    assert min(widths) > 0.7 * np.median(widths)
+
+
+def test_without_noise_it_is_as_narrow_as_can_be():
+    record = Record({"x": MOTION}, FINE_STEP).with_noise(Noise({"x": {}}))
+    assert with_local_derivative(record, "x", "v")[1] == pytest.approx(3 * FINE_STEP)

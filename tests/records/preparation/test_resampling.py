@@ -1,11 +1,11 @@
-import hypothesis
-import hypothesis.strategies as st
+"""Records at another rate, and channels of different rates on one."""
+
 import numpy as np
 import pytest
-import scipy.signal
+import scipy.interpolate
 
 from riecjax.errors import DataError
-from riecjax.records.preparation.resampling import decimate, resample, upsample
+from riecjax.records.preparation.resampling import decimate, on_grid, resample, upsample
 from riecjax.records.record import Record
 
 UP_REACH, DOWN_REACH = 44, 26
@@ -42,16 +42,6 @@ def test_upsampling_keeps_recorded_samples_and_loses_its_reach_at_the_ends():
     assert finer.stamps is None
 
 
-def test_upsampling_agrees_with_the_fourier_series_of_a_periodic_signal():
-    spectrum = np.zeros(101, complex)
-    spectrum[1:91] = np.exp(1j * np.random.default_rng(1).uniform(0, 7, 90))
-    period = np.fft.irfft(spectrum, 200)
-    finer = np.asarray(upsample(Record({"a": np.tile(period, 3)}, 1.0), 5)["a"])
-    reference = np.tile(np.asarray(scipy.signal.resample(period, 1000)), 3)
-    inside = slice(5 * UP_REACH, 5 * (599 - UP_REACH) + 1)
-    np.testing.assert_allclose(finer, reference[inside], rtol=0, atol=1e-6 * np.ptp(period).item())
-
-
 @pytest.mark.parametrize(("offset", "slope"), [(np.pi, 0.0), (1e6, 0.0), (0.0, 2.0)])
 def test_offsets_and_ramps_pass(offset, slope):
     record = Record({"a": offset + slope * np.arange(2000.0)}, 1.0)
@@ -74,16 +64,6 @@ def test_decimation_is_80_db_down_from_half_the_new_rate_on(share, factor):
     assert np.max(np.abs(thinner["a"])) < 1e-4
 
 
-def test_decimation_takes_samples_of_the_old_grid_and_loses_its_reach():
-    record = Record({"a": np.ones(5000), "b": np.arange(5000.0)}, 0.01, 1.0)
-    thinner = decimate(record, 10)
-    assert float(thinner.start_time) == pytest.approx(1.0 + DOWN_REACH * 0.1)
-    assert float(thinner.time_step) == pytest.approx(0.1)
-    # The last index of a multiple of 10 with 260 samples after it.
-    assert thinner.sample_count == (4999 - 260) // 10 - DOWN_REACH + 1
-    np.testing.assert_allclose(thinner["b"], 260 + 10 * np.arange(thinner.sample_count), atol=1e-6)
-
-
 @pytest.mark.parametrize("rate", [2.0, np.e, 7.0])
 def test_resampling_to_faster_rates_is_band_limited(rate):
     for share in (0.2, 0.9):
@@ -100,31 +80,10 @@ def test_resampling_to_slower_rates_keeps_what_they_can_hold_and_nothing_else(ra
         assert np.max(np.abs(resample(waves(3000, 1.02 * rate), rate)["a"])) < 1.1e-4
 
 
-def test_whole_factors_are_resampling():
-    record = Record({"a": np.random.default_rng(2).normal(size=3000)}, 0.01)
-    np.testing.assert_allclose(upsample(record, 4)["a"], resample(record, 400.0)["a"], atol=1e-12)
-    np.testing.assert_allclose(decimate(record, 4)["a"], resample(record, 25.0)["a"], atol=1e-12)
-
-
 def test_the_same_rate_changes_nothing():
     record = Record({"a": np.random.default_rng(2).normal(size=10)}, 0.01)
     for same in (resample(record, 100.0), upsample(record, 1), decimate(record, 1)):
         np.testing.assert_array_equal(same["a"], record["a"])
-
-
-def test_a_gap_costs_one_signal_its_reach_and_the_others_nothing():
-    values = wave(np.arange(1000), 0.3)
-    broken = values.copy()
-    broken[:500] += 1e6
-    broken[500] = np.nan
-    finer = upsample(Record.from_samples({"a": broken, "b": values}, time_step=1.0), 4)
-    time = np.asarray(finer.time)
-    gone = np.asarray(finer.missing["a"])
-    np.testing.assert_array_equal(gone, (time > 499 - UP_REACH) & (time < 501 + UP_REACH))
-    expected = wave(time, 0.3) + np.where(time < 500, 1e6, 0)
-    np.testing.assert_allclose(finer["a"][~gone], expected[~gone], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(finer["b"], wave(time, 0.3), rtol=0, atol=1e-6)
-    assert "b" not in finer.missing
 
 
 @pytest.mark.parametrize("rate", [40.0, 13.7, 2.5])
@@ -155,49 +114,6 @@ def test_a_stretch_too_short_between_pauses_is_gone():
     assert other.time[223] == pytest.approx((155 + 544) / 2)
 
 
-@hypothesis.given(
-    st.lists(st.integers(0, 1499), max_size=5), st.floats(0.2, 5.0), st.integers(0, 2**31)
-)
-@hypothesis.settings(deadline=None, max_examples=50)
-def test_whatever_is_there_is_right_and_whatever_is_whole_is_there(gaps, rate, seed):
-    rng = np.random.default_rng(seed)
-    phases = rng.uniform(0, 7, 5)
-    shares = 0.78 * min(rate, 1.0) * rng.uniform(0, 1, 5)
-
-    def truth(time):
-        return sum(wave(time, s, 1.0, p) for s, p in zip(shares, phases))
-
-    values = np.asarray(truth(np.arange(1500)))
-    values[gaps] = np.nan
-    record = Record.from_samples({"a": values, "b": np.ones(1500)}, time_step=1.0)
-    reach = UP_REACH if rate >= 1 else int(np.ceil(DOWN_REACH / rate))
-    longest = max(s.stop - s.start for s in record.segments(["a"]))
-    if longest <= 2 * reach + 1 + 1 / rate:
-        return
-    other = resample(record, rate)
-    # In NumPy, since JAX compiles an operation anew for every length.
-    there = ~np.asarray(other.missing.get("a", np.zeros(other.sample_count, bool)))
-    time = float(other.start_time) + float(other.time_step) * np.arange(other.sample_count)
-    found, expected = np.asarray(other["a"]), np.asarray(truth(time))
-    np.testing.assert_allclose(found[there], expected[there], rtol=0, atol=5e-4)
-    for stretch in record.segments(["a"]):
-        whole = (time >= stretch.start + reach) & (time <= stretch.stop - 1 - reach)
-        assert there[whole].all()
-
-
-@pytest.mark.parametrize("factor", [0, -2, 1.5])
-@pytest.mark.parametrize("step", [upsample, decimate])
-def test_impossible_factor(step, factor):
-    with pytest.raises(DataError, match="whole number of at least 1"):
-        step(waves(1000, 0.1), factor)
-
-
-@pytest.mark.parametrize("rate", [0.0, -3.0, np.inf, np.nan])
-def test_impossible_rate(rate):
-    with pytest.raises(DataError, match="positive number"):
-        resample(waves(1000, 0.1), rate)
-
-
 def test_more_samples_than_anybody_wants():
     with pytest.raises(
         DataError, match=r"^1e\+09 Hz would make .*to identify from them takes about"
@@ -208,28 +124,163 @@ def test_more_samples_than_anybody_wants():
     assert upsample(waves(4000, 0.1), 50).sample_count > 190_000
 
 
-def test_records_too_short():
-    match = "no stretch of 'a'.*takes 89 samples of the record, and the longest has 88"
+ANTI_ALIAS_REACH = 26
+
+
+def sampled(rate: float, duration: float, start: float = 0.0) -> np.ndarray:
+    return start + np.arange(round(duration * rate) + 1) / rate
+
+
+def jittered(time: np.ndarray, share: float, seed: int = 0) -> np.ndarray:
+    step = time[1] - time[0]
+    return time + share * step * np.random.default_rng(seed).uniform(-1, 1, time.size)
+
+
+def sine(time: np.ndarray, hertz: float, phase: float = 0.4) -> np.ndarray:
+    return np.sin(2 * np.pi * hertz * time + phase)
+
+
+def test_slower_samples_on_a_finer_grid_pass_unchanged():
+    values = np.random.default_rng(0).normal(size=51)
+    _, columns = on_grid({"a": (sampled(10.0, 5.0), values)}, 70.0)
+    np.testing.assert_array_equal(columns["a"][::7], values)
+
+
+def test_between_even_samples_lies_the_cubic_spline():
+    time, values = sampled(50.0, 4.0, 0.37), np.random.default_rng(1).normal(size=201)
+    grid, columns = on_grid({"a": (time, values)}, 61.7)
+    expected = scipy.interpolate.CubicSpline(time, values)(grid)
+    np.testing.assert_allclose(columns["a"], expected, atol=1e-9)
+
+
+def test_jitter_is_true_time():
+    time = jittered(sampled(100.0, 20.0), 0.4)
+    grid, columns = on_grid({"a": (time, sine(time, 2.0))}, 100.0)
+    # A cubic spline errs by at most 5/384 h^4 w^4 inside, h = 0.018 s: 3.5e-5; more at its ends.
+    np.testing.assert_allclose(columns["a"][5:-5], sine(grid, 2.0)[5:-5], rtol=0, atol=5e-5)
+    np.testing.assert_allclose(columns["a"], sine(grid, 2.0), rtol=0, atol=1e-3)
+
+
+def test_the_grid_is_what_all_channels_share():
+    channels = {
+        "a": (sampled(100.0, 5.0, 1.0), np.ones(501)),
+        "b": (sampled(30.0, 5.0, 2.005), np.ones(151)),
+        "c": (sampled(10.0, 7.0, 0.5), np.ones(71)),
+    }
+    grid, columns = on_grid(channels, 100.0)
+    np.testing.assert_allclose(grid, 2.005 + np.arange(400) / 100)
+    assert all(np.array_equal(values, np.ones(400)) for values in columns.values())
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3], ids=["even", "uneven"])
+@pytest.mark.parametrize("hertz", [1.0, 10.0, 39.9])
+def test_a_faster_channel_keeps_what_lies_below_0_8_of_half_the_rate(share, hertz):
+    time = jittered(sampled(1000.0, 10.0), share)
+    grid, columns = on_grid({"a": (time, sine(time, hertz))}, 100.0)
+    np.testing.assert_allclose(columns["a"], sine(grid, hertz), rtol=0, atol=1.5e-4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3], ids=["even", "uneven"])
+@pytest.mark.parametrize("hertz", [50.0, 55.0, 90.0, 133.0])
+def test_a_faster_channel_folds_nothing_down(share, hertz):
+    time = jittered(sampled(1000.0, 10.0), share)
+    _, columns = on_grid({"a": (time, sine(time, hertz))}, 100.0)
+    # 80 dB; what uneven times spoil on the way through a spline adds to it.
+    assert np.max(np.abs(columns["a"])) < (1.2e-4 if share == 0 else 2e-3)
+
+
+def test_gaps_by_nan_and_by_time():
+    time = np.delete(sampled(100.0, 10.0), slice(301, 341))
+    values = sine(time, 2.0)
+    values[700:702] = np.nan
+    slow = sampled(20.0, 10.0)
+    grid, columns = on_grid({"a": (time, values), "b": (slow, sine(slow, 1.0))}, 100.0)
+    assert grid.size == 1001
+    gone = (grid > 3.005) & (grid < 3.405) | (grid > time[699] + 0.005) & (grid < time[702] - 0.005)
+    np.testing.assert_array_equal(np.isnan(columns["a"]), gone)
+    np.testing.assert_array_equal(columns["a"][~gone], sine(grid, 2.0)[~gone])
+    assert not np.isnan(columns["b"]).any()
+
+
+def test_a_step_of_three_usual_ones_is_no_gap_and_a_longer_one_is():
+    def missing(dropped: int) -> int:
+        time = np.delete(sampled(100.0, 2.0), slice(50, 50 + dropped))
+        _, columns = on_grid({"a": (time, sine(time, 0.5))}, 100.0)
+        return int(np.isnan(columns["a"]).sum())
+
+    assert missing(2) == 0
+    assert missing(3) == 3
+
+
+def test_nothing_comes_across_a_gap_of_a_faster_channel():
+    time, values = sampled(1000.0, 20.0), sine(sampled(1000.0, 20.0), 3.0)
+    values[10_000:] += 1e6
+    values[9_990:10_010] = np.nan
+    grid, columns = on_grid({"a": (time, values)}, 100.0)
+    # 26 samples of the grid from the last sample before, 9.989 s, and the first after, 10.01 s.
+    near = np.isnan(columns["a"])
+    edges = grid[near][[0, -1]]
+    np.testing.assert_allclose(edges, [9.73, 10.26], atol=1e-9)
+    before = ~near & (grid < 10)
+    np.testing.assert_allclose(columns["a"][before], sine(grid, 3.0)[before], atol=1e-4)
+
+
+def test_channels_that_begin_with_missing_values_begin_where_they_have_some():
+    time, values = sampled(10.0, 10.0), np.arange(101.0)
+    values[:7] = np.nan
+    grid, columns = on_grid({"a": (time, values), "b": (time, time)}, 10.0)
+    assert grid[0] == pytest.approx(0.7)
+    np.testing.assert_allclose(columns["b"], grid)
+
+
+def test_short_stretches_of_samples_on_the_grid_stay_and_others_go():
+    values = np.sin(np.arange(60.0))
+    values[[20, 22, 25]] = np.nan
+    time = sampled(10.0, 5.9)
+    _, same = on_grid({"a": (time, values)}, 10.0)
+    np.testing.assert_array_equal(same["a"], values)
+    _, finer = on_grid({"a": (time, values)}, 20.0)
+    # One and two samples between gaps have no curve through them.
+    np.testing.assert_array_equal(np.flatnonzero(~np.isnan(finer["a"][39:51])), [3, 7, 9])
+
+
+@pytest.mark.parametrize("wrong", [0.05, 0.03], ids=["repeated", "going back"])
+def test_time_must_increase(wrong):
+    time = sampled(100.0, 1.0)
+    time[6] = wrong
+    match = "time of channel 'b' must increase.*at sample 6 it goes from 0.05 to"
     with pytest.raises(DataError, match=match):
-        upsample(waves(88, 0.1), 2)
-    assert upsample(waves(90, 0.1), 2).sample_count == 3
-    with pytest.raises(DataError, match="takes 521 samples"):
-        decimate(waves(500, 0.1), 10)
+        on_grid({"a": (time[:5], time[:5]), "b": (time, time)}, 100.0)
 
 
-def test_an_integral_over_nine_samples_a_period_needs_the_finer_record():
-    # The use: a trapezoid over a quarter period, by samples 9 to the period and 8 times finer.
-    record = waves(400, 2 / 9, 0.0)
-    finer = upsample(record, 8)
+@pytest.mark.parametrize(
+    ("time", "values", "match"),
+    [
+        ([0.0, np.nan, 2.0], [1.0, 2.0, 3.0], "no finite time at 1 sample.*first at sample 1"),
+        ([0.0, 1.0, 2.0], [1.0, np.inf, 3.0], "no finite value at 1 sample.*first at sample 1"),
+        ([0.0, 1.0, 2.0], [1.0, 2.0], "3 times and 2 values"),
+        ([0.0], [1.0], "at least two samples"),
+        ([0.0, 1.0], [np.nan, np.nan], "no number at all"),
+        (
+            [0.0, 1e7],
+            [1.0, 1.0],
+            r"1e\+08 samples.* of 2 that were recorded.* about 17 GB of memory\. Cho",
+        ),
+        ([0.0, 0.05], [1.0, 1.0], "no time in common at 10 Hz"),
+    ],
+)
+def test_channels_that_cannot_be_used(time, values, match):
+    with pytest.raises(DataError, match=match):
+        on_grid({"a": (np.array(time), np.array(values))}, 10.0)
 
-    def relative_error(r: Record, per_sample: int) -> float:
-        area = np.trapezoid(np.asarray(r["a"]), np.asarray(r.time))
-        omega, (first, last) = 2 * np.pi / 9, np.asarray(r.time)[[0, -1]]
-        return area / ((np.cos(omega * first) - np.cos(omega * last)) / omega) - 1
 
-    start = UP_REACH + 1
-    raw = relative_error(record.part(start, start + 3), 1)
-    fine = relative_error(finer.part(8, 8 + 16 + 1), 8)
-    assert raw == pytest.approx(np.pi / 9 / np.tan(np.pi / 9) - 1, rel=1e-6)
-    assert raw < -0.04
-    assert abs(fine) < 1e-3
+def test_channels_one_after_the_other():
+    time = sampled(10.0, 5.0)
+    with pytest.raises(DataError, match="'b' begins at 6 s and 'a' ends at 5 s"):
+        on_grid({"a": (time, time), "b": (time + 6, time)}, 10.0)
+
+
+def test_a_channel_too_short_for_its_low_pass():
+    time = sampled(1000.0, 0.3)
+    with pytest.raises(DataError, match="no stretch of 'a' is long enough for 100 Hz"):
+        on_grid({"a": (time, time)}, 100.0)

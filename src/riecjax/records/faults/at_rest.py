@@ -56,21 +56,18 @@ def rest_of(record: Record, name: str) -> Rest | None:
         return None
     edges = np.flatnonzero(np.diff(np.pad((~np.isnan(about)).astype(np.int8), 1)))
     starts, lengths = edges[::2], np.diff(edges)[::2]
-    share = lengths[_still(np.nan_to_num(NOISES * about), starts, lengths)].sum() / values.size
-    if not max(LEAST, OF_SLOW * lengths.sum() / values.size) < share < 1:
-        return None
-    return Rest(float(share), max(REACH[0] * noise, REACH[1] * usual))
-
-
-def _still(values: np.ndarray, starts: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Which stretches of values hold noise of unit size at the most, and neither move nor turn."""
-    place = np.arange(values.size) / values.size
+    # Of these stretches those that hold noise at the most, and neither move nor turn.
+    scaled, place = np.nan_to_num(NOISES * about), np.arange(values.size) / values.size
 
     def total(of: np.ndarray) -> np.ndarray:
         running = np.concatenate([[0.0], np.cumsum(of)])
         return running[starts + lengths] - running[starts]
 
     middle = place[starts] + 0.5 * (lengths - 1) / values.size
-    rise = np.abs(total(values * place) - middle * total(values)) * values.size
-    steady = rise <= RISE * np.sqrt(lengths**3 / 12)
-    return (lengths >= FEWEST) & steady & (total(values**2) <= STILL * lengths)
+    rise = np.abs(total(scaled * place) - middle * total(scaled)) * values.size
+    still = (lengths >= FEWEST) & (rise <= RISE * np.sqrt(lengths**3 / 12))
+    still &= total(scaled**2) <= STILL * lengths
+    share = lengths[still].sum() / values.size
+    if not max(LEAST, OF_SLOW * lengths.sum() / values.size) < share < 1:
+        return None
+    return Rest(float(share), max(REACH[0] * noise, REACH[1] * usual))

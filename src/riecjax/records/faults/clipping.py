@@ -9,6 +9,7 @@ import numpy as np
 
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
+    ENOUGH,
     LONGEST_REST,
     SampledSignal,
     percent,
@@ -29,8 +30,6 @@ BEYOND = 0.1
 """Standard deviations beyond a limit where others must surely not say that a signal goes on."""
 MANY_VISITS = 10
 """Visits to a limit that are enough to tell."""
-LOOKED_AT = 5000
-"""Samples that are enough to tell."""
 STEEP = 10.0
 """Quanta by which a steep approach lies off the extreme two samples before, so that rounding does
 not hide it. A crest that stays within its last quantum for 3 samples comes from less than 9."""
@@ -134,7 +133,7 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     known = inside & ~np.isnan(np.concatenate([target[None], *rows])).any(axis=0)
     held = known & (np.abs(target - side.extreme) <= signal.rounding)
     free = np.flatnonzero(known & ~held)
-    free = free[:: max(free.size // LOOKED_AT, 1)]
+    free = free[:: max(free.size // ENOUGH, 1)]
     if not held.any() or free.size < 100:
         return False
     size = float(np.std(target[free]))
@@ -142,7 +141,7 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
         kept = [row for i, row in enumerate(rows) if i not in left_out]
         columns = np.concatenate([*kept, np.ones((1, target.size))])[:, known]
-        columns /= np.maximum(np.max(np.abs(columns), axis=1, keepdims=True), 1e-300)
+        columns /= np.maximum(np.max(np.abs(columns), axis=1, keepdims=True), np.finfo(float).tiny)
         outside, there = np.searchsorted(np.flatnonzero(known), free), held[known]
         weights = np.linalg.lstsq(columns[:, outside].T, target[free] / size, rcond=1e-10)[0]
         error = float(np.std(target[free] / size - weights @ columns[:, outside]))

@@ -1,4 +1,9 @@
-"""How a recorded derivative follows its signal: delay, gain, lag, offset and drift, with errors.
+"""What is amiss between a signal and its recorded derivative, in time, size and zero.
+
+A pair shows differences alone: whether v is late or x early, whether v has an offset or x drifts,
+it cannot tell, nor what both have in common, as a delay of both against the force. How v follows x,
+in delay, gain, lag, offset and drift, has errors, and the delay may change along the record,
+steadily or by a step.
 
 Let x = p + e_x and v = G p'(t - tau) + b + d t + e_v, with white noise e_x and e_v. For a taper w
 that vanishes at both ends of a stretch, integration by parts gives at every frequency
@@ -20,18 +25,11 @@ Of a derivative that is a sum of signals, x' = v - u with known u, D has int w(t
 omega t) dt besides: what v is held against is x' + u, none of which is differentiated either.
 
 Time is in samples; v and u are in units of x per sample.
-
-How the delay between two signals changes along a record: steadily, by a step, or not.
-
-What is amiss between a signal and its recorded derivative, in time, size and zero.
-
-A pair shows differences alone: whether v is late or x early, whether v has an offset or x drifts,
-it cannot tell, nor what both have in common, as a delay of both against the force.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -41,6 +39,7 @@ from riecjax.records.faults.relations import Relation
 from riecjax.records.noise import noise_level
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.remembered import remembered
+from riecjax.records.time_base import SHORTEST_PAUSE
 
 EDGE = 100
 """Samples, at most, over which a taper rises: smooth enough for sums to be integrals."""
@@ -152,7 +151,15 @@ def fit_pair(
     if start is not None:
         theta[:] = start.delay + start.lag, start.gain, start.offset, start.drift
     elif not lagged:
-        whole = _whole_delay(pieces, rough)
+        # From the peak of the longest piece's correlation; 0 where the correlation there is near
+        # the peak: what is so near needs no start nearer.
+        longest = max(pieces, key=lambda p: p.x.size)
+        size, bins = longest.x.size, _bins([longest], 0.0, longest.x.size, rough)
+        correlation = np.fft.irfft(np.append(bins.rate * bins.motion.conj() / bins.noise, 0.0))
+        lags = np.arange(-(size // 8), size // 8 + 1)
+        penalised = correlation[lags] * (1 - np.abs(lags) / size)
+        if penalised[size // 8] <= NEAR * np.max(penalised):
+            whole = int(lags[np.argmax(penalised)])
     for iteration in range(steps):
         first = afresh and iteration < ROUGH_ITERATIONS
         if abs(theta[0]) > 1 and not lagged:
@@ -221,7 +228,7 @@ def _step(
     covariance = np.linalg.pinv(normal / np.outer(scale, scale), 1e-12) / np.outer(scale, scale)
     step = covariance @ right
     # Phases are straight over an eighth of a turn of the usual frequency.
-    usual = np.sqrt(normal[1, 1] / max(normal[0, 0], 1e-300)) * abs(theta[1])
+    usual = np.sqrt(normal[1, 1] / max(normal[0, 0], np.finfo(float).tiny)) * abs(theta[1])
     step[0] = np.clip(step[0], -0.8 * usual, 0.8 * usual)
     # The noise of the motion goes with the gain, and through the filter.
     size = (1 + (bins.omega * theta[0]) ** 2) ** -np.sign(theta[0]) if lagged else 1.0
@@ -246,13 +253,9 @@ def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
     at, last = np.arange(n) + shift - MARGIN, n - 1 - 2 * MARGIN
     u = np.clip(np.minimum(at, last - at) / edge, 0, 1)
     side = np.where(2 * at < last, 1, -1) / edge
-    return np.array(
-        [
-            u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3),
-            140 * u**3 * (1 - u) ** 3 * side,
-            420 * u**2 * (1 - u) ** 2 * (1 - 2 * u) / edge**2,
-        ]
-    )
+    slope = np.polynomial.Polynomial([0, 1, -1]) ** 3
+    slope /= slope.integ()(1)
+    return np.array([slope.integ()(u), slope(u) * side, slope.deriv()(u) * side**2])
 
 
 def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray) -> _Bins:
@@ -295,33 +298,6 @@ def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray)
     return _Bins._make([*(column[order] for column in joined), levels, shared])
 
 
-def _whole_delay(pieces: Sequence[Piece], levels: np.ndarray) -> int:
-    """Samples by which the longest piece's v is late, from the peak of its correlation.
-
-    0 where the correlation there is near the peak: what is so near needs no start nearer.
-    """
-    longest = max(pieces, key=lambda p: p.x.size)
-    bins = _bins([longest], 0.0, longest.x.size, levels)
-    correlation = np.fft.irfft(np.append(bins.rate * bins.motion.conj() / bins.noise, 0.0))
-    reach = longest.x.size // 8
-    lags = np.arange(-reach, reach + 1)
-    penalised = correlation[lags] * (1 - np.abs(lags) / longest.x.size)
-    best = int(lags[np.argmax(penalised)])
-    return 0 if penalised[reach] > NEAR * np.max(penalised) else best
-
-
-def apparent_gain(pieces: Sequence[Piece]) -> float:
-    """Size of v over that of what it should be, with its sign, to begin with; 1 unless far off."""
-    _, rough = _levels(pieces)
-    bins = _bins(pieces, 0.0, pieces[0].x.size, rough)
-    weight = np.where(bins.lowest, 0.0, 1 / bins.noise_of_motion)
-    both = float(np.real(weight @ (bins.rate * bins.motion.conj())))
-    motion, rate = (float(weight @ np.abs(one) ** 2) for one in (bins.motion, bins.rate))
-    gain = both / motion
-    far = both**2 > NEAR**2 * motion * rate and not 0.5 < gain < 2
-    return gain if far else 1.0
-
-
 def _smoothed(omega: np.ndarray, power: np.ndarray) -> np.ndarray:
     """Mean over neighbours in frequency."""
     at = np.arange(omega.size)
@@ -343,6 +319,7 @@ FINEST = 0.01
 """Samples to which the delay of a part is known at best."""
 LOST = 0.5
 """Samples of a sudden change past which rows were lost."""
+PPM = 1e-6
 SURE = 4.0
 """Standard errors past which a difference is no chance."""
 
@@ -377,7 +354,7 @@ class Course(NamedTuple):
         Clocks are set from the recording's first sample on, `start` seconds before what was
         looked at.
         """
-        first = self.first * step - 1e-6 * ppm * start
+        first = self.first * step - PPM * ppm * start
         shifted = late if abs(first) > CHANGE * step else ()
         return (
             *option_for("--shift", shifted, f"{first:.4g}"),
@@ -395,23 +372,32 @@ def delay_course(
     edges: Sequence[int],
     count: int,
     whole: PairFit,
-    alone: Sequence[PairFit | None] | None = None,
 ) -> tuple[Course, float]:
     """How the delay changes from part to part, and how much more it scatters than its errors say.
 
-    **Arguments:** `parts` of the record between these `edges`; `whole`, the fit to all of it;
-    `alone`, those to the parts, where they are known to differ.
+    **Arguments:** `parts` of the record between these `edges`; `whole`, the fit to all of it.
     """
     fits = [fit_pair(part, count, start=whole, known=whole.left, steps=1) for part in parts]
     delays = _delays(fits, edges)
     steady, spread = _steady(delays)
-    if delays.shape[1] < FEWEST_PARTS or (alone is None and steady < UNEVEN):
+    if delays.shape[1] < FEWEST_PARTS or steady < UNEVEN:
         return Course(), spread
     # Too far apart for one step from the same start.
-    alone = [fit_pair(part, count) for part in parts] if alone is None else alone
-    again = _pooled([fit for fit in alone if fit is not None])
+    alone = [fit_pair(part, count) for part in parts]
+    # What is left of one part is known too roughly: that of all parts, by frequency, is for each.
+    left = [fit.left for fit in alone if fit is not None]
+    omega = np.concatenate([one.omega for one in left])
+    order = np.argsort(omega, kind="stable")
+    power = np.concatenate([one.power for one in left])[order]
+    groups = max(omega.size // SHORTEST_PIECE, 1)
+    means = [
+        np.array([some.mean() for some in np.array_split(column, groups)])
+        for column in (omega[order], power)
+    ]
     fits = [
-        None if fit is None else fit_pair(part, count, start=fit, known=again(fit), steps=2)
+        None
+        if fit is None
+        else fit_pair(part, count, start=fit, known=Left(fit.left.levels, *means), steps=2)
         for fit, part in zip(alone, parts)
     ]
     delays = _delays(fits, edges)
@@ -445,19 +431,6 @@ def _delays(fits: Sequence[PairFit | None], edges: Sequence[int]) -> Float[np.nd
         if fit is not None and 0 < fit.errors[0] < np.inf
     ]
     return np.array(told, float).reshape(-1, 4).T
-
-
-def _pooled(fits: Sequence[PairFit]) -> Callable[[PairFit], Left]:
-    """What is left of all parts, for each of them: of one alone it is known too roughly."""
-    omega = np.concatenate([fit.left.omega for fit in fits])
-    order = np.argsort(omega, kind="stable")
-    power = np.concatenate([fit.left.power for fit in fits])[order]
-    groups = max(omega.size // 64, 1)
-    means = [
-        np.array([some.mean() for some in np.array_split(column, groups)])
-        for column in (omega[order], power)
-    ]
-    return lambda fit: Left(fit.left.levels, *means)
 
 
 def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tuple[Course, float]:
@@ -509,8 +482,6 @@ LIKELIER = 12.0
 ROUGH = 0.5
 """Mean square of a signal's steps, over its variance, past which none is looked at in a sum: of
 white noise it is 2, of noise up to an eighth of the sampling rate 0.2."""
-UNLIKE = 4.0
-"""Times the expected noise past which what is left is looked at part by part."""
 FEWEST_CYCLES, CYCLES_OF_WINDOW = 1.0, 1.5
 """Of the motion, in a record and in a part of it: on less, offset, drift and delay are alike."""
 WINDOWS, SHORTEST_WINDOW = 12, 250
@@ -623,52 +594,56 @@ class Pair(NamedTuple):
         return self.fit.drift * self.scale / self.step if sure else 0.0
 
 
-def compare_pair(record: Record, signal: str, derivative: str) -> Pair | None:
-    """Fit a recorded derivative to its signal; `None` if the record does not tell. Not under jit.
-
-    **Raises:** `DataError` for a signal that the record lacks.
-    """
-    return compare(record, Relation(signal, ((derivative, 1.0),)))
-
-
-def _compared(record: Record, relation: Relation) -> tuple[Any, ...]:
-    signals = (samples_with_nan(record, name) for name in relation.names)
-    return relation, *signals, np.asarray(record.elapsed), float(record.time_step)
-
-
-@remembered(32, _compared)
+@remembered(
+    lambda record, relation: (
+        relation,
+        *(samples_with_nan(record, name) for name in relation.names),
+        np.asarray(record.elapsed),
+        float(record.time_step),
+    ),
+)
 @np.errstate(all="ignore")
 def compare(record: Record, relation: Relation) -> Pair | None:
-    """The same of any relation: each of its signals is fitted to what the others say it should be.
+    """Fit each signal of a relation to what the others say it should be; `None` if the record does
+    not tell.
 
-    What is left tells which of them is wrong: with that one put right, nothing but noise.
+    What is left tells which of them is wrong: with that one put right, nothing but noise. Not under
+    jit.
+
+    **Raises:** `DataError` for a signal that the record lacks.
     """
     x = samples_with_nan(record, relation.signal)
     terms = {name: samples_with_nan(record, name) for name in relation.terms}
     step, count = float(record.time_step), x.size
-    if len(terms) > 1 and any(_is_rough(v) for v in terms.values()):
+    # What is too fast has an integral that depends on what it does between samples.
+    rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in terms.values())
+    if len(terms) > 1 and any(rough):
         return None
     centre = np.nanmedian(x) if not np.isnan(x).all() else 0.0
     scale = float(np.nanquantile(np.abs(x - centre), 0.9)) if np.isfinite(centre) else 0.0
     if not (np.isfinite(scale) and scale > 0):
         return None
     x, terms = (x - centre) / scale, {n: v / scale * step for n, v in terms.items()}
-    breaks = _pauses(record)
+    # Samples that follow a pause.
+    breaks = np.flatnonzero(np.diff(np.asarray(record.elapsed)) > SHORTEST_PAUSE * step) + 1
     every = (_held(relation, name, x, terms, breaks) for name in relation.suspects)
     held = {one.suspect: one for one in every if one is not None}
     if not held:
         return None
-    excess, alone = _excess(held, {name: one.fit for name, one in held.items()}), None
+    excess = _excess(held, {name: one.fit for name, one in held.items()})
     suspect = min(excess, key=lambda name: excess[name])
     windows = min(WINDOWS, count // SHORTEST_WINDOW, int(held[suspect].cycles / CYCLES_OF_WINDOW))
     edges = np.linspace(0, count, windows + 1).astype(int).tolist() if windows > 1 else []
-    if len(held) > 1:
-        suspect, excess, alone = _suspected(held, edges, excess, breaks)
+    if max(excess.values()) > LIKELIER:
+        # Where it matters which one is wrong, low-passes are looked at as well.
+        filtered = {n: _low_pass(one.pieces, count, one.fit) or one.fit for n, one in held.items()}
+        excess = _excess(held, filtered)
+        suspect = min(excess, key=lambda name: excess[name])
     one = held[suspect]
     course, spread = Course(), 1.0
     if edges:
         parts = one.parts(edges, breaks)
-        course, spread = delay_course(parts, edges, count, one.fit, alone)
+        course, spread = delay_course(parts, edges, count, one.fit)
     fit, rms = one.fit._replace(errors=one.fit.errors * spread), one.rms * abs(one.size)
     alike = tuple(n for n, more in excess.items() if n != suspect and more < LIKELIER)
     pair = Pair(relation, suspect, one.sized(fit), False, course, scale, rms, step, alike)
@@ -725,7 +700,13 @@ def _held(
     several = len(relation.suspects) > 1
     pieces = list(_pieces(x, v, u, 0, count, breaks, MOST_SAMPLES // (1 + several)))
     if several and pieces:
-        size = apparent_gain(pieces)
+        # Size of v over that of what it should be, with its sign, to begin with; 1 unless far off.
+        bins = _bins(pieces, 0.0, pieces[0].x.size, _levels(pieces)[1])
+        weight = np.where(bins.lowest, 0.0, 1 / bins.noise_of_motion)
+        both = float(np.real(weight @ (bins.rate * bins.motion.conj())))
+        motion, rate = (float(weight @ np.abs(one) ** 2) for one in (bins.motion, bins.rate))
+        size = both / motion
+        size = size if both**2 > NEAR**2 * motion * rate and not 0.5 < size < 2 else 1.0
         v, pieces = v / size, [p._replace(v=p.v / size) for p in pieces]
     every = [p.v if p.u is None else p.v - p.u for p in pieces]
     rms = float(np.sqrt(np.mean(np.concatenate(every) ** 2))) if every else 0.0
@@ -735,39 +716,6 @@ def _held(
     if fit is None or not np.isfinite(fit.errors).all():
         return None
     return _Held(suspect, (x, v, u), size, factors.get(suspect, size), pieces, rms, fit)
-
-
-def _suspected(
-    held: dict[str, _Held],
-    edges: list[int],
-    excess: dict[str, float],
-    breaks: np.ndarray,
-) -> tuple[str, dict[str, float], list[PairFit | None] | None]:
-    """Which signal alone is wrong, by how much less likely others are, and fits of its parts.
-
-    Where it matters, low-passes are looked at as well; and part by part, where a delay that does
-    not change leaves more than noise.
-    """
-    count = next(iter(held.values())).columns[0].size
-    best, alone = min(excess, key=lambda name: excess[name]), None
-    if max(excess.values()) > LIKELIER:
-        fits = {n: _low_pass(one.pieces, count, one.fit) or one.fit for n, one in held.items()}
-        excess = _excess(held, fits)
-        best = min(excess, key=lambda name: excess[name])
-    if edges and np.mean(held[best].fit.left.smoothed) > UNLIKE:
-        parts = {name: one.parts(edges, breaks) for name, one in held.items()}
-        fits = {name: [fit_pair(part, count) for part in some] for name, some in parts.items()}
-        told = [
-            _excess(held, {n: f for n, f in zip(fits, each) if f is not None})
-            for each in zip(*fits.values())
-            if None not in each
-        ]
-        if told:
-            sums = {name: sum(one[name] for one in told) for name in held}
-            excess = {name: more - min(sums.values()) for name, more in sums.items()}
-            best = min(excess, key=lambda name: excess[name])
-            alone = fits[best]
-    return best, excess, alone
 
 
 def _excess(held: dict[str, _Held], fits: dict[str, PairFit]) -> dict[str, float]:
@@ -781,17 +729,6 @@ def _excess(held: dict[str, _Held], fits: dict[str, PairFit]) -> dict[str, float
         counted |= np.interp(omega, fit.left.omega, fit.counted) > 0.5
     logs = np.sum(np.log(powers), axis=1, where=counted)
     return dict(zip(fits, (logs - logs.min()).tolist()))
-
-
-def _is_rough(values: np.ndarray) -> bool:
-    """Whether a signal is so fast that its integral depends on what it does between samples."""
-    return bool(np.nanmean(np.diff(values) ** 2) > ROUGH * np.nanvar(values))
-
-
-def _pauses(record: Record) -> Float[np.ndarray, " pauses"]:
-    """Samples that follow a pause."""
-    steps = np.diff(np.asarray(record.elapsed))
-    return np.flatnonzero(steps > 1.5 * float(record.time_step)) + 1
 
 
 def _pieces(
@@ -822,11 +759,12 @@ def _pieces(
 def _filled(values: np.ndarray) -> np.ndarray:
     """Spikes and short gaps replaced by local cubics."""
     found = values.copy()
-    if values.size > 9:
-        around = np.lib.stride_tricks.sliding_window_view(values, 9)
-        off = np.abs(values[4:-4] - np.median(around[:, 2:7], axis=1))
-        near = around[:, [0, 1, 2, 6, 7, 8]]
-        spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=1)) + 4
+    half = 4
+    if values.size > 2 * half + 1:
+        around = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1)
+        off = np.abs(values[half:-half] - np.median(around[:, 2:-2], axis=1))
+        near = np.delete(around, half + np.arange(-1, 2), axis=1)
+        spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=1)) + half
         if spikes.size <= MOST_SPIKES * values.size:
             found[spikes] = np.nan
     missing = np.isnan(found)

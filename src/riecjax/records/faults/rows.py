@@ -26,9 +26,10 @@ from jaxtyping import Float
 
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
-from riecjax.records.faults.sampled_signal import SampledSignal
+from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
+from riecjax.records.noise import NORMAL
 from riecjax.records.preparation.filtering import with_gaps
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import HasRecord, Record, samples_with_nan
 
 ROUNDED = 1e-3
 """Share of a standard deviation by which rounding may part a sample from its copy."""
@@ -36,8 +37,6 @@ DIGITS = 1e-9
 """The same of the last digits of computed values."""
 SMOOTH = 0.9
 """Correlation of successive differences past which they are physical, and not of rounding."""
-LOOKED_AT = 20_000
-"""Samples that tell most pairs of signals apart."""
 FEWEST = 20
 """Rows in succession that are the same again; noise repeats not one of them by chance."""
 ALIKE = 0.99
@@ -54,13 +53,8 @@ HARMLESS = 0.003
 """Share of the signal's deviation up to which a jump does no harm."""
 
 
-class NamedRecord(Protocol):
+class NamedRecord(HasRecord, Protocol):
     """A record and what messages call it, such as a [`Recording`][riecjax.Recording]."""
-
-    @property
-    def record(self) -> Record:
-        """The signals."""
-        ...
 
     @property
     def name(self) -> str:
@@ -208,7 +202,8 @@ def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[i
         pair, shift = divmod(code, span)
         tried[pair] += 1
         if tried[pair] <= tries:
-            yield *divmod(pair, len(keys)), shift - span // 2
+            first, second = divmod(pair, len(keys))
+            yield first, second, shift - span // 2
 
 
 def _spread(values: np.ndarray) -> float:
@@ -261,7 +256,7 @@ def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
     where the little that parts a slow force from its spring is smooth.
     """
     for one, other in itertools.combinations(signals, 2):
-        stride = max(one.values.size // LOOKED_AT, 1)
+        stride = max(one.values.size // ENOUGH, 1)
         if _line(one.values[::stride], other.values[::stride], 1.0) is None:
             continue
         line = _line(one.values, other.values, SMOOTH)
@@ -322,12 +317,12 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
     short, long = (_jumps(left, side) for side in SIDES)
     if np.isnan(short).all() or np.isnan(long).all():  # nowhere so many samples without a gap
         return None
-    deviation = 1.4826 * float(np.nanmedian(np.abs(short)))
+    deviation = float(np.nanmedian(np.abs(short))) / NORMAL
     least = max(SURE * deviation, HARMLESS)
     if not np.isfinite(least):
         return None
     sure = (np.abs(short) > least) & (np.abs(long - short) < AGREE * np.abs(short))
-    sure &= np.abs(long) > SURE * 1.4826 * float(np.nanmedian(np.abs(long)))
+    sure &= np.abs(long) > SURE * float(np.nanmedian(np.abs(long))) / NORMAL
     # A spike of the derivative moves its integral alone.
     sure &= np.abs(_jumps(x / size, SIDES[0]) - short) < np.abs(short) / 2
     if not sure.any():

@@ -1,7 +1,4 @@
-"""Which values a signal takes: its levels, and the quantum between them.
-
-A signal of a record with what several checks of it ask.
-"""
+"""A signal with what checks ask of it: which values it takes, and the quantum between them."""
 
 from typing import NamedTuple
 
@@ -60,6 +57,8 @@ def is_piecewise_linear(values: np.ndarray, levels: np.ndarray, rounding: float)
     return not inner.size or bool(np.mean(inner <= rounding) > 0.5)
 
 
+ENOUGH = 2**12
+"""Samples that tell whether one signal follows from others."""
 LONGEST_REST = 0.5
 """Share of samples at one value past which that is where the signal rests."""
 

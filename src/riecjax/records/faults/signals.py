@@ -64,7 +64,7 @@ def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterato
 def quantised(signal: SampledSignal) -> Iterator[Finding]:
     """A resolution that is coarse against the signal's rms."""
     # Of the largest value's size, or squares of small numbers would be none.
-    most = float(np.nanmax(np.abs(signal.values), initial=1e-300))
+    most = float(np.nanmax(np.abs(signal.values), initial=np.finfo(float).tiny))
     rms = most * float(np.nanstd(signal.values / most))
     steps = np.abs(np.diff(signal.values))
     steps = steps[~np.isnan(steps)]

@@ -1,8 +1,4 @@
-"""What samples say of one among them: robust polynomials through all but itself.
-
-They are weighed by Tukey's biweight, which no neighbouring spike moves.
-
-Spikes of one to three samples, found against the noise around them, and what belongs there.
+"""Spikes of one to three samples, found against the noise around them, and what belongs there.
 
 A spike of height h adds h times 1, -6, 15, -20, 15, -6, 1 to seven differences of sixth order, in
 which smooth motion is next to nothing and white noise of standard deviation sigma has sqrt(924)
@@ -15,14 +11,11 @@ is off it for longer than a spike lasts; a pulse among steps of its own size, as
 of them; and of a command that follows straight lines, or takes few values, only what is far beyond
 all others is a spike.
 
-Whether the motion answers to what looks like spikes: blows of a hammer, impacts, short pulses.
-
-A force that acts for a few samples changes a velocity by its impulse over the mass, and the slope
-of a position. What goes wrong in one sensor changes nothing in another. So lines are put through
-the samples before and behind each spike of every other signal, straight ones and parabolas: where
-their levels or slopes part further than they do elsewhere, the spike acted.
-
-Samples that are spikes: what is said of them.
+The motion may answer to what looks like spikes: blows of a hammer, impacts, short pulses. A force
+that acts for a few samples changes a velocity by its impulse over the mass, and the slope of a
+position. What goes wrong in one sensor changes nothing in another. So lines are put through the
+samples before and behind each spike of every other signal, straight ones and parabolas: where their
+levels or slopes part further than they do elsewhere, the spike acted.
 """
 
 import math
@@ -42,7 +35,7 @@ from riecjax.records.faults.sampled_signal import (
     levels_of,
     resolution_of,
 )
-from riecjax.records.noise import DIFFERENCE_ORDER
+from riecjax.records.noise import DIFFERENCE_ORDER, NORMAL
 from riecjax.records.remembered import remembered
 
 SUSPECT = 4.5
@@ -62,216 +55,14 @@ ROUNDS, FIRST = 8, 3
 """Times that weights are found anew, the first of them for the least sum of absolute values."""
 RIDGE = 1e-9
 """What keeps a fit through fewer samples than coefficients from a division by zero."""
-NORMAL = 0.6745
-"""Median size of a standard normal variable."""
-
-
-class Local(NamedTuple):
-    """Polynomials of one degree over the samples of a window.
-
-    **Fields:** `offsets` of its samples; orthonormal `columns`, shape `(samples, degree + 1)`;
-    `products` of each two, a row for each sample.
-    """
-
-    offsets: Int[np.ndarray, " samples"]
-    columns: Float[np.ndarray, "samples coefficients"]
-    products: Float[np.ndarray, "samples pairs"]
-
-    @classmethod
-    def of(cls, degree: int, beside: int) -> "Local":
-        """Of a degree, over so many samples to each side."""
-        offsets = np.arange(-beside, beside + 1)
-        columns = np.linalg.qr((offsets[:, None] / beside) ** np.arange(degree + 1))[0]
-        products = columns[:, :, None] * columns[:, None, :]
-        return cls(offsets, columns, products.reshape(offsets.size, -1))
-
-    @property
-    def beside(self) -> int:
-        """Samples to each side."""
-        return self.offsets.size // 2
-
-    def off(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """How far each sample is off the one through all, over its gain for white noise.
-
-        0 where its window has gaps or ends.
-        """
-        taps = self.columns @ self.columns[self.beside]
-        taps[self.beside] -= 1
-        off = np.abs(np.convolve(values, taps[::-1], "valid")) / np.linalg.norm(taps)
-        return np.pad(np.nan_to_num(off), self.beside)
-
-    @property
-    def gain(self) -> float:
-        """Times `off` that a sample is off the one through the others."""
-        return float(1 / np.sqrt(1 - np.sum(self.columns[self.beside] ** 2)))
-
-    def error(self, values: Float[np.ndarray, " n"]) -> float:
-        """How far samples mostly are off the one through the others."""
-        return float(self.gain * np.median(self.off(values)))
-
-
-class Fits(NamedTuple):
-    """At each place the polynomial through the other samples of its unbroken stretch.
-
-    **Fields:** its `value`; `scale`, the standard deviation off it; `clear`, by how much a spike
-    stands clear of all others; `spread`, what noise must be below so as not to matter to it.
-    """
-
-    value: Float[np.ndarray, " k"]
-    scale: Float[np.ndarray, " k"]
-    clear: Float[np.ndarray, " k"]
-    spread: Float[np.ndarray, " k"]
-
-
-class Around:
-    """Fits at all places of a signal, made anew where something changed that they depend on."""
-
-    def __init__(self, stretch: Int[np.ndarray, " n"], local: Local) -> None:
-        self.stretch, self.local = stretch, local
-        self.kept = np.full((4, stretch.size), np.nan)
-        self.noise = np.zeros(stretch.size)
-
-    def at(
-        self,
-        values: Float[np.ndarray, " n"],
-        places: Int[np.ndarray, " k"],
-        noise: Float[np.ndarray, " n"],
-    ) -> Fits:
-        """Of some places, given the noise around each."""
-        before, now = self.noise[places], noise[places]
-        matters = (now != before) & (np.maximum(now, before) > self.kept[3, places])
-        again = places[matters | np.isnan(self.kept[0, places])]
-        if again.size:
-            self.kept[:, again] = fits(values, again, noise, self.stretch, self.local)
-        self.noise[again] = noise[again]
-        return Fits(*self.kept[:, places])
-
-    def forget(self, places: Int[np.ndarray, " k"]) -> None:
-        """Samples there have other values from now on."""
-        reach = self.local.beside + LONGEST
-        near = places[:, None] + np.arange(-reach, reach + 1)
-        self.kept[0, np.clip(near, 0, self.stretch.size - 1)] = np.nan
-
-
-def fits(
-    values: Float[np.ndarray, " n"],
-    places: Int[np.ndarray, " k"],
-    noise: Float[np.ndarray, " n"],
-    stretch: Int[np.ndarray, " n"],
-    local: Local,
-) -> Fits:
-    """The polynomials at some places, of which `stretch` numbers the unbroken stretch."""
-    median = _running_median(values, places, local.beside)
-    parts = np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE))
-    found = zip(*(_at_once(values, median, part, noise, stretch, local) for part in parts))
-    return Fits(*(np.concatenate(each) for each in found))
-
-
-def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
-    """Of each row what is no NaN; NaN where nothing is."""
-    ordered = np.sort(rows, axis=1)
-    count = np.sum(~np.isnan(rows), axis=1)
-    at = np.arange(len(rows))
-    return (
-        ordered[at, np.maximum(count - 1, 0) // 2] + ordered[at, count // 2 % rows.shape[1]]
-    ) / 2
-
-
-def _at_once(
-    values: np.ndarray,
-    median: np.ndarray,
-    places: np.ndarray,
-    noise: np.ndarray,
-    stretch: np.ndarray,
-    local: Local,
-) -> Fits:
-    near = places[:, None] + local.offsets
-    inside = np.clip(near, 0, values.size - 1)
-    there = (near == inside) & (stretch[inside] == stretch[places][:, None])
-    there &= (local.offsets != 0) & ~np.isnan(values[inside])
-    window = np.where(there, values[inside], np.nan)
-    digits = LAST_DIGITS * (1 + np.abs(medians(window)))
-    least = noise[places] + digits
-    window = np.where(there, window, 0.0)
-    off = np.where(there, np.abs(window - median[inside]), np.nan)
-    spread = medians(off) / NORMAL
-    start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
-    weight, factor, found, scale = start, *(np.zeros(0) for _ in range(3))
-    count, middle = local.columns.shape[1], local.columns[local.beside]
-    for i in range(ROUNDS):
-        factor = _factored((local.products.T @ weight.T).reshape(count, count, -1))
-        found = _solved(factor, local.columns.T @ (weight * window).T)
-        off = np.where(there, np.abs(window - (local.columns @ found).T), np.nan)
-        own = medians(off) / NORMAL
-        scale, spread = np.fmax(least, own), np.fmin(spread, own)
-        share = np.nan_to_num(off) / scale[:, None]
-        # Absolute values first, whose least sum is one, so that weights do not settle elsewhere.
-        weight = (
-            start / np.maximum(share, 1.0)
-            if i < FIRST
-            else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
-        )
-    enough = np.sum(weight > 0, axis=1) > count
-    reach = middle @ _solved(factor, np.repeat(middle[:, None], len(places), axis=1))
-    clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
-    before, after = off[:, : local.beside], off[:, local.beside + 1 :]
-    for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
-        nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
-        clear = np.fmax(clear, NEIGHBOUR * nearest)
-    scale = np.where(enough, scale, np.inf) * np.sqrt(1 + reach)
-    return Fits(middle @ found, scale, clear, np.nan_to_num(spread - digits))
-
-
-def _factored(grams: Float[np.ndarray, "c c k"]) -> Float[np.ndarray, "c c k"]:
-    """Below the diagonal L, and on it D, of L D L' for each symmetric matrix, which it replaces.
-
-    All side by side take a third of the time of LAPACK, which takes one after the other.
-    """
-    count = len(grams)
-    grams[range(count), range(count)] += RIDGE
-    for i in range(count - 1):
-        below = grams[i + 1 :, i]
-        scaled = below / grams[i, i]
-        grams[i + 1 :, i + 1 :] -= scaled[:, None] * below
-        grams[i + 1 :, i] = scaled
-    return grams
-
-
-def _solved(factor: Float[np.ndarray, "c c k"], right: Float[np.ndarray, "c k"]) -> np.ndarray:
-    """The solutions of factored systems; the right sides are replaced."""
-    count = len(right)
-    for i in range(count - 1):
-        right[i + 1 :] -= factor[i + 1 :, i] * right[i]
-    right /= factor[range(count), range(count)]
-    for i in range(count - 1, 0, -1):
-        right[:i] -= factor[i, :i] * right[i]
-    return right
-
-
-def _running_median(
-    values: Float[np.ndarray, " n"], places: Int[np.ndarray, " k"], beside: int
-) -> Float[np.ndarray, " n"]:
-    """Of the seven samples around each that is near these places, which no spike of up to three
-    samples moves; NaN elsewhere."""
-    near = np.zeros(values.size + 1, int)
-    np.add.at(near, np.maximum(places - beside, 0), 1)
-    np.add.at(near, np.minimum(places + beside + 1, values.size), -1)
-    used = np.flatnonzero(np.cumsum(near[:-1]))
-    padded = np.pad(values, LONGEST, constant_values=np.nan)
-    rows = np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used]
-    found = np.full(values.size, np.nan)
-    found[used] = medians(rows)
-    return found
-
-
 SPIKE = 6.0
 """Standard deviations that a spike is off the polynomial at the least."""
 MOST_SUSPECTS = 0.8
 """Share of samples past which suspects are how the signal is; 13 are around each spike."""
-SHAPES = ((3, 8), (5, 8), (7, 8))
-"""Degree of the polynomials, and samples to each side that they go through. Of each signal, those
-that lie nearest to samples left out: a cubic has 0.37 of the noise in its middle, and bends least.
-Motion quicker than the last shows in sixth differences too."""
+DEGREES, BESIDE = (3, 5, 7), 8
+"""Of the polynomials, and samples to each side that they go through. Of each signal, those that lie
+nearest to samples left out: a cubic has 0.37 of the noise in its middle, and bends least. Motion
+quicker than the last shows in sixth differences too."""
 FEWEST = 20
 """Samples below which nothing is looked for."""
 BLOCK = 128
@@ -301,9 +92,30 @@ LARGE = 6.5
 """Standard deviations of the sum of two neighbouring differences that make suspects, too: two equal
 spikes side by side add 10 times their height to it, in which noise has 16 of its own, and 9 to each
 difference, in which it has 30. They are looked at where polynomials mostly miss samples by no more
-than `FOLLOWED` times the noise: beside motion that none follows, its corners would count."""
-FOLLOWED = 2.0
-_LOCAL = [Local.of(degree, beside) for degree, beside in SHAPES]
+than twice the noise: beside motion that none follows, its corners would count."""
+MOST = 0.05
+"""Share of the samples past which spikes are a fault of the channel, and are not repaired."""
+LISTED = 3
+"""Times that are named."""
+LEVEL = 1e-3
+"""Probability by chance, over all signals, below which the motion answers to spikes."""
+SIDE, GAP = 8, LONGEST // 2 + 1
+"""Samples of each line beside a spike, and to each side of its middle that no line goes through."""
+PARTING = 4.0
+"""Times the largest parting of lines elsewhere that is no chance."""
+MOST_BLOWS = 64
+"""Spikes that are looked at for an answer."""
+
+Treatment: TypeAlias = Literal["repair", "missing", "keep"]
+"""What becomes of spikes: a local polynomial's value takes their place, they are marked as missing,
+or they stay."""
+DONE = {
+    "repair": "A polynomial through the samples around took the place of each; if they really "
+    "acted, keep them (--outliers keep)",
+    "missing": "They were marked as missing",
+    "keep": "Least squares follow them: repair them (--outliers repair; in Python "
+    "rx.records.repair_outliers(record)), unless they really acted",
+}
 
 
 class Spikes(NamedTuple):
@@ -320,7 +132,7 @@ class Spikes(NamedTuple):
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
-@remembered(64, lambda values: (np.asarray(values, float),))
+@remembered(lambda values: (np.asarray(values, float),))
 @np.errstate(all="ignore")
 def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
@@ -329,29 +141,25 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     none = Spikes(np.zeros(0, int), *(np.zeros(0) for _ in range(3)))
     if known.size < FEWEST:
         return none
-    centre, scale = np.median(known), _spread(known)
+    # How widely values spread that are not spikes.
+    spreads = (
+        np.quantile(known, 1 - share) - np.quantile(known, share) for share in (0.1, 0.01, 0)
+    )
+    scale = float(min(next((s for s in spreads if s > 0), 1.0), np.finfo(float).max))
+    centre = np.median(known)
     scaled = np.clip((values - centre) / scale, -LARGEST, LARGEST)
     levels = levels_of(scaled[np.abs(scaled) < BEYOND], ROUNDING)[0]
     if levels.size <= FEW_LEVELS or is_piecewise_linear(scaled, levels, ROUNDING):
         return _beyond_all(values) or none
-    local = min(_LOCAL, key=lambda each: each.error(scaled))
-    found, noise = _judged(scaled, resolution_of(levels), local)
-    places = np.flatnonzero(found)
+    local = min(map(Local.of, DEGREES), key=lambda each: each.error(scaled))
+    spikes, noise = _judged(scaled, resolution_of(levels), local)
+    places = np.flatnonzero(spikes)
     if not places.size:
         return none
     stretch = np.cumsum(np.isnan(scaled))
-    repaired = fits(np.where(found, np.nan, scaled), places, noise, stretch, local).value
+    repaired = fits(np.where(spikes, np.nan, scaled), places, noise, stretch, local).value
     repaired = centre + scale * repaired
     return Spikes(places, repaired, np.abs(values[places] - repaired), scale * noise[places])
-
-
-def _spread(known: np.ndarray) -> float:
-    """How widely values spread that are not spikes."""
-    for share in (0.1, 0.01, 0.0):
-        low, high = np.quantile(known, [share, 1 - share])
-        if high > low:
-            return float(min(high - low, np.finfo(float).max))
-    return 1.0
 
 
 def _beyond_all(values: np.ndarray) -> Spikes | None:
@@ -373,79 +181,83 @@ def _beyond_all(values: np.ndarray) -> Spikes | None:
 
 
 def _judged(
-    scaled: Float[np.ndarray, " n"], quantum: float, local: Local
+    scaled: Float[np.ndarray, " n"], quantum: float, local: "Local"
 ) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Which samples are spikes, and the noise around each."""
     cleaned, sizes = scaled.copy(), np.zeros(scaled.size)
-    noise, stretch = sizes, np.cumsum(np.isnan(scaled))
-    around, half = Around(stretch, local), DIFFERENCE_ORDER // 2
+    noise, stretch, half = sizes, np.cumsum(np.isnan(scaled)), DIFFERENCE_ORDER // 2
+    # Fits are made anew where something changed that they depend on.
+    kept, noise_of_kept = np.full((len(Fits._fields), scaled.size), np.nan), sizes.copy()
     # Up to two samples from an end or a gap the differences hold a fifth of a spike at the most.
     ends = np.convolve(~np.isnan(scaled), np.ones(5), "same") < 5
     for _ in range(PASSES):
         differences = np.diff(cleaned, DIFFERENCE_ORDER)
         sixth = np.abs(differences) / GAIN
         of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
-        noise = _local_noise(sixth, scaled.size, quantum)
+        around = _local(sixth, scaled.size)
+        usual = np.median(around[around > 0]) if np.any(around > 0) else 0.0
+        around = np.maximum(np.where(np.isnan(around), usual, around), STEADIEST * usual)
+        noise = np.maximum(around, quantum)
         large = np.zeros(scaled.size, bool)
         large[half:-half] = sixth > SUSPECT * noise[half:-half]
         pairs = of_two > LARGE * noise[half : -half - 1]
-        if pairs.any() and np.median(noise) > local.error(cleaned) / FOLLOWED:
+        if pairs.any() and np.median(noise) > local.error(cleaned) / 2:
             large[half : -half - 1] |= pairs
         # The first and last three samples stand in the middle of no difference.
         near = np.convolve(large, np.ones(DIFFERENCE_ORDER + 1), "same") > 0
         suspects = np.flatnonzero((near | ends) & ~np.isnan(cleaned) & (sizes == 0))
         if not 0 < suspects.size <= MOST_SUSPECTS * scaled.size:
             break
-        held = np.where(sizes > 0, np.nan, scaled)
-        fit, scale, *_ = around.at(held, suspects, noise)
+        before, now = noise_of_kept[suspects], noise[suspects]
+        matters = (now != before) & (np.maximum(now, before) > kept[3, suspects])
+        anew = suspects[matters | np.isnan(kept[0, suspects])]
+        if anew.size:
+            held = np.where(sizes > 0, np.nan, scaled)
+            kept[:, anew] = fits(held, anew, noise, stretch, local)
+        noise_of_kept[anew] = noise[anew]
+        fit, scale, *_ = kept[:, suspects]
         off = np.abs(scaled[suspects] - fit)
         # A spike spoils the polynomials of its neighbours: the largest first.
-        largest = np.zeros(scaled.size)
-        largest[suspects] = np.where(off > SPIKE * scale, off, 0.0)
-        new = (off > SPIKE * scale) & (off >= _running_maximum(largest, local.beside)[suspects])
+        largest = np.zeros(scaled.size + 2 * BESIDE)
+        largest[suspects + BESIDE] = np.where(off > SPIKE * scale, off, 0.0)
+        nearby = np.lib.stride_tricks.sliding_window_view(largest, 2 * BESIDE + 1).max(axis=1)
+        new = (off > SPIKE * scale) & (off >= nearby[suspects])
         if not new.any():
             break
         sizes[suspects[new]], cleaned[suspects[new]] = (off / scale)[new], fit[new]
-        around.forget(suspects[new])
-    found = (sizes > 0) & ~_in_runs_beyond(sizes > 0, LONGEST)
+        reach = np.arange(-BESIDE - LONGEST, BESIDE + LONGEST + 1)
+        kept[0, np.clip(suspects[new][:, None] + reach, 0, scaled.size - 1)] = np.nan
+    spikes = (sizes > 0) & ~_in_runs_beyond(sizes > 0, LONGEST)
     off = sizes
     for _ in range(2):  # what is dropped tells more of those beside it
-        places, cleaned = np.flatnonzero(found), np.where(found, np.nan, scaled)
+        places, cleaned = np.flatnonzero(spikes), np.where(spikes, np.nan, scaled)
         fit, scale, clear, _ = fits(cleaned, places, noise, stretch, local)
         cleaned[places] = fit
         off = np.abs(scaled - cleaned)
-        found[places] &= off[places] > np.maximum(clear, SPIKE / 2 * scale)
-    sixth = np.abs(np.diff(cleaned, DIFFERENCE_ORDER))
+        spikes[places] &= off[places] > np.maximum(clear, SPIKE / 2 * scale)
+    sixth = np.abs(np.diff(cleaned, DIFFERENCE_ORDER)) / GAIN
     rest = local.off(cleaned)
-    found &= off > USUAL_TAIL * _tail(sixth / GAIN, off.size)
-    found &= off > USUAL_TAIL * local.gain * _tail(rest, off.size)
+    for sizes_there, gain in ((sixth, 1.0), (rest, local.gain)):
+        rows = _rows(sizes_there, TAIL_BLOCK)
+        ordered = np.sort(np.nan_to_num(rows), axis=1)
+        tail = _spread_out(ordered[:, -1 - int(FEW * rows.shape[1])], rows.shape[1], off.size)
+        spikes &= off > USUAL_TAIL * gain * tail
     # Where noise changes within a block, the block's own is too small for a part of it.
     edged = np.pad(noise, BLOCK, mode="edge")
     most = np.maximum(noise, np.maximum(edged[: -2 * BLOCK], edged[2 * BLOCK :]))
-    found &= sizes >= _threshold(rest, sizes[found], most)
-    return found & ~_among_others(rest[rest > SUSPECT * most], off, found), noise
-
-
-def _local_noise(sixth: np.ndarray, count: int, quantum: float) -> np.ndarray:
-    """The noise around each of so many samples, by medians over blocks."""
-    local = _local(sixth, count)
-    some = local[local > 0]
-    usual = np.median(some) if some.size else 0.0
-    local = np.maximum(np.where(np.isnan(local), usual, local), STEADIEST * usual)
-    return np.maximum(local, quantum)
+    spikes &= sizes >= _threshold(rest, sizes[spikes], most)
+    # Spikes that are no more often than steps, or whatever else is left, of about that size.
+    elsewhere, own = (
+        np.searchsorted(ordered, 3 * off) - np.searchsorted(ordered, off / 3)
+        for ordered in map(np.sort, (rest[rest > SUSPECT * most], off[spikes]))
+    )
+    return spikes & (elsewhere < own), noise
 
 
 def _local(sizes: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, " count"]:
     """Standard deviation of what has these sizes, around each of so many samples."""
     rows = _rows(sizes, BLOCK)
     return _spread_out(medians(rows) / NORMAL, rows.shape[1], count)
-
-
-def _tail(sixth: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, " count"]:
-    """What a few of these sizes reach, around each of so many samples."""
-    rows = _rows(sixth, TAIL_BLOCK)
-    ordered = np.sort(np.nan_to_num(rows), axis=1)
-    return _spread_out(ordered[:, -1 - int(FEW * rows.shape[1])], rows.shape[1], count)
 
 
 def _rows(sizes: Float[np.ndarray, " m"], length: int) -> Float[np.ndarray, "blocks about_length"]:
@@ -462,21 +274,13 @@ def _spread_out(values: Float[np.ndarray, " blocks"], length: int, count: int) -
     return np.pad(local, (0, max(count - local.size, 0)), mode="edge")[:count]
 
 
-def _running_maximum(values: Float[np.ndarray, " n"], beside: int) -> Float[np.ndarray, " n"]:
-    """The largest of as many values to each side, and its own."""
-    padded = np.pad(values, beside)
-    return np.lib.stride_tricks.sliding_window_view(padded, 2 * beside + 1).max(axis=1)
-
-
 def _in_runs_beyond(mask: Bool[np.ndarray, " n"], longest: int) -> Bool[np.ndarray, " n"]:
     """Where a mask is true for more than so many samples in succession."""
     edges = np.flatnonzero(np.diff(np.pad(mask.astype(np.int8), 1)))
-    starts, stops = edges[::2], edges[1::2]
-    inside = np.zeros(mask.size + 1, int)
-    long = stops - starts > longest
-    np.add.at(inside, starts[long], 1)
-    np.add.at(inside, stops[long], -1)
-    return np.cumsum(inside)[:-1] > 0
+    lengths = np.diff(edges)[::2]
+    inside = np.zeros(mask.size, bool)
+    inside[mask] = np.repeat(lengths > longest, lengths)
+    return inside
 
 
 def _threshold(
@@ -495,115 +299,222 @@ def _threshold(
     return np.inf
 
 
-def _among_others(
-    rest: Float[np.ndarray, " k"], off: Float[np.ndarray, " n"], found: Bool[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Spikes that are no more often than steps, or whatever else is left, of about that size."""
+class Local(NamedTuple):
+    """Polynomials of one degree over the samples of a window.
 
-    def alike(some: np.ndarray) -> np.ndarray:
-        ordered = np.sort(some)
-        return np.searchsorted(ordered, 3 * off) - np.searchsorted(ordered, off / 3)
+    **Fields:** orthonormal `columns`, shape `(samples, degree + 1)`; `products` of each two, a row
+    for each sample.
+    """
 
-    return found & (alike(rest) >= alike(off[found]))
+    columns: Float[np.ndarray, "samples coefficients"]
+    products: Float[np.ndarray, "samples pairs"]
+
+    @classmethod
+    def of(cls, degree: int) -> "Local":
+        """Of a degree, over `BESIDE` samples to each side."""
+        places = np.arange(-BESIDE, BESIDE + 1)[:, None] / BESIDE
+        columns = np.linalg.qr(places ** np.arange(degree + 1))[0]
+        products = columns[:, :, None] * columns[:, None, :]
+        return cls(columns, products.reshape(len(columns), -1))
+
+    def off(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """How far each sample is off the one through all, over its gain for white noise.
+
+        0 where its window has gaps or ends.
+        """
+        taps = self.columns @ self.columns[BESIDE]
+        taps[BESIDE] -= 1
+        off = np.abs(np.convolve(values, taps[::-1], "valid")) / np.linalg.norm(taps)
+        return np.pad(np.nan_to_num(off), BESIDE)
+
+    @property
+    def gain(self) -> float:
+        """Times `off` that a sample is off the one through the others."""
+        return float(1 / np.sqrt(1 - np.sum(self.columns[BESIDE] ** 2)))
+
+    def error(self, values: Float[np.ndarray, " n"]) -> float:
+        """How far samples mostly are off the one through the others."""
+        return float(self.gain * np.median(self.off(values)))
 
 
-LEVEL = 1e-3
-"""Probability by chance, over all signals, below which an answer is told."""
-SIDE = 8
-"""Samples of each line."""
-GAP = LONGEST // 2 + 1
-"""Samples to each side of the middle of a spike that no line goes through."""
-NEAR = 2 * (GAP + SIDE)
-"""Samples around a spike that are not elsewhere."""
-PARTING = 4.0
-"""Times the largest parting elsewhere that is no chance."""
-COEFFICIENTS = (2, 3)
-"""Of lines and parabolas."""
-TESTS = 2 * len(COEFFICIENTS)
-"""Of each signal: the level and the slope of both."""
-MOST_BLOWS = 64
-"""Spikes that are looked at."""
+class Fits(NamedTuple):
+    """At each place the polynomial through the other samples of its unbroken stretch.
+
+    **Fields:** its `value`; `scale`, the standard deviation off it; `clear`, by how much a spike
+    stands clear of all others; `spread`, what noise must be below so as not to matter to it.
+    """
+
+    value: Float[np.ndarray, " k"]
+    scale: Float[np.ndarray, " k"]
+    clear: Float[np.ndarray, " k"]
+    spread: Float[np.ndarray, " k"]
+
+
+def fits(
+    values: Float[np.ndarray, " n"],
+    places: Int[np.ndarray, " k"],
+    noise: Float[np.ndarray, " n"],
+    stretch: Int[np.ndarray, " n"],
+    local: Local,
+) -> Fits:
+    """The polynomials at some places, of which `stretch` numbers the unbroken stretch.
+
+    They are weighed by Tukey's biweight, which no neighbouring spike moves.
+    """
+    # The median of the seven samples around each that is near, which no spike of up to three moves.
+    near = np.zeros(values.size + 1, int)
+    np.add.at(near, np.maximum(places - BESIDE, 0), 1)
+    np.add.at(near, np.minimum(places + BESIDE + 1, values.size), -1)
+    used = np.flatnonzero(np.cumsum(near[:-1]))
+    padded = np.pad(values, LONGEST, constant_values=np.nan)
+    median = np.full(values.size, np.nan)
+    median[used] = medians(np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used])
+    parts = np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE))
+    each = zip(*(_at_once(values, median, part, noise, stretch, local) for part in parts))
+    return Fits(*(np.concatenate(columns) for columns in each))
+
+
+def _at_once(
+    values: np.ndarray,
+    median: np.ndarray,
+    places: np.ndarray,
+    noise: np.ndarray,
+    stretch: np.ndarray,
+    local: Local,
+) -> Fits:
+    offsets = np.arange(-BESIDE, BESIDE + 1)
+    near = places[:, None] + offsets
+    inside = np.clip(near, 0, values.size - 1)
+    there = (near == inside) & (stretch[inside] == stretch[places][:, None])
+    there &= (offsets != 0) & ~np.isnan(values[inside])
+    window = np.where(there, values[inside], np.nan)
+    digits = LAST_DIGITS * (1 + np.abs(medians(window)))
+    least = noise[places] + digits
+    window = np.where(there, window, 0.0)
+    off = np.where(there, np.abs(window - median[inside]), np.nan)
+    spread = medians(off) / NORMAL
+    start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
+    weight, factor, fitted, scale = start, *(np.zeros(0) for _ in range(3))
+    count, middle = local.columns.shape[1], local.columns[BESIDE]
+    for i in range(ROUNDS):
+        factor = _factored((local.products.T @ weight.T).reshape(count, count, -1))
+        fitted = _solved(factor, local.columns.T @ (weight * window).T)
+        off = np.where(there, np.abs(window - (local.columns @ fitted).T), np.nan)
+        own = medians(off) / NORMAL
+        scale, spread = np.fmax(least, own), np.fmin(spread, own)
+        share = np.nan_to_num(off) / scale[:, None]
+        # Absolute values first, whose least sum is one, so that weights do not settle elsewhere.
+        weight = (
+            start / np.maximum(share, 1.0)
+            if i < FIRST
+            else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
+        )
+    enough = np.sum(weight > 0, axis=1) > count
+    reach = middle @ _solved(factor, np.repeat(middle[:, None], len(places), axis=1))
+    clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
+    before, after = off[:, :BESIDE], off[:, BESIDE + 1 :]
+    for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
+        nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
+        clear = np.fmax(clear, NEIGHBOUR * nearest)
+    scale = np.where(enough, scale, np.inf) * np.sqrt(1 + reach)
+    return Fits(middle @ fitted, scale, clear, np.nan_to_num(spread - digits))
+
+
+def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
+    """Of each row what is no NaN; NaN where nothing is."""
+    ordered = np.sort(rows, axis=1)
+    count = np.sum(~np.isnan(rows), axis=1)
+    at = np.arange(len(rows))
+    return (
+        ordered[at, np.maximum(count - 1, 0) // 2] + ordered[at, count // 2 % rows.shape[1]]
+    ) / 2
+
+
+def _factored(grams: Float[np.ndarray, "c c k"]) -> Float[np.ndarray, "c c k"]:
+    """Below the diagonal L, and on it D, of L D L' for each symmetric matrix, which it replaces.
+
+    All side by side take a third of the time of LAPACK, which takes one after the other.
+    """
+    count = len(grams)
+    grams[range(count), range(count)] += RIDGE
+    for i in range(count - 1):
+        below = grams[i + 1 :, i]
+        scaled = below / grams[i, i]
+        grams[i + 1 :, i + 1 :] -= scaled[:, None] * below
+        grams[i + 1 :, i] = scaled
+    return grams
+
+
+def _solved(factor: Float[np.ndarray, "c c k"], right: Float[np.ndarray, "c k"]) -> np.ndarray:
+    """The solutions of factored systems; the right sides are replaced."""
+    count = len(right)
+    for i in range(count - 1):
+        right[i + 1 :] -= factor[i + 1 :, i] * right[i]
+    right /= factor[range(count), range(count)]
+    for i in range(count - 1, 0, -1):
+        right[:i] -= factor[i, :i] * right[i]
+    return right
 
 
 def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarray, " n"]]) -> bool:
     """Whether some other signal shows that spikes at these samples acted.
 
+    The share of all samples where lines part further is a p-value, and of n of them the sum of
+    -log p has a gamma distribution. Few blows are too few for that; they are told by their size, if
+    nothing elsewhere comes near it.
+
     **Arguments:** `places`, ascending; `others` at the same times, without spikes of their own, NaN
     where samples are missing.
     """
-    others, middles = list(others), _middles(places)[:MOST_BLOWS]
-    # One after the other: of long records all together would fill the memory.
-    tests = (parting for other in others for parting in _partings(other))
-    level = LEVEL / max(TESTS * len(others), 1)
-    return any(_by_chance(middles, places, test) < level for test in tests)
-
-
-def _middles(places: Int[np.ndarray, " k"]) -> Int[np.ndarray, " groups"]:
-    """The middle sample of each group of neighbours."""
+    others, near = list(others), 2 * (GAP + SIDE)
+    # The middle sample of each group of neighbours.
     groups = np.split(places, np.flatnonzero(np.diff(places) > LONGEST) + 1)
-    return np.array([group[group.size // 2] for group in groups if group.size], int)
-
-
-def _partings(values: Float[np.ndarray, " n"]) -> list[Float[np.ndarray, " n"]]:
-    """By how much level and slope of lines, and of parabolas, to both sides of each sample part;
-    NaN at ends."""
-    if values.size < NEAR:
-        return []
+    middles = np.array([group[group.size // 2] for group in groups if group.size], int)
+    middles = middles[:MOST_BLOWS]
     offsets = np.arange(GAP + 1, GAP + SIDE + 1)
-    found = []
-    for coefficients in COEFFICIENTS:
-        fit = np.linalg.pinv(np.vander(offsets, coefficients, increasing=True))
-        for taps, sign in zip(fit[:2], (-1, 1)):
-            # Before the sample time runs the other way: there levels are alike, slopes opposite.
-            around = np.concatenate([sign * taps[::-1], np.zeros(2 * GAP + 1), taps])
-            inside = np.convolve(values, around[::-1], "valid")
-            found.append(np.abs(np.pad(inside, GAP + SIDE, constant_values=np.nan)))
-    return found
+    # Level and slope of lines and of parabolas, before each sample and behind; before it time runs
+    # the other way: there levels are alike, slopes opposite.
+    kernels = [
+        np.concatenate([sign * taps[::-1], np.zeros(2 * GAP + 1), taps])
+        for coefficients in (2, 3)
+        for taps, sign in zip(
+            np.linalg.pinv(np.vander(offsets, coefficients, increasing=True)), (-1, 1)
+        )
+    ]
+    level = LEVEL / max(len(kernels) * len(others), 1)
+    for values in (values for values in others if values.size >= near):
+        for kernel in kernels:
+            inside = np.convolve(values, kernel[::-1], "valid")
+            parting = np.abs(np.pad(inside, GAP + SIDE, constant_values=np.nan))
+            if _by_chance(middles, places, parting, near) < level:
+                return True
+    return False
 
 
 def _by_chance(
     middles: Int[np.ndarray, " groups"],
     places: Int[np.ndarray, " k"],
     parting: Float[np.ndarray, " n"],
+    near: int,
 ) -> float:
-    """Probability that lines part so far at samples that are none in particular.
-
-    The share of all samples where they part further is a p-value, and of n of them the sum of
-    -log p has a gamma distribution. Few blows are too few for that; they are told by their size, if
-    nothing elsewhere comes near it.
-    """
-    there = ~np.isnan(parting)
-    found = parting[middles]
-    found = found[~np.isnan(found)]
-    if not found.size:
+    """Probability that lines part so far at samples that are none in particular."""
+    elsewhere = ~np.isnan(parting)
+    usual = np.sort(parting[elsewhere])
+    at_spikes = parting[middles]
+    at_spikes = at_spikes[~np.isnan(at_spikes)]
+    if not at_spikes.size:
         return 1.0
-    elsewhere = there.copy()
     for place in places:
-        elsewhere[max(place - NEAR, 0) : place + NEAR + 1] = False
-    if np.median(found) > PARTING * np.max(parting, where=elsewhere, initial=0.0):
+        elsewhere[max(place - near, 0) : place + near + 1] = False
+    if np.median(at_spikes) > PARTING * np.max(parting, where=elsewhere, initial=0.0):
         return 0.0
-    usual = np.sort(parting[there])
-    beyond = usual.size - np.searchsorted(usual, found)
+    beyond = usual.size - np.searchsorted(usual, at_spikes)
     total = -float(np.sum(np.log((1 + beyond) / (1 + usual.size))))
-    terms = [k * math.log(max(total, 1e-300)) - math.lgamma(k + 1) for k in range(found.size)]
+    terms = [
+        k * math.log(max(total, np.finfo(float).tiny)) - math.lgamma(k + 1)
+        for k in range(at_spikes.size)
+    ]
     return sum(math.exp(term - total) for term in terms)
-
-
-MOST = 0.05
-"""Share of the samples past which spikes are a fault of the channel, and are not repaired."""
-LISTED = 3
-"""Times that are named."""
-
-Treatment: TypeAlias = Literal["repair", "missing", "keep"]
-"""What becomes of spikes: a local polynomial's value takes their place, they are marked as missing,
-or they stay."""
-DONE = {
-    "repair": "A polynomial through the samples around took the place of each; if they really "
-    "acted, keep them (--outliers keep)",
-    "missing": "They were marked as missing",
-    "keep": "Least squares follow them: repair them (--outliers repair; in Python "
-    "rx.records.repair_outliers(record)), unless they really acted",
-}
 
 
 def too_many(spikes: Spikes, values: Float[np.ndarray, " n"]) -> bool:
@@ -613,11 +524,10 @@ def too_many(spikes: Spikes, values: Float[np.ndarray, " n"]) -> bool:
 
 def outliers(signal: SampledSignal, others: Iterable[SampledSignal] = ()) -> list[Finding]:
     """The finding of a signal whose spikes were kept, unless others show that they acted."""
-    name, values, time, unit = signal.name, signal.values, signal.time, signal.unit
-    spikes = find_spikes(values)
+    spikes = find_spikes(signal.values)
     if not spikes.places.size or are_answered(spikes.places, (one.values for one in others)):
         return []
-    return [finding_of(name, spikes, values, time, unit)]
+    return [finding_of(signal.name, spikes, signal.values, signal.time, signal.unit)]
 
 
 def finding_of(
@@ -635,32 +545,27 @@ def finding_of(
     count, present = spikes.places.size, int(np.sum(~np.isnan(values)))
     listed = ", ".join(f"{time[place]:.6g}" for place in spikes.places[:LISTED])
     more = f" s and {count - LISTED} more" if count > LISTED else " s"
+    beyond_repair = too_many(spikes, values)
+    kept, doubt = beyond_repair or done == "keep", 0.0
     with np.errstate(all="ignore"):
-        noises = np.median(spikes.sizes / spikes.noise)
+        noises, largest = np.median(spikes.sizes / spikes.noise), np.max(spikes.sizes)
+        if kept:
+            # Of the signal's energy about its mean, with the spikes.
+            own, rest = np.sum((spikes.sizes / largest) ** 2), values.copy()
+            rest[spikes.places] = spikes.repaired
+            rest = np.nansum(((rest - np.nanmean(rest)) / largest) ** 2)
+            doubt = float(own / (own + rest))
     against = f", {noises:.3g} times the noise there (median)" if np.isfinite(noises) else ""
-    kept = too_many(spikes, values) or done == "keep"
-    doubt = _share_of_energy(spikes, values) if kept else 0.0
     said = (
         f"So many are a fault of the channel and were left as they are: check the sensor, its "
         f"cable and the logger (more than {MOST:.0%} of the samples)"
-        if too_many(spikes, values)
+        if beyond_repair
         else DONE[done]
     )
     message = (
         f"{name}: {count} {'sample is a spike' if count == 1 else 'samples are spikes'} "
-        f"({100 * count / present:.2g} %), up to {f'{np.max(spikes.sizes):.4g} {unit}'.rstrip()} "
+        f"({100 * count / present:.2g} %), up to {f'{largest:.4g} {unit}'.rstrip()} "
         f"off the samples around{against}, at {listed}{more}. {said}."
     )
-    remedy = ("--outliers", "repair") if kept and not too_many(spikes, values) else ()
+    remedy = ("--outliers", "repair") if kept and not beyond_repair else ()
     return Finding("outliers", message, (name,), doubt=doubt, remedy=remedy)
-
-
-def _share_of_energy(spikes: Spikes, values: Float[np.ndarray, " n"]) -> float:
-    """Of the signal's energy about its mean, with the spikes."""
-    with np.errstate(all="ignore"):
-        largest = np.max(spikes.sizes)
-        own = np.sum((spikes.sizes / largest) ** 2)
-        rest = values.copy()
-        rest[spikes.places] = spikes.repaired
-        rest = np.nansum(((rest - np.nanmean(rest)) / largest) ** 2)
-        return float(own / (own + rest))

@@ -39,45 +39,39 @@ MOVES = 0.3
 def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Finding]:
     """A long run of one value, begun or left by a jump, while another signal moves on; or short
     ones of the same value, all begun and left by jumps."""
-    yield from _dropping_out(signal)
-    runs = long_runs(signal, others)
-    if not runs.size:
-        return
-    starts, lengths, first = signal.run_starts, signal.run_lengths, int(runs[0])
-    samples, remedy = int(lengths[runs].sum()), ("--leave-out", signal.name)
-    yield signal.finding(
-        "stuck_sensor",
-        f"stays at exactly {signal.with_unit(signal.run_values[first])} for {lengths[first]} "
-        f"samples from {signal.time[starts[first]]:.4g} s on while the rest of the record "
-        f"{_rest_of_record(others, starts[first], lengths[first])} ({samples} samples in "
-        f"{runs.size} place(s), {percent(samples, signal.sample_count)}). Leave them out (on the "
-        f"command line: {shlex.join(remedy)}), and check the sensor, its cable and the logger.",
-        doubt=samples / signal.sample_count,
-        remedy=remedy,
-        step=f"Leave out what {signal.name} showed while it was stuck",
-    )
-
-
-def _dropping_out(signal: SampledSignal) -> Iterator[Finding]:
-    runs = dropouts(signal)
-    if not runs.size:
-        return
-    starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
-    shown = np.unique(signal.run_values[runs])
-    value = signal.with_unit(shown[0]) if shown.size == 1 else "one value"
-    samples, remedy = int(lengths.sum()), ("--leave-out", signal.name)
-    yield signal.finding(
-        "stuck_sensor",
-        f"drops out: it shows exactly {value} for {int(np.median(lengths))} samples (median) in "
-        f"{runs.size} places, and goes on elsewhere, first at {signal.time[starts[0]]:.4g} s "
-        f"({percent(samples, signal.sample_count)} of the samples). "
+    remedy = ("--leave-out", signal.name)
+    how = (
         f"Leave them out (on the command line: {shlex.join(remedy)}), and check the sensor, its "
-        f"cable and the logger.",
-        # They are far off: each counts for several.
-        doubt=1.0,
-        remedy=remedy,
-        step=f"Leave out what {signal.name} showed while it dropped out",
+        f"cable and the logger."
     )
+    if (runs := dropouts(signal)).size:
+        starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
+        shown = np.unique(signal.run_values[runs])
+        value = signal.with_unit(float(shown[0])) if shown.size == 1 else "one value"
+        yield signal.finding(
+            "stuck_sensor",
+            f"drops out: it shows exactly {value} for {int(np.median(lengths))} samples (median) "
+            f"in {runs.size} places, and goes on elsewhere, first at "
+            f"{signal.time[starts[0]]:.4g} s ({percent(int(lengths.sum()), signal.sample_count)} "
+            f"of the samples). {how}",
+            # They are far off: each counts for several.
+            doubt=1.0,
+            remedy=remedy,
+            step=f"Leave out what {signal.name} showed while it dropped out",
+        )
+    if (runs := long_runs(signal, others)).size:
+        starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
+        samples = int(lengths.sum())
+        yield signal.finding(
+            "stuck_sensor",
+            f"stays at exactly {signal.with_unit(signal.run_values[runs[0]])} for {lengths[0]} "
+            f"samples from {signal.time[starts[0]]:.4g} s on while the rest of the record "
+            f"{_rest_of_record(others, starts[0], lengths[0])} ({samples} samples in {runs.size} "
+            f"place(s), {percent(samples, signal.sample_count)}). {how}",
+            doubt=samples / signal.sample_count,
+            remedy=remedy,
+            step=f"Leave out what {signal.name} showed while it was stuck",
+        )
 
 
 def stuck_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndarray:

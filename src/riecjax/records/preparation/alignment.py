@@ -9,12 +9,12 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.consistency import compared
-from riecjax.records.faults.derivative_pairs import LATE, Pair
+from riecjax.records.faults.derivative_pairs import LATE, PPM, Pair
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation.filtering import longest_stretch, through, with_gaps
-from riecjax.records.preparation.resampling import band_limited, reach_beyond, response
+from riecjax.records.preparation.resampling import SAME_TIME, band_limited, reach_beyond, response
 from riecjax.records.record import Record
 
 POINTS = np.arange(-3, 5)
@@ -94,7 +94,7 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
                 f"the clock of '{name}' is off by {rate:g} ppm, which is no clock. Give millionths "
                 f"of the time, less than {MOST_PPM:g}."
             )
-        late, columns[name] = 1e-6 * rate * elapsed, np.full(samples.size, np.nan)
+        late, columns[name] = PPM * rate * elapsed, np.full(samples.size, np.nan)
         for part in record.segments([name]):
             own = np.arange(part.stop - part.start)
             columns[name][part] = band_limited(samples[part], own + late[part], 1.0)
@@ -109,9 +109,9 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
 
 def _taps(by: float, reach: int) -> tuple[Float[np.ndarray, " taps"], int]:
     """Weights of samples around a place `by` samples on, and where the first of them lies."""
-    whole = int(np.floor(by + 1e-6))
+    whole = int(np.floor(by + SAME_TIME))
     between = by - whole
-    if between < 2e-6:
+    if between < 2 * SAME_TIME:
         return np.ones(1), whole
     if reach:
         at = np.arange(1 - reach, reach + 1)
@@ -147,21 +147,20 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
             )
     if how == "none":
         return Aligned(record)
-    found = [pair for one in every if (pair := _comparable(record, one)) is not None]
+    found = []
+    for relation in every:
+        # Signals that belong to each other, and of which no lost rows look like a delay.
+        _, pair = compared(record, relation)
+        if pair is None or pair.is_gross:
+            continue
+        if not pair.is_late or not cut_rows(*with_sum(record, relation)):
+            found.append(pair)
     late = _named(found, names) if names else _later(found)
     if not late:
         return Aligned(record)
     told = [_finding(name, seconds, found) for name, seconds in late.items()]
     words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
     return Aligned(shift(record, late), words, tuple(told))
-
-
-def _comparable(record: Record, relation: Relation) -> Pair | None:
-    """The pair, if its signals belong to each other and no lost rows look like a delay."""
-    _, pair = compared(record, relation)
-    if pair is None or pair.is_gross:
-        return None
-    return None if pair.is_late and cut_rows(*with_sum(record, relation)) else pair
 
 
 def _named(pairs: Sequence[Pair], names: Sequence[str]) -> dict[str, float]:

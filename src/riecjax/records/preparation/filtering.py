@@ -1,7 +1,4 @@
-"""Filters without phase, offsets, drifts and derivatives, each on unbroken stretches.
-
-Derivatives by local polynomials, which smooth noise as widely as the motion allows.
-"""
+"""Filters without phase, offsets, drifts and derivatives, each on unbroken stretches."""
 
 from collections.abc import Callable, Mapping
 
@@ -22,7 +19,7 @@ FILTER_PADDING = 16
 """Samples by which SciPy extends each end of a stretch for a filter of this order."""
 SETTLING_PERIODS = 5
 """Periods of the cut-off frequency after which a zero-phase filter has forgotten the ends."""
-SLOPE = np.array([1, -9, 45, 0, -45, 9, -1]) / 60
+SLOPE = np.linalg.inv(np.vander(np.arange(-3, 4), increasing=True))[1, ::-1]
 """Taps of a derivative of sixth order over a sample, the middle one for the same sample."""
 
 
@@ -316,11 +313,9 @@ def with_local_derivative(
 
 def derivative_taps(count: int, step: float) -> Float[np.ndarray, " taps"]:
     """Taps of the slope in the middle of `count` samples to each side, `step` seconds apart."""
-    # The least-squares slope of c1 t + c3 t^3; even powers have none there.
-    t = np.arange(-count, count + 1) / count
-    s2, s4, s6 = (np.sum(t**k) for k in (2, 4, 6))
+    powers = np.vander(np.arange(-count, count + 1) / count, ORDER, increasing=True)
     # Of what is convolved, the taps stand in reverse.
-    return -(s6 * t - s4 * t**3) / (s2 * s6 - s4**2) / (count * step)
+    return np.linalg.pinv(powers)[1, ::-1] / (count * step)
 
 
 def _widest(record: Record, signal: str, step: float) -> int:

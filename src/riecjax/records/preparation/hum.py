@@ -1,7 +1,4 @@
-"""Lines of the mains in a signal's spectrum, and how to tell them from motion.
-
-Sinusoids of the mains, taken off signals.
-"""
+"""Lines of the mains: found in a signal's spectrum, told from motion, and taken off."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
@@ -46,6 +43,8 @@ MOTION = 2.0
 """Factor within which amplitudes of a signal and of its derivative are those of one motion."""
 OVERTONES = 20
 """Multiples of a signal's strongest line that may be its own."""
+STEADY = 10.0
+"""Seconds over which a line's amplitude and phase are averaged."""
 
 
 class Line(NamedTuple):
@@ -86,23 +85,21 @@ class Spectrum(NamedTuple):
         if self.power[peak] < max(self.power[[peak - 1, peak + 1]]):
             return None
         at = self.interpolated(peak)
-        if self.chance[peak] * (high - low + 1) > chance or not self._is_alone(peak, tolerance):
+        near_enough = abs(at - seen) <= tolerance + 0.2 * self.resolution
+        if self.chance[peak] * (high - low + 1) > chance or not near_enough:
             return None
-        if abs(at - seen) > tolerance + 0.2 * self.resolution:
-            return None
-        off = at / self.resolution - peak
-        loss = np.sinc(off) / (1 - off**2)
-        return Line(frequency, at, self.rms * float(np.sqrt(self.power[peak]) / loss))
-
-    def _is_alone(self, peak: int, tolerance: float) -> bool:
-        """Whether no other line is around, but harmonics that sampling folds beside this one."""
+        # No other line is around, but harmonics that sampling folds beside this one.
         own = LOBE + int(HARMONICS * tolerance / self.resolution)
         half = max(int(ALONE / self.resolution), AROUND) + own
         near = np.arange(max(peak - half, LOBE), min(peak + half, self.power.size - LOBE))
         others = near[np.abs(near - peak) > own]
         lines = self.power[others[self.chance[others] * others.size < LINES]]
         highest, peaked = np.max(self.power[others], initial=0.0), np.max(lines, initial=0.0)
-        return bool(self.power[peak] > max(OUTSHONE[0] * highest, OUTSHONE[1] * peaked))
+        if self.power[peak] <= max(OUTSHONE[0] * highest, OUTSHONE[1] * peaked):
+            return None
+        off = at / self.resolution - peak
+        loss = np.sinc(off) / (1 - off**2)
+        return Line(frequency, at, self.rms * float(np.sqrt(self.power[peak]) / loss))
 
     def interpolated(self, peak: int) -> float:
         """Hz of a line, by what Hann's window makes of its two highest bins."""
@@ -143,7 +140,9 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     transform = np.fft.rfft(rows * window, axis=1)
     power = np.mean(np.abs(transform) ** 2, axis=0) * (4 / length) ** 2
     usual = median_filter(power, 2 * AROUND + 1, mode="nearest")
-    ratio = power / np.maximum(usual * stretches / gammaincinv(stretches, 0.5), 1e-300)
+    ratio = power / np.maximum(
+        usual * stretches / gammaincinv(stretches, 0.5), np.finfo(float).tiny
+    )
     # Of so many bins through Hann's window, the median tells as much as the mean of a quarter.
     freedom = 2 * stretches, 2 * stretches * (2 * AROUND + 1) / 4
     # Nothing is concluded from more than a hundredth, as most bins have.
@@ -175,24 +174,37 @@ def hum(
 
     **Arguments:** `pairs` of a signal and its derivative; `names` of those to report on.
     """
-    spectra = {name: _spectrum(signal) for name, signal in signals.items()}
-    known = {name: one for name, one in spectra.items() if one is not None}
-    by_grid = {name: _foreign(one) for name, one in known.items()}
+    # Steps of commands have lines of their own.
+    sensors = {name: signal for name, signal in signals.items() if not signal.is_command}
+    spectra = {name: spectrum_of(s.values, s.time_step) for name, s in sensors.items()}
+    known = {name: spectrum for name, spectrum in spectra.items() if spectrum is not None}
+    by_grid = {name: _foreign(spectrum) for name, spectrum in known.items()}
     for grid in MAINS:
         lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
-        verdicts = {name: _is_motion(name, lines[name], known, pairs) for name in lines}
+        largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
+        verdicts = {name: _is_motion(name, largest[name], known, pairs) for name in lines}
         for name in (n for n in names if n in lines):
             others = {verdicts[other] for other in lines if other != name}
             hums = not others or (False in others and True not in others)
-            if verdicts[name] is False or (verdicts[name] is None and hums):
-                yield _finding(signals[name], known[name], lines[name], grid)
-
-
-def _spectrum(signal: SampledSignal) -> Spectrum | None:
-    # Steps of commands have lines of their own.
-    if signal.is_command:
-        return None
-    return spectrum_of(signal.values, signal.time_step)
+            if not (verdicts[name] is False or (verdicts[name] is None and hums)):
+                continue
+            amplitude, rms = largest[name].amplitude, known[name].rms
+            share = sum((line.amplitude / rms) ** 2 for line in lines[name]) / 2
+            folded = (abs(line.seen - line.nominal) > 0.1 * grid for line in lines[name])
+            at = ", ".join(
+                f"{line.nominal:.4g} Hz" + (f" (seen at {line.seen:.4g} Hz)" if is_folded else "")
+                for line, is_folded in zip(lines[name], folded)
+            )
+            yield signals[name].finding(
+                "hum",
+                f"a line at {at} stands out, of amplitude {signals[name].with_unit(amplitude)}, "
+                f"{percent(amplitude, rms)} of the signal's rms, as the mains put there. "
+                f"It acts as noise with {percent(share, 1.0)} of the signal's power. Take it out "
+                f"(on the command line: --notch {grid:.4g}), and look at the cable's screen and "
+                f"earth.",
+                doubt=min(share, 1.0),
+                remedy=("--notch", f"{grid:.4g}"),
+            )
 
 
 def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
@@ -227,12 +239,11 @@ def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
 
 def _is_motion(
     name: str,
-    lines: list[Line],
+    line: Line,
     spectra: Mapping[str, Spectrum],
     pairs: Sequence[tuple[str, str]],
 ) -> bool | None:
-    """Whether the largest line is motion, by a signal's derivative; `None` if that is hidden."""
-    line = max(lines, key=lambda one: one.amplitude)
+    """Whether a line is motion, by a signal's derivative; `None` if that is hidden."""
     verdict = None
     for signal, derivative in pairs:
         partner = derivative if name == signal else signal
@@ -247,29 +258,6 @@ def _is_motion(
             # A larger line there, or noise, says nothing against this one.
             verdict = False if there < expected / MOTION else verdict
     return verdict
-
-
-def _finding(signal: SampledSignal, spectrum: Spectrum, lines: list[Line], grid: float) -> Finding:
-    largest = max(lines, key=lambda one: one.amplitude)
-    share = sum((one.amplitude / spectrum.rms) ** 2 for one in lines) / 2
-    at = ", ".join(
-        f"{one.nominal:.4g} Hz"
-        + (f" (seen at {one.seen:.4g} Hz)" if abs(one.seen - one.nominal) > 0.1 * grid else "")
-        for one in lines
-    )
-    return signal.finding(
-        "hum",
-        f"a line at {at} stands out, of amplitude {signal.with_unit(largest.amplitude)}, "
-        f"{percent(largest.amplitude, spectrum.rms)} of the signal's rms, as the mains put there. "
-        f"It acts as noise with {percent(share, 1.0)} of the signal's power. Take it out "
-        f"(on the command line: --notch {grid:.4g}), and look at the cable's screen and earth.",
-        doubt=min(share, 1.0),
-        remedy=("--notch", f"{grid:.4g}"),
-    )
-
-
-STEADY = 10.0
-"""Seconds over which a line's amplitude and phase are averaged."""
 
 
 def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
@@ -290,24 +278,20 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
         spectrum = spectrum_of(values, step)
         if spectrum is None:
             continue
-        lines = _lines(spectrum, frequency)
+        grids = MAINS if frequency == "auto" else (frequency,)
+        lines = [line for grid in grids for line in lines_of(spectrum, grid)]
+        if frequency != "auto":
+            seen = spectrum.folded(frequency)
+            if not spectrum.resolution < seen < spectrum.resolution * (spectrum.power.size - 2):
+                raise DataError(
+                    f"a line of {frequency:g} Hz is seen at {seen:.3g} Hz at this sampling rate "
+                    f"and length of record, where it cannot be told from an offset."
+                )
+            exact = spectrum.line(frequency, DRIFT, 1.0) or Line(frequency, seen, 0.0)
+            lines = [exact, *(line for line in lines if line.nominal > frequency)]
         if lines:
             columns[name] = without_lines(values, step, [line.seen for line in lines])
     return with_gaps(record, columns, noise=record.noise) if columns else record
-
-
-def _lines(spectrum: Spectrum, frequency: float | Literal["auto"]) -> list[Line]:
-    if frequency == "auto":
-        return [line for grid in MAINS for line in lines_of(spectrum, grid)]
-    seen = spectrum.folded(frequency)
-    if not spectrum.resolution < seen < spectrum.resolution * (spectrum.power.size - 2):
-        raise DataError(
-            f"a line of {frequency:g} Hz is seen at {seen:.3g} Hz at this sampling rate and length "
-            f"of record, where it cannot be told from an offset."
-        )
-    harmonics = [line for line in lines_of(spectrum, frequency) if line.nominal > frequency]
-    exact = spectrum.line(frequency, DRIFT, 1.0)
-    return [exact or Line(frequency, seen, 0.0), *harmonics]
 
 
 def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[float]) -> np.ndarray:

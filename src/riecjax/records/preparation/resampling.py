@@ -1,4 +1,4 @@
-"""Interpolation of evenly spaced samples by a windowed sinc.
+"""Records at another rate, channels of different rates on one, and the noise that they have there.
 
 A signal that is band-limited to half its rate is x(t) = sum_n x[n] sinc(t - n), with t in samples.
 Evaluating it at a slower rate needs a low-pass first, so that nothing folds; filtering and
@@ -11,14 +11,11 @@ samples to each side: Kaiser's, whose shape and length follow from the attenuati
 the transition (SciPy's `kaiserord`). Dividing by the sum of the weights makes a constant pass
 exactly. The cost is 2 L for each value, and weights are computed once for each distinct phase
 t - floor(t).
-
-The noise of signals that are brought to another rate.
-
-Records at another rate, and channels of different rates on one.
 """
 
+import functools
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -36,179 +33,20 @@ LARGEST_BLOCK = 2**22
 """Weights held at once."""
 PHASE_DIGITS = 9
 """Of a position in samples; positions equal in these digits share their weights."""
-
-
-class LowPass(NamedTuple):
-    """A windowed-sinc low-pass, in terms of half the slower of two rates.
-
-    **Fields:** `cutoff`, the middle of the transition, and `transition`, half its width, as
-    shares of half the slower rate; `attenuation` in dB, of what lies above and of the ripple
-    below.
-    """
-
-    cutoff: float
-    transition: float
-    attenuation: float
-
-    def half_length(self, density: float) -> float:
-        """Samples to each side that have a weight, at `density` samples per slower sample."""
-        from scipy.signal import kaiserord  # takes half a second, which few records need
-
-        taps, _ = kaiserord(self.attenuation, 2 * self.transition)
-        return 0.5 * float(taps) * density
-
-    def reach(self, density: float) -> int:
-        """Whole samples that must be there on each side of a position."""
-        return math.ceil(self.half_length(density))
-
-    def weights(self, offsets: np.ndarray, density: float) -> np.ndarray:
-        """Weight of samples that lie `offsets` samples away."""
-        share = offsets / self.half_length(density)
-        from scipy.signal import kaiser_beta
-
-        beta = kaiser_beta(self.attenuation)
-        window = scipy.special.i0(beta * np.sqrt(np.maximum(1 - share**2, 0.0)))
-        return np.where(np.abs(share) < 1, np.sinc(self.cutoff / density * offsets) * window, 0.0)
-
-
-INTERPOLATION = LowPass(cutoff=1.0, transition=0.1, attenuation=130.0)
-"""To a faster rate: errors below 1e-6 of the amplitude up to 0.9 of half the samples' rate. Its
-sinc is zero at all samples but one, so these pass unchanged. Reaches 44 samples to each side."""
-ANTI_ALIAS = LowPass(cutoff=0.9, transition=0.1, attenuation=80.0)
-"""To a slower rate: flat to 0.8 of half the new rate within 1e-4, and 80 dB down from half the new
-rate on, so that nothing folds into the record. Reaches 26 new samples to each side."""
-
-
-def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> np.ndarray:
-    """An evenly sampled signal at other places.
-
-    **Arguments:**
-
-    - `samples`: unit distance apart, shape `(n,)`.
-    - `positions`: where to evaluate, in samples from the first one, shape `(m,)`.
-    - `spacing`: usual distance of positions in samples; above 1 the signal is low-passed for it.
-
-    **Returns:** values of shape `(m,)`, NaN where the weights would reach beyond the samples.
-    """
-    low_pass, density = _low_pass(spacing)
-    reach = reach_beyond(spacing)
-    positions = np.round(positions, PHASE_DIGITS)
-    found = np.full(positions.size, np.nan)
-    inside = np.flatnonzero((positions >= reach) & (positions <= samples.size - 1 - reach))
-    if not inside.size:
-        return found
-    offsets = np.arange(-reach + 1, reach + 1)
-    neighbours = np.lib.stride_tricks.sliding_window_view(samples, offsets.size)
-    for block in np.array_split(inside, math.ceil(inside.size * offsets.size / LARGEST_BLOCK)):
-        before = np.floor(positions[block]).astype(int)
-        phases, which = np.unique(
-            np.round(positions[block] - before, PHASE_DIGITS), return_inverse=True
-        )
-        weights = low_pass.weights(offsets - phases[:, None], density)
-        weights /= weights.sum(axis=1, keepdims=True)
-        found[block] = np.einsum("ij,ij->i", weights[which], neighbours[before - reach + 1])
-    return found
-
-
-def reach_beyond(spacing: float) -> int:
-    """Samples that `band_limited` needs on each side of a position."""
-    low_pass, density = _low_pass(spacing)
-    return low_pass.reach(density)
-
-
-def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
-    """What `band_limited` makes of one sample of 1, so many samples away from it."""
-    low_pass, density = _low_pass(spacing)
-    reach = low_pass.reach(density)
-    whole = low_pass.weights(np.arange(-reach, reach + 1), density)
-    return low_pass.weights(offsets, density) / whole.sum()
-
-
-def _low_pass(spacing: float) -> tuple[LowPass, float]:
-    return (ANTI_ALIAS, spacing) if spacing > 1 else (INTERPOLATION, 1.0)
-
-
+INTERPOLATION = (1.0, 130.0)
+"""Cut-off, as a share of half the slower rate, and attenuation in dB of what lies above and of the
+ripple below. To a faster rate: errors below 1e-6 of the amplitude up to 0.9 of half the samples'
+rate. Its sinc is zero at all samples but one, so these pass unchanged. Reaches 44 samples to each
+side."""
+ANTI_ALIAS = (0.9, 80.0)
+"""The same to a slower rate: flat to 0.8 of half the new rate within 1e-4, and 80 dB down from half
+the new rate on, so that nothing folds into the record. Reaches 26 new samples to each side."""
+TRANSITION = 0.2
+"""Width of the transition in both, as a share of half the slower rate."""
 KNOTS = 20
 """Samples to each side past which a spline through them no longer feels one: 0.27^20 = 4e-12."""
 PHASES = 64
 """Places between samples that a grid is taken to have, at the most."""
-
-
-def resampled_noise(noise: Noise, spacing: float) -> Noise:
-    """The noise of a record whose samples are `spacing` of the old ones apart.
-
-    With h the response of the resampler, w of unit size on the old samples, gives
-    e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
-    rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
-    """
-
-    def taps(kernel: np.ndarray) -> np.ndarray:
-        half = kernel.size // 2
-        reach = math.ceil((half + reach_beyond(spacing)) / spacing)
-        places = spacing * np.arange(-reach, reach + 1)
-        through = response(places[:, None] - np.arange(-half, half + 1), spacing)
-        return shortened(math.sqrt(spacing) * through @ kernel)
-
-    kernels = {
-        name: {source: taps(np.asarray(kernel)) for source, kernel in of.items()}
-        for name, of in noise.kernels.items()
-    }
-    return Noise(kernels, noise.freedom)
-
-
-def low_pass_taps(spacing: float) -> Float[np.ndarray, " taps"]:
-    """The kernel, on the new samples, that a low-pass for a slower rate makes of white noise."""
-    return np.asarray(resampled_noise(Noise({"": {"": np.ones(1)}}), spacing).kernels[""][""])
-
-
-def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"]:
-    """The kernel that a cubic spline makes of white noise.
-
-    Between samples a spline averages, on them it does not: the noise is not stationary. The kernel
-    is the symmetric one with the mean of its autocovariances.
-
-    **Arguments:** `positions` at which the spline is evaluated, in samples, evenly spaced.
-    """
-    from scipy.interpolate import CubicSpline  # takes half a second, which few records need
-
-    spacing = float(positions[1] - positions[0])
-    knots = np.arange(-2 * KNOTS, 2 * KNOTS + 1)
-    spline = CubicSpline(knots, (knots == 0).astype(float))
-
-    def at(places: np.ndarray) -> np.ndarray:
-        return np.where(np.abs(places) < KNOTS, spline(np.clip(places, -KNOTS, KNOTS)), 0.0)
-
-    reach = math.ceil(2 * KNOTS / spacing)
-    chosen = np.linspace(0, positions.size - 1, min(positions.size, PHASES)).astype(int)
-    near = np.arange(-KNOTS, KNOTS + 1)
-    first = np.mod(positions[chosen], 1.0)[:, None]
-    here = at(first - near)
-    covariance = np.array(
-        [np.mean(np.sum(here * at(first + lag * spacing - near), 1)) for lag in range(reach + 1)]
-    )
-    spectrum = np.fft.rfft(np.concatenate([covariance, covariance[:0:-1]]))
-    kernel = np.fft.irfft(np.sqrt(np.maximum(spectrum.real, 0.0)), 2 * reach + 1)
-    return shortened(np.fft.fftshift(kernel))
-
-
-def uneven_level(time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> np.ndarray:
-    """Standard deviation of white noise on samples that need not be evenly spaced.
-
-    From divided differences of sixth order, which are those of even samples where they are even.
-    NaN where a value is missing.
-    """
-    count = values.size - DIFFERENCE_ORDER
-    if count < 1:
-        return np.zeros(())
-    starts = np.unique(np.linspace(0, count - 1, min(count, STRETCHES * STRETCH)).astype(int))
-    places = starts[:, None] + np.arange(DIFFERENCE_ORDER + 1)
-    near = (time[places] - time[starts][:, None]) / np.median(np.diff(time))
-    apart = near[:, :, None] - near[:, None, :] + np.eye(DIFFERENCE_ORDER + 1)
-    weights = 1.0 / np.prod(apart, axis=2)
-    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    return np.asarray(usual_size(np.sum(weights * values[places], axis=1)))
-
-
 LARGEST_GRID = 50_000_000
 """Samples, over all channels, that a new grid may have before it is refused."""
 LARGEST_GROWN, MOST_TIMES = 3_000_000, 16
@@ -307,14 +145,32 @@ def on_grid(
         raise DataError("there is no channel to bring to a common rate.")
     sampled = {name: _channel(name, *given) for name, given in channels.items()}
     decide = {name: sampled[name] for name in sampled if name in deciding} or sampled
-    grid = _common_grid(decide, rate)
+    first = {name: channel.stretches[0][0][0] for name, channel in decide.items()}
+    last = {name: channel.stretches[-1][0][-1] for name, channel in decide.items()}
+    latest, earliest = max(first, key=first.__getitem__), min(last, key=last.__getitem__)
+    start, duration = first[latest], last[earliest] - first[latest]
+    if duration * rate < 1 - SAME_TIME:
+        begin = min(first.values())
+        raise DataError(
+            f"the channels have no time in common at {rate:g} Hz: '{latest}' begins at "
+            f"{start - begin:g} s and '{earliest}' ends at {last[earliest] - begin:g} s, counted "
+            f"from the first sample of all. Leave one of them out."
+        )
+    _require_room(
+        len(decide) * duration * rate,
+        sum(time.size for channel in decide.values() for time, _ in channel.stretches),
+        f"{duration:g} s at {rate:g} Hz",
+        "Choose a lower rate, and check that time is in seconds.",
+    )
+    grid = start + np.arange(int(duration * rate + SAME_TIME) + 1) / rate
     columns = {name: _sampled_on(channel, grid, rate) for name, channel in sampled.items()}
     full = np.flatnonzero(np.logical_and.reduce([~np.isnan(columns[n]) for n in decide]))
     if full.size < 2:
         worst = max(decide, key=lambda name: int(np.isnan(columns[name]).sum()))
+        longest = max(time[-1] - time[0] for time, _ in sampled[worst].stretches)
         raise DataError(
             f"no stretch of '{worst}' is long enough for {rate:g} Hz: its longest lasts "
-            f"{max(s.time[-1] - s.time[0] for s in sampled[worst].stretches):.3g} s without a gap. "
+            f"{longest:.3g} s without a gap. "
             f"Choose a higher rate, or leave this channel out."
         )
     rows = slice(full[0], full[-1] + 1)
@@ -347,17 +203,11 @@ def on_grid_noise(
     return found
 
 
-class _Stretch(NamedTuple):
-    """Samples without a gap among them."""
-
-    time: np.ndarray
-    values: np.ndarray
-
-
 class _Channel(NamedTuple):
-    stretches: list[_Stretch]
+    """Times and values of stretches without a gap, and the usual step in seconds."""
+
+    stretches: list[tuple[np.ndarray, np.ndarray]]
     step: float
-    """Usual one, in seconds."""
 
 
 def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel:
@@ -391,33 +241,10 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel:
     number = np.cumsum(np.concatenate([[False], steps > LONGEST_STEP * step]) | ~present)
     edges = np.flatnonzero(np.diff(number[present])) + 1
     pieces = zip(np.split(time[present], edges), np.split(values[present], edges))
-    return _Channel([_Stretch(*piece) for piece in pieces], step)
+    return _Channel([*pieces], step)
 
 
-def _common_grid(channels: Mapping[str, _Channel], rate: float) -> np.ndarray:
-    first = {name: channel.stretches[0].time[0] for name, channel in channels.items()}
-    last = {name: channel.stretches[-1].time[-1] for name, channel in channels.items()}
-    latest, earliest = max(first, key=first.__getitem__), min(last, key=last.__getitem__)
-    start, duration = first[latest], last[earliest] - first[latest]
-    earliest_start = min(first.values())
-    if duration * rate < 1 - SAME_TIME:
-        raise DataError(
-            f"the channels have no time in common at {rate:g} Hz: '{latest}' begins at "
-            f"{start - earliest_start:g} s and '{earliest}' ends at "
-            f"{last[earliest] - earliest_start:g} s, counted from the first sample of all. Leave "
-            f"one of them out."
-        )
-    recorded = sum(stretch.time.size for each in channels.values() for stretch in each.stretches)
-    _expect(
-        len(channels) * duration * rate,
-        recorded,
-        f"{duration:g} s at {rate:g} Hz",
-        "Choose a lower rate, and check that time is in seconds.",
-    )
-    return start + np.arange(int(duration * rate + SAME_TIME) + 1) / rate
-
-
-def _expect(samples: float, recorded: int, how: str, remedy: str) -> None:
+def _require_room(samples: float, recorded: int, how: str, remedy: str) -> None:
     """Refuse so many samples of a new grid, over all channels, that memory does not hold."""
     if samples > min(LARGEST_GRID, max(LARGEST_GROWN, MOST_TIMES * recorded)):
         raise DataError(
@@ -428,148 +255,247 @@ def _expect(samples: float, recorded: int, how: str, remedy: str) -> None:
     require_memory(f"resampling to {samples:.2g} samples", samples * BYTES_PER_SAMPLE, remedy)
 
 
-def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
-    """A channel's values at the grid's times, NaN in its gaps."""
-    faster = channel.step * rate < 1 - SAME_RATE
-    # Absolute times such as seconds since 1970 have few digits left for a share of a step.
-    same_time = max(SAME_TIME * channel.step, 4 * float(np.spacing(np.max(np.abs(grid)))))
-    found = np.full(grid.size, np.nan)
-    for time, values in channel.stretches:
-        a, b = np.searchsorted(grid, [time[0] - same_time, time[-1] + same_time])
-        if faster:
-            found[a:b] = _thinned(time, values, channel.step, grid[a:b], rate)
-        else:
-            found[a:b] = _interpolated(time, values, grid[a:b], same_time)
+def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> np.ndarray:
+    """An evenly sampled signal at other places.
+
+    **Arguments:**
+
+    - `samples`: unit distance apart, shape `(n,)`.
+    - `positions`: where to evaluate, in samples from the first one, shape `(m,)`.
+    - `spacing`: usual distance of positions in samples; above 1 the signal is low-passed for it.
+
+    **Returns:** values of shape `(m,)`, NaN where the weights would reach beyond the samples.
+    """
+    reach = reach_beyond(spacing)
+    positions = np.round(positions, PHASE_DIGITS)
+    found = np.full(positions.size, np.nan)
+    inside = np.flatnonzero((positions >= reach) & (positions <= samples.size - 1 - reach))
+    if not inside.size:
+        return found
+    offsets = np.arange(-reach + 1, reach + 1)
+    neighbours = np.lib.stride_tricks.sliding_window_view(samples, offsets.size)
+    for block in np.array_split(inside, math.ceil(inside.size * offsets.size / LARGEST_BLOCK)):
+        before = np.floor(positions[block]).astype(int)
+        phases, which = np.unique(
+            np.round(positions[block] - before, PHASE_DIGITS), return_inverse=True
+        )
+        weights = _weights(offsets - phases[:, None], spacing)
+        weights /= weights.sum(axis=1, keepdims=True)
+        found[block] = np.einsum("ij,ij->i", weights[which], neighbours[before - reach + 1])
     return found
 
 
-def _interpolated(
-    time: np.ndarray, values: np.ndarray, grid: np.ndarray, same_time: float
-) -> np.ndarray:
-    """Cubic spline between samples; samples on the grid as they are."""
-    if time.size >= FEWEST_KNOTS:
-        found = _spline(time, values)(grid - time[0])
-    else:
-        found = np.full(grid.size, np.nan)
-    nearest = np.clip(np.searchsorted(time, grid - same_time), 0, time.size - 1)
-    same = np.abs(time[nearest] - grid) <= same_time
-    found[same] = values[nearest[same]]
-    return found
+@functools.lru_cache(64)
+def _windowed_sinc(spacing: float) -> tuple[float, float, float]:
+    """For this distance of positions in samples: cut-off as a share of half the samples' rate,
+    samples to each side that have a weight, and the shape of Kaiser's window."""
+    from scipy.signal import kaiserord  # takes half a second, which few records need
+
+    cutoff, attenuation = ANTI_ALIAS if spacing > 1 else INTERPOLATION
+    taps, shape = kaiserord(attenuation, TRANSITION)
+    density = max(spacing, 1.0)
+    return cutoff / density, 0.5 * float(taps) * density, shape
 
 
-def _spline(time: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """A cubic spline over the time since the first sample."""
+def _weights(offsets: np.ndarray, spacing: float) -> np.ndarray:
+    """Weight of samples that lie `offsets` samples away from a position."""
+    cutoff, half_length, shape = _windowed_sinc(spacing)
+    share = offsets / half_length
+    window = scipy.special.i0(shape * np.sqrt(np.maximum(1 - share**2, 0.0)))
+    return np.where(np.abs(share) < 1, np.sinc(cutoff * offsets) * window, 0.0)
+
+
+def reach_beyond(spacing: float) -> int:
+    """Samples that `band_limited` needs on each side of a position."""
+    return math.ceil(_windowed_sinc(spacing)[1])
+
+
+def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
+    """What `band_limited` makes of one sample of 1, so many samples away from it."""
+    reach = reach_beyond(spacing)
+    return _weights(offsets, spacing) / _weights(np.arange(-reach, reach + 1), spacing).sum()
+
+
+def resampled_noise(noise: Noise, spacing: float) -> Noise:
+    """The noise of a record whose samples are `spacing` of the old ones apart.
+
+    With h the response of the resampler, w of unit size on the old samples, gives
+    e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
+    rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
+    """
+
+    def taps(kernel: np.ndarray) -> np.ndarray:
+        half = kernel.size // 2
+        reach = math.ceil((half + reach_beyond(spacing)) / spacing)
+        places = spacing * np.arange(-reach, reach + 1)
+        through = response(places[:, None] - np.arange(-half, half + 1), spacing)
+        return shortened(math.sqrt(spacing) * through @ kernel)
+
+    kernels = {
+        name: {source: taps(np.asarray(kernel)) for source, kernel in of.items()}
+        for name, of in noise.kernels.items()
+    }
+    return Noise(kernels, noise.freedom)
+
+
+def low_pass_taps(spacing: float) -> Float[np.ndarray, " taps"]:
+    """The kernel, on the new samples, that a low-pass for a slower rate makes of white noise."""
+    return np.asarray(resampled_noise(Noise({"": {"": np.ones(1)}}), spacing).kernels[""][""])
+
+
+def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"]:
+    """The kernel that a cubic spline makes of white noise.
+
+    Between samples a spline averages, on them it does not: the noise is not stationary. The kernel
+    is the symmetric one with the mean of its autocovariances.
+
+    **Arguments:** `positions` at which the spline is evaluated, in samples, evenly spaced.
+    """
     from scipy.interpolate import CubicSpline  # takes half a second, which few records need
 
-    return CubicSpline(time - time[0], values)
+    spacing = float(positions[1] - positions[0])
+    knots = np.arange(-2 * KNOTS, 2 * KNOTS + 1)
+    spline = CubicSpline(knots, (knots == 0).astype(float))
+
+    def at(places: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(places) < KNOTS, spline(np.clip(places, -KNOTS, KNOTS)), 0.0)
+
+    reach = math.ceil(2 * KNOTS / spacing)
+    chosen = np.linspace(0, positions.size - 1, min(positions.size, PHASES)).astype(int)
+    near = np.arange(-KNOTS, KNOTS + 1)
+    first = np.mod(positions[chosen], 1.0)[:, None]
+    here = at(first - near)
+    covariance = np.array(
+        [np.mean(np.sum(here * at(first + lag * spacing - near), 1)) for lag in range(reach + 1)]
+    )
+    spectrum = np.fft.rfft(np.concatenate([covariance, covariance[:0:-1]]))
+    kernel = np.fft.irfft(np.sqrt(np.maximum(spectrum.real, 0.0)), 2 * reach + 1)
+    return shortened(np.fft.fftshift(kernel))
 
 
-def _thinned(
-    time: np.ndarray, values: np.ndarray, step: float, grid: np.ndarray, rate: float
-) -> np.ndarray:
-    """Low-passed samples; a spline through the true times evens out uneven ones before."""
-    even_step = float(time[-1] - time[0]) / max(time.size - 1, 1)
-    off = time - time[0] - even_step * np.arange(time.size)
-    if np.max(np.abs(off)) > EVEN * even_step:
-        if time.size < FEWEST_KNOTS:
-            return np.full(grid.size, np.nan)
-        # Twice as dense, so that the denser parts of uneven times lose nothing.
-        even = np.arange(0, time[-1] - time[0], step / 2)
-        values = _spline(time, values)(even)
-        even_step = step / 2
-    if not even_step:
-        return np.full(grid.size, np.nan)
-    return band_limited(values, (grid - time[0]) / even_step, 1 / (rate * even_step))
+def uneven_level(time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> np.ndarray:
+    """Standard deviation of white noise on samples that need not be evenly spaced.
+
+    From divided differences of sixth order, which are those of even samples where they are even.
+    NaN where a value is missing.
+    """
+    count = values.size - DIFFERENCE_ORDER
+    if count < 1:
+        return np.zeros(())
+    starts = np.unique(np.linspace(0, count - 1, min(count, STRETCHES * STRETCH)).astype(int))
+    places = starts[:, None] + np.arange(DIFFERENCE_ORDER + 1)
+    near = (time[places] - time[starts][:, None]) / np.median(np.diff(time))
+    apart = near[:, :, None] - near[:, None, :] + np.eye(DIFFERENCE_ORDER + 1)
+    weights = 1.0 / np.prod(apart, axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    return np.asarray(usual_size(np.sum(weights * values[places], axis=1)))
 
 
-class _Piece(NamedTuple):
-    """What a stretch between two pauses became: rows of an even grid, with NaN in gaps."""
+def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
+    """A channel's values at the grid's times, NaN in its gaps.
 
-    start: float
-    columns: dict[str, np.ndarray]
+    Between samples a cubic spline, and samples on the grid as they are; of a faster channel
+    low-passed samples, which a spline through the true times makes even before if they are not.
+    """
+    from scipy.interpolate import CubicSpline  # takes half a second, which few records need
+
+    # Absolute times such as seconds since 1970 have few digits left for a share of a step.
+    same_time = max(SAME_TIME * channel.step, 4 * float(np.spacing(np.max(np.abs(grid)))))
+    faster = channel.step * rate < 1 - SAME_RATE
+    sampled = np.full(grid.size, np.nan)
+    for time, values in channel.stretches:
+        a, b = np.searchsorted(grid, [time[0] - same_time, time[-1] + same_time])
+        there, few = grid[a:b], time.size < FEWEST_KNOTS
+        if not faster:
+            if not few:
+                sampled[a:b] = CubicSpline(time - time[0], values)(there - time[0])
+            nearest = np.clip(np.searchsorted(time, there - same_time), 0, time.size - 1)
+            same = np.abs(time[nearest] - there) <= same_time
+            sampled[a:b][same] = values[nearest[same]]
+            continue
+        step = float(time[-1] - time[0]) / max(time.size - 1, 1)
+        uneven = np.max(np.abs(time - time[0] - step * np.arange(time.size))) > EVEN * step
+        if not step or (uneven and few):
+            continue
+        if uneven:
+            # Twice as dense, so that the denser parts of uneven times lose nothing.
+            step = channel.step / 2
+            even = np.arange(0, time[-1] - time[0], step)
+            values = CubicSpline(time - time[0], values)(even)
+        sampled[a:b] = band_limited(values, (there - time[0]) / step, 1 / (rate * step))
+    return sampled
 
 
 def _resampled(record: Record, step: float, spacing: float) -> Record:
     """A record with `step` seconds between samples, which are `spacing` of the old ones."""
     if abs(spacing - 1) < SAME_TIME:
         return record
-    recorded = len(record.arrays) * record.sample_count
-    _expect(
+    count = record.sample_count
+    recorded = len(record.arrays) * count
+    _require_room(
         recorded / spacing,
         recorded,
         f"{1 / step:g} Hz",
         "Choose a lower rate or factor, or a part of the record.",
     )
-    pieces = [_piece(record, run, step, spacing) for run in _runs(record)]
+    # Stretches of one even grid lie between pauses, which no signal spans.
+    masks = [np.asarray(record.missing.get(name, np.zeros(count, bool))) for name in record.arrays]
+    some = ~np.all(masks, axis=0) if record.stamps is not None else np.ones(count, bool)
+    edges = np.flatnonzero(np.diff(np.pad(some.astype(np.int8), 1)))
+    pieces = [_piece(record, slice(*run), step, spacing) for run in edges.reshape(-1, 2).tolist()]
     pieces = [piece for piece in pieces if piece is not None]
     for name in record.arrays:
-        if not any((~np.isnan(piece.columns[name])).any() for piece in pieces):
+        if not any((~np.isnan(columns[name])).any() for _, columns in pieces):
             raise DataError(
                 f"no stretch of '{name}' without a gap is long enough for 1 sample in {step:g} s: "
                 f"it takes {2 * reach_beyond(spacing) + 1} samples of the record, and the longest "
                 f"has {longest_stretch(record, name)}. Choose a higher rate, leave this signal "
                 f"out, or repair the gaps."
             )
-    columns = {name: _joined([p.columns[name] for p in pieces]) for name in record.arrays}
+
+    def joined(parts: list[np.ndarray]) -> np.ndarray:
+        # One missing sample between each two is the pause.
+        return np.concatenate([np.append(part, np.nan) for part in parts])[:-1]
+
+    columns = {name: joined([part[name] for _, part in pieces]) for name in record.arrays}
+    stamps = joined([time for time, _ in pieces])
+    pauses = np.flatnonzero(np.isnan(stamps))
+    stamps[pauses] = 0.5 * (stamps[pauses - 1] + stamps[pauses + 1])
     return Record(
         {name: hold(values) for name, values in columns.items()},
         step,
-        pieces[0].start,
+        stamps[0],
         record.units,
         gaps(columns),
-        _stamps(pieces, step) if len(pieces) > 1 else None,
-        record.skipped + (pieces[0].start - record.time[0]),
+        stamps if len(pieces) > 1 else None,
+        record.skipped + (stamps[0] - record.time[0]),
         resampled_noise(judged(record).noise, spacing),
     )
 
 
-def _runs(record: Record) -> list[slice]:
-    """Stretches of one even grid: between pauses, which no signal spans."""
-    if record.stamps is None:
-        return [slice(0, record.sample_count)]
-    any_present = np.zeros(record.sample_count, bool)
-    for name in record.arrays:
-        for segment in record.segments([name]):
-            any_present[segment] = True
-    edges = np.flatnonzero(np.diff(np.pad(any_present.astype(np.int8), 1)))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
-
-
-def _piece(record: Record, run: slice, step: float, spacing: float) -> _Piece | None:
-    """One run on its new grid, less the rows at its ends where nothing could be computed."""
+def _piece(
+    record: Record, run: slice, step: float, spacing: float
+) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+    """Times and signals of one run on its new grid, NaN in gaps, less the rows at its ends where
+    nothing could be computed."""
     old_time = np.asarray(record.time)[run]
     # Stamps may be rounded; together they tell the run's start more precisely than its first.
     start = float(np.mean(old_time - float(record.time_step) * np.arange(old_time.size)))
     positions = spacing * np.arange(int((old_time.size - 1) / spacing + SAME_TIME) + 1)
-    columns = {}
-    for name in record.arrays:
+    columns = {name: np.full(positions.size, np.nan) for name in record.arrays}
+    for name, values in columns.items():
         samples = np.asarray(record[name])
-        values = np.full(positions.size, np.nan)
         for segment in record.segments([name]):
             if run.start <= segment.start < run.stop:
                 first, last = segment.start - run.start, segment.stop - run.start
                 a, b = np.searchsorted(positions, [first - SAME_TIME, last])
                 values[a:b] = band_limited(samples[segment], positions[a:b] - first, spacing)
-        columns[name] = values
-    some = np.flatnonzero(np.logical_or.reduce([~np.isnan(v) for v in columns.values()]))
+    some = np.flatnonzero(~np.all([np.isnan(values) for values in columns.values()], axis=0))
     if not some.size:
         return None
     rows = slice(some[0], some[-1] + 1)
-    return _Piece(start + step * int(some[0]), {k: v[rows] for k, v in columns.items()})
-
-
-def _joined(parts: list[np.ndarray]) -> np.ndarray:
-    """Parts with one missing sample between each two: the pause."""
-    between = [np.array([np.nan])] * len(parts)
-    return np.concatenate([array for pair in zip(parts, between) for array in pair][:-1])
-
-
-def _stamps(pieces: list[_Piece], step: float) -> np.ndarray:
-    times = [p.start + step * np.arange(next(iter(p.columns.values())).size) for p in pieces]
-    stamps = _joined(times)
-    pauses = np.flatnonzero(np.isnan(stamps))
-    stamps[pauses] = 0.5 * (stamps[pauses - 1] + stamps[pauses + 1])
-    return stamps
+    time = start + step * (int(some[0]) + np.arange(some[-1] + 1 - some[0]))
+    return time, {name: values[rows] for name, values in columns.items()}
 
 
 def _check_rate(rate: float) -> None:
@@ -578,5 +504,5 @@ def _check_rate(rate: float) -> None:
 
 
 def _check_factor(factor: int) -> None:
-    if factor < 1 or int(factor) != factor:
+    if not 1 <= factor < np.inf or int(factor) != factor:
         raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")

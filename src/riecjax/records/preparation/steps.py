@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -93,58 +93,43 @@ class Preparation:
             low = "the start" if self.start is None else f"{self.start:g} s"
             high = "the end" if self.stop is None else f"{self.stop:g} s"
             steps.append(Step(f"cut from {low} to {high}", partial(cut, self.start, self.stop)))
-        steps += [
-            Step(
-                f"{name}: left out where it is stuck or at its limit",
-                partial(_of_signal, leave_out, name),
-            )
-            for name in self.left_out
-        ]
-        if self.shifts:
-            listed = ", ".join(f"{name} by {seconds:g} s" for name, seconds in self.shifts.items())
-            steps.append(Step(f"advanced: {listed}", lambda record: shift(record, self.shifts)))
-        if self.clocks:
-            listed = ", ".join(f"{name} by {rate:g} ppm" for name, rate in self.clocks.items())
-            steps.append(Step(f"clocks: {listed}", lambda r: set_clocks(r, self.clocks)))
-        if self.lags:
-            listed = ", ".join(f"{name} of {seconds:g} s" for name, seconds in self.lags.items())
-            steps.append(Step(f"low-pass undone: {listed}", lambda r: unfilter(r, self.lags)))
-        steps += [
-            Step(f"{name}: mean removed", partial(_of_signal, remove_offset, name))
-            for name in self.offsets
-        ]
-        steps += [
-            Step(f"{name}: straight line removed", partial(_of_signal, remove_drift, name))
-            for name in self.drifts
-        ]
-        steps += [
-            Step(
-                f"lines of the mains{'' if hertz == 'auto' else f' at {hertz:g} Hz'} taken off",
-                partial(_at_frequency, hertz),
-            )
-            for hertz in self.notches
-        ]
-        if self.cutoffs:
-            listed = ", ".join(f"{name} at {cutoff:g} Hz" for name, cutoff in self.cutoffs.items())
-            steps.append(
-                Step(
-                    f"zero-phase 4th-order Butterworth low-pass: {listed}",
-                    lambda record: low_pass(record, dict(self.cutoffs)),
-                )
-            )
+        steps += _each(self.left_out, "left out where it is stuck or at its limit", leave_out)
+        steps += _together(self.shifts, "advanced: {} by {:g} s", shift)
+        steps += _together(self.clocks, "clocks: {} by {:g} ppm", set_clocks)
+        steps += _together(self.lags, "low-pass undone: {} of {:g} s", unfilter)
+        steps += _each(self.offsets, "mean removed", remove_offset)
+        steps += _each(self.drifts, "straight line removed", remove_drift)
+        for hertz in self.notches:
+            at = "" if hertz == "auto" else f" at {hertz:g} Hz"
+            taken_off = partial(_with, notch, hertz)
+            steps.append(Step(f"lines of the mains{at} taken off", taken_off))
+        butterworth = "zero-phase 4th-order Butterworth low-pass: {} at {:g} Hz"
+        steps += _together(self.cutoffs, butterworth, low_pass)
         if self.upsample > 1:
-            steps.append(
-                Step(
-                    f"band-limited up-sampling by {self.upsample}",
-                    lambda record: upsample(record, self.upsample),
-                )
-            )
+            words = f"band-limited up-sampling by {self.upsample}"
+            steps.append(Step(words, partial(_with, upsample, self.upsample)))
         steps += [_derivative(name, of) for name, of in self.derivatives.items()]
         if self.every > 1:
-            ending = {1: "st", 2: "nd", 3: "rd"}.get(self.every % 10, "th")
-            ending = "th" if 10 < self.every % 100 < 14 else ending
+            tens, ones = divmod(self.every % 100, 10)
+            ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"
             steps.append(Step(f"every {self.every}{ending} sample", lambda r: r.every(self.every)))
         return steps
+
+
+def _with(step: Callable[..., Record], setting: Any, record: Record) -> Record:
+    return step(record, setting)
+
+
+def _each(names: tuple[str, ...], words: str, step: Callable[..., Record]) -> list[Step]:
+    """A step for each of these signals."""
+    return [Step(f"{name}: {words}", partial(_with, step, name)) for name in names]
+
+
+def _together(settings: Mapping[str, float], words: str, step: Callable[..., Record]) -> list[Step]:
+    """One step for all signals that have a setting."""
+    what, form = words.split("{", 1)
+    listed = ", ".join(f"{{{form}".format(*setting) for setting in settings.items())
+    return [Step(what + listed, partial(_with, step, dict(settings)))] if settings else []
 
 
 def prepare(
@@ -199,14 +184,6 @@ def _lasts(record: Record) -> str:
         f"the record lasts from {first:.6g} to {last:.6g} s, counted from its first sample"
         f"{stamped}."
     )
-
-
-def _of_signal(step: Callable[..., Record], name: str, record: Record) -> Record:
-    return step(record, name)
-
-
-def _at_frequency(hertz: float | Literal["auto"], record: Record) -> Record:
-    return notch(record, hertz)
 
 
 def _missing_derivative(record: Record, name: str, of: str, measured: bool) -> tuple[Record, str]:

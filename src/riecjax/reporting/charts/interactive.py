@@ -56,7 +56,9 @@ class Spaces(NamedTuple):
         right, above, below = [0] * chart.columns, [GAP] * rows, [BARE_BOTTOM] * rows
         for row, place, panel in chart.places:
             last = place + panel.columns - 1
-            right[last] = max(right[last], _right_of(panel))
+            is_map = any(isinstance(mark, HeatMap) for mark in panel.marks)
+            beside = COLOUR_BAR if is_map else RIGHT_AXIS * (panel.right is not None)
+            right[last] = max(right[last], beside)
             legend = LEGEND * (bool(panel.labels) and not chart.legend)
             above[row] = max(above[row], GAP + TITLE * bool(panel.title) + legend)
             if panel.x.label or not chart.share_x:
@@ -101,12 +103,6 @@ class Spaces(NamedTuple):
         return [max(bottom, 0.0), 1 - top / self.inside_height]
 
 
-def _right_of(panel: Panel) -> int:
-    if any(isinstance(mark, HeatMap) for mark in panel.marks):
-        return COLOUR_BAR
-    return 0 if panel.right is None else RIGHT_AXIS
-
-
 DIGITS = 6
 """Significant digits of a value on a page: more than a screen shows, and a smaller file."""
 DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot"}
@@ -143,8 +139,12 @@ def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
             marker = {"color": mark.color, "size": 1.5 * mark.size, "opacity": mark.opacity}
             return [_scatter(mark, "markers", marker=marker)]
         case Stems():
+            # Bars from each value back to zero.
+            y, look = np.asarray(mark.y), {"color": mark.color, "thickness": 1.2, "width": 0}
+            up, down = plain_values(np.maximum(-y, 0)), plain_values(np.maximum(y, 0))
+            bars = {"symmetric": False, "array": up, "arrayminus": down, **look}
             marker = {"color": mark.color, "size": 3}
-            return [_scatter(mark, "markers", marker=marker, error_y=_to_zero(mark))]
+            return [_scatter(mark, "markers", marker=marker, error_y=bars)]
         case Span():
             key = {"color": mark.color, "opacity": mark.opacity}
             if mark.hatched:
@@ -232,14 +232,6 @@ def _band(line: Line, low: ArrayLike, high: ArrayLike) -> dict[str, Any]:
     }
 
 
-def _to_zero(stems: Stems) -> dict[str, Any]:
-    """Bars from each value back to zero."""
-    y = np.asarray(stems.y)
-    up, down = plain_values(np.maximum(-y, 0)), plain_values(np.maximum(y, 0))
-    look = {"color": stems.color, "thickness": 1.2, "width": 0}
-    return {"symmetric": False, "array": up, "arrayminus": down, **look}
-
-
 def _level_style(level: Level) -> dict[str, Any]:
     return {"color": level.color, "dash": DASHES[level.dashes], "width": 1}
 
@@ -276,6 +268,8 @@ def _map(heat: HeatMap, panel: Panel) -> dict[str, Any]:
     return trace
 
 
+ABOVE = {"xanchor": "left", "yanchor": "bottom"}
+"""Of what stands above a panel: which of its corners its place is that of."""
 MARGIN = 0.04
 """Share of an axis between the data and an end that is not given."""
 FEW_NUMBERS = 4
@@ -333,10 +327,24 @@ def interactive(chart: Chart) -> dict[str, Any]:
         own_legend = bool(panel.labels) and not chart.legend
         if own_legend or (chart.legend and i == 0):
             shift = TITLE / spaces.inside_height if chart.legend and panel.title else 0
-            layout[legend] = _legend(across[0], down[1] + shift)
+            layout[legend] = ABOVE | {
+                "orientation": "h",
+                "x": across[0],
+                "y": down[1] + shift,
+                "bgcolor": CLEAR,
+                "tracegroupgap": 4,
+            }
         if panel.title:
-            height = LEGEND if own_legend else 2
-            layout["annotations"].append(_title(panel.title, across[0], down[1], height))
+            title = ABOVE | {
+                "text": f"<b>{plain_text(panel.title)}</b>",
+                "x": across[0],
+                "y": down[1],
+                "yshift": LEGEND if own_legend else 2,
+                "xref": "paper",
+                "yref": "paper",
+                "showarrow": False,
+            }
+            layout["annotations"].append(title)
     return {"data": data, "layout": layout}
 
 
@@ -388,14 +396,3 @@ def _name(drawn: list[dict[str, Any]], legend: str, *, shown: bool) -> None:
             named.add(name)
             trace |= {"name": name, "legendgroup": name or None}
             trace |= {"showlegend": first, "legend": legend}
-
-
-def _legend(x: float, y: float) -> dict[str, Any]:
-    place = {"orientation": "h", "x": x, "y": y, "xanchor": "left", "yanchor": "bottom"}
-    return place | {"bgcolor": CLEAR, "tracegroupgap": 4}
-
-
-def _title(text: str, x: float, y: float, shift: float) -> dict[str, Any]:
-    place = {"x": x, "y": y, "yshift": shift, "xref": "paper", "yref": "paper"}
-    look = {"xanchor": "left", "yanchor": "bottom", "showarrow": False}
-    return {"text": f"<b>{plain_text(text)}</b>", **place, **look}

@@ -33,6 +33,8 @@ DECADE = 12
 """Ratio of an axis' ends up to which 1, 2, 5 would be too few numbers on it."""
 LETTER, HANDLE = 0.062, 0.42
 """Inches that a letter and a sign with its gaps take in a legend."""
+BAND = 0.18
+"""Opacity of a band about a line."""
 LINE = 15.0
 """Points that a row of a legend takes."""
 STYLE: Any = {
@@ -170,7 +172,15 @@ def _columns(labels: Sequence[str], inches: float) -> int:
 def _draw(axes: Any, mark: Mark) -> None:
     match mark:
         case Line():
-            _draw_line(axes, mark)
+            if mark.low is not None and mark.high is not None:
+                band = {"color": mark.color, "alpha": BAND, "linewidth": 0}
+                axes.fill_between(mark.x, mark.low, mark.high, **band)
+            look = {"color": mark.color, "linestyle": mark.dashes, "linewidth": mark.width}
+            look |= {"marker": "o" if mark.markers else None, "markersize": 3, "label": mark.label}
+            if mark.error is None:
+                axes.plot(mark.x, mark.y, **look)
+            else:
+                axes.errorbar(mark.x, mark.y, mark.error, capsize=2, **look)
         case Dots():
             look = {"color": mark.color, "alpha": mark.opacity, "label": mark.label}
             axes.plot(mark.x, mark.y, "o", markersize=mark.size, markeredgewidth=0, **look)
@@ -191,17 +201,6 @@ def _draw(axes: Any, mark: Mark) -> None:
                 (axes.axvline if mark.axis == "x" else axes.axhline)(mark.value, **look)
         case HeatMap():
             _draw_map(axes, mark)
-
-
-def _draw_line(axes: Any, line: Line) -> None:
-    if line.low is not None and line.high is not None:
-        axes.fill_between(line.x, line.low, line.high, color=line.color, alpha=0.18, linewidth=0)
-    look = {"color": line.color, "linestyle": line.dashes, "linewidth": line.width}
-    look |= {"marker": "o" if line.markers else None, "markersize": 3, "label": line.label}
-    if line.error is None:
-        axes.plot(line.x, line.y, **look)
-    else:
-        axes.errorbar(line.x, line.y, line.error, capsize=2, **look)
 
 
 def _draw_map(axes: Any, heat: HeatMap) -> None:

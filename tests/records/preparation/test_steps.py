@@ -1,0 +1,153 @@
+"""What every step of preparation keeps to, whatever it does: gaps, pauses, time, other signals."""
+
+import numpy as np
+import pytest
+
+from riecjax.errors import DataError
+from riecjax.records.noise import Noise
+from riecjax.records.preparation import (
+    decimate,
+    differentiate,
+    leave_out,
+    low_pass,
+    remove_drift,
+    remove_offset,
+    repair_outliers,
+    resample,
+    set_clocks,
+    shift,
+    unfilter,
+    upsample,
+    with_local_derivative,
+)
+from riecjax.records.record import Record, samples_with_nan
+
+STEP, COUNT = 0.005, 4000
+OMEGA = 2 * np.pi * np.array([0.31, 0.83, 1.7, 2.9])
+TAU, PPM = 0.004, 500.0
+
+
+def motion(time, order=0):
+    return np.sum(OMEGA**order * np.cos(np.outer(time, OMEGA) + 0.5 * np.pi * order), axis=1)
+
+
+STEPS = {
+    "low_pass": (lambda r: low_pass(r, {"q": 20.0}), 50, motion),
+    "unfilter": (
+        lambda r: unfilter(r, {"q": TAU}),
+        3,
+        lambda t: motion(t) + TAU * motion(t, 1),
+    ),
+    "shift": (lambda r: shift(r, {"q": 0.37 * STEP}), 44, lambda t: motion(t + 0.37 * STEP)),
+    "shift back": (lambda r: shift(r, {"q": -2 * STEP}), 2, lambda t: motion(t - 2 * STEP)),
+    "set_clocks": (
+        lambda r: set_clocks(r, {"q": PPM}),
+        50,
+        lambda t: motion(t * (1 + 1e-6 * PPM)),
+    ),
+    "upsample": (lambda r: upsample(r, 3), 44, motion),
+    "decimate": (lambda r: decimate(r, 3), 78, motion),
+    "resample": (lambda r: resample(r, 173.3), 31, motion),
+    "differentiate": (lambda r: differentiate(r, "q", "v"), 0, lambda t: motion(t, 1)),
+    "with_local_derivative": (
+        lambda r: with_local_derivative(r, "q", "v", 0.015)[0],
+        3,
+        lambda t: motion(t, 1),
+    ),
+    "repair_outliers": (repair_outliers, 0, motion),
+    "leave_out": (lambda r: leave_out(r, "q"), 0, motion),
+}
+"""What a step does, samples that it loses beside an end or a gap, and what it makes of a motion."""
+
+
+@pytest.mark.parametrize("pause", [0.0, 60.03])
+@pytest.mark.parametrize("name", STEPS)
+def test_a_step_works_within_stretches_and_keeps_time_and_other_signals(name, pause):
+    apply, reach, expected = STEPS[name]
+    time = STEP * np.arange(COUNT)
+    time[1700:] += pause
+    # Each stretch far above the one before: what came across would show.
+    gone = slice(1700, 1700 if pause else 1703)
+    level = np.where(np.arange(COUNT) < 1700, 0.0, 1e4)
+    q = motion(time) + level
+    q[gone] = np.nan
+    made = apply(Record.from_samples({"q": q, "p": time, "w": np.cos(9 * time)}, time=time))
+    elapsed, signal = np.asarray(made.elapsed), "v" if "v" in made.arrays else "q"
+    values = samples_with_nan(made, signal)
+    there, ends = ~np.isnan(values), (time[0], time[1699], time[gone.stop], time[-1])
+    lost = reach * STEP + 1e-6
+    inside = (elapsed >= ends[0] + lost) & (elapsed <= ends[1] - lost)
+    inside |= (elapsed >= ends[2] + lost) & (elapsed <= ends[3] - lost)
+    assert there[inside].all()
+    assert elapsed[0] <= ends[0] + lost + STEP * 3
+    assert elapsed[-1] >= ends[3] - lost - STEP * 3
+    lifted = np.where(elapsed < time[gone.stop] - STEP, 0.0, 0.0 if signal == "v" else 1e4)
+    # Differences err by w^2 h^2 / 3 at the ends, 0.05 of the fastest.
+    atol = 0.1 if name == "differentiate" else 2e-3
+    off = values - expected(elapsed) - lifted
+    np.testing.assert_allclose(off[there], 0, atol=atol)
+    np.testing.assert_allclose(made.time[0] - elapsed[0], 0, atol=1e-9)
+    others = samples_with_nan(made, "p")
+    np.testing.assert_allclose((others - elapsed)[~np.isnan(others)], 0, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["unfilter", "shift", "shift back", "set_clocks"])
+def test_noise_goes_on_with_its_size(name):
+    white = np.random.default_rng(0).normal(size=40_000)
+    noisy = Record({"q": white}, STEP).with_noise(Noise.given({"q": 1.0}))
+    made = STEPS[name][0](noisy)
+    assert float(made.noise.std("q")) == pytest.approx(np.std(np.asarray(made["q"])), rel=0.04)
+
+
+SHORT = Record.from_samples({"q": [0.0, 1.0, np.nan, 3.0, np.nan, 5.0]}, time_step=STEP)
+
+
+@pytest.mark.parametrize("name", [n for n, (_, reach, _) in STEPS.items() if reach > 2])
+def test_stretches_too_short_for_a_step_are_refused_in_one_line(name):
+    with pytest.raises(DataError, match=r"too short|long enough|half the record|in succession"):
+        STEPS[name][0](SHORT)
+
+
+@pytest.mark.parametrize(
+    "apply",
+    [
+        lambda r: low_pass(r, {"speed": 1.0}),
+        lambda r: unfilter(r, {"speed": TAU}),
+        lambda r: shift(r, {"speed": STEP}),
+        lambda r: set_clocks(r, {"speed": PPM}),
+        lambda r: differentiate(r, "speed", "v"),
+        lambda r: with_local_derivative(r, "speed", "v"),
+        lambda r: remove_offset(r, "speed"),
+        lambda r: remove_drift(r, "speed"),
+        lambda r: repair_outliers(r, "speed"),
+        lambda r: leave_out(r, "speed"),
+    ],
+)
+def test_a_signal_that_is_not_there_is_named(apply):
+    with pytest.raises(DataError, match="no signal 'speed'"):
+        apply(Record({"q": motion(STEP * np.arange(COUNT))}, STEP))
+
+
+@pytest.mark.parametrize("step", [remove_offset, remove_drift, leave_out])
+def test_a_step_of_no_signal_lists_those_there_are(step):
+    with pytest.raises(DataError, match=r"name the signals.*there are: q"):
+        step(SHORT)
+
+
+@pytest.mark.parametrize("value", [0.0, -3.0, np.nan, np.inf, 1e9])
+@pytest.mark.parametrize(
+    ("apply", "match"),
+    [
+        (lambda r, v: low_pass(r, {"q": v}), "between 0 and half the sampling rate"),
+        (lambda r, v: unfilter(r, {"q": min(v, 0.0)}), "must be positive"),
+        (lambda r, v: shift(r, {"q": v or 9.0}), "half the record"),
+        (lambda r, v: set_clocks(r, {"q": 1e6 * (v or 1)}), "no clock"),
+        (resample, "positive number|would make"),
+        (lambda r, v: upsample(r, min(v, 0.5)), "whole number"),  # pyright: ignore
+        (lambda r, v: decimate(r, min(v, 0.5)), "whole number"),  # pyright: ignore
+        (lambda r, v: with_local_derivative(r, "q", "v", v), "half width"),
+    ],
+)
+def test_impossible_settings_are_refused(apply, match, value):
+    with pytest.raises(DataError, match=match):
+        apply(Record({"q": motion(STEP * np.arange(300))}, STEP), value)

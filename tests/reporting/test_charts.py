@@ -1,0 +1,266 @@
+"""Charts in print and on a page: what goes in is what both draw, and nothing is cut off."""
+
+import json
+from typing import Any
+
+import matplotlib
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.image import imread
+from reporting_charts import EVERYTHING, GAP, X, Y, assert_whole_in_print
+
+from riecjax.reporting.charts.chart import (
+    BLUE,
+    RUST,
+    Axis,
+    Chart,
+    Dots,
+    HeatMap,
+    Level,
+    Line,
+    Panel,
+    Span,
+    Stems,
+    single,
+)
+from riecjax.reporting.charts.interactive import Spaces, interactive
+from riecjax.reporting.charts.printed import print_chart, printed
+
+
+def in_print(*marks: Any, x: Axis | None = None, y: Axis | None = None) -> Any:
+    return printed(single(marks, x or Axis("x"), y or Axis("y"))).axes[0]
+
+
+def on_page(*marks: Any, x: Axis | None = None, y: Axis | None = None) -> dict[str, Any]:
+    return interactive(single(marks, x or Axis("x"), y or Axis("y")))
+
+
+def values(entries: list[Any]) -> np.ndarray:
+    """Of a trace, with NaN for gaps."""
+    return np.array([np.nan if entry is None else entry for entry in entries])
+
+
+@pytest.mark.parametrize(
+    "mark", [Line(X, GAP, "one", RUST, "dashed", markers=True), Dots(X, Y, "d", RUST, opacity=0.4)]
+)
+def test_values_gaps_and_looks_are_the_same_in_print_and_on_a_page(mark):
+    (line,), (trace,) = in_print(mark).lines, on_page(mark)["data"]
+    for drawn in (line.get_xydata(), np.column_stack((values(trace["x"]), values(trace["y"])))):
+        np.testing.assert_array_equal(drawn, np.column_stack((mark.x, mark.y)))
+    assert line.get_label() == trace["name"] == mark.label
+    assert trace["showlegend"]
+    assert line.get_marker() == "o"
+    if isinstance(mark, Line):
+        assert line.get_color() == trace["line"]["color"] == RUST
+        assert (line.get_linestyle(), trace["line"]["dash"]) == ("--", "dash")
+        assert trace["mode"] == "lines+markers"
+    else:
+        assert line.get_alpha() == trace["marker"]["opacity"] == 0.4
+        assert trace["marker"]["color"] == RUST
+
+
+def test_values_on_a_page_are_rounded_to_six_digits():
+    (trace,) = on_page(Dots([np.pi], [1e8 / 3]))["data"]
+    assert (trace["x"], trace["y"]) == ([3.14159], [33333300.0])
+
+
+def test_a_band_goes_around_each_stretch_and_bars_have_their_ends():
+    (band,) = in_print(Line(X, Y, low=Y - 1, high=Y + 2)).collections
+    corners = set(map(tuple, band.get_paths()[0].vertices))
+    assert {*zip(X, Y + 2), *zip(X, Y - 1)} <= corners
+    low, high = GAP - 1, GAP + 2
+    band, line = on_page(Line(X, GAP, low=low, high=high))["data"]
+    assert band["x"] == [1, 2, 2, 1, None, 4, 5, 5, 4, None]
+    around = [high[0], high[1], low[1], low[0], None, high[3], high[4], low[4], low[3], None]
+    np.testing.assert_allclose(values(band["y"]), values(around))
+    assert (band["fill"], line["customdata"][0], line["customdata"][2]) == (
+        "toself",
+        [9, 12],
+        [None, None],
+    )
+    (bars,) = in_print(Line(X, Y, error=0.5 * X)).collections
+    ends = np.array([path[:, 1] for path in bars.get_segments()])
+    np.testing.assert_allclose(ends, np.column_stack((Y - 0.5 * X, Y + 0.5 * X)))
+    assert on_page(Line(X, Y, error=0.5 * X))["data"][0]["error_y"]["array"] == list(0.5 * X)
+
+
+def test_stems_go_from_zero_to_their_values():
+    (stems,) = in_print(Stems(X, Y)).collections
+    ends = np.array(stems.get_segments())
+    np.testing.assert_array_equal(ends[:, 1], np.column_stack((X, Y)))
+    np.testing.assert_array_equal(ends[:, 0], np.column_stack((X, 0 * Y)))
+    (trace,) = on_page(Stems(X, Y))["data"]
+    assert trace["y"] == Y.tolist()
+    below = Y - np.array(trace["error_y"]["arrayminus"])
+    above = Y + np.array(trace["error_y"]["array"])
+    np.testing.assert_array_equal(np.where(Y > 0, below, above), 0)
+    np.testing.assert_array_equal(np.where(Y > 0, above, below), Y)
+
+
+@pytest.mark.parametrize(("axis", "other", "place"), [("x", "y", 0), ("y", "x", 1)])
+def test_spans_and_levels(axis, other, place):
+    stretch, hatched = Span(2, 3, axis, "s", BLUE, 0.5), Span(2, 3, axis, hatched=True)
+    axes = in_print(stretch, hatched, Level(4, axis, "l"))
+    span, lines = axes.patches
+    box = span.get_extents().transformed(axes.transData.inverted())
+    assert box.get_points()[:, place] == pytest.approx([2, 3])
+    assert to_hex(span.get_facecolor()) == BLUE
+    assert lines.get_hatch()
+    assert set(np.asarray(axes.lines[0].get_xydata())[:, place]) == {4}
+    figure = on_page(stretch, hatched, Level(4, axis, "l"))
+    span, outline, level = figure["layout"]["shapes"]
+    assert (span[f"{axis}0"], span[f"{axis}1"], level[f"{axis}0"]) == (2, 3, 4)
+    assert (span[f"{axis}ref"], span[f"{other}ref"]) == (axis, f"{other} domain")
+    assert (span["fillcolor"], span["opacity"], span["layer"]) == (BLUE, 0.5, "below")
+    assert (level["layer"], outline["line"]["width"] > 0) == ("above", True)
+    assert [trace["name"] for trace in figure["data"]] == ["s", "l"]
+
+
+def test_a_sloped_level_is_the_line_of_equal_values():
+    (line,) = in_print(Level(axis="diagonal")).lines
+    assert (line.get_xy1(), line.get_slope()) == ((0, 0), 1)
+    (trace,) = on_page(Level(axis="diagonal"), x=Axis(low=-2, high=3))["data"]
+    assert trace["x"] == trace["y"] == [-2, 3]
+    trace, _ = on_page(Level(axis="diagonal"), Dots(X, Y))["data"]
+    assert trace["x"] == [1, 5]
+
+
+def test_a_map_holds_its_values_writes_them_and_names_its_cells():
+    numbers = np.array([[1.0, -2.0], [np.nan, 0.25]])
+    heat = HeatMap([0, 1], [0, 1], numbers, "gain", diverging=True, numbers=1)
+    axis = Axis(categories=("front", "a < b"))
+    axes = in_print(heat, x=axis, y=axis)
+    (mesh,) = axes.collections
+    np.testing.assert_array_equal(mesh.get_array().filled(np.nan), numbers)
+    assert mesh.get_clim() == (-2, 2)
+    written = {text.get_position(): text.get_text() for text in axes.texts}
+    assert written == {(0, 0): "1.0", (1, 0): "-2.0", (1, 1): "0.2"}
+    assert axes.get_figure().axes[1].get_ylabel() == "gain"
+    (trace,) = on_page(heat, x=axis, y=axis)["data"]
+    assert trace["z"] == [[1, -2], [None, 0.25]]
+    assert (trace["zmin"], trace["zmax"]) == (-2, 2)
+    assert trace["customdata"][0][1] == ["front", "a &lt; b"]
+    assert trace["texttemplate"] == "%{z:.1f}"
+    assert trace["colorbar"]["title"]["text"] == "gain"
+
+
+def test_axes():
+    power, names = Axis("power / (W)", log=True, low=0.01, high=100), ("front", "rear")
+    axes = in_print(Line([0, 1], [1, 100]), x=Axis(categories=names, reverse=True), y=power)
+    axes.get_figure().canvas.draw()
+    assert (axes.get_yscale(), axes.get_ylabel()) == ("log", "power / (W)")
+    assert axes.get_ylim() == (0.01, 100)
+    assert [label.get_text() for label in axes.get_xticklabels()] == [*names]
+    assert axes.xaxis_inverted()
+    assert {"1", "10", "100"} <= {label.get_text() for label in axes.get_yticklabels()}
+    layout = on_page(Line(X, Y), x=Axis("x", low=2, reverse=True), y=power)["layout"]
+    assert layout["yaxis"]["type"] == "log"
+    assert layout["yaxis"]["range"] == [-2, 2]
+    assert layout["yaxis"]["title"]["text"] == "power / (W)"
+    assert layout["xaxis"]["range"] == pytest.approx([5 + 0.04 * 3, 2])
+    assert "range" not in on_page(Line(X, Y))["layout"]["xaxis"]
+    assert on_page(Line(X, Y), x=Axis(reverse=True))["layout"]["xaxis"]["autorange"] == "reversed"
+    named = on_page(Line([0, 1], [1, 2]), x=Axis(categories=names))["layout"]["xaxis"]
+    assert (named["tickvals"], named["ticktext"]) == ([0, 1], [*names])
+    for high, plain in ((100, True), (1e7, False)):
+        layout = on_page(Line([1, high], [1, 2]), x=Axis(log=True))["layout"]
+        assert ("tickformat" in layout["xaxis"]) is plain
+
+
+def test_a_right_axis_has_its_own_values_and_color():
+    marks = [Line(X, Y, "left"), Line(X, 100 * Y, "right", right=True)]
+    chart = Chart(((Panel(marks, Axis("x"), Axis("y"), Axis("gain", low=0, color=RUST)),),))
+    left, right = printed(chart).axes
+    assert (len(left.lines), len(right.lines)) == (1, 1)
+    assert (right.get_ylabel(), right.yaxis.label.get_color()) == ("gain", RUST)
+    legend = left.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["left", "right"]
+    figure = interactive(chart)
+    left, right = figure["data"]
+    axis = figure["layout"]["yaxis" + right["yaxis"][1:]]
+    assert left["yaxis"] != right["yaxis"]
+    assert (axis["overlaying"], axis["side"], axis["color"]) == (left["yaxis"], "right", RUST)
+
+
+def test_shared_axes_zoom_together_and_have_numbers_once():
+    panels = [Panel([Line(X, k * Y)], Axis("x" if k == 2 else ""), Axis("y")) for k in (1, 2)]
+    chart = Chart([[panel] for panel in panels], share_x=True)
+    above, below = printed(chart).axes
+    above.set_xlim(-7, 7)
+    assert below.get_xlim() == (-7, 7)
+    assert not above.xaxis.get_tick_params()["labelbottom"]
+    assert below.xaxis.get_tick_params()["labelbottom"]
+    layout = interactive(chart)["layout"]
+    assert layout["xaxis2"]["matches"] == "x"
+    assert layout["xaxis"]["showticklabels"] is False
+    assert "showticklabels" not in layout["xaxis2"]
+    assert "matches" not in layout["yaxis2"]
+
+
+def test_panels_do_not_overlap_and_fill_the_figure():
+    assert_whole_in_print(EVERYTHING)
+    layout = interactive(EVERYTHING)["layout"]
+    across = [layout[f"xaxis{n}"]["domain"] for n in ("", 2, 3, 4, 5)]
+    down = [layout[f"yaxis{n}"]["domain"] for n in ("", 2, 3, 4, 5)]
+    assert across[0] == across[2]
+    assert across[1] == across[3] == across[4]
+    assert across[0][0] == 0
+    assert across[0][1] < across[1][0]
+    assert across[1][1] == pytest.approx(1)
+    assert down[0] == down[1]
+    assert down[0][1] == pytest.approx(1)
+    assert down[0][0] > down[2][1] > down[2][0] > down[4][1]
+    assert down[4][0] == pytest.approx(0)
+    one = Spaces.of(single([Line(X, Y)], Axis(), Axis()))
+    assert Spaces.of(EVERYTHING).width > 2 * one.width - 20
+
+
+def test_a_figure_grows_with_its_panels_and_names():
+    panel = Panel([Line(X, Y)], Axis("x"), Axis("y"))
+    (across, down), (wider, higher) = (Chart([[panel] * n] * n).size for n in (1, 4))
+    assert (wider > across, higher > down) == (True, True)
+    named = Panel([], Axis(), Axis(categories=tuple("abcdefghij")))
+    assert Chart([[named]]).size[1] > down
+    assert Chart([[panel]], given_size=(4, 3)).size == (4, 3)
+
+
+def test_a_name_stands_in_a_legend_once_and_in_one_above_all_if_wanted():
+    marks = [Line(X, Y, "measured"), Line(X, -Y, "measured"), Line(X, X, "model")]
+    panels = (Panel(marks), Panel(marks))
+    names = [(legend, name) for legend in ("legend", "legend2") for name in ("measured", "model")]
+    for legend, expected in ((False, names), (True, names[:2])):
+        drawn = interactive(Chart((panels,), legend=legend))["data"]
+        assert [(t["legend"], t["name"]) for t in drawn if t["showlegend"]] == expected
+    figure = printed(Chart(((Panel(marks[1:]), Panel(marks[1:])),), legend=True))
+    (shown,) = figure.legends
+    assert [text.get_text() for text in shown.get_texts()] == ["measured", "model"]
+    assert [axes.get_legend() for axes in figure.axes] == [None, None]
+
+
+def test_a_chart_is_written_in_its_size_and_leaves_the_style_as_it_was(tmp_path):
+    before = dict(matplotlib.rcParams)
+    chart = single([Line(X, Y)], Axis("x"), Axis("y"), given_size=(4, 3))
+    print_chart(chart, tmp_path / "one.png")
+    assert imread(tmp_path / "one.png").shape[:2] == (450, 600)
+    assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.parametrize("name", ["$x$ and $y$", "$\\frac{a}{$"])
+def test_texts_are_shown_and_not_obeyed(tmp_path, name):
+    chart = single([Line(X, Y, label=name)], Axis(name), Axis(name))
+    print_chart(chart, tmp_path / "a.png")
+    axes = printed(chart).axes[0]
+    assert not axes.xaxis.label.get_parse_math()
+    assert axes.get_xlabel() == name
+    titles = [each["text"] for each in interactive(EVERYTHING)["layout"]["annotations"]]
+    assert titles[0] == "<b>Forces &amp; &lt;b&gt;levels&lt;/b&gt;</b>"
+
+
+def test_plotly_knows_every_setting():
+    drawn = interactive(EVERYTHING)
+    json.dumps(drawn, allow_nan=False)
+    # Raises for a setting that does not exist.
+    assert len(go.Figure(drawn).to_dict()["data"]) == len(drawn["data"])

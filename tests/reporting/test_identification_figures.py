@@ -1,0 +1,253 @@
+"""What an identification's document and figures hold, against numbers from its samples."""
+
+import io
+import json
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from reporting_charts import assert_whole_in_print
+from rich.console import Console
+
+import riecjax as rx
+from riecjax.assessment.assessment import Assessment
+from riecjax.equations.procedure import staged
+from riecjax.estimation.check import Check
+from riecjax.models.model import as_model
+from riecjax.reporting.charts.chart import Chart, Dots, HeatMap, Line
+from riecjax.reporting.charts.printed import printed
+from riecjax.reporting.identification import identification_document, print_everything
+from riecjax.reporting.identification_figures import (
+    curves_figure,
+    density_label,
+    identification_figures,
+    identified_curves,
+    residual_figures,
+    window_choice_figures,
+)
+from riecjax.simulation.inputs import band_limited_noise
+from riecjax.studies.choice import window_choice
+from riecjax.validation.residuals import ResidualTests, residual_tests
+
+MASS = rx.Term("m", "a", unit="kg")
+EQUATION = rx.Equation(MASS, rx.Term("c", "v", unit="N s/m"), -rx.Term(1.0, "f"))
+
+
+@pytest.fixture(scope="module")
+def record() -> rx.Record:
+    rng = np.random.default_rng(0)
+    a, v = rng.normal(size=(2, 500))
+    return rx.Record({"a": a, "v": v, "f": 2 * a + 3 * v + 0.1 * rng.normal(size=500)}, 0.01)
+
+
+@pytest.fixture(scope="module")
+def identified(record):
+    return rx.identify(EQUATION, record, rx.DOLS(), known={"c": 3.0})
+
+
+def result_of(estimate, procedure, record) -> Assessment:
+    return Assessment(
+        model=as_model(procedure, "cart"),
+        procedure=procedure,
+        recordings=[rx.Recording(record, "a.csv", ("filtered",))],
+        validated_on=[],
+        checked=Check([], [], ()),
+        estimate=estimate,
+        residuals=ResidualTests(()),
+        key=jax.random.key(5),
+    )
+
+
+def test_a_document_holds_numbers_that_samples_give(identified, record):
+    document = identification_document(result_of(identified, staged(EQUATION), record))
+    a, left = np.asarray(record["a"]), np.asarray(record["f"] - 3 * record["v"])
+    mass = (a @ left) / (a @ a)
+    naive = np.sqrt(np.sum((left - mass * a) ** 2) / 499 / (a @ a))
+    error = float(identified.standard_error("m"))
+    assert document["parameters"]["m"] == {
+        "value": pytest.approx(mass, rel=1e-9),
+        "unit": "kg",
+        "std_error": error,
+        "interval95": list(identified.interval("m")),
+        "naive_std_error": pytest.approx(naive, rel=1e-9),
+        "effective_windows": pytest.approx(500 * (naive / error) ** 2, rel=1e-9),
+    }
+    assert document["known"] == {"c": {"value": 3.0, "unit": "N s/m"}}
+    share = np.sqrt(np.mean((left - mass * a) ** 2) / np.mean(left**2))
+    assert document["residual"]["relative_rms"] == pytest.approx(share, rel=1e-9)
+    assert document["residual"]["stages"][0]["rows"] == 500
+    assert document["provenance"]["preparation"] == ["filtered"]
+    assert document["provenance"]["seed"] == 5
+
+
+def test_numbers_that_are_not_finite_become_null_and_no_table_is_cut_off(identified, record):
+    lost = eqx.tree_at(lambda e: e.uncertainty.covariance, identified, np.full((1, 1), np.nan))
+    document = identification_document(result_of(lost, staged(EQUATION), record))
+    assert document["parameters"]["m"]["std_error"] is None
+    assert document["parameters"]["m"]["interval95"] == [None, None]
+    json.dumps(document, allow_nan=False)
+    printed_on = io.StringIO()
+    console = Console(width=30, file=printed_on)
+    print_everything(document, console)
+    rows = [row for row in printed_on.getvalue().splitlines() if row.startswith("m  ")]
+    assert len(rows) == 2
+    assert all(" kg" in row for row in rows)
+    assert "\u2026" not in printed_on.getvalue()
+    assert console.width == 30
+
+
+@pytest.mark.parametrize(
+    ("criterion", "unit"),
+    [
+        (rx.DOLS(), "N"),
+        (rx.RIEC(rx.RandomWindows(0.05, 0.2, 300)), "N s"),
+        (rx.RIEC(rx.RandomWindows(0.05, 0.2, 300), rx.Hat()), "N s^2"),
+        (rx.RIEC(rx.RandomWindows(0.05, 0.2, 300), rx.Bump()), "N s"),
+    ],
+)
+def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion, unit):
+    equation = rx.Equation(*EQUATION.terms[:2], -rx.Term(1.0, "f", unit="N"), unit="N")
+    procedure = staged(equation)
+    key = jax.random.key(0)
+    summary = rx.summarise(procedure, record, criterion, key=key, survey=True)
+    found = rx.estimate(procedure, summary)
+    chart = identification_figures(result_of(found, procedure, record))["fit"]
+    fit, residual = chart.panels
+    dots, left = fit.marks[-1], residual.marks[-1]
+    assert isinstance(dots, Dots)
+    assert isinstance(left, Dots)
+    explained, measured = np.asarray(dots.x), np.asarray(dots.y)
+    scatter = np.asarray(left.y)
+    np.testing.assert_allclose(measured - explained, scatter, atol=1e-12)
+    # The residual of a least-squares fit is at right angles to what is explained.
+    assert abs(explained @ scatter) < 1e-9 * (explained @ explained)
+    assert fit.x.label.endswith(f"({unit})")
+    share = np.sqrt(np.mean(scatter**2) / np.mean(measured**2))
+    assert share == pytest.approx(float(found.stages[0].relative_rms), rel=1e-6)
+
+
+def damper(t):
+    v = np.cos(3 * t) + 0.5 * np.sin(7 * t)
+    return v, np.interp(v, [-2.0, -0.5, 0.5, 2.0], [-9.0, -5.0, 4.0, 7.0])
+
+
+def test_curves_pass_through_their_break_points_and_leave_the_hysteresis():
+    t = np.arange(3000) * 0.01
+    v, force = damper(t)
+    lag = 0.8 * np.sign(np.gradient(v))
+    record = rx.Record({"v": v, "F": force + lag}, 0.01, units={"v": "m/s"})
+    points = [-2.0, -0.5, 0.5, 2.0]
+    equation = rx.Equation(
+        -rx.Terms("F_d", rx.roof(points), "v", unit="N"), rx.Term(1.0, "F"), unit="N"
+    )
+    procedure = staged(equation)
+    estimate = rx.identify(procedure, record, rx.DOLS())
+    (curve,) = identified_curves(result_of(estimate, procedure, record))
+    inner = (np.array(points) > v.min()) & (np.array(points) < v.max())
+    at_points = np.interp(np.array(points)[inner], curve.x, curve.y)
+    np.testing.assert_allclose(at_points, np.asarray(estimate.theta)[inner], atol=0.02)
+    assert curve.samples is not None
+    x, y = curve.samples
+    np.testing.assert_allclose(x, v)
+    np.testing.assert_allclose(y, force + lag, atol=1e-12)
+    above, below = curves_figure([curve]).panels
+    assert below.x.label == "v / (m/s)"
+    assert above.y.label == "F_d / (N)"
+    (left,) = (mark for mark in below.marks if isinstance(mark, Line))
+    np.testing.assert_allclose(np.asarray(left.y), y - np.interp(x, curve.x, curve.y))
+    band = above.marks[-1]
+    assert isinstance(band, Line)
+    assert band.high is not None
+    np.testing.assert_allclose(np.asarray(band.high), curve.y + 1.96 * curve.error)
+
+
+def test_a_curve_beside_an_acceleration_that_is_not_recorded_has_no_samples():
+    t = np.arange(3000) * 0.01
+    v, force = damper(t)
+    # m v' = F - F_d(v), with F made from the exact derivative.
+    slope = -3 * np.sin(3 * t) + 3.5 * np.cos(7 * t)
+    record = rx.Record({"v": v, "F": force + 2.0 * slope}, 0.01)
+    equation = rx.Equation(
+        rx.Term("m", "v", derivative=1),
+        rx.Terms("F_d", rx.roof([-2.0, -0.5, 0.5, 2.0]), "v"),
+        -rx.Term(1.0, "F"),
+    )
+    procedure = staged(equation)
+    criterion = rx.RIEC(rx.RandomWindows(0.05, 0.5, 500))
+    estimate = rx.identify(procedure, record, criterion, key=jax.random.key(0))
+    (curve,) = identified_curves(result_of(estimate, procedure, record))
+    assert curve.samples is None
+    assert len(curves_figure([curve]).panels) == 1
+    np.testing.assert_allclose(
+        curve.y, np.interp(curve.x, [-2, -0.5, 0.5, 2], [-9, -5, 4, 7]), atol=0.05
+    )
+
+
+def recording() -> tuple[rx.Equation, rx.Record]:
+    """A spring with a left-out oscillation at 12 Hz, unit and a gap."""
+    n, step = 4000, 0.005
+    motion = np.asarray(band_limited_noise(jax.random.key(0), n, step, bandwidth=30.0, rms=1.0))
+    time = step * np.arange(n)
+    rng = np.random.default_rng(0)
+    phase = np.cumsum(0.1 * rng.normal(size=n))
+    force = 4 * motion + np.sin(2 * np.pi * 12 * time + phase) + 0.01 * rng.normal(size=n)
+    gap = np.arange(n) == 1000
+    record = rx.Record({"x": motion, "F": force}, step, missing={"F": gap})
+    return rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "F"), name="spring", unit="N"), record
+
+
+@pytest.fixture(scope="module")
+def figures():
+    model, record = recording()
+    tests = residual_tests(model, record, {"k": 4.0}, windows=rx.AllWindows(0.05, 0.5))
+    choice = window_choice(model, record, {"k": 4.0}, windows=rx.AllWindows(0.05, 0.5))
+    return tests, choice, {**residual_figures(tests), **window_choice_figures(choice)}
+
+
+def test_every_axis_is_labelled_with_its_unit_and_inside_the_figure(figures):
+    _, _, charts = figures
+    for chart in charts.values():
+        for panel in chart.panels:
+            assert panel.x.label
+            assert panel.y.label
+        assert_whole_in_print(chart)
+    labels = {panel.y.label for panel in charts["residual_1"].panels}
+    assert {"impulse of the error / (N s)", "power density / (N²/Hz)"} <= labels
+
+
+def labels_of(chart: Chart) -> list[str]:
+    marks = [mark for panel in chart.panels for mark in panel.marks]
+    return [mark.label for mark in marks if not isinstance(mark, HeatMap)]
+
+
+def test_the_peak_and_the_recommended_range_are_named(figures):
+    tests, choice, drawn = figures
+    assert tests["spring"].peak is not None
+    legends = [label for chart in drawn.values() for label in labels_of(chart)]
+    assert any(text.startswith("peak near 1") for text in legends)
+    low, high = choice.recommended
+    assert f"recommended, {low:.2g} to {high:.2g} s" in legends
+    assert "in use, 0.05 to 0.5 s" in legends
+
+
+def test_lines_hold_the_series_and_break_at_a_gap(figures):
+    tests, _, drawn = figures
+    impulse = np.asarray(tests["spring"].error.impulse)
+    lines = [mark for panel in drawn["residual_1"].panels for mark in panel.marks]
+    series = [np.asarray(mark.y) for mark in lines if isinstance(mark, Line)]
+    (found,) = (values for values in series if values.size == impulse.size)
+    gone = ~np.asarray(tests["spring"].error.present)
+    np.testing.assert_array_equal(np.isnan(found), gone)
+    assert gone.sum() == 2
+    np.testing.assert_allclose(found[~gone], impulse[~gone])
+
+
+def test_a_criterion_without_windows_and_an_equation_without_unit_are_drawn_too():
+    model, record = recording()
+    plain = rx.Equation(*model.terms, name="spring")
+    tests = residual_tests(plain, record, {"k": 4.0})
+    (chart,) = residual_figures(tests).values()
+    printed(chart).canvas.draw()
+    assert density_label("") == "power density / (1/Hz)"
+    assert density_label("N m") == "power density / ((N m)²/Hz)"

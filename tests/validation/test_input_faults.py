@@ -1,0 +1,125 @@
+"""Inputs that drift or say nothing."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+import riecjax as rx
+from riecjax.assessment.trust import what_is_left
+from riecjax.equations.equation import Equation
+from riecjax.equations.procedure import as_procedure
+from riecjax.equations.term import Term
+from riecjax.estimation.identify import identify
+from riecjax.records.derived import derived
+from riecjax.records.record import Record
+from riecjax.summaries.task import ready
+from riecjax.uncertainty.intervals import Sandwich
+from riecjax.validation.equation_errors import errors_over_records
+from riecjax.validation.input_faults import drifting_inputs
+
+RATE, COUNT, SIZE = 100.0, 6000, 3.0
+LAW = rx.Equation(rx.Term("c", "v"), rx.Term("k", "x"), -rx.Term(1.0, "u"))
+
+
+def recorded(seed: int, drift: float, noise: float) -> rx.Record:
+    """Of c v + k x = u with a drift of u along the record, in its standard deviations."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(COUNT) / RATE
+    omega, phase = 2 * np.pi * rng.uniform(0.1, 3, (20, 1)), rng.uniform(0, 6.3, (20, 1))
+    # A motion that drifts as well takes up a part of what the force does.
+    x = np.sum(np.sin(omega * t + phase), axis=0) + t / t[-1]
+    v = np.sum(omega * np.cos(omega * t + phase), axis=0) + 1 / t[-1]
+    u = 2.0 * v + 30.0 * x
+    # It begins at zero: on the whole it is an offset as well.
+    u += u.std() * (drift * t / t[-1] + noise * rng.normal(size=COUNT))
+    return rx.Record.from_samples({"x": x, "v": v, "u": u}, time_step=1 / RATE)
+
+
+def found(record: rx.Record) -> list[rx.findings.Finding]:
+    def estimated(records: list[rx.Record]):
+        return rx.identify(LAW, records, intervals=rx.Naive())
+
+    estimate = estimated([record])
+    errors = errors_over_records(LAW, [record], estimate.values)
+    return list(drifting_inputs(rx.staged(LAW), [record], errors, estimate, estimated))
+
+
+@pytest.mark.raises_finding("drifting_signal")
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("drift", [0.1, -1.0])
+def test_a_force_that_drifts_is_named_with_what_it_drifts_by(noise, drift):
+    for seed in range(5):
+        record = recorded(seed, drift, noise)
+        (finding,) = found(record)
+        assert finding.signals == ("u",)
+        name, _, formula = finding.remedy[1].partition("=")
+        columns = {n: np.asarray(v) for n, v in record.arrays.items()}
+        mended = derived(formula, {**columns, "t": np.asarray(record.time)})
+        expected = np.asarray(recorded(seed, 0.0, noise)["u"])
+        left = np.max(np.abs(mended - expected)) / np.ptp(columns[name] - expected)
+        assert left < (0.1 if noise == 0.05 and drift == 0.1 else 0.03)
+
+
+@pytest.mark.no_finding("drifting_signal")
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+def test_a_force_that_does_not_drift_is_not(noise):
+    for seed in range(30):
+        assert found(recorded(seed, 0.0, noise)) == []
+
+
+STEP, SAMPLES = 0.01, 3000
+AXIS = as_procedure(
+    Equation(
+        Term("m", "x", derivative=2, measured=("v",), unit="kg"),
+        Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
+        Term("k", "x", unit="N/m"),
+        -Term(1.0, "F"),
+        name="axis",
+    )
+)
+
+
+def driven(seed) -> dict[str, np.ndarray]:
+    """Motion under a force of white noise that is held from sample to sample, to the last digit."""
+    force = np.random.default_rng(seed).normal(size=SAMPLES)
+    system = scipy.signal.StateSpace([[0, 1], [-100.0, -3.0]], [[0], [1.0]], np.eye(2), [[0], [0]])
+    _, motion, _ = scipy.signal.lsim(system, force, STEP * np.arange(SAMPLES), interp=False)
+    return {"x": motion[:, 0], "v": motion[:, 1], "F": force}
+
+
+def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
+    every = [Record.from_samples(one, time_step=STEP) for one in (signals, *others)]
+    records = [one.record for one in ready(AXIS, every)]
+    estimate = identify(AXIS, records, intervals=Sandwich())
+    residuals, _, _ = what_is_left(AXIS, records, estimate, lambda some: identify(AXIS, some))
+    assert residuals is not None
+    return [(f.code, f.signals) for f in residuals.faults]
+
+
+SILENT = {
+    "constant": lambda rng: np.full(SAMPLES, 0.3),
+    "noise": lambda rng: 1e-3 * rng.normal(size=SAMPLES),
+    "noise about an offset": lambda rng: 0.3 + 1e-3 * rng.normal(size=SAMPLES),
+    "a last digit that flickers": lambda rng: 1e-3 * rng.integers(0, 2, SAMPLES),
+}
+
+
+@pytest.mark.raises_finding("silent_input")
+@pytest.mark.parametrize("case", SILENT)
+def test_an_input_that_says_nothing_is_named(case):
+    signals = driven(0) | {"F": SILENT[case](np.random.default_rng(1))}
+    assert codes(signals) == [("silent_input", ("F",))]
+
+
+@pytest.mark.no_finding("silent_input")
+def test_a_force_of_white_noise_is_none_nor_is_free_motion():
+    assert codes(driven(0)) == []
+    signals = driven(1)
+    signals["F"][500:] = 0.0
+    assert codes(signals) == []
+
+
+@pytest.mark.raises_finding("silent_input")
+def test_of_several_recordings_the_silent_one_is_named():
+    signals = driven(1) | {"F": np.full(SAMPLES, 0.3)}
+    assert codes(driven(0), signals) == [("silent_input", ("F",))]
