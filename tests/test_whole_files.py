@@ -93,6 +93,6 @@ def test_a_stamp_tells_a_file_from_a_copy_of_it_by_its_ends(tmp_path, monkeypatc
         each.write_text(f"... {stamp(file)} ...")
     (tmp_path / "d.png").write_text(stamp(tmp_path / "d.png"))
     with (tmp_path / "d.png").open("ab") as stream:
-        stream.truncate(2**40)  # of which only the ends are read
+        stream.truncate(2**34)  # of which only the ends are read
     found = {path.name for path in (*tmp_path.iterdir(), Path("absent")) if is_stamped(path)}
     assert found == {"a.png", "d.png"}

@@ -11,7 +11,7 @@ import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from riecjax.errors import DataError, printable
+from riecjax.errors import DataError
 from riecjax.records import writing
 from riecjax.records.record import Record
 from riecjax.records.recording import read_record
@@ -102,7 +102,7 @@ def refusal(path: Path, record: Record) -> str | None:
 NAMES = (
     "speed, left", "file", "allow_pickle", "_hidden", "größe", "a;b", 'say "no"', " x",
     "line\nend", "", "m", "7", "F (left)", "#1", "-", "=1+1", "@A1", "a;\t=HYPERLINK(0)",
-    "/etc/x", "a/../../x", "C:x", "a/..b", "../x", "a\\..\\x", "C:\\x", "x\x00.exe",
+    "/etc/x", "a/../../x", "C:x", "a/..b",
 )  # fmt: skip
 """Of signals, as no format and all of them can hold."""
 
@@ -119,8 +119,7 @@ def test_signal_names_survive_or_are_refused(tmp_path, ending, name):
     if message is None:
         assert set(read_record(path).arrays) == {name, "y"}
     else:
-        assert printable(name) in message
-        assert message.isprintable()
+        assert name in message
         no_temporaries(tmp_path)
 
 
@@ -197,3 +196,12 @@ def test_a_written_file_replaces_the_old_one_whole_and_others_read_it(tmp_path, 
         table = {k: v.ravel() for k, v in scipy.io.loadmat(path).items() if k in ("t", "x")}
     assert table["t"].tolist() == [3.5, 3.75, 4.0]
     assert bits(table["x"]) == bits(values)
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/x", "a/../../x", "a\\..\\x", "C:\\x", "x\0.exe"])
+def test_no_member_of_an_archive_leaves_its_folder(tmp_path, name):
+    message = refusal(tmp_path / "a.npz", Record({name: TIME}, 0.1))
+    assert message is not None
+    assert "rename it" in message
+    assert message.isprintable()
+    no_temporaries(tmp_path)

@@ -109,7 +109,7 @@ LONG_ROWS = [f"{i / 8},{i},{2 * i}" for i in range(60)]
 ODD = {
     "rows in brackets": (["[" + row + "]" for row in LONG_ROWS], r"line 1: '\[' stands before"),
     "as Python prints it": (["[[0,1,2],", *(f" [{r}]," for r in LONG_ROWS)], r"'\[\[' stands bef"),
-    "a MATLAB matrix": (["x = [", *LONG_ROWS, "];"], "line 62 has 1 values for 3 columns"),
+    "a MATLAB matrix": (["x = [", *LONG_ROWS, "];"], r"line 1: 'x = \[' stands before"),
     "labels": ([f"t:{i},x:{i / 2}" for i in range(60)], "no line holds.*Take off brackets and lab"),
     "a heading again": (["t,a,b", *LONG_ROWS, "t,a,b", *LONG_ROWS], "line 62: 't' is not a number"),
     "means below": (["t,a,b", *LONG_ROWS, "Mean,1,2"], "line 62: 'Mean' is not a number; take off"),

@@ -170,11 +170,11 @@ def test_a_unit_with_two_meanings_is_asked_about_and_never_dropped(tmp_path):
             read(tmp_path, "x [g]", "", **given)
     silent = Model("m", "")
     path = tmp_path / "a.csv"
-    path.write_text("t;x [g];y [m]\n" + "".join(f"{i};{i};{i}\n" for i in range(60)))
+    path.write_text("t;x [g];y [m]\n" + "".join(f"{i / 100};{i};{i}\n" for i in range(60)))
     recording = rx.read_recording(path, model=silent)
     assert list(recording.record.arrays) == ["y"]
     with pytest.raises(DataError, match=rf"column 'x \[g\]' was left out: {asked}"):
-        rx.check(rx.Equation(rx.Term("k", "x"), -rx.Term("F", "y")), recording)
+        rx.check(rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "y")), recording)
     record = rx.read_recording(path, model=silent, units={"x": "gn"}).record
     np.testing.assert_allclose(record["x"], 9.80665 * np.arange(60), rtol=1e-12)
 

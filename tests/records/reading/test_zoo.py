@@ -31,10 +31,10 @@ def test_recordings_as_their_authors_published_them():
 
 
 def test_a_files_infinite_by_products_do_not_stand_in_the_way(tmp_path):
-    rows = "".join(f"{i},{i * i},{1 if i else 'inf'}\n" for i in range(60))
+    rows = "".join(f"{i},{i * i},{1 if i > 19 else 'inf'}\n" for i in range(60))
     (tmp_path / "a.csv").write_text("t,F,ratio\n" + rows)
     assert "ratio" not in rx.read_record(tmp_path / "a.csv", rename={"F": "F"}).arrays
-    with pytest.raises(DataError, match="'angle' has 1 infinite"):
+    with pytest.raises(DataError, match="'angle' has 20 infinite"):
         rx.read_record(tmp_path / "a.csv", rename={"angle": "ratio"})
 
 

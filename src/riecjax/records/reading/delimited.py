@@ -304,11 +304,12 @@ def layout(
         names += [""] * (best.width - len(names))
         units = best.units if len(best.units) == best.width else []
         best = best._replace(names=names, units=units, numbered=not columns)
-    if framed := _FRAMED.match(lines[best.start]):
-        raise DataError(
-            f"line {best.start + 1}: {framed[0].strip()!r} stands before the numbers; take brackets"
-            " and labels off the rows."
-        )
+    for place in [best.start] if best.named or best.header < 0 else [best.header, best.start]:
+        if framed := _FRAMED.match(lines[place]):
+            raise DataError(
+                f"line {place + 1}: {framed[0].strip()!r} stands before the numbers; take brackets"
+                " and labels off the rows."
+            )
     if not best.named:
         twice = best.dialect.delimiter == "," and best.width == 2 * len(best.names)
         remedy = " If commas are decimal signs too, export the file with another delimiter."

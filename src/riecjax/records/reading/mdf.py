@@ -66,8 +66,9 @@ def _channels(source: Any) -> Channels:
                 left_out[name] = "it holds no single numbers"
                 continue
             columns[name] = samples.astype(float)
-            if signal.invalidation_bits is not None:
-                columns[name][np.asarray(signal.invalidation_bits, bool)] = np.nan
+            invalid = getattr(signal, "invalidation_bits", None)
+            if invalid is not None:
+                columns[name][np.asarray(invalid, bool)] = np.nan
             columns[time] = np.asarray(signal.timestamps, float)
             time_of[name] = time
             if signal.unit:
