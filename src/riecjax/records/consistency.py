@@ -227,9 +227,8 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
         option = "--unfilter" if pair.lagged else "--shift"
         remedy = option_for(option, names, f"{seconds:.4g}")
         how = shlex.join(remedy)
-        code, said, next_step = (
+        said, next_step = (
             (
-                "low_passed",
                 f"{late} went through a first-order low-pass that {other} did not, with a time "
                 f"constant of {size}, a cut-off at {1 / (2 * np.pi * seconds):.3g} Hz: it lags, "
                 f"and loses what is fast. Record both alike, or undo it ({how}).{or_else}",
@@ -237,15 +236,20 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
             )
             if pair.lagged
             else (
-                "late_signal",
                 f"{late} {'are' if len(names) > 1 else 'is'} {size} late against {other}.{or_else} "
                 f"{how} brings it forward, as --align auto does when the file is read. Whether "
                 f"both are late against other signals the two cannot tell.",
                 f"Bring {late} forward by {seconds:.3g} s",
             )
         )
-        doubt = min(turn * samples, 1.0)
-        yield Finding(code, said, names, doubt=doubt, remedy=remedy, step=next_step)
+        yield Finding(
+            "low_passed" if pair.lagged else "late_signal",
+            said,
+            names,
+            doubt=min(turn * samples, 1.0),
+            remedy=remedy,
+            step=next_step,
+        )
     if pair.gain_is_off:
         gain, gross = fit.gain, pair.is_gross
         derivative, motion = relation.words(pair.suspect)
