@@ -1,7 +1,6 @@
 """Objects print, draw, leave and come back with the numbers that they hold."""
 
 import json
-import os
 import re
 import sys
 
@@ -232,18 +231,6 @@ def test_a_saved_estimate_comes_back_equal(estimate, tmp_path):
     fresh = rx.estimate(equation(), rx.load(file).summary)
     np.testing.assert_allclose(fresh.theta, estimate.theta, rtol=1e-12)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
-
-
-def test_what_is_no_file_of_text_is_not_read(tmp_path):
-    (tmp_path / "results.json").write_bytes(b'{"schema": "\xff"}')
-    os.mkfifo(tmp_path / "pipe")
-    for name, words in (
-        ("results.json", "byte 12 is not UTF-8"),
-        ("pipe", "neither a file nor a folder"),
-        (5000 * "a", "a"),
-    ):
-        with pytest.raises(rx.DataError, match=words):
-            rx.load(tmp_path / name)
 
 
 def test_results_of_the_command_line_are_read(assessed, tmp_path):

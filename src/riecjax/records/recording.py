@@ -231,7 +231,7 @@ def _recording(
             band = getattr(model, "band", None)
             shortest = 0.5 / band[1] if band else None
             selected = record_from_channels(channels, selection, read_by, shortest)
-            record, left_out = selected.record, left_out | selected.left_out
+            record, left_out = selected.record, {**left_out, **selected.left_out}
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
         read = tuple(record.arrays)

@@ -6,6 +6,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import h5py
@@ -294,12 +295,13 @@ def test_a_file_that_may_not_be_read(file, monkeypatch):
 
 @pytest.mark.parametrize("name", ["rename", "units", "scale", "derive", "offsets"])
 def test_names_that_are_no_text_are_refused_in_one_line(file, name):
-    given = (3,) if name == "offsets" else {3: "x"}
+    given: dict[str, Any] = {name: (3,) if name == "offsets" else {3: "x"}}
     with pytest.raises(DataError, match=rf"a name in {name} is an int"):
-        read_record(file("CSV"), **{name: given})
+        read_record(file("CSV"), **given)
     if name in ("rename", "units", "derive"):
+        given = {name: {"x": 3}}
         with pytest.raises(DataError, match=rf"{name} of 'x' is an int"):
-            read_record(file("CSV"), **{name: {"x": 3}})
+            read_record(file("CSV"), **given)
 
 
 class Payload:
