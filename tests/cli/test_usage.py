@@ -173,7 +173,7 @@ WRONG = {
     "simulate duffing --input white-noise --out ": {
         "s.txt": (1, ".csv, .npz, .mat"),
         "s": (1, ".csv, .npz, .mat"),
-        "none/s.csv": (1, "no folder 'none'"),
+        "none/s.csv": (1, "cannot write 'none/s.csv'"),
         "good.csv/s.csv": (1, "good.csv"),
         ".": (2, "is a directory"),
         # An older file stays as it is.
