@@ -45,25 +45,25 @@ notebooks: .venv/installed
 	$(BIN)/python notebooks/run.py
 
 bench: .venv/bench
-	$(BIN)/python -m benchmarks
-	$(BIN)/python -m benchmarks.table
+	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.speed --page
 
 # With `make -j 2` what uses one core beside each other; all windows, which use both, alone after it.
 bench-check: bench-check-motion bench-check-estimates
-	$(BIN)/python -m benchmarks --small --check --only all_windows
+	$(BIN)/python -m benchmarks.speed --small --check --only all_windows
 
 bench-check-motion: .venv/bench
-	$(BIN)/python -m benchmarks --small --check --only simulation bypassed
+	$(BIN)/python -m benchmarks.speed --small --check --only simulation
 
 bench-check-estimates: .venv/bench
-	$(BIN)/python -m benchmarks --small --check --only estimation study
+	$(BIN)/python -m benchmarks.speed --small --check --only estimation study
 
 .venv/bench: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,bench]'
 	touch $@
 
 calibrate: .venv/installed
-	$(BIN)/python -m benchmarks.reconstruct_curves
+	$(BIN)/python -m benchmarks.paper reconstruct_curves
 
 clean:
 	rm -rf .venv .cache $(OUT) site

@@ -708,3 +708,53 @@ def simulated(
     system = known.build_system(dict(truth))
     inputs = rx.Record({known.inputs[0].name: drive}, shape.step)
     return rx.simulate(system, inputs).checked().record
+
+
+def car_signals(model: str, truth: Mapping[str, float] | None = None) -> dict[str, np.ndarray]:
+    """What sensors of a quarter car see in 20 s on white noise.
+
+    **Arguments:** `model`: `quarter-car`, or `quarter-car-source` with its engine.
+    """
+    run = simulated(model, 1, Shape(4000, 200), truth=tuple((truth or {}).items()))
+    names = ("v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t")
+    return {name: np.asarray(run[name]) for name in names}
+
+
+# A pendulum that a controller holds upright while it is shaken.
+
+UPRIGHT_TRUTH = {"p1": 20.0, "p2": 0.3}
+UPRIGHT = rx.Equation(
+    rx.Term(1.0, "theta", derivative=2, measured=("dtheta", "ddtheta")),
+    -rx.Term("p1", lambda signals: jnp.sin(signals["theta"]), unit="1/s^2"),
+    rx.Term("p2", "theta", derivative=1, measured=("dtheta",), unit="1/s"),
+    -rx.Term(1.0, "torque"),
+    name="upright",
+)
+
+
+def upright_signals() -> dict[str, np.ndarray]:
+    """10 s at 100 Hz."""
+    step, fine, count = 0.01, 20, 1000
+    rng = np.random.default_rng(3)
+    times = np.arange(count) * step
+    shakes = [(w, rng.uniform(0, 6)) for w in (1.9, 4.3, 7.1, 11.0)]
+    shaken = np.sum([6 * np.sin(w * times + p) for w, p in shakes], axis=0)
+    p1, p2 = UPRIGHT_TRUTH.values()
+    state, rows, torque, h = np.array([0.05, 0.0]), [], 0.0, step / fine
+
+    def slope(s: np.ndarray, u: float) -> np.ndarray:
+        return np.array([s[1], p1 * np.sin(s[0]) - p2 * s[1] + u])
+
+    for i in range(count):
+        # Torque at the next sample from this one's state: linear between samples, as simulated.
+        following = shaken[i] - 60 * state[0] - 8 * state[1]
+        rows.append((torque, *state))
+        for k in range(fine):
+            level = [torque + (following - torque) * (k + c) / fine for c in (0, 0.5, 1)]
+            a = slope(state, level[0])
+            b = slope(state + h / 2 * a, level[1])
+            c = slope(state + h / 2 * b, level[1])
+            d = slope(state + h * c, level[2])
+            state = state + h / 6 * (a + 2 * b + 2 * c + d)
+        torque = following
+    return dict(zip(("torque", "theta", "dtheta"), np.array(rows).T))

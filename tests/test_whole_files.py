@@ -4,10 +4,12 @@ import os
 import time
 from pathlib import Path
 
+import click
 import pytest
 
 import riecjax as rx
 from riecjax import whole_files
+from riecjax.cli.job import read_job
 from riecjax.errors import DataError
 from riecjax.reporting.output import require_folder
 from riecjax.whole_files import Store, is_stamped, stamp, sweep, temporary, write_whole
@@ -54,6 +56,8 @@ def test_what_is_no_plain_file_is_never_opened(tmp_path):
             write_whole(tmp_path / name, CONTENT)
         with pytest.raises(DataError, match="no plain file"):
             rx.load(tmp_path / name)
+        with pytest.raises(click.UsageError, match="cannot be read: it is no plain file"):
+            read_job(tmp_path / name)
 
 
 def test_a_result_that_is_no_text_is_one_line(tmp_path):

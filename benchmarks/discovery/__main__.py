@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.machines import OTHERS, PROBLEMS, Machine
 
 from benchmarks.discovery.measured import MEASURED
-from benchmarks.discovery.problems import OTHERS, PROBLEMS, Problem
 from benchmarks.measured.__main__ import DATA
-from benchmarks.table import FOLDER, filled_in
-from benchmarks.writing import write_json
+from benchmarks.recorded import FOLDER, filled_in, write_json
 from riecjax.runtime import start_jax
 
 MOTIONS = 10
@@ -31,13 +30,18 @@ PAGE = FOLDER.parent / "docs" / "discovery.md"
 BEGIN = "<!-- measured: python -m benchmarks.discovery -->"
 
 
-def found(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
+def record_of(problem: Machine, noise: float, seed: int, first: int = 0) -> Any:
+    """One of its motions, with noise of a seed of its own."""
+    return problem.record(noise, 900 + first + seed, drive=seed % MOTIONS)
+
+
+def found(problem: Machine, noise: float, seeds: int) -> dict[str, Any]:
     """Structures that are found, and how far coefficients are from those of the whole model."""
     import riecjax as rx
 
     exact, others, seconds = 0, Counter[str](), []
     for seed in range(seeds):
-        record = problem.record(noise, seed % MOTIONS, seed)
+        record = record_of(problem, noise, seed)
         began = time.perf_counter()
         names = rx.discover(problem.start, record, intervals=rx.Naive(), resamples=0).names
         seconds.append(time.perf_counter() - began)
@@ -52,14 +56,14 @@ def found(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
     }
 
 
-def false(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
+def false(problem: Machine, noise: float, seeds: int) -> dict[str, Any]:
     """Models that lack nothing, and terms that they are given all the same."""
     import riecjax as rx
 
     others, added = Counter[str](), 0
     for seed in range(seeds):
-        record = problem.record(noise, seed % MOTIONS, 10_000 + seed)
-        names = rx.discover(problem.whole, record, intervals=rx.Naive(), resamples=0).names
+        record = record_of(problem, noise, seed, 10_000)
+        names = rx.discover(problem.model, record, intervals=rx.Naive(), resamples=0).names
         added += bool(names)
         others.update(names)
     return {"seeds": seeds, "added": added / seeds, "others": dict(others)}
@@ -71,13 +75,13 @@ def speed() -> dict[str, Any]:
     from riecjax.discovery.search import Folds, Offer, Search
 
     problem = PROBLEMS["duffing"]
-    assert isinstance(problem.whole, rx.Equation)
-    record = problem.record(0.01, 0, 0)
+    assert isinstance(problem.model, rx.Equation)
+    record = record_of(problem, 0.01, 0)
     times = {}
     for count in (10, 20, 100):
         names = [f"c{i}" for i in range(count)]
         rest = [rx.Term(name, _ripple(i)) for i, name in enumerate(names)]
-        whole = rx.Equation(*problem.whole.terms, *rest, name="mass", unit="N")
+        whole = rx.Equation(*problem.model.terms, *rest, name="mass", unit="N")
         (equations,) = rx.summarise(whole, record).equations()
         folds = Folds.of(equations[0])
         offered = [Offer(n, (n,), n) for n in folds.parameters if n != "m"][:count]
@@ -102,7 +106,7 @@ def _ripple(number: int) -> Any:
     return ripple
 
 
-def peers(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
+def peers(problem: Machine, noise: float, seeds: int) -> dict[str, Any]:
     """PySINDy's weak form with the same candidates on the same data."""
     from benchmarks.discovery.peer import SETTINGS, structure
 
@@ -110,7 +114,7 @@ def peers(problem: Problem, noise: float, seeds: int) -> dict[str, Any]:
     for name, settings in SETTINGS.items():
         exact, seconds = 0, []
         for seed in range(seeds):
-            record = problem.record(noise, seed % MOTIONS, seed)
+            record = record_of(problem, noise, seed)
             began = time.perf_counter()
             names = structure(problem, record, **settings)
             seconds.append(time.perf_counter() - began)

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pysindy  # pyright: ignore[reportMissingImports]  (of the bench extra)
+from tests.machines import PROBLEMS, WIDTH, Machine
 
-from benchmarks.discovery.problems import WIDTH, Problem
 from riecjax.records.record import Record
 
 FUNCTIONS = {
@@ -29,14 +29,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
     for kind in ("weak", "ensemble")
     for threshold in (0.02, 0.05, 0.1, 0.2)
 }
-KEPT = {"pendulum": {"gravity", "viscous"}}
 
 
-def structure(problem: Problem, record: Record, *, kind: str, threshold: float) -> frozenset[str]:
+def structure(problem: Machine, record: Record, *, kind: str, threshold: float) -> frozenset[str]:
     """Names of what it finds beside the terms that the problem's model has."""
     t = np.asarray(record.elapsed)
     x, v = (np.asarray(record.arrays[name]) for name in ("x", "dx"))
-    functions = FUNCTIONS | (SINE if problem.name == "pendulum" else {})
+    swings = problem is PROBLEMS["pendulum"]
+    functions = FUNCTIONS | (SINE if swings else {})
     columns = {name: of(x, v) for name, of in functions.items()}
     if "u" in record.arrays:
         columns["u"] = np.asarray(record.arrays["u"])
@@ -60,6 +60,6 @@ def structure(problem: Problem, record: Record, *, kind: str, threshold: float) 
     if kind == "ensemble":
         lists = np.asarray(optimizer.coef_list)[:, 0]
         found = np.median(lists, axis=0)
-    names = [name for name, c in zip(("own", *columns), found) if abs(c) > 0]
-    kept = KEPT.get(problem.name, set()) | {"u", "own"}
-    return frozenset(name for name in names if name not in kept)
+    names = [term for term, c in zip(("own", *columns), found) if abs(c) > 0]
+    kept = {"u", "own"} | ({"gravity", "viscous"} if swings else set())
+    return frozenset(term for term in names if term not in kept)

@@ -11,6 +11,7 @@ Results are kept beside those of other parts that the file holds; `--page` write
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -19,15 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.machines import DRAG_TRUTH, drag_fleet
 
 from benchmarks.fleet.breaks import breaks
 from benchmarks.fleet.commands import MODEL, command, run
-from benchmarks.fleet.drives import write_fleet
 from benchmarks.fleet.weeks import long, one_pass
-from benchmarks.table import FOLDER, filled_in
-from benchmarks.writing import write_json
+from benchmarks.recorded import FOLDER, filled_in, write_json
 from riecjax.fleets.engine import SETTINGS, cores
 from riecjax.fleets.order import TOGETHER
+from riecjax.records.writing import write_record
 from riecjax.runtime import start_jax
 
 GROUPS, WORN = 20, (4, 11)
@@ -36,6 +37,31 @@ COMPARED = 300
 REPETITIONS = 100
 PAGE = FOLDER.parent / "docs" / "scale.md"
 BEGIN = "<!-- measured: python -m benchmarks.fleet -->"
+LENGTHS, WEAR, BROKEN = (4000, 8000, 12000), 0.15, 0.01
+SIDE_BY_SIDE = 500
+"""Drives that are simulated at once."""
+
+
+def write_fleet(folder: Path, recordings: int) -> None:
+    """Folders `vehicle=00`, ... with recordings of these lengths in turn, as Parquet."""
+    shutil.rmtree(folder, ignore_errors=True)
+    rng = np.random.default_rng([0, 1])
+    for group in range(GROUPS):
+        place = folder / f"vehicle={group:02}"
+        place.mkdir(parents=True)
+        kept = (1 - WEAR) if group in WORN else 1.0
+        damping = {name: kept * DRAG_TRUTH[name] for name in ("r", "r2")}
+        count, number = recordings // GROUPS, 0
+        for length in LENGTHS:
+            wanted = count // 3 + (length == LENGTHS[0]) * (count % 3)
+            for first in range(0, wanted, SIDE_BY_SIDE):
+                some = min(SIDE_BY_SIDE, wanted - first)
+                for record in drag_fleet(some, length, 1000 * group + number, **damping):
+                    file = place / f"{number:05}.parquet"
+                    write_record(file, record)
+                    if rng.random() < BROKEN:
+                        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+                    number += 1
 
 
 def identified(folder: Path) -> float:
@@ -305,7 +331,7 @@ def main() -> None:
         work = Path(temporary)
         folder = given.folder or work / "fleet"
         if not folder.exists():
-            write_fleet(folder, given.recordings, GROUPS, worn=WORN)
+            write_fleet(folder, given.recordings)
         if "discoveries" in given.only and "speed" not in given.only:
             run(folder, work / "out2", 2)
         for part in given.only:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import psutil
 from pyarrow import concat_tables, parquet
+from tests.machines import STANDARD, drag_fleet
 
 from benchmarks.fleet.commands import MODEL, command, held
-from benchmarks.fleet.drives import STEP, drives
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.fleets.kept import read_rows
 from riecjax.fleets.sums import DONE, Row
@@ -37,7 +37,7 @@ AS_LOGGED = ("--align", "none", "--outliers", "keep", *NOISE_WORDS)
 def data_set(work: Path, samples: int) -> Path:
     """A folder of so many samples, of seven columns, and no time: it goes on from file to file."""
     whole = work / "part.parquet"
-    (record,) = drives(1, ROWS, 1)
+    (record,) = drag_fleet(1, ROWS, 1)
     write_record(whole, record)
     table = parquet.read_table(whole)
     for name in ("spare1", "spare2", "spare3", "spare4"):
@@ -51,7 +51,7 @@ def data_set(work: Path, samples: int) -> Path:
 
 
 def words_for(folder: Path, out: Path) -> list[str]:
-    words = [*command(folder, out, 2), "--time-step", str(STEP)]
+    words = [*command(folder, out, 2), "--time-step", str(STANDARD.step)]
     words[words.index("vehicle")] = "file"
     return words
 
@@ -112,6 +112,6 @@ def _at_once(folder: Path, criterion: AbstractCriterion) -> Summary:
     ]
     parquet.write_table(concat_tables(tables), whole)
     recording = read_recording(
-        whole, model=model, time_step=STEP, align="none", outliers="keep", noise=NOISE
+        whole, model=model, time_step=STANDARD.step, align="none", outliers="keep", noise=NOISE
     )
     return summed(task(model, [recording], criterion, None))

@@ -11,7 +11,7 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-from benchmarks.table import filled_in
+from benchmarks.recorded import filled_in
 from benchmarks.zoo import binary, programs, spellings, stamps, text  # noqa: F401
 from benchmarks.zoo.case import CASES, Case, Outcome, compared, outcome
 from benchmarks.zoo.measured import measured

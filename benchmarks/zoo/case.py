@@ -9,8 +9,8 @@ from typing import NamedTuple
 import click
 import numpy as np
 import scipy.interpolate
+from tests.machines import DRAG
 
-from benchmarks import drag_problem
 from riecjax.errors import RiecjaxError
 from riecjax.records.record import Record
 
@@ -22,10 +22,10 @@ Truth = Mapping[str, np.ndarray]
 def motion() -> Truth:
     """The drag oscillator of the benchmarks at 200 Hz, in SI: `t`, `x`, `dx`, `ddx`, `u`."""
     t = STEP * np.arange(COUNT)
-    coarse = np.arange(drag_problem.COUNT) / drag_problem.RATE
-    signals = drag_problem.signals().items()
+    coarse = DRAG.shape.times
+    signals = DRAG.signals().items()
     found = {name: scipy.interpolate.CubicSpline(coarse, v)(t) for name, v in signals}
-    m, r, r2, k = drag_problem.TRUTH.values()
+    m, r, r2, k = DRAG.truth.values()
     x, v, u = found["x"], found["dx"], found["u"]
     return {"t": t, **found, "ddx": (u - r * v - r2 * v * abs(v) - k * x) / m}
 

@@ -172,9 +172,8 @@ def users_code(name: object) -> Iterator[None]:
         if len(words) > MOST_WORDS:
             words = f"{words[:MOST_WORDS].rpartition(' ')[0]} ..."
         kind = type(error).__name__
-        raise ModelError(
-            f"{name} failed{_line_of(error)}{HINTS.get(kind, ': ')}{kind}: {words}"
-        ) from error
+        where = f"{_line_of(error)}{HINTS.get(kind, ': ')}"
+        raise ModelError(f"{name} failed{where}{kind}: {words}") from error
 
 
 HINTS = {
@@ -186,21 +185,16 @@ HINTS = {
 
 
 def _line_of(error: BaseException) -> str:
-    """The last line of a file of the user's that an exception passed through."""
-    own = [f for f in traceback.extract_tb(error.__traceback__) if _is_users_own(f.filename)]
-    return f" at line {own[-1].lineno} of {Path(own[-1].filename).name}" if own else ""
+    """The last line of a file of the user's that an exception passed through.
 
-
-def _is_users_own(filename: str) -> bool:
-    """Whether a file belongs neither to this package nor to an installed one nor to Python."""
-    if filename.startswith("<"):
-        return False
+    Such a file belongs neither to this package nor to an installed one nor to Python.
+    """
     installed = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
-    folders = [
-        Path(__file__).parent,
-        *installed,
-        *site.getsitepackages(),
-        site.getusersitepackages(),
-    ]
-    path = Path(os.path.abspath(filename))
-    return not any(path.is_relative_to(folder) for folder in folders)
+    packages = [*site.getsitepackages(), site.getusersitepackages()]
+    folders = [Path(__file__).parent, *installed, *packages]
+    own = []
+    for frame in traceback.extract_tb(error.__traceback__):
+        path = Path(os.path.abspath(frame.filename))
+        if not (frame.filename.startswith("<") or any(map(path.is_relative_to, folders))):
+            own.append(f" at line {frame.lineno} of {path.name}")
+    return own[-1] if own else ""

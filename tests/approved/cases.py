@@ -299,41 +299,29 @@ WRONG_TODAY = [
         "accel-in-g",
         f"identify shaker.csv --model shaker.py:shaker --unit a=g {PLAIN} --out out",
         folder="cases/accel_in_g",
-        known_wrong=KnownWrong(
-            "m is 12 kg, or the question which g is meant",
-            lambda k: near(k, m=12.0) or not answered(k),
-        ),
     ),
     Case(
         "headerless-tail",
         "check coast.csv --model coast.py:car "
         "--columns v --unit v=km/h --time-step 1 --band 0.02 0.1",
         folder="cases/headerless_tail",
-        known_wrong=KnownWrong("all 250 rows are read", answered),
     ),
     Case(
         "headerless-one",
         "check one.csv --model coast.py:car "
         "--columns v --unit v=km/h --time-step 1 --band 0.02 0.1",
         folder="cases/headerless_tail",
-        known_wrong=KnownWrong("all rows are read", answered),
     ),
     Case(
         "headerless-mixed",
         "check mixed.csv --model coast.py:car "
         "--columns v --unit v=km/h --time-step 1 --band 0.02 0.1",
         folder="cases/headerless_tail",
-        known_wrong=KnownWrong(
-            "200 samples are read, not 80", lambda k: k["document"]["records"][0]["samples"] == 200
-        ),
     ),
     Case(
         "trailing-tab",
         f"identify tab.txt --model emps --columns q,dq,force --time-step 0.01 {PLAIN} --out out",
         folder="cases/trailing_tab",
-        known_wrong=KnownWrong(
-            "M 2, Fv 3, Fc 5, offset 1", lambda k: near(k, M=2.0, Fv=3.0, Fc=5.0, offset=1.0)
-        ),
     ),
     Case(
         "derived-input",
@@ -356,9 +344,6 @@ WRONG_TODAY = [
         "wrapped",
         "check wrapped.csv --model model.py --map i=current_mA",
         folder="cases/wrapped",
-        known_wrong=KnownWrong(
-            "i is a signed 16-bit number that was read as unsigned", lambda k: says(k, "16.bit")
-        ),
     ),
     Case(
         "one-way",

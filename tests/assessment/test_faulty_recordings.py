@@ -8,10 +8,10 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[2]))  # for whoever runs `pytest` and not `python -m`
 
-from benchmarks.faults import judge
-from benchmarks.faults.__main__ import false_alarms, line, shares
-from benchmarks.faults.faults import FAULTS, recorded
-from benchmarks.faults.machines import LEAD, MACHINES, SAMPLES, motion
+from benchmarks.recovery import judge
+from benchmarks.recovery.__main__ import false_alarms, line, shares
+from benchmarks.recovery.faults import FAULTS, recorded
+from benchmarks.recovery.machines import LEAD, MACHINES, SAMPLES, motion
 
 DRAG = MACHINES["drag"]
 

@@ -3,9 +3,16 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks import drag_problem
-from benchmarks.refinement_gate import UPRIGHT, recording, reduced_car, upright
 from scipy import signal
+from tests.machines import (
+    DRAG_BOUND,
+    DRAG_TRUTH,
+    UPRIGHT,
+    drag_record,
+    drag_signals,
+    noisy,
+    upright_signals,
+)
 
 import riecjax as rx
 from riecjax.assessment import refining
@@ -26,13 +33,13 @@ def refinement_of(*arguments, **settings):
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.001, 0.05])
 def test_of_a_right_model_the_refined_values_are_the_answer(noise):
-    record = drag_problem.record(3, noise)
+    record = drag_record(3, noise)
     found, refinement = refinement_of(DRAG, record)
     assert refinement.chosen
     alone = rx.refine(DRAG, record, found.estimate, rx.OutputError())
     # At 0.1 % the course of the force between its samples shows: straight lines move m by 7 errors.
-    for name, true in drag_problem.TRUTH.items():
-        bound = drag_problem.BOUND[name] * noise / 0.05
+    for name, true in DRAG_TRUTH.items():
+        bound = DRAG_BOUND[name] * noise / 0.05
         assert float(found.answer[name]) == pytest.approx(true, rel=3.5 * bound)
         if noise == 0.05:
             assert float(found.answer[name]) == pytest.approx(float(alone[name]), rel=1e-3)
@@ -47,7 +54,7 @@ def test_straight_lines_between_samples_are_taken_on_evidence():
 
     In this recording straight lines leave less by 3.6, and put the stiffness off by 3 bounds.
     """
-    held = drag_problem.signals(33, 0.001)
+    held = drag_signals(33, 0.001)
     record = rx.Record.from_samples({n: held[n] for n in ("x", "u")}, time_step=0.01)
     found, refinement = refinement_of(DRAG, record)
     assert refinement.chosen
@@ -57,30 +64,22 @@ def test_straight_lines_between_samples_are_taken_on_evidence():
     assert float(found.answer["k"]) == pytest.approx(20.0, rel=3.5 * 0.00153 / 50)
     # Of inputs that are straight lines it is 60 times as much at a tenth of the noise.
     driven = rx.Record.from_samples({"u": held["u"]}, time_step=0.01)
-    made = rx.simulate(DRAG.build_system(drag_problem.TRUTH), driven).record
+    made = rx.simulate(DRAG.build_system(DRAG_TRUTH), driven).record
     rng = np.random.default_rng(0)
     noisy = {n: np.asarray(made[n]) for n in ("x", "dx")}
     noisy = {n: v + 1e-4 * v.std() * rng.standard_normal(v.size) for n, v in noisy.items()}
     found, refinement = refinement_of(DRAG, driven.with_signals(noisy))
     assert refinement.chosen
-    for name, true in drag_problem.TRUTH.items():
-        bound = drag_problem.BOUND[name] / 500
+    for name, true in DRAG_TRUTH.items():
+        bound = DRAG_BOUND[name] / 500
         assert float(found.answer[name]) == pytest.approx(true, rel=3.5 * bound)
 
 
 @pytest.mark.slow
-def test_where_noise_hides_nothing_of_what_a_model_leaves_out_none_is_sought():
-    found, refinement = refinement_of(
-        rx.find_model("quarter-car"), recording(reduced_car(), 0.0, 1)
-    )
-    assert found.answer is found.estimate
-    assert refinement.refined is None
-    assert "values would bend to make up" in refinement.declined
-
-
-@pytest.mark.slow
 def test_an_unstable_motion_is_refined_and_validated_over_windows():
-    found, refinement = refinement_of(UPRIGHT, recording(upright(), 0.01, 2), hold_out=0.3)
+    disturbed = noisy(upright_signals(), {"theta": 0.01, "dtheta": 0.01}, 902)
+    upright = rx.Record.from_samples(disturbed, time_step=0.01)
+    found, refinement = refinement_of(UPRIGHT, upright, hold_out=0.3)
     assert refinement.chosen
     assert refinement.refined is not None
     assert dict(refinement.refined.by)["windows"] == "tiles"
@@ -93,22 +92,14 @@ def test_an_unstable_motion_is_refined_and_validated_over_windows():
 
 
 @pytest.mark.slow
-def test_a_horizon_that_is_given_holds_for_refinement_and_validation():
-    found, refinement = refinement_of(DRAG, drag_problem.record(0), hold_out=0.3, horizon=2.0)
-    assert refinement.refined is not None
-    assert dict(refinement.refined.by)["seconds"] == 2.0
-    assert found.validations[0].held.horizon == 2.0
-
-
-@pytest.mark.slow
 def test_two_recordings_with_a_pause_and_offsets_of_their_own():
     terms = DRAG.build_procedure().stages[0][0].terms
     offset = rx.Equation(*terms, rx.Term("offset", rx.constant, unit="N"), name="drag")
     records = []
     for seed, size in enumerate((2.0, -3.0)):
-        signals = drag_problem.signals(seed)
+        signals = drag_signals(seed)
         signals["u"] = signals["u"] + size
-        gone = (np.arange(drag_problem.COUNT) >= 1200) & (np.arange(drag_problem.COUNT) < 1260)
+        gone = (np.arange(2001) >= 1200) & (np.arange(2001) < 1260)
         signals = {n: np.where(gone & (seed == 1), np.nan, x) for n, x in signals.items()}
         records.append(rx.Record.from_samples(signals, time_step=0.01))
     found, refinement = refinement_of(offset, records, per_record=("offset",))
@@ -135,7 +126,7 @@ def test_what_cannot_be_simulated_is_declined_in_one_line():
 
 
 def test_a_bound_in_the_way_is_declined():
-    _, refinement = refinement_of(DRAG, drag_problem.record(0), bounds={"k": (10.0, 19.98)})
+    _, refinement = refinement_of(DRAG, drag_record(0), bounds={"k": (10.0, 19.98)})
     assert not refinement.chosen
     assert "k" in refinement.declined
 
@@ -143,20 +134,20 @@ def test_a_bound_in_the_way_is_declined():
 def test_what_would_take_long_is_told_and_not_begun(monkeypatch):
     monkeypatch.setattr(refining, "MOST_WORK", 1)
     monkeypatch.setattr(refining, "refine_with_misfit", lambda *_, **__: pytest.fail("begun"))
-    _, refinement = refinement_of(DRAG, drag_problem.record(0))
+    _, refinement = refinement_of(DRAG, drag_record(0))
     assert "steps x states x tangents, more than 1;" in refinement.declined
     assert "--refine output-error" in refinement.declined
 
 
 def test_the_work_grows_with_samples_and_parameters():
     def work(count, start):
-        record = drag_problem.record(0, count=count)
+        record = drag_record(0, count=count)
         by = rx.OutputError()
-        known = {n: v for n, v in drag_problem.TRUTH.items() if n not in start}
+        known = {n: v for n, v in DRAG_TRUTH.items() if n not in start}
         specified = by.specify(DRAG, [record], start, known, (), None)
         return by.misfit(specified).work
 
-    truth = drag_problem.TRUTH
+    truth = DRAG_TRUTH
     assert work(1000, truth) == 2 * work(500, truth)
     # One simulation, two initial states, and each free parameter.
     some = {name: truth[name] for name in ("m", "k")}
@@ -165,7 +156,7 @@ def test_the_work_grows_with_samples_and_parameters():
 
 @pytest.mark.slow
 def test_position_alone_is_answered_where_windows_cannot():
-    signals = drag_problem.signals(1, 0.05)
+    signals = drag_signals(1, 0.05)
     del signals["dx"]
     record = rx.Record.from_samples(signals, time_step=0.01)
     record = rx.records.preparation.differentiate(record, "x", "dx")
@@ -173,16 +164,14 @@ def test_position_alone_is_answered_where_windows_cannot():
     assert refinement.chosen
     assert refinement.refined is not None
     assert refinement.refined.quantities == ("x",)
-    for name, true in drag_problem.TRUTH.items():
-        assert float(found.answer[name]) == pytest.approx(
-            true, rel=5 * 1.6 * drag_problem.BOUND[name]
-        )
+    for name, true in DRAG_TRUTH.items():
+        assert float(found.answer[name]) == pytest.approx(true, rel=5 * 1.6 * DRAG_BOUND[name])
 
 
 @pytest.mark.slow
 def test_check_names_the_refinement_that_answers_where_windows_cannot():
     """Short windows of a velocity by central differences hold little but noise."""
-    signals = drag_problem.signals(1, 0.05)
+    signals = drag_signals(1, 0.05)
     del signals["dx"]
     record = rx.Record.from_samples(signals, time_step=0.01)
     record = rx.records.preparation.differentiate(record, "x", "dx")
@@ -207,7 +196,7 @@ def test_check_names_the_refinement_that_answers_where_windows_cannot():
 
 @pytest.mark.slow
 def test_a_filtered_signal_is_not_judged_by_whiteness():
-    record = drag_problem.record(0)
+    record = drag_record(0)
     record = rx.records.preparation.low_pass(record, {"x": 20.0, "dx": 20.0})
     _, refinement = refinement_of(DRAG, record)
     assert refinement.refined is None
@@ -216,7 +205,7 @@ def test_a_filtered_signal_is_not_judged_by_whiteness():
 
 @pytest.mark.slow
 def test_sensors_of_unequal_noise_are_weighed_by_it():
-    signals = drag_problem.signals()
+    signals = drag_signals()
     rng = np.random.default_rng(5)
     for name, noise in (("x", 0.002), ("dx", 0.2)):
         size = noise * signals[name].std()
@@ -225,7 +214,7 @@ def test_sensors_of_unequal_noise_are_weighed_by_it():
     found, refinement = refinement_of(DRAG, record)
     assert refinement.chosen
     alone = rx.refine(DRAG, record, found.estimate, rx.OutputError())
-    for name in drag_problem.TRUTH:
+    for name in DRAG_TRUTH:
         assert found.answer.standard_error(name) < 0.2 * alone.standard_error(name)
 
 

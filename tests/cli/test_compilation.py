@@ -4,7 +4,7 @@ import json
 from functools import cache
 
 import pytest
-from benchmarks.compilation import COMMANDS, FILE, compiled_by
+from benchmarks.speed.compilation import COMMANDS, FILE, compiled_by
 
 from nightly import by_day
 

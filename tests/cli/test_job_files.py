@@ -1,6 +1,7 @@
 """Job files: options in TOML or in results.json do what they do when typed."""
 
 import json
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -167,6 +168,13 @@ def test_a_damaged_job(capsys, tmp_path, monkeypatch, content, words):
     Path("job.json" if content.startswith(b"{") else "job.toml").write_bytes(content)
     said = rejected(capsys, 2, "identify", "--job", next(tmp_path.iterdir()))
     assert all(word in said for word in words)
+
+
+def test_a_job_that_is_no_plain_file_is_not_read(capsys, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    os.mkfifo(tmp_path / "pipe")
+    assert "it is no plain file" in rejected(capsys, 2, "identify", "--job", "../pipe")
 
 
 @pytest.fixture

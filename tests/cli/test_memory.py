@@ -90,3 +90,25 @@ def test_what_xla_cannot_allocate_is_one_line(capsys, drive, monkeypatch):
     assert error["code"] == "memory"
     assert "40402639744 bytes" in error["message"]
     assert "--windows" in error["message"] or "fewer windows" in error["message"]
+
+
+def test_on_a_terminal_a_line_says_what_is_done_and_counts_the_seconds(monkeypatch):
+    import io
+    from types import SimpleNamespace
+
+    from rich.console import Console
+
+    from riecjax.cli import progress
+
+    clock = [100.0]
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    text = io.StringIO()
+    line, console = progress.Progress(), Console(file=text, force_terminal=True, width=100)
+    clock[0] = 112.4
+    console.print(line)
+    line.refining(0.25)
+    clock[0] = 113.6
+    console.print(line)
+    first, second = text.getvalue().splitlines()
+    assert first == "reading, and compiling what was not compiled before: 12 s"
+    assert second == "refining: step 1, sum of squares 0.25: 14 s"

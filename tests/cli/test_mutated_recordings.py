@@ -15,9 +15,9 @@ from nightly import nightly, nightly_among
 
 sys.path.append(str(Path(__file__).parents[2]))  # for whoever runs `pytest` and not `python -m`
 
-from benchmarks.fuzz import Fuzzed, Outcome, fuzzed, judged, outcome
-from benchmarks.mutations import NAMES, TRUTH, WRITERS, Case, mutated, rigs
-from benchmarks.watched import Watched
+from benchmarks.robustness.__main__ import Fuzzed, Outcome, fuzzed, judged, outcome
+from benchmarks.robustness.mutations import NAMES, TRUTH, WRITERS, Case, mutated, rigs
+from benchmarks.robustness.watched import Watched
 
 RIGS = rigs()
 LINEAR = ("--refine", "none")
@@ -97,7 +97,7 @@ def test_what_crashes_is_not_taken_for_an_answer(monkeypatch):
     def crash(arguments: list[str]) -> int:
         raise KeyError("x")
 
-    monkeypatch.setattr("benchmarks.fuzz.run", crash)
+    monkeypatch.setattr("benchmarks.robustness.__main__.run", crash)
     found = outcome(Case("none", "a.csv", b"", ()))
     assert found.verdict == "WRONG"
     assert "KeyError" in found.why

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from benchmarks import noise_problems
+from tests.machines import MACHINES, SHORT
 
 import riecjax as rx
 from riecjax.criteria.suited import suited
@@ -61,6 +61,6 @@ def test_it_may_be_asked_for_inside_of_jit():
     def mass(x, u):
         return rx.identify(OSCILLATOR, rx.Record({"x": x, "u": u}, STEP)).theta[0]
 
-    _, truth, signals, _ = noise_problems.linear_motion()
+    truth, signals = MACHINES["linear"].truth, MACHINES["linear"].signals(shape=SHORT)
     force = signals["u"] - truth["c"] * np.gradient(signals["x"], STEP)
     assert float(mass(signals["x"], force)) == pytest.approx(truth["m"], rel=0.02)

@@ -1,7 +1,7 @@
 """The page on sensor noise shows what was recorded."""
 
 import pytest
-from benchmarks import noise_table
+from benchmarks.calibration import noise_table
 
 
 def test_the_tables_are_what_was_recorded():

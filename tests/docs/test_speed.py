@@ -3,8 +3,7 @@
 import json
 
 import pytest
-from benchmarks import table
-from benchmarks.__main__ import fallen
+from benchmarks.speed import __main__ as speed
 
 NAMES = [
     "all-windows-long",
@@ -17,22 +16,16 @@ NAMES = [
     "refine",
     "weak-peer",
     "study",
-    "scan-or-steps",
-    "scan-or-diffeqsolve",
-    "scan-or-steps-batch",
-    "search-one-window",
-    "search-one-window-start",
-    "search-many-windows",
 ]
 
 
 def test_the_table_is_what_was_recorded():
-    assert table.PAGE.read_text(encoding="utf-8") == table.page()
+    assert speed.PAGE.read_text(encoding="utf-8") == speed.page()
 
 
 @pytest.mark.parametrize("file", ["results.json", "results_small.json"])
 def test_results_hold_every_benchmark_and_its_own_arithmetic(file):
-    results = json.loads((table.FOLDER / file).read_text())
+    results = json.loads((speed.FOLDER / file).read_text())
     assert [result["name"] for result in results] == NAMES
     for r in results:
         assert r["ratio"] == pytest.approx(r["baseline_s"] / r["ours_s"])
@@ -42,7 +35,9 @@ def test_results_hold_every_benchmark_and_its_own_arithmetic(file):
 
 def test_half_of_a_recorded_ratio_is_too_slow():
     recorded = [{"name": "a", "ratio": 10.0}, {"name": "b", "ratio": 2.0}]
-    assert fallen([{"name": "a", "ratio": 5.1}, {"name": "new", "ratio": 0.1}], recorded) == []
-    (message,) = fallen([{"name": "a", "ratio": 4.9}, {"name": "b", "ratio": 2.0}], recorded)
+    assert (
+        speed.fallen([{"name": "a", "ratio": 5.1}, {"name": "new", "ratio": 0.1}], recorded) == []
+    )
+    (message,) = speed.fallen([{"name": "a", "ratio": 4.9}, {"name": "b", "ratio": 2.0}], recorded)
     assert "a" in message
     assert "4.90" in message

@@ -4,7 +4,7 @@ import re
 import shlex
 
 import pytest
-from benchmarks.ten_tasks import PAGE, tasks
+from benchmarks.speed.ten_tasks import PAGE, tasks
 
 from riecjax.cli.main import run
 

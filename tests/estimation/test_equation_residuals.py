@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from nightly import by_day, nightly
+from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.test_functions import Boxcar
-from riecjax.criteria.windows import AllWindows, RandomWindows
+from riecjax.criteria.windows import RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import simultaneous, staged
 from riecjax.equations.term import Term
@@ -59,38 +58,14 @@ def rows_of(criterion, one):
         yield np.asarray(rows.target), dict(zip(rows.parameters, np.asarray(rows.regressors).T))
 
 
-def all_rows_by_hand(one, alpha, beta):
-    """Trapezoids over every window of every length."""
-    signals = {name: np.asarray(one[name]) for name in "xvfg"}
-    integrals = {name: [] for name in signals}
-    for length in range(round(alpha / STEP), round(beta / STEP) + 1):
-        for start in range(400 - length):
-            for name, values in signals.items():
-                part = values[start : start + length + 1]
-                integrals[name].append(STEP * (part.sum() - 0.5 * (part[0] + part[-1])))
-    x, v, f, g = (np.array(integrals[name]) for name in "xvfg")
-    return [(f, {"k": x}), (g, {"k": x, "c": v})]
-
-
-CASES = {
-    "samples": (DOLS(), record(), lambda one: rows_of(DOLS(), one)),
-    "random windows": (WINDOWS, record(), lambda one: rows_of(WINDOWS, one)),
-    "a gap": (WINDOWS, record(gap=True), lambda one: rows_of(WINDOWS, one)),
-    "all windows": (
-        RIEC(AllWindows(0.05, 0.3), Boxcar(2)),
-        record(),
-        lambda one: all_rows_by_hand(one, 0.05, 0.3),
-    ),
-}
-
-
-@pytest.mark.parametrize("case", by_day(CASES, "samples", "all windows"))
-def test_each_equation_leaves_a_share_of_its_own(case):
-    criterion, one, rows = CASES[case]
+@pytest.mark.parametrize("gap", [False, *nightly([True])])
+@pytest.mark.parametrize("criterion", [DOLS(), *nightly([WINDOWS])])
+def test_each_equation_leaves_a_share_of_its_own(criterion, gap):
+    one = record(gap=gap)
     found = identify(
         simultaneous(spring(), damped()), one, criterion, key=KEY, intervals=Sandwich()
     )
-    expected = shares(rows(one), {name: float(found[name]) for name in found})
+    expected = shares(rows_of(criterion, one), {name: float(found[name]) for name in found})
     assert list(found.equations) == ["spring", "damped"]
     left = [float(fit.relative_rms) for fit in found.equations.values()]
     np.testing.assert_allclose(left, expected, rtol=1e-7)

@@ -56,16 +56,6 @@ def test_at_the_bandwidth_of_table_2_models_are_those_of_the_tables(
         np.testing.assert_allclose(varied.errors[1, model, i], errors, rtol=1e-6)
 
 
-@pytest.mark.slow
-def test_a_narrower_input_and_other_windows_give_other_models(varied):
-    assert bool(jnp.all(varied.successful))
-    theta = np.asarray(varied.parameters)
-    assert not np.allclose(theta[0], theta[1], rtol=1e-3)
-    assert not np.allclose(theta[1, 1], theta[1, 2], rtol=1e-6)
-    # Draws of windows scatter far less than methods differ.
-    np.testing.assert_allclose(theta[1, 1], theta[1, 2], rtol=0.05)
-
-
 @pytest.fixture(scope="module")
 def damper() -> Hysteresis:
     return eqx.filter_jit(hysteresis)(KEY, quarter_car_source(SHAPES))

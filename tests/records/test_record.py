@@ -28,12 +28,6 @@ def test_integer_samples_become_floats():
     assert record["x"].dtype == jnp.float64
 
 
-def test_time_stamps_rounded_to_a_tenth_of_a_percent_of_the_step_are_even():
-    exact = ramp(1000) / 300.0
-    record = Record.from_samples({"x": ramp(1000)}, time=np.round(exact, 6))
-    assert float(record.time_step) == pytest.approx(1 / 300, rel=1e-6)
-
-
 def signals_with(value, at):
     samples = ramp()
     samples[at] = value
@@ -204,9 +198,3 @@ def test_stamps_within_their_own_rounding_of_an_even_grid_are_even(stamps):
     record = Record.from_samples({"x": ramp(3000)}, time=stamps)
     assert float(record.time_step) == pytest.approx(1 / 600, rel=1e-3)
     assert record.sample_count == 3000
-
-
-def test_a_clock_that_jitters_is_not_even():
-    jitter = np.random.default_rng(0).uniform(-0.1, 0.1, 300) / 600
-    with pytest.raises(DataError, match="evenly spaced"):
-        Record.from_samples({"x": ramp(300)}, time=ramp(300) / 600 + jitter)

@@ -1,4 +1,4 @@
-"""Refinement on the paper's quarter car; the whole study is `benchmarks/refined_quarter_car.py`."""
+"""Refinement on the paper's quarter car; the whole study is in benchmarks/paper."""
 
 import jax
 import jax.numpy as jnp

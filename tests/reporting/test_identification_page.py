@@ -18,7 +18,11 @@ OUTPUTS = Path(__file__).parents[1] / "approved" / "outputs"
 def documents() -> dict[str, dict[str, Any]]:
     held = {file.stem: json.loads(file.read_text("utf-8")) for file in OUTPUTS.glob("*.json")}
     found = {name: output.get("document") or {} for name, output in sorted(held.items())}
-    return {name: document for name, document in found.items() if "verdict" in document}
+    found = {name: document for name, document in found.items() if "verdict" in document}
+    for document in found.values():
+        for step in document["verdict"]["next"]:  # what outputs do not keep
+            step["command"] = " ".join(["riecjax", *step["options"]]) if step["options"] else None
+    return found
 
 
 def column(table: Table, header: str) -> list[str]:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.integrate
 from reporting_charts import EVERYTHING
+from tests.machines import drag_record
 
 from nightly import nightly
 from report_browser import assert_drawn, drawn_page, launched, overlaps
@@ -25,27 +25,13 @@ def browser() -> Iterator[Any]:
         yield found
 
 
-def write_recording(path: Path) -> None:
-    """The drag oscillator under a force of several frequencies, with noisy sensors."""
-    time = np.arange(0, 20, 0.01)
-
-    def force(at: Any) -> Any:
-        return sum(np.sin(2 * np.pi * f * at + 9 * f) for f in (0.3, 0.5, 0.7, 0.9, 1.3))
-
-    def motion(at: float, state: np.ndarray) -> list[float]:
-        x, v = state
-        return [v, (6 * force(at) - 0.8 * v - 0.5 * v * abs(v) - 20 * x) / 1.5]
-
-    x, v = scipy.integrate.solve_ivp(motion, (0, 20), [0, 0], t_eval=time, rtol=1e-8).y
-    noise = np.random.default_rng(1).standard_normal((2, time.size))
-    columns = (time, 6 * force(time), x + 0.02 * x.std() * noise[0], v + 0.02 * v.std() * noise[1])
-    np.savetxt(path, np.transpose(columns), delimiter=",", header="t,u,x,dx", comments="")
-
-
 @pytest.fixture(scope="module")
 def identified(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("identified")
-    write_recording(folder / "run.csv")
+    record = drag_record(seed=1, noise=0.02)
+    columns = [record.time, *(record[name] for name in ("u", "x", "dx"))]
+    held = np.transpose(np.asarray(columns))
+    np.savetxt(folder / "run.csv", held, delimiter=",", header="t,u,x,dx", comments="")
     options = ("--model", "drag-oscillator", "--hold-out", "0.3", "--intervals", "sandwich")
     status = run(["identify", str(folder / "run.csv"), *options, "--out", str(folder / "found")])
     assert status == 0

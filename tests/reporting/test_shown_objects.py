@@ -1,10 +1,8 @@
 """Objects print, draw, leave and come back with the numbers that they hold."""
 
 import json
-import os
 import re
 import sys
-import zipfile
 
 import equinox as eqx
 import jax
@@ -227,52 +225,12 @@ def comes_back_equal(one, file):
         np.testing.assert_array_equal(again.intervals(level), one.intervals(level))
 
 
-@pytest.mark.slow
-def test_of_a_batch_members_are_saved(batch, tmp_path):
-    comes_back_equal(batch.member(1), tmp_path / "kept")
-    with pytest.raises(rx.ModelError, match="one by one"):
-        batch.save(tmp_path / "kept")
-
-
 def test_a_saved_estimate_comes_back_equal(estimate, tmp_path):
     file = tmp_path / "kept"
     comes_back_equal(estimate, file)
     fresh = rx.estimate(equation(), rx.load(file).summary)
     np.testing.assert_allclose(fresh.theta, estimate.theta, rtol=1e-12)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
-
-
-def test_files_that_are_no_estimate_say_what_they_are(estimate, tmp_path):
-    file = tmp_path / "kept.npz"
-    estimate.save(file)
-    whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(rx.DataError, match="kept"):
-        rx.load(file)
-    file.write_bytes(whole)
-    with zipfile.ZipFile(file) as archive:
-        held = {name: archive.read(name) for name in archive.namelist()}
-    for old, new, words in (
-        (b'"schema": 2', b'"schema": 9', "schema 9"),
-        (b"kg", b"lb", "damaged"),
-    ):
-        with zipfile.ZipFile(file, "w") as archive:
-            for name, of in held.items():
-                archive.writestr(name, of.replace(old, new) if name == "estimate.npy" else of)
-        with pytest.raises(rx.DataError, match=words):
-            rx.load(file)
-
-
-def test_what_is_no_file_of_text_is_not_read(tmp_path):
-    (tmp_path / "results.json").write_bytes(b'{"schema": "\xff"}')
-    os.mkfifo(tmp_path / "pipe")
-    for name, words in (
-        ("results.json", "byte 12 is not UTF-8"),
-        ("pipe", "neither a file nor a folder"),
-        (5000 * "a", "a"),
-    ):
-        with pytest.raises(rx.DataError, match=words):
-            rx.load(tmp_path / name)
 
 
 def test_results_of_the_command_line_are_read(assessed, tmp_path):

@@ -28,6 +28,20 @@ def oscillator(sign: float = 1.0) -> rx.Equation:
     )
 
 
+def matrix(m: float, c: float, k: float, *modes: tuple[float, float, float]) -> np.ndarray:
+    """State matrix of x, v and then d, w of each mode, from Newton's law for each mass."""
+    size = 2 + 2 * len(modes)
+    found = np.zeros((size, size))
+    found[0, 1] = 1.0
+    found[1, :2] = -k / m, -c / m
+    for i, (mass, stiffness, damping) in enumerate(modes):
+        d, w = 2 + 2 * i, 3 + 2 * i
+        found[1, [d, 1, w]] += np.array([-stiffness, -damping, damping]) / m
+        found[d, [1, w]] = 1.0, -1.0
+        found[w, [d, 1, w]] = np.array([stiffness, damping, -damping]) / mass
+    return found
+
+
 @pytest.mark.parametrize("on", ["x", "v"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_body_and_mass_move_as_newton_says(on, sign):

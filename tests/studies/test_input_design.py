@@ -67,7 +67,8 @@ def best_drag_input(**changed):
         "starts": 2,
         "max_steps": 40,
     }
-    return design_input(oscillator(), DRAG, "r2", **{**settings, **changed})
+    values = changed.pop("values", DRAG)
+    return design_input(oscillator(), values, "r2", **{**settings, **changed})
 
 
 def test_a_multisine_is_the_sum_of_its_harmonics():
@@ -244,24 +245,9 @@ def test_a_design_keeps_its_travel_and_rms_and_beats_noise():
         ({"initial_state": {"y": 1.0}}, "unknown state 'y'"),
         ({"channels": ()}, "a channel to measure"),
         ({"frequencies": [20.0]}, "between 0 and 10 Hz"),
+        ({"values": {"r": 0.8}}, "'r2' is not estimated"),
     ],
 )
 def test_what_cannot_be_designed_says_why(changed, message):
     with pytest.raises(ModelError, match=message):
         best_drag_input(**changed)
-
-
-def test_a_parameter_that_is_not_estimated_is_refused():
-    with pytest.raises(ModelError, match="'r2' is not estimated"):
-        design_input(
-            oscillator(),
-            {"r": 0.8},
-            "r2",
-            frequencies=[0.5],
-            sample_count=COUNT,
-            time_step=STEP,
-            rms=1.0,
-            channels=("x",),
-            sigma={"x": NOISE},
-            key=jax.random.key(0),
-        )

@@ -103,6 +103,23 @@ def functions_compiled(work):
     return names
 
 
+@pytest.mark.slow
+def test_a_hundred_recordings_of_any_length_compile_four_functions_at_most():
+    equation = Equation(Term("k_", "x"), Term("c_", "x", derivative=1), -Term(1.0, "u"), name="new")
+    lengths = np.unique(np.geomspace(110, 300_000, 100).astype(int))
+    long = record_of(lengths[-1])
+    records = [long.part(0, int(count)) for count in lengths]
+
+    def work():
+        for record in records:
+            summarise(equation, record, ALL, noise={"x": 1e-3, "v": 1e-3, "u": 0.5})
+
+    names = functions_compiled(work)
+    assert 1 <= sum("of_all_windows" in name for name in names) <= 4
+    # Nor is anything else compiled for each of them.
+    assert len(names) < 20
+
+
 def test_sixteen_lengths_beside_one_another_compile_one_function_and_one_solver():
     equation = Equation(Term("k1", "x"), Term("c1", "x", derivative=1), -Term(1.0, "u"), name="new")
     records = [record_of(count) for count in range(5000, 5016)]

@@ -38,7 +38,7 @@ from riecjax.leaves import on_host
 from riecjax.models.model import Model, as_model
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
-from riecjax.records.recording import Recording, as_recordings
+from riecjax.records.recording import Recording, as_recordings, explaining_errors
 from riecjax.studies.sweep import sweep_edges, window_sweep
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
@@ -158,7 +158,8 @@ def _answer(
     if sweep and criterion.in_closed_form:
         with contextlib.suppress(DataError):  # too short a record, which the check says
             bins = sweep_edges(records, criterion)
-    summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
+    with explaining_errors(asked.fitted):
+        summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
     estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
     evidence = mode_evidence(procedure, estimate) if procedure.modes else []
     ordinary = linearised(procedure, summary, plan.given)

@@ -43,7 +43,7 @@ UNBLAMED = 0.1
 STEADIER = 10.0
 """Times its drift and scatter by which what is left may move a value at most. What lies along a
 regressor weighs differently at every window length, so a value that no length moves is not far
-off; 10 holds of nearly all simulated systems (`python -m benchmarks.verdicts`)."""
+off; 10 holds of nearly all simulated systems (`python -m benchmarks.calibration verdicts`)."""
 TRUSTED = 0.1
 """Share of a value up to which a doubt leaves it good."""
 MOST_LEFT = 0.99

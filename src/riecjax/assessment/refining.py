@@ -45,7 +45,7 @@ MOST_WORK = 10_000_000
 """Steps x states x tangents of an expansion up to which nobody has to ask for a refinement.
 
 Of ten operations for each state's derivative, as built-in models have (6 to 17), a search of twelve
-expansions takes ten seconds (`python -m benchmarks.refinement_gate --work`).
+expansions takes ten seconds (`python -m benchmarks.calibration refinement_gate --work`).
 """
 SMALL_SHARE = 1e-2
 """Share of its signal below which a residual need not be the model's."""
@@ -103,7 +103,11 @@ def answered(
         flaw = "" if refused else _left_out(estimate)
         found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, known, horizon)
     else:
-        found = _as_asked(asked, estimate, by, known, progress)
+        # Over the estimate's windows if no others are asked for; its values are the answer.
+        if isinstance(by, IntegralError) and by.criterion is None:
+            by = IntegralError(estimate.criterion)
+        refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
+        found = Refinement(refined, whiteness=_left(misfit, refined, asked.records))
         failed = [*failed, *against_priors(estimate, known.priors or {})]
     if found.refined is None:
         return found, before, failed
@@ -138,20 +142,6 @@ def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[Befo
         for run in after
         if id(run.recording) in earlier
     ]
-
-
-def _as_asked(
-    asked: Asked,
-    estimate: Estimate,
-    by: AbstractObjective,
-    known: Beforehand,
-    progress: Progress,
-) -> Refinement:
-    """Over the estimate's windows if no others are asked for; its values are the answer."""
-    if isinstance(by, IntegralError) and by.criterion is None:
-        by = IntegralError(estimate.criterion)
-    refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
-    return Refinement(refined, whiteness=_left(misfit, refined, asked.records))
 
 
 def _left(misfit: AbstractMisfit, refined: Refined, records: list[Record]) -> Whiteness | None:

@@ -2,7 +2,7 @@
 
 Each estimated parameter is `good`, `caution` or `do not use`, by the size of its doubt (see
 `riecjax.assessment.doubt`) as a share of its value, and by what rules it out whatever its size.
-`python -m benchmarks.verdicts` measures the rules on systems with known truth.
+`python -m benchmarks.calibration verdicts` measures the rules on systems with known truth.
 """
 
 import math

@@ -132,24 +132,14 @@ class _Told:
     """A bar with rate and time left on a terminal; elsewhere a line for each tenth."""
 
     def __init__(self) -> None:
+        from rich import progress
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeRemainingColumn,
-        )
 
         self._console = Console(stderr=True)
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
-        )
-        self._bar = Progress(*columns, console=self._console, transient=True)
+        what, rate = map(progress.TextColumn, ("{task.description}", "{task.fields[rate]}"))
+        how_far = (progress.BarColumn(), progress.MofNCompleteColumn())
+        columns = (what, *how_far, rate, progress.TimeRemainingColumn())
+        self._bar = progress.Progress(*columns, console=self._console, transient=True)
         self._task, self._what, self._tenth, self._began = None, "", 0, 0.0
 
     def __enter__(self) -> "_Told":

@@ -105,8 +105,6 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
     **Raises:** `click.UsageError` if it is no job.
     """
-    if os.path.exists(file) and not os.path.isfile(file):
-        raise click.UsageError(f"--job {file}: it is no plain file.")
     try:
         content = read_plain(file)
         # PowerShell 5 redirects to UTF-16, which begins with its mark.

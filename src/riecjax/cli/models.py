@@ -1,7 +1,6 @@
 """`riecjax models`: the built-in models."""
 
 import json
-from collections.abc import Mapping
 
 import click
 from rich.console import Console
@@ -25,7 +24,19 @@ def command(name: str | None, as_json: bool) -> None:
         from riecjax.reporting.document import SCHEMA
 
         shown = MODELS if name is None else {name: find_model(name)}
-        answer(json.dumps({"schema": SCHEMA, "models": models_document(shown)}, indent=2))
+        models = {
+            model.name: {
+                "summary": model.summary,
+                "parameters": [_entry(q) for q in model.parameters],
+                "signals": [_entry(q) for q in model.signals],
+                "simulation_parameters": [
+                    _entry(q) | {"default": q.default} for q in model.simulation_parameters
+                ],
+                "inputs": [_entry(q) for q in model.inputs],
+            }
+            for model in shown.values()
+        }
+        answer(json.dumps({"schema": SCHEMA, "models": models}, indent=2))
         return
     console = Console()
     for i, model in enumerate(MODELS.values() if name is None else (find_model(name),)):
@@ -40,21 +51,6 @@ def command(name: str | None, as_json: bool) -> None:
         console.print("  equations", style="dim")
         for line in procedure_in_words(find_model(name).build_procedure()):
             console.print(f"  {line}", highlight=False, markup=False)
-
-
-def models_document(models: Mapping[str, Model]) -> dict[str, object]:
-    return {
-        model.name: {
-            "summary": model.summary,
-            "parameters": [_entry(q) for q in model.parameters],
-            "signals": [_entry(q) for q in model.signals],
-            "simulation_parameters": [
-                _entry(q) | {"default": q.default} for q in model.simulation_parameters
-            ],
-            "inputs": [_entry(q) for q in model.inputs],
-        }
-        for model in models.values()
-    }
 
 
 def _entry(quantity: Quantity) -> dict[str, object]:

@@ -107,7 +107,16 @@ def discover(
             record, steps = with_velocities(reading, one.record)
             one = replace(one, record=record, steps=(*one.steps, *steps))
         recordings.append(one)
-    offered = _offered(found, procedure, recordings, candidates)
+    if candidates is None:
+        units = {signal.name: signal.unit for signal in found.signals}
+        sampled = [one.record for one in recordings]
+        for record in sampled:
+            units |= {name: unit for name, unit in dict(record.units).items() if unit}
+        names = [name for stage in procedure.equation_names for name in stage]
+        usual = default_candidates(procedure.equations, names, sampled, units)
+        offered = without_twins(without_taken(usual, procedure.parameters), procedure)
+    else:
+        offered = as_candidates(candidates)
     with_all = extended(procedure, members(offered))
     plan_parameters(with_all, 1, known, ())
     whole = ready(with_all, recordings, noise)
@@ -216,7 +225,20 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
     chosen = [_as_chosen(sums, search, of, one, drawn) for search, of in stages for one in of]
     larger = _with_chosen(model, procedure, chosen)
     estimate = asked.identified(larger, whole, asked.criterion)
-    late, amiss = _of_recordings(larger.build_procedure(), last, estimate)
+    # What is amiss with recordings, and what is late against the equations.
+    extended_procedure = larger.build_procedure()
+    amiss: list[Finding] = []
+    records = [with_memories(one.record, extended_procedure.memories) for one in last]
+    for one, record in zip(last, records, strict=True):
+        one = replace(one, record=record)
+        read = read_of(extended_procedure, one, estimate.criterion)
+        amiss += [*one.concerning(read).findings, *of_sensors(extended_procedure, one, read)]
+    late = None
+    # Of signals that contradict each other an equation blames the wrong one.
+    if not any(one.code in IN_DISORDER for one in amiss):
+        with contextlib.suppress(RiecjaxError):  # too short to tell
+            late = late_cause(extended_procedure, records, estimate)
+    amiss += [] if late is None else [finding_of(late, records[0])]
     # The nearest of each law.
     rejected: dict[str, Rejected] = {}
     for search, of_stage in stages:
@@ -232,7 +254,7 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
         _errors(estimate, stages, chosen, drawn),
         asked.hold_out or 0.0,
         sum(len({one.family for one in search.offers}) for search, _ in stages),
-        tuple(amiss),
+        tuple({one.message: one for one in amiss}.values()),
     )
     return found, late
 
@@ -258,20 +280,6 @@ def _require_sense(
             f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
         )
     procedure.plan({*procedure.known, *known})
-
-
-def _offered(
-    model: Model, procedure: Procedure, recordings: Sequence[Recording], candidates: object
-) -> list[AnyCandidate]:
-    if candidates is not None:
-        return as_candidates(candidates)
-    units = {signal.name: signal.unit for signal in model.signals}
-    records = [one.record for one in recordings]
-    for record in records:
-        units |= {name: unit for name, unit in dict(record.units).items() if unit}
-    names = [name for stage in procedure.equation_names for name in stage]
-    usual = default_candidates(procedure.equations, names, records, units)
-    return without_twins(without_taken(usual, procedure.parameters), procedure)
 
 
 def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
@@ -316,25 +324,6 @@ def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -
     return model.with_terms(
         by_equation(procedure, candidates), memories=memories, meanings=meanings
     )
-
-
-def _of_recordings(
-    procedure: Procedure, recordings: list[Recording], estimate: Estimate
-) -> tuple[SignalDelay | None, list[Finding]]:
-    """What is late against the equations, and all that is amiss with recordings."""
-    found: list[Finding] = []
-    records = [with_memories(one.record, procedure.memories) for one in recordings]
-    for one, record in zip(recordings, records, strict=True):
-        one = replace(one, record=record)
-        read = read_of(procedure, one, estimate.criterion)
-        found += [*one.concerning(read).findings, *of_sensors(procedure, one, read)]
-    late = None
-    # Of signals that contradict each other an equation blames the wrong one.
-    if not any(one.code in IN_DISORDER for one in found):
-        with contextlib.suppress(RiecjaxError):  # too short to tell
-            late = late_cause(procedure, records, estimate)
-    found += [] if late is None else [finding_of(late, records[0])]
-    return late, list({one.message: one for one in found}.values())
 
 
 def _paths(

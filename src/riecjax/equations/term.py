@@ -571,7 +571,30 @@ class Term(AbstractTerm):
 
     def expression(self, record: Record, order: int) -> Expression:
         """`of`, or the name of the signal that holds its derivative; see the base class."""
-        return self.of if order == 0 else _derivative_name(self, record, order)
+        if order == 0:
+            return self.of
+        label = self.of if isinstance(self.of, str) else "an expression"
+        which = {1: "first", 2: "second"}[order]
+        if order > len(self.measured):
+            if isinstance(self.of, str):
+                _ = record.signals[self.of]
+            raise DataError(
+                f"this criterion needs the {which} time derivative of {label}, and the equation "
+                f"names no signal that holds it. Use windows that need no derivative, rx.Hat() (on "
+                f"the command line: --test-function hat), or name the recorded derivative: "
+                f"derivative={self.derivative}, measured={('dx', 'ddx')[: self.derivative]}."
+            )
+        name = self.measured[order - 1]
+        if name not in record.signals:
+            below = (self.of if isinstance(self.of, str) else "SIGNAL", *self.measured)[order - 1]
+            raise DataError(
+                f"this criterion needs the {which} time derivative of {label}, as signal '{name}'; "
+                f"the record has: {', '.join(record.signals)}. Rename a column to it (on the "
+                f"command line: --map {name}=COLUMN), form it (--differentiate {name}={below}), or "
+                f"use windows that need no derivative, rx.Hat() (on the command line: "
+                f"--test-function hat)."
+            )
+        return name
 
     def samples(self, record: Record, order: int) -> Sampled:
         """Samples of `number x d^order/dt^order (of)`; see the base class."""
@@ -651,34 +674,6 @@ class Terms(AbstractTerm):
 
     def __neg__(self) -> "Terms":
         return eqx.tree_at(lambda terms: terms.sign, self, -self.sign)
-
-
-def _derivative_name(term: Term, record: Record, order: int) -> str:
-    label = term.of if isinstance(term.of, str) else "an expression"
-    which = {1: "first", 2: "second"}[order]
-    if order > len(term.measured):
-        if isinstance(term.of, str):
-            _ = record.signals[term.of]
-        raise DataError(
-            f"this criterion needs the {which} time derivative of {label}, and the equation names "
-            f"no signal that holds it. Use windows that need no derivative, rx.Hat() (on the "
-            f"command line: --test-function hat), or name the recorded derivative: "
-            f"derivative={term.derivative}, measured={('dx', 'ddx')[: term.derivative]}."
-        )
-    name = term.measured[order - 1]
-    if name not in record.signals:
-        raise DataError(
-            f"this criterion needs the {which} time derivative of {label}, as signal '{name}'; the "
-            f"record has: {', '.join(record.signals)}. Rename a column to it (on the command line: "
-            f"--map {name}=COLUMN), form it (--differentiate {name}={_below(term, order)}), or use "
-            f"windows that need no derivative, rx.Hat() (on the command line: --test-function hat)."
-        )
-    return name
-
-
-def _below(term: Term, order: int) -> str:
-    """The signal whose first derivative the derivative of this order is."""
-    return (term.of if isinstance(term.of, str) else "SIGNAL", *term.measured)[order - 1]
 
 
 def sum_columns(

@@ -57,8 +57,8 @@ LEAST = 0.1
 """The same from which a wrong zero is told where the target varies."""
 MOST_MOVED = 1e3
 """Share by which a value may be said to move at most."""
-ROUNDING = 1e-7
-"""Share of a column that double sums over a long record may leave as rounding."""
+ROUNDING = 8.0
+"""Times the root of eps: share of a column that its factor, of moments, may hold as rounding."""
 Rows = Float[np.ndarray, " rows"]
 
 
@@ -178,7 +178,7 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
     if not (size > 0 and varying <= CONSTANT * size):
         return ""
     columns = seen.columns
-    left = seen.left_by_motion() if varying > ROUNDING * size else 1.0
+    left = seen.left_by_motion() if varying > seen.rounding * size else 1.0
     if left**2 < 1 - EXPLAINED:
         fitted, noise = seen.left_by_all()
         # What other equations tell of a parameter, this one's means do not settle.
@@ -196,9 +196,11 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
         left = _left(target, [columns[name] for name in names])
         if hidden and left <= np.hypot(varying, STILL * size):
             # Others at rest to the last digit are collinear with these, and are named as that.
-            if any(_norm(columns[n]) > 0 and seen.share(columns[n]) <= ROUNDING for n in hidden):
+            if any(
+                _norm(columns[n]) > 0 and seen.share(columns[n]) <= seen.rounding for n in hidden
+            ):
                 return ""
-            still = all(ROUNDING < seen.share(columns[name]) <= STILL for name in names)
+            still = all(seen.rounding < seen.share(columns[name]) <= STILL for name in names)
             return _words(names, hidden, still)
     return ""
 
@@ -227,7 +229,8 @@ class _Averaged:
     """One equation's target and regressors, one record's factor on top of the other.
 
     **Attributes:** `target`, what the known terms amount to, what an earlier stage finds among
-    them; `columns`, the unknown coefficients' regressors; `names` of these.
+    them; `columns`, the unknown coefficients' regressors; `names` of these; `rounding`, share of a
+    column that is none of it.
     """
 
     def __init__(
@@ -246,6 +249,8 @@ class _Averaged:
             float(one.samples) * (min(float(one.time_step) / length, 1.0) if length else 1.0)
             for one in summary.recordings
         )
+        dtype = np.asarray(recordings[0].moments).dtype
+        self.rounding = ROUNDING * float(np.finfo(dtype).eps) ** 0.5
         individual = bool(sharing.own.intersection(equation.parameters))
         names = [sharing.of_record(one.parameters, i) for i, one in enumerate(recordings)]
         rows, noise = zip(*(_factors(one, slice(*summary.band)) for one in recordings))
@@ -270,9 +275,11 @@ class _Averaged:
     def left_by_motion(self) -> float:
         """Share, rms, of how the target varies that motion does not explain, chance taken off."""
         moving = [(self.moving(column), _norm(column)) for column in self.columns.values()]
-        there = [m for m, size in moving if _norm(m) > ROUNDING * size]
+        there = [m for m, size in moving if _norm(m) > self.rounding * size]
         varying = self.moving(self.target)
-        left = _left(varying, there) / _norm(varying)
+        # Less than rounding of the whole target is not known of what is left of it.
+        least = self.rounding * _norm(self.target)
+        left = max(_left(varying, there), least) / _norm(varying)
         free = self.independent - 1
         return left * np.sqrt(free / (free - len(there))) if free > len(there) else 1.0
 
@@ -361,7 +368,7 @@ def _fit(target: Rows, columns: list[Rows]) -> Float[np.ndarray, " columns"]:
     matrix = np.stack([c / s for c, s in zip(columns, sizes)], axis=1)
     if not np.isfinite(matrix).all():
         return np.zeros(sizes.size)
-    return np.linalg.lstsq(matrix, target, rcond=ROUNDING)[0] / sizes
+    return np.linalg.lstsq(matrix, target, rcond=ROUNDING * np.finfo(float).eps ** 0.5)[0] / sizes
 
 
 def _left(target: Rows, columns: list[Rows]) -> float:

@@ -30,7 +30,7 @@ from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
-from riecjax.records.recording import as_recordings
+from riecjax.records.recording import as_recordings, explaining_errors
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
@@ -94,7 +94,8 @@ def identify(
     asked = task(model, records, criterion, key, noise, at_rest)
     plan = plan_parameters(asked.procedure, len(asked.records), known, per_record)
     _require_intervals(intervals)
-    found = _estimated(asked.procedure, summed(asked), plan, intervals)
+    with explaining_errors(as_recordings(records)):
+        found = _estimated(asked.procedure, summed(asked), plan, intervals)
 
     def otherwise(procedure: Procedure) -> Estimate:
         other = summed(asked._replace(procedure=procedure))

@@ -7,7 +7,6 @@ import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.fleets.groups import Entry
@@ -23,14 +22,6 @@ LIGHT = tuple(name for name in Row._fields if name not in ("sums", "lengths"))
 """Columns that are small."""
 
 
-def _schema(metadata: Mapping[bytes, bytes]) -> Any:
-    import pyarrow as pa
-
-    kinds = {str: pa.string(), float: pa.float64(), int: pa.int64(), bytes: pa.binary()}
-    fields = [pa.field(name, kinds[kind]) for name, kind in Row.__annotations__.items()]
-    return pa.schema(fields, metadata={SCHEMA_KEY: SCHEMA, **metadata})
-
-
 def write_rows(
     file: Path, rows: Iterator[Row] | Sequence[Row], metadata: Mapping[bytes, bytes]
 ) -> None:
@@ -41,7 +32,9 @@ def write_rows(
     import pyarrow as pa
     from pyarrow import parquet
 
-    schema, given = _schema(metadata), iter(rows)
+    kinds = {str: pa.string(), float: pa.float64(), int: pa.int64(), bytes: pa.binary()}
+    fields = [pa.field(name, kinds[kind]) for name, kind in Row.__annotations__.items()]
+    schema, given = pa.schema(fields, metadata={SCHEMA_KEY: SCHEMA, **metadata}), iter(rows)
 
     def fill(temporary: Path) -> None:
         writer = parquet.ParquetWriter(

@@ -104,7 +104,11 @@ def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, dict[str, Map
         found: dict[str, Mapping[str, Any]] = {}
         for each, info in matched.items():
             inner = fs.find(each, detail=True) if info["type"] == "directory" else {}
-            found |= {k: v for k, v in inner.items() if _is_data(k[len(each) :])}
+            for inside, about in inner.items():
+                *folders, name = inside[len(each) :].strip("/").split("/")
+                known = posixpath.splitext(name)[1].lower() in READERS
+                if known and not any(part.startswith(OTHERS) for part in (*folders, name)):
+                    found[inside] = about
             found |= {each: info} if info["type"] == "file" else {}
         # Of a pattern, as far as it is a path.
         root = path if path in matched else re.split(r"[*?\[]", path, maxsplit=1)[0]
@@ -128,13 +132,6 @@ def _in_words(what: str) -> Iterator[None]:
     except Exception as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise DataError(f"{what}: {said[:300].rstrip('.')}.") from None
-
-
-def _is_data(below: str) -> bool:
-    """Whether a file below a folder is one of data, by its path from there."""
-    parts = below.strip("/").split("/")
-    known = posixpath.splitext(parts[-1])[1].lower() in READERS
-    return known and not any(part.startswith(OTHERS) for part in parts)
 
 
 def _recording_of(url: str) -> str:

@@ -145,12 +145,8 @@ def linear_source(
 def table_1() -> list[ModeComparison]:
     """Every row of Table 1, published and reproduced to the printed digits."""
     found = modes(linearise(linear_source())[0])
-    return [_compare(published, mode) for published, mode in zip(TABLE_1, found, strict=True)]
-
-
-def _compare(published: PublishedMode, mode: Mode) -> ModeComparison:
-    reproduced = _printed(mode, published)
-    return ModeComparison(published, reproduced, reproduced == published)
+    reproduced = [_printed(mode, like) for like, mode in zip(TABLE_1, found, strict=True)]
+    return [ModeComparison(*both, agrees=both[0] == both[1]) for both in zip(TABLE_1, reproduced)]
 
 
 def _printed(mode: Mode, like: PublishedMode) -> PublishedMode:
@@ -162,9 +158,7 @@ def _printed(mode: Mode, like: PublishedMode) -> PublishedMode:
         _round(mode.eigenvalue, like.digits),
         None if mode.frequency is None else round(float(mode.frequency), 2),
         None if mode.damping_ratio is None else round(float(mode.damping_ratio), 2),
-        _round(complex(parts[0]), 2),
-        _round(complex(parts[1]), 2),
-        _round(complex(parts[2]), 2),
+        *(_round(complex(part), 2) for part in parts),
         like.digits,
     )
 

@@ -79,10 +79,11 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
 
 # Values too large to be squared are for the fit to refuse.
 @remembered(
-    lambda record, *names: (
-        *names,
-        *(samples_with_nan(record, name) for name in names),
-        *(dict(record.units).get(name, "") for name in names),
+    lambda record, signal, derivative: (
+        signal,
+        derivative,
+        *(samples_with_nan(record, name) for name in (signal, derivative)),
+        *(dict(record.units).get(name, "") for name in (signal, derivative)),
         float(record.time_step),
     ),
 )

@@ -367,15 +367,14 @@ def _numbers(name: str, values: Any) -> Any:
     """
     try:
         samples = values if isinstance(values, jax.Array) else np.asarray(values)
-        if samples.dtype.kind == "c":
-            raise DataError(
-                f"signal '{name}' holds complex numbers, and a record real ones. Give its real or "
-                f"imaginary part, or both as two signals."
-            )
-        if samples.dtype.kind == "O":
-            samples = samples.astype(float)
+        samples = samples.astype(float) if samples.dtype.kind == "O" else samples
     except (TypeError, ValueError):
         raise DataError(f"signal '{name}' is not a list of numbers.") from None
+    if samples.dtype.kind == "c":
+        raise DataError(
+            f"signal '{name}' holds complex numbers, and a record real ones. Give its real or "
+            f"imaginary part, or both as two signals."
+        )
     if samples.dtype.kind in "USMm":
         raise DataError(
             f"signal '{name}' is not a list of numbers but of {samples.dtype.name}; convert it "

@@ -88,6 +88,17 @@ class Recording(Drawn):
         return _explaining(self.source, self.renamed, self.left_out, self.part)
 
 
+@contextlib.contextmanager
+def explaining_errors(recordings: Sequence[Recording]) -> Iterator[None]:
+    """Say of a signal that is missing which recording lacks it, and why."""
+    try:
+        yield
+    except MissingSignalError as error:
+        lacking = [one for one in recordings if error.signal not in one.record.arrays]
+        with lacking[0].explaining_errors() if lacking else contextlib.nullcontext():
+            raise
+
+
 def as_recordings(records: Records) -> list[Recording]:
     """One recording or several as a list; several bare records are called by their number.
 
@@ -220,7 +231,7 @@ def _recording(
             band = getattr(model, "band", None)
             shortest = 0.5 / band[1] if band else None
             selected = record_from_channels(channels, selection, read_by, shortest)
-            record, left_out = selected.record, left_out | selected.left_out
+            record, left_out = selected.record, {**left_out, **selected.left_out}
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
         read = tuple(record.arrays)

@@ -200,7 +200,7 @@ def _grid_of_decimals(stamps: np.ndarray, pauses: np.ndarray) -> TimeBase | None
     stretches = [stamps[first:last] for first, last in itertools.pairwise(edges)]
     places = [np.arange(one.size) - (one.size - 1) / 2 for one in stretches]
     step = sum(map(np.dot, places, stretches)) / sum(place @ place for place in places)
-    off = _distance_from_grid(stamps, pauses, step)
+    off = _distance_from_grid(stamps, pauses, float(step))
     return TimeBase(float(step), float(stamps[0]), pauses) if off <= 0.51 * _digit(stamps) else None
 
 

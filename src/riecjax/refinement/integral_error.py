@@ -338,27 +338,24 @@ class IntegralMisfit(AbstractMisfit):
         of_record = [
             self.sharing.values_of(self.local, values, i) for i in range(len(self.records))
         ]
-        return [self._expanded(balance, of_record) for balance in self.balances]
-
-    def _expanded(
-        self, balance: ParametricBalance, values: Sequence[Mapping[str, Leaf]]
-    ) -> NormalEquations:
         free = self.sharing.free_somewhere(self.local, self.names)
-        smoothness = self.criterion.smoothness
-        expanded = [
-            balance.expanded(record, own, free, smoothness)
-            for record, own in zip(self.records, values)
-        ]
-        (equations,) = all_normal_equations(
-            Procedure(((expanded[0][0],),)),
-            self.sharing,
-            [record for _, record in expanded],
-            self.criterion,
-            self.keys,
-        )
-        # What is free in some record may be fixed in another: it does not change.
-        fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
-        return equations.fix(fixed).embed(self.names)
+        found = []
+        for balance in self.balances:
+            expanded = [
+                balance.expanded(record, own, free, self.criterion.smoothness)
+                for record, own in zip(self.records, of_record)
+            ]
+            (equations,) = all_normal_equations(
+                Procedure(((expanded[0][0],),)),
+                self.sharing,
+                [record for _, record in expanded],
+                self.criterion,
+                self.keys,
+            )
+            # What is free in some record may be fixed in another: it does not change.
+            fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
+            found.append(equations.fix(fixed).embed(self.names))
+        return found
 
 
 def _first_negated(moments: Float[Array, "*n c c"]) -> Float[Array, "*n c c"]:

@@ -76,7 +76,7 @@ Other solvers of optimistix want a residual and its Jacobian. The Cholesky facto
 moments is one with as few rows as columns: R = U' [r J S], U having orthonormal columns, which
 changes neither a sum of squares nor a step. So nothing carried from step to step grows with the
 record. Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20
-windows two to three times as fast: `python -m benchmarks --only bypassed`.
+windows two to three times as fast: benchmarks/NOTES.md.
 
 Coordinates without bounds for parameters that have some, and priors.
 

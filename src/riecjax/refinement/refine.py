@@ -40,7 +40,7 @@ from riecjax.estimation.parameters import require_settings
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.records.record import Records, as_records
-from riecjax.refinement.objective import AbstractMisfit, AbstractObjective, Specification
+from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import (
     Bounds,
     Constraints,
@@ -392,21 +392,10 @@ def refine_with_misfit(
         specified.of_free(priors or {}),
     )
     settings = (specified.sharing, intervals or Sandwich(), solver, max_steps, progress)
-    return _refined(objective, specified, constraints, settings)
-
-
-def _refined(
-    objective: AbstractObjective,
-    specified: Specification,
-    constraints: Constraints,
-    settings: tuple[Any, ...],
-) -> tuple[Refined, AbstractMisfit]:
-    """Searches, in ever shorter steps for as long as these change the answer.
-
-    With priors each search is followed by others. The variance that priors are weighed against is
-    that of the residuals at the optimum, which the first search knows only from its start; the next
-    ones take it from the search before, a fixed-point iteration.
-    """
+    # Searches, in ever shorter steps for as long as these change the answer. With priors each
+    # search is followed by others: the variance that priors are weighed against is that of the
+    # residuals at the optimum, which the first search knows only from its start; the next ones take
+    # it from the search before, a fixed-point iteration.
     misfit, theta = objective.misfit(specified), specified.theta
     first = misfit.first_initial()
     begun, rms = _begin(misfit, theta, first)

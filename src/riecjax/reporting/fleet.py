@@ -45,8 +45,6 @@ NAMED = 3
 """Groups that a sentence names."""
 COURSES = 4
 """Recordings whose courses are drawn: those that change first."""
-COURSE = ("value", "std_error")
-"""What is drawn of them."""
 FINEST, HOUR = 1e-3, 3600
 """Seconds of what takes no time, and of an hour."""
 
@@ -355,7 +353,9 @@ def _over_time(found: Fleet, parameter: str, names: Sequence[str]) -> Panel:
         some = [e for e in found.over_time if (e.group, e.parameter) == (name, parameter)]
         unit = next((e.unit for e in some if e.unit), unit)
         middle = [0.5 * (e.start + e.end) for e in some]
-        values, errors = (np.array([getattr(e, n) for e in some], float) for n in COURSE)
+        values, errors = (
+            np.array([getattr(e, n) for e in some], float) for n in ("value", "std_error")
+        )
         marks.append(Line(middle, values, name, color, markers=True, width=1.0, error=errors))
         marks += [
             Level(change.time, "x", color=color)

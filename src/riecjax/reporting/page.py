@@ -101,21 +101,16 @@ def render(
         tables = [table for table in section.tables if table.rows]
         if section.text or tables or figures:
             parts.append((replace(section, tables=tables), figures))
+    # Warnings under the titles that list their codes; those that none lists come last.
+    warnings = document.get("warnings", [])
+    listed = {code for _, codes in page.groups for code in codes}
+    rest = [warning for warning in warnings if warning["code"] not in listed]
+    count = f"{len(rest)} warning{'s' if len(rest) != 1 else ''}"
+    groups = [(title, [w for w in warnings if w["code"] in codes]) for title, codes in page.groups]
     return environment.get_template("report.html.j2").render(
         page=page,
         parts=parts,
-        groups=_grouped(document.get("warnings", []), page.groups),
+        groups=[group for group in (*groups, (count, rest)) if group[1]],
         provenance=json.dumps(document.get("provenance", {}), indent=2, ensure_ascii=False),
         plotly=Markup(get_plotlyjs()) if any(figures for _, figures in parts) else None,
     )
-
-
-def _grouped(
-    warnings: Sequence[Mapping[str, Any]], groups: Sequence[tuple[str, Sequence[str]]]
-) -> list[tuple[str, list[Mapping[str, Any]]]]:
-    """Warnings under the titles that list their codes; those that none lists come last."""
-    listed = {code for _, codes in groups for code in codes}
-    found = [(title, [w for w in warnings if w["code"] in codes]) for title, codes in groups]
-    rest = [warning for warning in warnings if warning["code"] not in listed]
-    count = f"{len(rest)} warning{'s' if len(rest) != 1 else ''}"
-    return [group for group in (*found, (count, rest)) if group[1]]

@@ -170,21 +170,10 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     step = stride * float(record.time_step)
     sizes = np.linalg.norm(slopes * step, 2, axis=(1, 2))
     slopes = slopes * np.minimum(1.0, STEEPEST / np.maximum(sizes, STEEPEST))[:, None, None]
-    lengths, logs = _by_length(scipy.linalg.expm(slopes * step))
-    if np.max(logs) <= np.log(MOST_GROWTH):
-        return None
-    first = int(np.argmax(logs > FOLDS))
-    below = first - 1 if first else 0
-    share = np.interp(FOLDS, logs[[below, first]], lengths[[below, first]])
-    samples = max(float(share) * stride, FEWEST_SAMPLES)
-    return Growth(float(np.exp(min(np.max(logs), 700.0))), samples * float(record.time_step))
-
-
-def _by_length(
-    products: Float[np.ndarray, "n s s"],
-) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
-    """Lengths in samples, and the logarithm of the largest growth over any block so long."""
-    lengths, logs = [1.0], [float(np.max(np.log(np.linalg.norm(products, 2, axis=(1, 2)))))]
+    # Lengths in samples, and the logarithm of the largest growth over any block so long.
+    products = scipy.linalg.expm(slopes * step)
+    lengths = [1.0]
+    logs = [float(np.max(np.log(np.linalg.norm(products, 2, axis=(1, 2)))))]
     scale = np.zeros(len(products))
     while len(products) > 1:
         even, rest = len(products) // 2 * 2, len(products) % 2
@@ -198,4 +187,11 @@ def _by_length(
         products, scale = products / size[:, None, None], scale + np.log(size)
         lengths.append(2 * lengths[-1])
         logs.append(float(np.max(scale)))
-    return np.array(lengths), np.array(logs)
+    lengths, logs = np.array(lengths), np.array(logs)
+    if np.max(logs) <= np.log(MOST_GROWTH):
+        return None
+    first = int(np.argmax(logs > FOLDS))
+    below = first - 1 if first else 0
+    share = np.interp(FOLDS, logs[[below, first]], lengths[[below, first]])
+    samples = max(float(share) * stride, FEWEST_SAMPLES)
+    return Growth(float(np.exp(min(np.max(logs), 700.0))), samples * float(record.time_step))

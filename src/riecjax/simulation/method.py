@@ -19,7 +19,7 @@ steps k times as short ask for tolerances k^-5 times as large (`finer`).
 A grid that is indexed instead of searched costs nothing. That is why `FixedStep` runs its own scan
 over the samples. The same tableau on the quarter car takes 1.3 to 1.9 times as long inside
 `diffeqsolve`, which saves by interpolation, and 1.2 to 1.6 times with diffrax's `solver.step` in
-the same scan, 3 to 4 times in a batch: `python -m benchmarks --only bypassed`.
+the same scan, 3 to 4 times in a batch: benchmarks/NOTES.md.
 `Adaptive` is that `diffeqsolve`, for reference solutions, unfamiliar systems and stiff ones.
 
 A step of a small system is a few dozen additions, and what it costs is how they are started. Where

@@ -384,7 +384,8 @@ def design_input(
     wave = multisine(jnp.ones_like(grid), phases[0], grid, sample_count, time_step)
     wave = wave * (rms / _rms(wave))
     family = as_parametric_system(model, Record({"": wave}, time_step))
-    inputs = family.build({**family.defaults, **dict(known or {}), **values}).input_names
+    at: dict[str, Any] = {**family.defaults, **dict(known or {}), **values}
+    inputs = family.build(at).input_names
     if len(inputs) != 1:
         raise ModelError(
             f"the input of a system with one input can be designed; this one has {len(inputs)}: "

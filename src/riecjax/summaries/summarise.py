@@ -13,6 +13,7 @@ from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
+from riecjax.records.recording import as_recordings, explaining_errors
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import OnePass
 from riecjax.summaries.sensor_choice import with_less_noise
@@ -54,7 +55,8 @@ def summarise(
     signal or a record shorter than a window.
     """
     asked = task(model, record, criterion, key, noise, at_rest)
-    return summed(asked, bins=bins, survey=survey)
+    with explaining_errors(as_recordings(record)):
+        return summed(asked, bins=bins, survey=survey)
 
 
 def summed(

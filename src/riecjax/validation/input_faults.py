@@ -158,7 +158,17 @@ def silent_inputs(
             continue
         name = inputs[0]
         for number, (record, error) in enumerate(zip(records, of_records, strict=True), 1):
-            said = _silence(record, name)
+            # In words, that a signal says nothing; values too large to be squared are no silence.
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = np.asarray(record[name], float)
+                missing = record.missing.get(name)
+                present = np.ones(values.size, bool) if missing is None else ~np.asarray(missing)
+                spread = float(np.std(values[present]))
+                said = ""
+                if not spread > 1e-12 * float(np.max(np.abs(values))):
+                    said = "never varies"
+                elif float(noise_level(values, present)) > NOISE_ALONE * spread:
+                    said = "is noise alone"
             if not said:
                 continue
             over_windows = None if windows is None else window_errors([error], windows)
@@ -176,16 +186,3 @@ def silent_inputs(
                 doubt=1.0,
                 step=f"Check the sensor of {name}, its cable and its column",
             )
-
-
-# Values too large to be squared are no silence.
-@np.errstate(over="ignore", invalid="ignore")
-def _silence(record: Record, name: str) -> str:
-    """In words, that a signal says nothing; empty if it says something."""
-    values = np.asarray(record[name], float)
-    missing = record.missing.get(name)
-    present = np.ones(values.size, bool) if missing is None else ~np.asarray(missing)
-    spread = float(np.std(values[present]))
-    if not spread > 1e-12 * float(np.max(np.abs(values))):
-        return "never varies"
-    return "is noise alone" if float(noise_level(values, present)) > NOISE_ALONE * spread else ""

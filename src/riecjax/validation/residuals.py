@@ -1028,6 +1028,10 @@ def residual_tests(
         residual = _residual(name, of_equation, recordings, windows, lags)
         is_notable = residual.averaged_size >= NOTABLE_SIZE
         count = round(residual.averaged / float(recordings[0].time_step))
+        # Where the equation could hide something.
+        sprung = {spring.of for spring in procedure.springs}
+        elements = force_elements(procedure.equations, [equation])
+        free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         loop = None
         if is_notable:  # hysteresis, or a signal of no name that changes a force
             units = {name: unit for record in recordings for name, unit in record.units}
@@ -1036,7 +1040,10 @@ def residual_tests(
             motions, unread = motions_and_unread(equation, first, {*common}, units, unread)
             loop = loop_of(of_equation, recordings, motions, unread, count)
         residual = residual._replace(
-            **_lacking(procedure, equation),
+            bodies=accelerated(equation),
+            carrying=tuple(m.on for m in procedure.modes if m.inertia(equation) is not None),
+            dampers=tuple(name for name, term in free.items() if isinstance(term, Term)),
+            maps=tuple(name for name, term in free.items() if not isinstance(term, Term)),
             loop=loop,
             parameters=equation.parameters,
             names=tuple(sorted(named)),
@@ -1044,23 +1051,6 @@ def residual_tests(
         )
         found.append(residual)
     return ResidualTests(tuple(found), tuple(faults))
-
-
-def _lacking(procedure: Procedure, equation: Equation) -> dict[str, tuple[str, ...]]:
-    """Where an equation could hide something, by field of `EquationResidual`."""
-    sprung = {spring.of for spring in procedure.springs}
-    free = {
-        name: term
-        for name, term in force_elements(procedure.equations, [equation]).items()
-        if not sprung & {*term.parameters}
-    }
-    carrying = (mode.on for mode in procedure.modes if mode.inertia(equation) is not None)
-    return {
-        "bodies": accelerated(equation),
-        "carrying": tuple(carrying),
-        "dampers": tuple(name for name, term in free.items() if isinstance(term, Term)),
-        "maps": tuple(name for name, term in free.items() if not isinstance(term, Term)),
-    }
 
 
 def _residual(
@@ -1109,8 +1099,14 @@ def _follows(
     ]
     found = []
     for name in common:
-        signal, valid = _signal(errors, records, name, lags)
-        signal, valid = moving_average(signal, valid, count)
+        # At the times of the joined errors, with a mask of its samples that are present.
+        values, masks = [], []
+        for part, record in zip(errors, records):
+            missing = record.missing.get(name)
+            values.append(np.asarray(part.centred(record[name])))
+            gone = np.zeros(values[-1].size) if missing is None else part.centred(missing * 1.0)
+            masks.append(np.asarray(gone) == 0)
+        signal, valid = moving_average(with_pads(values, lags), with_pads(masks, lags), count)
         both = present & valid
         if both.any() and np.ptp(signal[both]) > 0:
             step = float(errors[0].time_step)
@@ -1118,16 +1114,3 @@ def _follows(
                 cross_correlation(error, signal, both, lags, step, name=name, signals=len(common))
             )
     return tuple(sorted(found, key=lambda one: -abs(one.largest)))
-
-
-def _signal(
-    errors: list[EquationError], records: list[Record], name: str, pad: int
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """A signal at the times of the joined errors, and a mask of its samples that are present."""
-    values, valid = [], []
-    for error, record in zip(errors, records):
-        missing = record.missing.get(name)
-        values.append(np.asarray(error.centred(record[name])))
-        gone = np.zeros(values[-1].size) if missing is None else error.centred(missing * 1.0)
-        valid.append(np.asarray(gone) == 0)
-    return with_pads(values, pad), with_pads(valid, pad)

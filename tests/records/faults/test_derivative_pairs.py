@@ -69,7 +69,7 @@ def recorded(
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("relation", [PLAIN, SUM], ids=["plain", "sum"])
 def test_what_fits_raises_no_alarm(relation, noise):
-    for seed, highest, count in itertools.product(range(3), (0.7, 4.0, 15.0), (200, 1500, COUNT)):
+    for seed, highest, count in itertools.product(range(3), (0.7, 4.0, 15.0), (200, COUNT)):
         record = recorded(Motion(relation, seed, highest), noise, count, seed)
         assert check_derivatives(record, [relation]) == []
 

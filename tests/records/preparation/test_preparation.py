@@ -1,10 +1,12 @@
+"""Steps in their order, cuts, and records split in two."""
+
 import numpy as np
 import pytest
 import scipy.signal
 
 from riecjax.errors import DataError
 from riecjax.models.model import Model
-from riecjax.records.preparation.steps import Preparation, prepare
+from riecjax.records.preparation.steps import Preparation, prepare, split, split_at
 from riecjax.records.record import Record
 
 RATE = 1000.0
@@ -119,3 +121,53 @@ def test_a_cut_that_removes_nothing_is_not_said_to_be_made(asked, words):
     assert steps == (
         [] if asked.start in (0, -2) else [f"cut from 1 s to {'the end' if words else '2 s'}"]
     )
+
+
+VALUES = np.arange(100.0)
+
+
+def numbered(values: np.ndarray = VALUES) -> Record:
+    return Record.from_samples({"q": values}, time=2.0 + 0.1 * np.arange(values.size))
+
+
+@pytest.mark.parametrize(("share", "held_out"), [(0.3, 30), (0.5, 50), (0.021, 2), (0.978, 98)])
+def test_the_last_share_is_held_out(share, held_out):
+    estimation, validation = split(numbered(), share)
+    np.testing.assert_array_equal(estimation["q"], VALUES[: 100 - held_out])
+    np.testing.assert_array_equal(validation["q"], VALUES[100 - held_out :])
+    np.testing.assert_allclose(validation.time[0], 2 + 0.1 * (100 - held_out))
+
+
+@pytest.mark.parametrize(("seconds", "first"), [(7.0, 50), (7.01, 51), (2.2, 2), (11.8, 98)])
+def test_split_at_a_time_on_the_records_clock(seconds, first):
+    estimation, validation = split_at(numbered(), seconds)
+    assert estimation.sample_count == first
+    assert validation["q"][0] == first
+
+
+def test_pauses_stay_where_they_are():
+    stamps = np.concatenate([np.arange(50) / 10, 60 + np.arange(50) / 10])
+    paused = Record.from_samples({"q": VALUES}, time=stamps)
+    estimation, validation = split_at(paused, 62.0)
+    assert estimation.segments() == [slice(0, 50), slice(51, 71)]
+    assert validation.segments() == [slice(0, 30)]
+    np.testing.assert_allclose(validation.time, 62 + np.arange(30) / 10)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.1, 2.0, np.nan])
+def test_impossible_share(share):
+    with pytest.raises(DataError, match="between 0 and 1"):
+        split(numbered(), share)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 2.05, 11.85, 50.0])
+def test_a_time_outside(seconds):
+    with pytest.raises(DataError, match="without two samples"):
+        split_at(numbered(), seconds)
+
+
+def test_a_part_without_any_sample_of_a_signal():
+    values = VALUES.copy()
+    values[:40] = np.nan
+    with pytest.raises(DataError, match="the estimation part holds no sample of 'q'"):
+        split(numbered(values), 0.7)

@@ -1,8 +1,11 @@
+"""Records at another rate, and channels of different rates on one."""
+
 import numpy as np
 import pytest
+import scipy.interpolate
 
 from riecjax.errors import DataError
-from riecjax.records.preparation.resampling import decimate, resample, upsample
+from riecjax.records.preparation.resampling import decimate, on_grid, resample, upsample
 from riecjax.records.record import Record
 
 UP_REACH, DOWN_REACH = 44, 26
@@ -119,3 +122,165 @@ def test_more_samples_than_anybody_wants():
     with pytest.raises(DataError, match=r"4e\+06 samples.* of 4000 .* takes about 0\.68 GB"):
         upsample(waves(4000, 0.1), 1000)
     assert upsample(waves(4000, 0.1), 50).sample_count > 190_000
+
+
+ANTI_ALIAS_REACH = 26
+
+
+def sampled(rate: float, duration: float, start: float = 0.0) -> np.ndarray:
+    return start + np.arange(round(duration * rate) + 1) / rate
+
+
+def jittered(time: np.ndarray, share: float, seed: int = 0) -> np.ndarray:
+    step = time[1] - time[0]
+    return time + share * step * np.random.default_rng(seed).uniform(-1, 1, time.size)
+
+
+def sine(time: np.ndarray, hertz: float, phase: float = 0.4) -> np.ndarray:
+    return np.sin(2 * np.pi * hertz * time + phase)
+
+
+def test_slower_samples_on_a_finer_grid_pass_unchanged():
+    values = np.random.default_rng(0).normal(size=51)
+    _, columns = on_grid({"a": (sampled(10.0, 5.0), values)}, 70.0)
+    np.testing.assert_array_equal(columns["a"][::7], values)
+
+
+def test_between_even_samples_lies_the_cubic_spline():
+    time, values = sampled(50.0, 4.0, 0.37), np.random.default_rng(1).normal(size=201)
+    grid, columns = on_grid({"a": (time, values)}, 61.7)
+    expected = scipy.interpolate.CubicSpline(time, values)(grid)
+    np.testing.assert_allclose(columns["a"], expected, atol=1e-9)
+
+
+def test_jitter_is_true_time():
+    time = jittered(sampled(100.0, 20.0), 0.4)
+    grid, columns = on_grid({"a": (time, sine(time, 2.0))}, 100.0)
+    # A cubic spline errs by at most 5/384 h^4 w^4 inside, h = 0.018 s: 3.5e-5; more at its ends.
+    np.testing.assert_allclose(columns["a"][5:-5], sine(grid, 2.0)[5:-5], rtol=0, atol=5e-5)
+    np.testing.assert_allclose(columns["a"], sine(grid, 2.0), rtol=0, atol=1e-3)
+
+
+def test_the_grid_is_what_all_channels_share():
+    channels = {
+        "a": (sampled(100.0, 5.0, 1.0), np.ones(501)),
+        "b": (sampled(30.0, 5.0, 2.005), np.ones(151)),
+        "c": (sampled(10.0, 7.0, 0.5), np.ones(71)),
+    }
+    grid, columns = on_grid(channels, 100.0)
+    np.testing.assert_allclose(grid, 2.005 + np.arange(400) / 100)
+    assert all(np.array_equal(values, np.ones(400)) for values in columns.values())
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3], ids=["even", "uneven"])
+@pytest.mark.parametrize("hertz", [1.0, 10.0, 39.9])
+def test_a_faster_channel_keeps_what_lies_below_0_8_of_half_the_rate(share, hertz):
+    time = jittered(sampled(1000.0, 10.0), share)
+    grid, columns = on_grid({"a": (time, sine(time, hertz))}, 100.0)
+    np.testing.assert_allclose(columns["a"], sine(grid, hertz), rtol=0, atol=1.5e-4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3], ids=["even", "uneven"])
+@pytest.mark.parametrize("hertz", [50.0, 55.0, 90.0, 133.0])
+def test_a_faster_channel_folds_nothing_down(share, hertz):
+    time = jittered(sampled(1000.0, 10.0), share)
+    _, columns = on_grid({"a": (time, sine(time, hertz))}, 100.0)
+    # 80 dB; what uneven times spoil on the way through a spline adds to it.
+    assert np.max(np.abs(columns["a"])) < (1.2e-4 if share == 0 else 2e-3)
+
+
+def test_gaps_by_nan_and_by_time():
+    time = np.delete(sampled(100.0, 10.0), slice(301, 341))
+    values = sine(time, 2.0)
+    values[700:702] = np.nan
+    slow = sampled(20.0, 10.0)
+    grid, columns = on_grid({"a": (time, values), "b": (slow, sine(slow, 1.0))}, 100.0)
+    assert grid.size == 1001
+    gone = (grid > 3.005) & (grid < 3.405) | (grid > time[699] + 0.005) & (grid < time[702] - 0.005)
+    np.testing.assert_array_equal(np.isnan(columns["a"]), gone)
+    np.testing.assert_array_equal(columns["a"][~gone], sine(grid, 2.0)[~gone])
+    assert not np.isnan(columns["b"]).any()
+
+
+def test_a_step_of_three_usual_ones_is_no_gap_and_a_longer_one_is():
+    def missing(dropped: int) -> int:
+        time = np.delete(sampled(100.0, 2.0), slice(50, 50 + dropped))
+        _, columns = on_grid({"a": (time, sine(time, 0.5))}, 100.0)
+        return int(np.isnan(columns["a"]).sum())
+
+    assert missing(2) == 0
+    assert missing(3) == 3
+
+
+def test_nothing_comes_across_a_gap_of_a_faster_channel():
+    time, values = sampled(1000.0, 20.0), sine(sampled(1000.0, 20.0), 3.0)
+    values[10_000:] += 1e6
+    values[9_990:10_010] = np.nan
+    grid, columns = on_grid({"a": (time, values)}, 100.0)
+    # 26 samples of the grid from the last sample before, 9.989 s, and the first after, 10.01 s.
+    near = np.isnan(columns["a"])
+    edges = grid[near][[0, -1]]
+    np.testing.assert_allclose(edges, [9.73, 10.26], atol=1e-9)
+    before = ~near & (grid < 10)
+    np.testing.assert_allclose(columns["a"][before], sine(grid, 3.0)[before], atol=1e-4)
+
+
+def test_channels_that_begin_with_missing_values_begin_where_they_have_some():
+    time, values = sampled(10.0, 10.0), np.arange(101.0)
+    values[:7] = np.nan
+    grid, columns = on_grid({"a": (time, values), "b": (time, time)}, 10.0)
+    assert grid[0] == pytest.approx(0.7)
+    np.testing.assert_allclose(columns["b"], grid)
+
+
+def test_short_stretches_of_samples_on_the_grid_stay_and_others_go():
+    values = np.sin(np.arange(60.0))
+    values[[20, 22, 25]] = np.nan
+    time = sampled(10.0, 5.9)
+    _, same = on_grid({"a": (time, values)}, 10.0)
+    np.testing.assert_array_equal(same["a"], values)
+    _, finer = on_grid({"a": (time, values)}, 20.0)
+    # One and two samples between gaps have no curve through them.
+    np.testing.assert_array_equal(np.flatnonzero(~np.isnan(finer["a"][39:51])), [3, 7, 9])
+
+
+@pytest.mark.parametrize("wrong", [0.05, 0.03], ids=["repeated", "going back"])
+def test_time_must_increase(wrong):
+    time = sampled(100.0, 1.0)
+    time[6] = wrong
+    match = "time of channel 'b' must increase.*at sample 6 it goes from 0.05 to"
+    with pytest.raises(DataError, match=match):
+        on_grid({"a": (time[:5], time[:5]), "b": (time, time)}, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("time", "values", "match"),
+    [
+        ([0.0, np.nan, 2.0], [1.0, 2.0, 3.0], "no finite time at 1 sample.*first at sample 1"),
+        ([0.0, 1.0, 2.0], [1.0, np.inf, 3.0], "no finite value at 1 sample.*first at sample 1"),
+        ([0.0, 1.0, 2.0], [1.0, 2.0], "3 times and 2 values"),
+        ([0.0], [1.0], "at least two samples"),
+        ([0.0, 1.0], [np.nan, np.nan], "no number at all"),
+        (
+            [0.0, 1e7],
+            [1.0, 1.0],
+            r"1e\+08 samples.* of 2 that were recorded.* about 17 GB of memory\. Cho",
+        ),
+        ([0.0, 0.05], [1.0, 1.0], "no time in common at 10 Hz"),
+    ],
+)
+def test_channels_that_cannot_be_used(time, values, match):
+    with pytest.raises(DataError, match=match):
+        on_grid({"a": (np.array(time), np.array(values))}, 10.0)
+
+
+def test_channels_one_after_the_other():
+    time = sampled(10.0, 5.0)
+    with pytest.raises(DataError, match="'b' begins at 6 s and 'a' ends at 5 s"):
+        on_grid({"a": (time, time), "b": (time + 6, time)}, 10.0)
+
+
+def test_a_channel_too_short_for_its_low_pass():
+    time = sampled(1000.0, 0.3)
+    with pytest.raises(DataError, match="no stretch of 'a' is long enough for 100 Hz"):
+        on_grid({"a": (time, time)}, 100.0)

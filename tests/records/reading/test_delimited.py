@@ -85,7 +85,7 @@ NAMELESS = {
 @pytest.mark.parametrize("case", NAMELESS)
 def test_columns_without_names_have_numbers_or_those_given(tmp_path, case):
     numbered = values(tmp_path, NAMELESS[case])
-    assert numbered["column 1"], numbered["column 2"] == (TX["t"], TX["x"])
+    assert (numbered["column 1"], numbered["column 2"]) == (TX["t"], TX["x"])
     found = columns(tmp_path, NAMELESS[case], columns=("t", "x")).columns
     assert {k: v.tolist() for k, v in found.items()} == TX
     with pytest.raises(DataError, match=r"4 names are given for \d columns"):
@@ -277,6 +277,7 @@ STAMPS = {
     "year of two digits": ["31.03.24 23:59:59.5", "01.04.24 00:00:00.25", "01.04.24 00:00:01"],
     "milliseconds after a colon": ["10:00:00:000", "10:00:00:750", "10:00:01:500"],
     "minutes and seconds": ["59:59.5", "00:00.25", "00:01.0"],
+    "weekday": [f'"Fri, 01 Mar 2024 12:00:{s} +0000"' for s in ("00.0", "00.75", "01.5")],
     "days elapsed": ["0 days 23:59:59.5", "1 days 00:00:00.25", "1 days 00:00:01"],
 }  # fmt: skip
 
@@ -418,23 +419,6 @@ def test_numbers_are_read_to_the_last_bit(tmp_path):
     numbers = np.random.default_rng(3).normal(size=2000) * 10.0 ** np.arange(-300, 300, 0.3)
     text = "t,x\n" + "".join(f"{i},{x!r}\n" for i, x in enumerate(numbers.tolist()))
     assert values(tmp_path, text)["x"] == numbers.tolist()
-
-
-def test_pandas_reads_the_same(tmp_path):
-    import pandas as pd
-
-    frame = pd.DataFrame({"t": np.arange(50) * 0.1, "x": np.sin(np.arange(50.0)), "n": range(50)})
-    frame.loc[7, "x"] = np.nan
-    for sep, decimal, encoding in (
-        (",", ".", "utf-8"),
-        (";", ",", "latin-1"),
-        ("\t", ".", "utf-16"),
-    ):
-        path = tmp_path / "a.csv"
-        frame.to_csv(path, index=False, sep=sep, decimal=decimal, encoding=encoding)
-        found = read_channels(tmp_path / "a.csv").columns
-        for name in frame:
-            np.testing.assert_array_equal(found[str(name)], frame[name].to_numpy(float))
 
 
 def test_signs_between_thousands(tmp_path):

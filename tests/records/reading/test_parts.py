@@ -109,23 +109,3 @@ def sensors():
 @pytest.mark.parametrize("channels", list(sensors()))
 def test_sensors_of_one_recording_are_no_parts(channels):
     assert recordings_in(channels).held == {"": channels}
-
-
-def test_one_estimate_from_all_parts(tmp_path, capsys):
-    import json
-
-    from riecjax.cli.main import run
-
-    rng = np.random.default_rng(20240501)
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for i in range(2):
-            t = np.arange(2000) * 0.005
-            x = sum(np.sin(w * t + rng.uniform(0, 6)) / w**2 for w in (2.0, 5.0, 9.0))
-            file[f"run{i}/t"], file[f"run{i}/x"] = t, x
-            v, a = np.gradient(x, t, edge_order=2), np.gradient(np.gradient(x, t), t)
-            file[f"run{i}/u"] = 2 * a + 3 * v + 4 * v * abs(v) + 50 * x
-    asked = ["identify", str(tmp_path / "a.h5"), "--model", "drag-oscillator", "--no-sweep"]
-    assert run([*asked, "--refine", "none", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert [one["part"] for one in document["provenance"]["records"]] == ["run0", "run1"]
-    assert document["parameters"]["k"]["value"] == pytest.approx(50, rel=0.02)

@@ -193,32 +193,9 @@ def test_a_first_column_of_another_name_is_doubted(tmp_path, name):
     assert "--map t=COLUMN" in finding.message
 
 
-@pytest.mark.parametrize("since", [133_537_680 * 10**9, 638_448_912 * 10**9])
-def test_ticks_of_windows_and_net(tmp_path, since):
-    stamps = [since + 50_000 * i for i in range(N)]
-    recording = read(tmp_path, {"Timestamp": stamps, "x": X})
-    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-5)
-    assert not recording.findings
-
-
 def test_a_counter_of_32_bits_is_carried_on(tmp_path):
     stamps = [(2**32 - 10**6 + 5000 * i) % 2**32 for i in range(N)]
     recording = read(tmp_path, {"time_us": stamps, "x": X})
-    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
-
-
-CLOCKS = {
-    "thousandths that are not padded": lambda ms: f"12:00:{ms // 1000:02d}:{ms % 1000}",
-    "with a point": lambda ms: f"12:00:{ms // 1000:02d}.{ms % 1000}",
-    "day of the year": lambda ms: f"061:12:00:{ms // 1000:02d}.{ms % 1000:03d}",
-    "weekday": lambda ms: f'"Fri, 01 Mar 2024 12:00:{ms // 1000:02d}.{ms % 1000:03d} +0000"',
-    "month first": lambda ms: f'"Mar 1, 2024 12:00:{ms // 1000:02d}.{ms % 1000:03d}"',
-}
-
-
-@pytest.mark.parametrize("case", CLOCKS)
-def test_more_clocks(tmp_path, case):
-    recording = read(tmp_path, {"time": [CLOCKS[case](5 * i) for i in range(N)], "x": X})
     np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
 
 

@@ -1,5 +1,7 @@
 """Units in all spellings are the SI units that standards say they are."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -162,7 +164,8 @@ def test_names_without_a_unit(column):
 def test_a_unit_with_two_meanings_is_asked_about_and_never_dropped(tmp_path):
     """Of a model that does not say what it reads, as of one that does."""
     asked = r"'x' is in g, which may be gn \(m/s\^2\) or gram \(kg\); say which.*--unit x=gn or"
-    for given in ({"units": {"x": "g"}}, {"rename": {"x": "x"}}, {}):
+    every: list[dict[str, Any]] = [{"units": {"x": "g"}}, {"rename": {"x": "x"}}, {}]
+    for given in every:
         with pytest.raises(DataError, match=asked):
             read(tmp_path, "x [g]", "", **given)
     silent = Model("m", "")

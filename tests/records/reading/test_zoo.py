@@ -4,10 +4,13 @@ import json
 
 import pytest
 from benchmarks.zoo import __main__ as zoo
-from benchmarks.zoo.case import CASES, mapped, outcome
+from benchmarks.zoo.case import CASES, compared, mapped, outcome
+from benchmarks.zoo.measured import measured
 from tests.machines import DRAG_TRUTH as TRUTH
 
+import riecjax as rx
 from riecjax.cli.main import run
+from riecjax.errors import DataError
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -17,6 +20,22 @@ def test_a_loggers_file(tmp_path, name):
         pytest.importorskip(one.needs)
     found = outcome(one, tmp_path)
     assert found.kind == "right", found.said
+
+
+def test_recordings_as_their_authors_published_them():
+    held = list(measured())
+    if not held:
+        pytest.skip("the measured recordings are not here")
+    found = {file.name: compared(one, file, one.write(file)) for file, one in held}
+    assert {name: said for name, (kind, said) in found.items() if kind != "right"} == {}
+
+
+def test_a_files_infinite_by_products_do_not_stand_in_the_way(tmp_path):
+    rows = "".join(f"{i},{i * i},{1 if i else 'inf'}\n" for i in range(60))
+    (tmp_path / "a.csv").write_text("t,F,ratio\n" + rows)
+    assert "ratio" not in rx.read_record(tmp_path / "a.csv", rename={"F": "F"}).arrays
+    with pytest.raises(DataError, match="'angle' has 1 infinite"):
+        rx.read_record(tmp_path / "a.csv", rename={"angle": "ratio"})
 
 
 def test_the_zoo_is_as_large_as_promised():

@@ -5,7 +5,7 @@
 - *Derived*: masses and damper compliance, from Table 1, which they reproduce to every digit.
 - *Reconstructed*: the curves of damper, spring and mount (Fig. 5), the pot-hole (Fig. 8) and the
   amplitude of the Robson road, whose density the text does not normalise. They are fitted to
-  Tables 3 to 5 by `benchmarks/reconstruct_curves.py`; other shapes fit about as well, see the
+  Tables 3 to 5 by `benchmarks/paper/reconstruct_curves.py`; other shapes fit about as well, see the
   page "What is reconstructed" of the documentation.
 """
 

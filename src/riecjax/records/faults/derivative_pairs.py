@@ -372,20 +372,18 @@ def delay_course(
     edges: Sequence[int],
     count: int,
     whole: PairFit,
-    alone: Sequence[PairFit | None] | None = None,
 ) -> tuple[Course, float]:
     """How the delay changes from part to part, and how much more it scatters than its errors say.
 
-    **Arguments:** `parts` of the record between these `edges`; `whole`, the fit to all of it;
-    `alone`, those to the parts, where they are known to differ.
+    **Arguments:** `parts` of the record between these `edges`; `whole`, the fit to all of it.
     """
     fits = [fit_pair(part, count, start=whole, known=whole.left, steps=1) for part in parts]
     delays = _delays(fits, edges)
     steady, spread = _steady(delays)
-    if delays.shape[1] < FEWEST_PARTS or (alone is None and steady < UNEVEN):
+    if delays.shape[1] < FEWEST_PARTS or steady < UNEVEN:
         return Course(), spread
     # Too far apart for one step from the same start.
-    alone = [fit_pair(part, count) for part in parts] if alone is None else alone
+    alone = [fit_pair(part, count) for part in parts]
     # What is left of one part is known too roughly: that of all parts, by frequency, is for each.
     left = [fit.left for fit in alone if fit is not None]
     omega = np.concatenate([one.omega for one in left])
@@ -484,8 +482,6 @@ LIKELIER = 12.0
 ROUGH = 0.5
 """Mean square of a signal's steps, over its variance, past which none is looked at in a sum: of
 white noise it is 2, of noise up to an eighth of the sampling rate 0.2."""
-UNLIKE = 4.0
-"""Times the expected noise past which what is left is looked at part by part."""
 FEWEST_CYCLES, CYCLES_OF_WINDOW = 1.0, 1.5
 """Of the motion, in a record and in a part of it: on less, offset, drift and delay are alike."""
 WINDOWS, SHORTEST_WINDOW = 12, 250
@@ -634,17 +630,20 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     held = {one.suspect: one for one in every if one is not None}
     if not held:
         return None
-    excess, alone = _excess(held, {name: one.fit for name, one in held.items()}), None
+    excess = _excess(held, {name: one.fit for name, one in held.items()})
     suspect = min(excess, key=lambda name: excess[name])
     windows = min(WINDOWS, count // SHORTEST_WINDOW, int(held[suspect].cycles / CYCLES_OF_WINDOW))
     edges = np.linspace(0, count, windows + 1).astype(int).tolist() if windows > 1 else []
-    if len(held) > 1:
-        suspect, excess, alone = _suspected(held, edges, excess, breaks)
+    if max(excess.values()) > LIKELIER:
+        # Where it matters which one is wrong, low-passes are looked at as well.
+        filtered = {n: _low_pass(one.pieces, count, one.fit) or one.fit for n, one in held.items()}
+        excess = _excess(held, filtered)
+        suspect = min(excess, key=lambda name: excess[name])
     one = held[suspect]
     course, spread = Course(), 1.0
     if edges:
         parts = one.parts(edges, breaks)
-        course, spread = delay_course(parts, edges, count, one.fit, alone)
+        course, spread = delay_course(parts, edges, count, one.fit)
     fit, rms = one.fit._replace(errors=one.fit.errors * spread), one.rms * abs(one.size)
     alike = tuple(n for n, more in excess.items() if n != suspect and more < LIKELIER)
     pair = Pair(relation, suspect, one.sized(fit), False, course, scale, rms, step, alike)
@@ -717,39 +716,6 @@ def _held(
     if fit is None or not np.isfinite(fit.errors).all():
         return None
     return _Held(suspect, (x, v, u), size, factors.get(suspect, size), pieces, rms, fit)
-
-
-def _suspected(
-    held: dict[str, _Held],
-    edges: list[int],
-    excess: dict[str, float],
-    breaks: np.ndarray,
-) -> tuple[str, dict[str, float], list[PairFit | None] | None]:
-    """Which signal alone is wrong, by how much less likely others are, and fits of its parts.
-
-    Where it matters, low-passes are looked at as well; and part by part, where a delay that does
-    not change leaves more than noise.
-    """
-    count = next(iter(held.values())).columns[0].size
-    best, alone = min(excess, key=lambda name: excess[name]), None
-    if max(excess.values()) > LIKELIER:
-        fits = {n: _low_pass(one.pieces, count, one.fit) or one.fit for n, one in held.items()}
-        excess = _excess(held, fits)
-        best = min(excess, key=lambda name: excess[name])
-    if edges and np.mean(held[best].fit.left.smoothed) > UNLIKE:
-        parts = {name: one.parts(edges, breaks) for name, one in held.items()}
-        fits = {name: [fit_pair(part, count) for part in some] for name, some in parts.items()}
-        told = [
-            _excess(held, {n: f for n, f in zip(fits, each) if f is not None})
-            for each in zip(*fits.values())
-            if None not in each
-        ]
-        if told:
-            sums = {name: sum(one[name] for one in told) for name in held}
-            excess = {name: more - min(sums.values()) for name, more in sums.items()}
-            best = min(excess, key=lambda name: excess[name])
-            alone = fits[best]
-    return best, excess, alone
 
 
 def _excess(held: dict[str, _Held], fits: dict[str, PairFit]) -> dict[str, float]:

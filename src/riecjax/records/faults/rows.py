@@ -29,7 +29,7 @@ from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
 from riecjax.records.noise import NORMAL
 from riecjax.records.preparation.filtering import with_gaps
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import HasRecord, Record, samples_with_nan
 
 ROUNDED = 1e-3
 """Share of a standard deviation by which rounding may part a sample from its copy."""
@@ -53,13 +53,8 @@ HARMLESS = 0.003
 """Share of the signal's deviation up to which a jump does no harm."""
 
 
-class NamedRecord(Protocol):
+class NamedRecord(HasRecord, Protocol):
     """A record and what messages call it, such as a [`Recording`][riecjax.Recording]."""
-
-    @property
-    def record(self) -> Record:
-        """The signals."""
-        ...
 
     @property
     def name(self) -> str:
@@ -207,7 +202,8 @@ def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[i
         pair, shift = divmod(code, span)
         tried[pair] += 1
         if tried[pair] <= tries:
-            yield *divmod(pair, len(keys)), shift - span // 2
+            first, second = divmod(pair, len(keys))
+            yield first, second, shift - span // 2
 
 
 def _spread(values: np.ndarray) -> float:

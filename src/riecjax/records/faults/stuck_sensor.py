@@ -47,7 +47,7 @@ def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Fi
     if (runs := dropouts(signal)).size:
         starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
         shown = np.unique(signal.run_values[runs])
-        value = signal.with_unit(shown[0]) if shown.size == 1 else "one value"
+        value = signal.with_unit(float(shown[0])) if shown.size == 1 else "one value"
         yield signal.finding(
             "stuck_sensor",
             f"drops out: it shows exactly {value} for {int(np.median(lengths))} samples (median) "

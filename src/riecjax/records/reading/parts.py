@@ -64,9 +64,19 @@ def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "
 
     **Raises:** `DataError` if there is no such part, or where it is unclear which parts are meant.
     """
-    families = _families(channels)
+    if channels.parts:
+        members = {sheet: _below(f"{sheet}/", channels.columns) for sheet in channels.parts}
+        families = [_Family(members, "sheet")]
+    elif channels.nested:
+        families = [*_structures(channels), *_cells(channels), *_groups(channels)]
+    else:
+        families = []
     if part:
-        return Parts({part: _chosen(channels, families, part)})
+        for family in families:
+            if part in family.members:
+                return Parts({part: _alone(channels, family.members[part])})
+        names = dict.fromkeys(name for family in families for name in family.members)
+        raise DataError(f"there is no part '{part}'; there are: {listed(names) or 'none'}.")
     found = [family for family in families if _are_recordings(family, channels)]
     inside = {column for f in found for member in f.members.values() for column in member.values()}
     if not found or inside & {*named}:
@@ -92,14 +102,6 @@ def several(names: Collection[str]) -> DataError:
     )
 
 
-def _chosen(channels: Channels, families: list[_Family], part: str) -> Channels:
-    for family in families:
-        if part in family.members:
-            return _alone(channels, family.members[part])
-    names = dict.fromkeys(name for family in families for name in family.members)
-    raise DataError(f"there is no part '{part}'; there are: {listed(names) or 'none'}.")
-
-
 def _alone(channels: Channels, member: Member) -> Channels:
     """A part as a file of its own, with what lies beside the parts and is as long."""
     columns = {inner: channels.columns[name] for inner, name in member.items()}
@@ -119,15 +121,6 @@ def _alone(channels: Channels, member: Member) -> Channels:
         channels.left_out,
         channels.notes,
     )
-
-
-def _families(channels: Channels) -> list[_Family]:
-    if channels.parts:
-        members = {part: _below(f"{part}/", channels.columns) for part in channels.parts}
-        return [_Family(members, "sheet")]
-    if not channels.nested:
-        return []
-    return [*_structures(channels), *_cells(channels), *_groups(channels)]
 
 
 def _below(group: str, names: Iterable[str]) -> Member:

@@ -119,7 +119,7 @@ def record_from_channels(
     asked &= signals.values.keys()
     signals = _converted(signals, units_read, asked or (signals.values if read is None else ()))
     if not signals.values:
-        why = _first_reason(replace(channels, left_out=channels.left_out | signals.left_out))
+        why = _first_reason(replace(channels, left_out={**channels.left_out, **signals.left_out}))
         raise DataError(f"a record needs at least one signal besides its time{why}.")
     matter = asked or {*signals.values}
     step, how, formulas = selection.time_step, selection.outliers, selection.derive

@@ -1,0 +1,142 @@
+"""The tables of docs/sensor_noise.md from what was measured: `--page` of `sensor_noise`."""
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from benchmarks.recorded import FOLDER, filled_in
+
+PAGE = FOLDER.parent / "docs" / "sensor_noise.md"
+BEGIN = "<!-- measured: python -m benchmarks.calibration sensor_noise -->"
+WAYS = ("none", "auto")
+"""Keywords of `noise=`: uncorrected, corrected."""
+
+Document = Mapping[str, Any]
+
+
+def tables(document: Document) -> str:
+    """In Markdown; a dash stands where nothing was measured."""
+    parts = [drag(document, motion) for motion in ("with velocity", "position only")]
+    parts += [quarter_car(document), dry_friction(document), duffing(document), cost(document)]
+    return "\n\n".join(parts)
+
+
+def drag(document: Document, motion: str) -> str:
+    head = (
+        *("noise", "bias / sd, `none`", "`auto`"),
+        *("error / bound, `none`", "`auto`", "answer", "refined"),
+        *("coverage, `none`", "`auto`"),
+    )
+
+    def row(level: str) -> list[str]:
+        linear = [_at(document, way, "drag", motion, level, "linear") for way in WAYS]
+        final = _at(document, "auto", "drag", motion, level, "final")
+        return [
+            level,
+            *(_largest(one, "bias") for one in linear),
+            *(_largest(one, "error_over_bound") for one in [*linear, final]),
+            f"{final['refined']} of {final['answers']}" if final.get("answers") else "-",
+            *(_pooled(one) for one in linear),
+        ]
+
+    levels = (name for name in _there(document, "drag", motion) if name.endswith("%"))
+    return _table(f"Oscillator with drag, {motion}", head, map(row, levels))
+
+
+def quarter_car(document: Document) -> str:
+    head = ("car, noise", "shift / standard error, `none`", "`auto`", "coverage, `none`", "`auto`")
+
+    def row(car: str, level: str) -> list[str]:
+        found = [_at(document, way, "quarter-car", car, level) for way in WAYS]
+        shifts = (_largest(one, "shift") for one in found)
+        return [f"{car}, {level}", *shifts, *map(_pooled, found)]
+
+    cars = ("paper", "heavier")
+    rows = ((c, n) for c in cars for n in _there(document, "quarter-car", c) if n.endswith("%"))
+    return _table("Reduced quarter car", head, (row(*one) for one in rows))
+
+
+def dry_friction(document: Document) -> str:
+    head = (
+        *("noise on", "bias / sd, `none`", "`auto`", "answer"),
+        *("coverage, `none`", "`auto`", "answer", "refined"),
+    )
+
+    def row(case: str) -> list[str]:
+        linear = [_at(document, way, "coulomb", case, "linear") for way in WAYS]
+        final = _at(document, "auto", "coulomb", case, "final")
+        found = [*linear, final]
+        refined = f"{final['refined']} of {final['answers']}" if final.get("answers") else "-"
+        return [case, *(_largest(one, "bias") for one in found), *map(_pooled, found), refined]
+
+    cases = (name for name in _there(document, "coulomb") if name.endswith("%"))
+    return _table("Dry friction", head, map(row, cases))
+
+
+def duffing(document: Document) -> str:
+    head = ("of 20 s", "bound", "`none`", "`auto`", "answer", "refined")
+
+    def row(count: str) -> list[str]:
+        plain, found = (_at(document, way, "duffing", count) for way in WAYS)
+        final = found.get("final", {})
+        values = (plain.get("linear"), found.get("linear"), final)
+        return [
+            count,
+            f"{_number((plain or found)['bound'])} %",
+            *(f"{_number(one['value'])} %" if one else "-" for one in values),
+            f"{final['refined']} of {found['seeds']}" if final else "-",
+        ]
+
+    counts = (name for name in _there(document, "duffing") if name.endswith("samples"))
+    return _table("Free Duffing oscillator, median error", head, map(row, counts))
+
+
+def cost(document: Document) -> str:
+    head = ("model, samples", "`none`", "`auto`", "more")
+
+    def row(name: str) -> list[str]:
+        found = _at(document, "auto", "cost", name)
+        seconds = (f"{1e3 * found['seconds'][way]:.3g} ms" for way in WAYS)
+        return [name.removesuffix(" samples"), *seconds, f"{100 * (found['ratio'] - 1):.0f} %"]
+
+    names = (name for name in _there(document, "cost") if name.endswith("samples"))
+    return _table("Time to identify, warm", head, map(row, names))
+
+
+def _at(document: Document, *path: str) -> Document:
+    """What stands there, empty if nothing was measured."""
+    found: Any = document
+    for name in path:
+        found = found.get(name, {})
+    return found
+
+
+def _there(document: Document, *path: str) -> list[str]:
+    """Names that either way has there, in the order of the file."""
+    return list(dict.fromkeys(name for way in WAYS for name in _at(document, way, *path)))
+
+
+def _largest(found: Document, what: str) -> str:
+    values = [abs(one["value"]) for one in found.get(what, {}).values()]
+    return _number(max(values)) if values else "-"
+
+
+def _pooled(found: Document) -> str:
+    pooled = found.get("coverage", {}).get("pooled")
+    return "-" if pooled is None else f"{100 * pooled['value']:.1f} %"
+
+
+def _number(value: float) -> str:
+    return f"{value:.2g}" if value < 100 else f"{value:.0f}"
+
+
+def _table(title: str, head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    names = list(head)
+    lines = "\n".join(f"| {' | '.join(line)} |" for line in [names, ["---"] * len(names), *rows])
+    return f"**{title}**\n\n{lines}"
+
+
+def page() -> str:
+    """docs/sensor_noise.md with the tables of what is recorded."""
+    recorded = json.loads((FOLDER / "sensor_noise.json").read_text())
+    return filled_in(PAGE, BEGIN, tables(recorded))

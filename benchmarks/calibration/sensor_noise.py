@@ -1,0 +1,278 @@
+"""What sensor noise does to answers, and whether intervals know. Written to sensor_noise.json.
+
+    python -m benchmarks.calibration sensor_noise [problem ...] [--seeds N] [--noise none] [--check]
+
+`drag`, `quarter-car`, `coulomb` and `duffing` are noisy recordings whose truth is known; `cost` is
+the seconds that the correction for noise takes; `--page` writes the tables of docs/sensor_noise.md.
+Every recording is identified by itself, as a user would, with nothing said but the model.
+
+Each figure stands beside what is asked of it and whether that is met, with its Monte Carlo standard
+error. It is `clearly_missed` more than three of those beyond: then `--check`, which takes few
+seeds and writes nothing, exits with 1. A bias is in units of the estimate's own standard deviation.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tests.machines import DRAG, DRAG_BOUND, drag_force, noisy
+
+import riecjax as rx
+from benchmarks.calibration import noise_problems as problems
+from benchmarks.calibration import noise_table
+from benchmarks.calibration.noise_answers import (
+    FEWEST,
+    Run,
+    accuracy,
+    answered,
+    coverage,
+    fit_all,
+    identified,
+    judged,
+)
+from benchmarks.recorded import FOLDER, write_json
+
+POSITION_BOUND = (0.00181, 0.0293, 0.0144, 0.00153)
+"""As `DRAG_BOUND`, of position alone."""
+MOST_ROADS = 200
+OUT = FOLDER / "sensor_noise.json"
+
+
+def drag(run: Run) -> dict[str, Any]:
+    """With velocity and by position alone: the linear stage, and the final answer."""
+    model = rx.find_model("drag-oscillator")
+    report: dict[str, Any] = {}
+    for velocity, label in ((True, "with velocity"), (False, "position only")):
+        of = report[label] = {}
+        for noise in (0.001, 0.01, 0.05, 0.2):
+
+            def all_of(seeds: int, noise: float = noise, velocity: bool = velocity) -> Any:
+                drawn = (problems.drag_sensors(s, noise, velocity=velocity) for s in range(seeds))
+                return (problems.as_recorded(model, one, 0.01) for one in drawn)
+
+            bound = problems.drag_bound(noise, velocity=velocity)
+            asked = {
+                "bias": 0.4 if noise == 0.2 else 0.2,
+                "ratio": (3.0, 0.0),
+                "pooled": (0.92, 0.98),
+            }
+            if not velocity:
+                asked = {"bias": 0.25, "ratio": (2.5, 0.0), "pooled": (0.9, 0.98)}
+            linear = fit_all(all_of(run.seeds), identified(model, run))
+            final = fit_all(all_of(run.final_seeds), answered(model, run))
+            of[f"{100 * noise:g} %"] = {
+                "bound_percent": (100 * bound / list(DRAG.truth.values())).tolist(),
+                "linear": accuracy(linear, DRAG.truth, bound=bound, **asked),
+                "final": accuracy(
+                    final, DRAG.truth, bound=bound, ratio=(1.1, 2.0), pooled=(0.92, 0.97)
+                ),
+            }
+        published = list(DRAG_BOUND.values()) if velocity else POSITION_BOUND
+        off = problems.drag_bound(0.05, velocity=velocity) / list(DRAG.truth.values())
+        of["bound, off the published"] = judged(np.max(np.abs(off / published - 1)), 0.005)
+    return report
+
+
+def quarter_car(run: Run) -> dict[str, Any]:
+    """The reduced model on sensors of the source model, against the same roads without noise."""
+    model = rx.find_model("quarter-car")
+    fit = identified(model, run)
+    report: dict[str, Any] = {}
+    for car in problems.CARS:
+        roads = problems.car_roads(car, min(run.seeds, MOST_ROADS))
+
+        def records(noise: float, roads: list[Any] = roads) -> list[rx.Record]:
+            shares = dict.fromkeys(problems.CAR_SENSORS, noise)
+            drawn = (noisy(r, shares, seed) for seed, r in enumerate(roads))
+            return [problems.as_recorded(model, one, 0.005) for one in drawn]
+
+        exact = records(0.0)
+        clean = fit_all(exact, identified(model, run))
+        # What the criterion converges to: all roads' sums in one solve.
+        target = np.asarray(rx.identify(model, exact, intervals=rx.Naive(), **run.options).theta)
+        of = report[car] = {"converges_to": dict(zip(clean.names, target.tolist()))}
+        hits = clean.covers(target)
+        of["0 %"] = {"coverage": coverage(hits, clean.names, (0.93, 0.97), (0.9, 1.0))}
+        for noise in (0.01, 0.05, 0.2):
+            found = fit_all(records(noise), fit)
+            shift = (found.theta - clean.theta[found.kept]) / found.errors
+            most = 0.4 if noise == 0.2 else 0.2
+            errors = shift.std(axis=0) / np.sqrt(len(shift))
+            of[f"{100 * noise:g} %"] = {
+                "refused": judged(found.refused, 0),
+                "shift": {
+                    n: judged(s, most, -most, e)
+                    for n, s, e in zip(found.names, shift.mean(axis=0), errors)
+                },
+                "coverage": coverage(found.covers(target), found.names, (0.93, 0.97), (0.9, 1.0)),
+            }
+    return report
+
+
+def coulomb(run: Run) -> dict[str, Any]:
+    """Dry friction from position and force: noise on the first, on both; a sign written by hand.
+
+    The final answer, and the linear stage below it.
+    """
+    signals, report = problems.dry_motion(), {}
+    for label, model, sensors, share in (
+        ("position", problems.DRY_BY_BASIS, ("x",), 4),
+        ("position and force", problems.DRY_BY_BASIS, ("x", "u"), 16),
+        ("position, own sign", problems.DRY_BY_SIGN, ("x",), 16),
+    ):
+        seeds = max(FEWEST, run.seeds // share)
+        for noise in (0.01, 0.05):
+            shares = dict.fromkeys(sensors, noise)
+            drawn = partial(problems.recordings, model, signals, shares, problems.DRY_STEP, seeds)
+            report[f"{label}, {100 * noise:g} %"] = {
+                "linear": accuracy(fit_all(drawn(), identified(model, run)), problems.DRY),
+                "final": accuracy(
+                    fit_all(drawn(), answered(model, run)), problems.DRY, each=(0.9, 0.99)
+                ),
+            }
+    return report
+
+
+def duffing(run: Run) -> dict[str, Any]:
+    """Median relative norm of the error in percent, of the linear stage and of the final answer."""
+    model, report = problems.FREE_DUFFING, {}
+    true = np.array(list(problems.DUFFING.values()))
+    for count, asked in ((401, 0.25), (1001, 0.15), (2001, 0.09)):
+
+        def norms(fit: Callable[[Any], Any], most: float | None, count: int = count) -> Any:
+            signals, step = problems.duffing_motion(count), 20 / (count - 1)
+            shares = dict.fromkeys(signals, 0.05)
+            found = fit_all(problems.recordings(model, signals, shares, step, run.final_seeds), fit)
+            norm = problems.relative_norms(found.theta - true, problems.DUFFING)
+            # The standard error of a median, were it normal, is 1.25 times a mean's.
+            error = 1.25 * norm.std() / np.sqrt(norm.size)
+            return {**judged(np.median(norm), most, None, error), "refined": found.refined}
+
+        report[f"{count} samples"] = {
+            "seeds": run.final_seeds,
+            "bound": problems.duffing_bound(count, 0.05),
+            "linear": norms(identified(model, run), None),
+            "final": norms(answered(model, run), asked),
+        }
+    return report
+
+
+def cost(run: Run, repeats: int = 41) -> dict[str, Any]:
+    """Warm seconds to identify, medians, with the correction and without in turn."""
+    report: dict[str, Any] = {}
+    ways = ("none", "auto")
+    for count, times in ((8000, repeats), (1_000_000, 11), (10_000_000, 3)):
+        for name, record in long_records(count).items():
+            model, seconds = rx.find_model(name), {way: [] for way in ways}
+            fits = {way: identified(model, Run(run.seeds, way)) for way in ways}
+            for i in range(times + 1):
+                for way, fit in fits.items():
+                    began = time.perf_counter()
+                    jax.block_until_ready(fit(record).theta)
+                    seconds[way] += [time.perf_counter() - began] if i else []  # the first compiles
+            medians = {way: float(np.median(taken)) for way, taken in seconds.items()}
+            own: dict[str, Any] = {"seconds": medians}
+            report[f"{name}, {count} samples"] = own
+            # Each pair ran side by side, under the same load.
+            own["ratio"] = float(np.median(np.divide(seconds["auto"], seconds["none"])))
+    return report
+
+
+def long_records(count: int) -> dict[str, rx.Record]:
+    """Of so many samples, with 1 % noise."""
+    t = np.arange(count) / DRAG.shape.rate
+    driven = rx.Record.from_samples({"u": drag_force(t)}, time_step=DRAG.shape.step)
+    system = rx.find_model("drag-oscillator").build_system({})
+    source = rx.find_model("quarter-car-source").build_system({})
+    made = {
+        "drag-oscillator": (rx.simulate(system, driven).record, ("x", "dx"), ("u",)),
+        "quarter-car": (
+            problems.car_motion(jax.random.key(0), source, count),
+            problems.CAR_SENSORS,
+            (),
+        ),
+    }
+    found = {}
+    for name, (record, sensors, exact) in made.items():
+        signals = {n: np.asarray(record[n]) for n in (*sensors, *exact)}
+        disturbed = noisy(signals, dict.fromkeys(sensors, 0.01), 0)
+        found[name] = rx.Record.from_samples(disturbed, time_step=float(record.time_step))
+    return found
+
+
+PROBLEMS: dict[str, Callable[[Run], dict[str, Any]]] = {
+    "drag": drag,
+    "quarter-car": quarter_car,
+    "coulomb": coulomb,
+    "duffing": duffing,
+    "cost": cost,
+}
+CHECKED = ("drag", "quarter-car", "coulomb", "duffing")
+
+
+def figures_of(report: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every judged figure of a report, with its path."""
+    if isinstance(report, dict):
+        if "met" in report:
+            yield " / ".join(path), report
+        else:
+            for name, part in report.items():
+                yield from figures_of(part, (*path, name))
+
+
+def show(problem: str, report: dict[str, Any]) -> int:
+    """Print what misses what is asked; return how many clearly do."""
+    asked = [
+        one for one in figures_of(report, (problem,)) if any(e is not None for e in one[1]["asked"])
+    ]
+    for path, figure in asked:
+        if not figure["met"]:
+            ends = " to ".join(f"{end:g}" for end in figure["asked"] if end is not None)
+            value = f"{figure['value']:9.3g} +- {figure['standard_error']:.2g}"
+            verdict = "CLEARLY" if figure["clearly_missed"] else ""
+            print(f"{path:68}{value:22} asked {ends:14}{verdict}")
+    met, clearly = (sum(one[key] for _, one in asked) for key in ("met", "clearly_missed"))
+    print(f"{problem}: {met} of {len(asked)} met, {clearly} clearly missed")
+    return clearly
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("problem", nargs="*", help=f"of {', '.join(PROBLEMS)}; all by default")
+    parser.add_argument("--seeds", type=int, help="of the noise of `drag`; others take a share")
+    parser.add_argument("--noise", choices=("auto", "none"), default="auto")
+    parser.add_argument("--check", action="store_true", help="few seeds; fail if clearly missed")
+    parser.add_argument("--page", action="store_true", help="write the documentation's tables")
+    parser.add_argument("--out", type=Path, default=OUT)
+    arguments = parser.parse_args()
+    chosen = arguments.problem or (CHECKED if arguments.check else tuple(PROBLEMS))
+    if unknown := set(chosen) - set(PROBLEMS):
+        parser.error(f"unknown problem {', '.join(unknown)}; there are {', '.join(PROBLEMS)}.")
+    if arguments.page:
+        noise_table.PAGE.write_text(noise_table.page(), encoding="utf-8")
+        return 0
+    rx.start_jax()
+    run = Run(arguments.seeds or (40 if arguments.check else 400), arguments.noise)
+    document = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
+    missed = 0
+    for problem in chosen:
+        began = time.perf_counter()
+        report = PROBLEMS[problem](run)
+        seconds = time.perf_counter() - began
+        missed += show(problem, report)
+        print(f"{problem}: {seconds:.0f} s", flush=True)
+        if not arguments.check:
+            entry = {"seeds": run.seeds, "seconds": seconds, **report}
+            document.setdefault(run.noise, {})[problem] = entry
+            write_json(arguments.out, document)
+    return int(arguments.check and missed > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,185 @@
+"""Are verdicts right? Systems with known truth, wrong models and faulty sensors.
+
+    python -m benchmarks.calibration verdicts [--systems 5] [--seed 2]
+
+Nine kinds of systems, right models and models that leave something out, each recorded with ten
+kinds of sensors (`benchmarks.calibration.verdict_cases`), at 0, 1 and 5 % noise: `systems` of each
+pair. The rules' constants were set on seed 1; other seeds are the test. Written to
+benchmarks/verdicts.json.
+
+- A value is *right* if it lies within 10 % of the truth and its 95 % interval holds the truth.
+  `do not use` is right of a value that is not.
+- A parameter is *sound* if its value is right, and model and sensors are, too. (A wrong sensor may
+  leave a value right, and no one can know.)
+- A *doubt* holds if it reaches the truth.
+"""
+
+import argparse
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import riecjax as rx
+from benchmarks.calibration.verdict_cases import FAULTS, KINDS, Case, cases
+from benchmarks.recorded import FOLDER, write_json
+
+FILE = FOLDER / "verdicts.json"
+RIGHT = tuple(kind.name for kind in KINDS if not kind.left_out)
+SOUND = ("none", "short", "position only", "coarse")
+"""Sensors that are limited and not wrong."""
+LEVELS = ("good", "caution", "do not use")
+NEAR = 0.1
+TARGETS = {
+    "good, within their doubt": (0.95, 1.0),
+    "do not use, rightly": (0.80, 1.0),
+    "sound, called good": (0.70, 1.0),
+    "doubts that hold": (0.92, 0.99),
+}
+PROCESSES = 2
+PAIRS_IN_A_PROCESS = 3
+"""Every recording length and model is compiled anew: a process has room for so many."""
+
+
+class Judged(NamedTuple):
+    """A verdict on one parameter beside the truth."""
+
+    kind: str
+    fault: str
+    noise: float
+    name: str
+    level: str
+    error: float
+    inside: bool
+    holds: bool
+    share: float
+
+    @property
+    def right(self) -> bool:
+        """Whether value and interval are right."""
+        return abs(self.error) <= NEAR and self.inside
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong: value, interval, model and sensors."""
+        return self.right and self.kind in RIGHT and self.fault in SOUND
+
+
+def judged(case: Case) -> list[Judged] | None:
+    """Verdicts on a case's parameters; `None` where there is no answer."""
+    try:
+        assessment = rx.assess(case.model, case.record)
+    except rx.RiecjaxError:
+        return None
+    found = []
+    for name, one in assessment.verdict.parameters.items():
+        truth = case.truth[name]
+        low, high = assessment.answer.interval(name)
+        found.append(
+            Judged(
+                case.kind,
+                case.fault,
+                case.noise,
+                name,
+                one.level,
+                (one.value - truth) / abs(truth),
+                bool(low <= truth <= high),
+                bool(one.doubt[0] <= truth <= one.doubt[1]),
+                one.share,
+            )
+        )
+    return found
+
+
+def judged_pair(pair: tuple[int, int, int, int]) -> list[list[Judged] | None]:
+    """Verdicts on the systems of one kind with one fault."""
+    rx.start_jax()
+    kind, fault, seed, systems = pair
+    return [judged(case) for case in cases(KINDS[kind], FAULTS[fault], seed, systems)]
+
+
+def share(of: Sequence[Judged], which: Callable[[Judged], bool]) -> float:
+    """Share of some verdicts for which something holds."""
+    return sum(map(which, of)) / len(of) if of else float("nan")
+
+
+def figures(every: Sequence[Judged]) -> dict[str, float]:
+    """What the verdicts are measured by."""
+    return {
+        "good, within their doubt": share([j for j in every if j.level == "good"], _holds),
+        "do not use, rightly": share(
+            [j for j in every if j.level == "do not use"], lambda j: not j.right
+        ),
+        "sound, called good": share([j for j in every if j.sound], lambda j: j.level == "good"),
+        "doubts that hold": share(every, _holds),
+    }
+
+
+def _holds(one: Judged) -> bool:
+    return one.holds
+
+
+def confusion(every: Iterable[Judged]) -> dict[str, dict[str, int]]:
+    """How many of each level are sound, near the truth beside their interval, and wrong."""
+    counts = Counter((one.level, _state(one)) for one in every)
+    states = ("right", "within 10 %, outside its interval", "off by more than 10 %")
+    return {level: {state: counts[level, state] for state in states} for level in LEVELS}
+
+
+def _state(one: Judged) -> str:
+    if abs(one.error) > NEAR:
+        return "off by more than 10 %"
+    return "right" if one.inside else "within 10 %, outside its interval"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--systems", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--only", nargs="+", choices=FAULTS, help="faults; nothing is written then")
+    arguments = parser.parse_args()
+    pairs = [
+        (k, f, arguments.seed, arguments.systems)
+        for k in range(len(KINDS))
+        for f in range(len(FAULTS))
+        if arguments.only is None or FAULTS[f] in arguments.only
+    ]
+    spawning = multiprocessing.get_context("spawn")
+    with spawning.Pool(PROCESSES, maxtasksperchild=PAIRS_IN_A_PROCESS) as pool:
+        answers = []
+        for done, found in enumerate(pool.imap(judged_pair, pairs)):
+            answers += found
+            print(f"{done + 1} of {len(pairs)} pairs", end="\r", flush=True)
+    every = [one for answer in answers if answer is not None for one in answer]
+    found = figures(every)
+    result: dict[str, Any] = {
+        "systems": len(answers),
+        "without an answer": sum(answer is None for answer in answers),
+        "parameters": len(every),
+        "figures": {name: round(value, 4) for name, value in found.items()},
+        "confusion": confusion(every),
+        **{
+            of: {
+                name: {
+                    key: None if value != value else round(value, 3)
+                    for key, value in figures(some).items()
+                }
+                for name in dict.fromkeys(getattr(one, of) for one in every)
+                if (some := [one for one in every if getattr(one, of) == name])
+            }
+            for of in ("kind", "fault", "noise")
+        },
+    }
+    for name, (low, high) in TARGETS.items():
+        met = "met" if low <= found[name] <= high else "NOT MET"
+        print(
+            f"{name:<28} {100 * found[name]:5.1f} %  asked {100 * low:g} to {100 * high:g}, {met}"
+        )
+    for level, states in result["confusion"].items():
+        print(f"{level:<12} {states}")
+    if arguments.only is None:
+        write_json(FILE, result)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""What benchmarks record: JSON files beside them, and tables in the pages of the documentation.
+
+Every benchmark is run as `python -m benchmarks.QUESTION`; where a question has parts, each is named
+behind it, `python -m benchmarks.calibration verdicts --systems 2`, and has options of its own.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).parent
+DOCUMENTATION = FOLDER.parent / "docs"
+END = "<!-- end -->"
+
+
+def write_json(path: Path, document: Any) -> None:
+    """Write under a temporary name, then rename: nobody reads half a file."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    beside.write_text(json.dumps(document, indent=2) + "\n")
+    beside.replace(path)
+
+
+def filled_in(page: Path, begin: str, text: str) -> str:
+    """A page of the documentation with this text between a mark and the next end."""
+    before, rest = page.read_text(encoding="utf-8").split(begin)
+    after = rest.split(END)[1]
+    return f"{before}{begin}\n{text}\n{END}{after}"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """In Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def environment(cache: str) -> dict[str, str]:
+    """This process's environment without settings of JAX; what is compiled is kept in `cache`."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_"))}
+    return kept | {"XDG_CACHE_HOME": cache}
+
+
+def last_line(command: Sequence[str], **settings: Any) -> Any:
+    """The JSON document in the last line that a process prints."""
+    run = subprocess.run(command, capture_output=True, text=True, check=True, **settings)
+    return json.loads(run.stdout.splitlines()[-1])
+
+
+def run_part(question: str, parts: Sequence[str]) -> None:
+    """Run the part that the command line names, with the options behind it."""
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{question}")
+    parser.add_argument("part", choices=parts)
+    part = parser.parse_args(sys.argv[1:2]).part
+    sys.argv = [f"{question} {part}", *sys.argv[2:]]
+    status = importlib.import_module(f"benchmarks.{question}.{part}").main()
+    sys.exit(status or 0)

@@ -1,0 +1,176 @@
+"""The paper's seven-state source model, eqs (19)-(20), for SciPy, in Python's own numbers."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.integrate
+from jaxtyping import Float
+
+from benchmarks.speed.baselines.sampled_input import first_order_hold
+from riecjax.models.quarter_car.source import (
+    BumpStopSpring,
+    DigressiveDamper,
+    HardeningMount,
+    QuarterCarSource,
+)
+
+
+class Car(NamedTuple):
+    """The source model's numbers, in SI units."""
+
+    wheel_mass: float
+    body_mass: float
+    engine_mass: float
+    tyre_stiffness: float
+    lift_off_force: float
+    damper_compliance: float
+    slope_at_rest: float
+    compression_slope: float
+    rebound_slope: float
+    compression_knee: float
+    rebound_knee: float
+    spring_rate: float
+    compression_gap: float
+    rebound_gap: float
+    compression_stop: float
+    rebound_stop: float
+    mount_rate: float
+    mount_cubic: float
+    mount_damping: float
+
+
+def car_of(source: QuarterCarSource) -> Car:
+    """The numbers of a source model with the curves of the reconstruction."""
+    damper, spring, mount = source.damper, source.spring, source.mount
+    assert isinstance(damper, DigressiveDamper)
+    assert isinstance(spring, BumpStopSpring)
+    assert isinstance(mount, HardeningMount)
+    values = (
+        source.wheel_mass,
+        source.body_mass,
+        source.engine_mass,
+        source.tyre_stiffness,
+        source.lift_off_force,
+        source.damper_compliance,
+        damper.low_speed_rate,
+        *damper.high_speed_rates,
+        *damper.knees,
+        spring.rate,
+        *spring.gaps,
+        *spring.stop_rates,
+        mount.rate,
+        mount.cubic,
+        source.mount_damping,
+    )
+    return Car(*(float(value) for value in values))
+
+
+def right_hand_side(
+    car: Car, velocity: Float[np.ndarray, " n"], rate: float
+) -> Callable[[float, np.ndarray], list[float]]:
+    """The state's time derivative, as `solve_ivp` calls it, on a sampled road velocity."""
+    road = first_order_hold(velocity, rate)
+    # Names in the enclosing scope are read faster than fields.
+    wheel, body, engine = car.wheel_mass, car.body_mass, car.engine_mass
+    stiffness, lift_off, compliance = car.tyre_stiffness, car.lift_off_force, car.damper_compliance
+    down, down_knee = car.compression_slope, car.compression_knee
+    up, up_knee = car.rebound_slope, car.rebound_knee
+    down_excess, up_excess = car.slope_at_rest - down, car.slope_at_rest - up
+    spring_rate = car.spring_rate
+    down_gap, down_stop = -car.compression_gap, car.compression_stop
+    up_gap, up_stop = car.rebound_gap, car.rebound_stop
+    mount_rate, mount_cubic, mount_damping = car.mount_rate, car.mount_cubic, car.mount_damping
+    sqrt = math.sqrt
+
+    def derivative(time: float, state: np.ndarray) -> list[float]:
+        x1, x2, x3, x4, x5, x6, x7 = state.tolist()
+        if x7 > 0:
+            slope, excess, ratio = up, up_excess, x7 / up_knee
+        else:
+            slope, excess, ratio = down, down_excess, x7 / down_knee
+        bend = 1 / sqrt(1 + ratio * ratio)
+        suspension = spring_rate * x2 + x7 * (slope + excess * bend)
+        if x2 < down_gap:
+            suspension += down_stop * (x2 - down_gap)
+        elif x2 > up_gap:
+            suspension += up_stop * (x2 - up_gap)
+        across, stretch = x3 - x4, x4 - x6
+        mount = x5 * (mount_rate + mount_cubic * x5 * x5) + mount_damping * stretch
+        tyre = stiffness * x1
+        if tyre > lift_off:
+            tyre = lift_off
+        return [
+            road(time) - x3,
+            across,
+            (tyre - suspension) / wheel,
+            (suspension - mount) / body,
+            stretch,
+            mount / engine,
+            compliance * (across - x7) / (slope + excess * bend * bend * bend),
+        ]
+
+    return derivative
+
+
+def scipy_solution(
+    car: Car, velocity: Float[np.ndarray, " n"], rate: float, rtol: float
+) -> Float[np.ndarray, "n 7"]:
+    """States at the samples of a road velocity, from rest."""
+    return integrated(right_hand_side(car, velocity, rate), 7, velocity.size, rate, rtol)
+
+
+def numpy_solution(
+    car: Car, velocity: Float[np.ndarray, " n"], rate: float, rtol: float
+) -> Float[np.ndarray, "n 7"]:
+    """The same, with a right-hand side as one first writes it: arrays, and `np.interp`."""
+    c, time = car, np.arange(velocity.size) / rate
+
+    def derivative(t: float, x: np.ndarray) -> np.ndarray:
+        x1, x2, x3, x4, x5, x6, x7 = x
+        rebound = x7 > 0
+        high = c.rebound_slope if rebound else c.compression_slope
+        bend = 1 + (x7 / (c.rebound_knee if rebound else c.compression_knee)) ** 2
+        damping = x7 * (high + (c.slope_at_rest - high) / bend**0.5)
+        slope = high + (c.slope_at_rest - high) * bend**-1.5
+        stops = c.rebound_stop * max(x2 - c.rebound_gap, 0.0)
+        stops -= c.compression_stop * max(-x2 - c.compression_gap, 0.0)
+        suspension = c.spring_rate * x2 + stops + damping
+        mount = c.mount_rate * x5 + c.mount_cubic * x5**3 + c.mount_damping * (x4 - x6)
+        tyre = min(c.tyre_stiffness * x1, c.lift_off_force)
+        return np.array(
+            [
+                np.interp(t, time, velocity) - x3,
+                x3 - x4,
+                (tyre - suspension) / c.wheel_mass,
+                (suspension - mount) / c.body_mass,
+                x4 - x6,
+                mount / c.engine_mass,
+                c.damper_compliance / slope * (x3 - x4 - x7),
+            ]
+        )
+
+    return integrated(derivative, 7, velocity.size, rate, rtol)
+
+
+def integrated(
+    derivative: Callable[[float, np.ndarray], list[float] | np.ndarray],
+    states: int,
+    count: int,
+    rate: float,
+    rtol: float,
+) -> Float[np.ndarray, "n states"]:
+    """From rest by RK45, whose steps are no longer than a sample."""
+    time = np.arange(count) / rate
+    run = scipy.integrate.solve_ivp(
+        derivative,
+        (0.0, time[-1]),
+        np.zeros(states),
+        method="RK45",
+        t_eval=time,
+        rtol=rtol,
+        atol=rtol * 1e-3,
+        max_step=1 / rate,
+    )
+    return run.y.T

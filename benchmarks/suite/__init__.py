@@ -1,1 +1,0 @@
-"""What `make bench` compares, one file for each piece of work."""
