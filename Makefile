@@ -16,10 +16,10 @@ run: .venv/installed
 	$(BIN)/riecjax identify $(OUT)/drive.csv --model quarter-car --out $(OUT)/identify
 
 test: .venv/installed
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=10
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations=10
 
 nightly: .venv/installed
-	RIECJAX_TESTS=production $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=10 -m "slow or not slow"
+	RIECJAX_TESTS=production $(BIN)/python -m pytest -n 2 --dist worksteal --durations=10 -m "slow or not slow"
 
 setup: .venv/installed
 

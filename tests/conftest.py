@@ -1,5 +1,6 @@
 """Settings and data for all tests."""
 
+import contextlib
 import gc
 import os
 from collections.abc import Iterator
@@ -43,6 +44,50 @@ gc.set_threshold(100_000)
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
+TIERS = {
+    "host": "nothing is compiled by XLA in this process, which is checked",
+    "compiled": "functions of the library, compiled",
+    "commands": "whole commands, beside what was approved of them",
+}
+"""Tiers of tests in the order in which they run; `pytest -m host` takes seconds."""
+HOST = ("cli/test_process.py", "test_import_direction.py", "test_import_purity.py",
+        "test_structure.py", "test_whole_files.py")  # fmt: skip
+"""Folders and files; `--junitxml` tells how many functions each test compiles."""
+COMMANDS = ("approved", "cli")
+COMPILED = "/jax/core/compile/backend_compile_duration"
+"""What JAX calls the event of a compilation."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    for name, meaning in TIERS.items():
+        config.addinivalue_line("markers", f"{name}: {meaning}")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A file's place says its tier; what takes seconds comes before what takes minutes."""
+    tests, order = Path(__file__).parent, list(TIERS)
+    tiers = {}
+    for path in {item.path for item in items}:
+        place = path.relative_to(tests).as_posix() if path.is_relative_to(tests) else ""
+        tiers[path] = (
+            "host" if place.startswith(HOST) else "commands" if place.startswith(COMMANDS)
+            else "compiled"
+        )  # fmt: skip
+    for item in items:
+        item.add_marker(tiers[item.path])
+    items.sort(key=lambda item: order.index(tiers[item.path]))
+
+
+compilations = 0
+
+
+def _count_compilation(event: str, _seconds: float, **_: object) -> None:
+    global compilations
+    compilations += event == COMPILED
+
+
+jax.monitoring.register_event_duration_secs_listener(_count_compilation)
+
 MOST_MAPS = 30_000
 """Memory maps of a process past which compiled functions are forgotten; Linux allows 65530."""
 
@@ -76,13 +121,17 @@ def _blank(_: object) -> Any:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """A test that says which findings it raises, or that it raises none of some, is held to it."""
+    """A test that says which findings it raises, or that it raises none of some, or that it
+    compiles nothing, is held to it."""
+    before = compilations
     raised = {code for mark in item.iter_markers("raises_finding") for code in mark.args}
     absent = {code for mark in item.iter_markers("no_finding") for code in mark.args}
-    if not raised | absent:
-        return (yield)
-    with held_to(raised, absent):
-        return (yield)
+    with held_to(raised, absent) if raised | absent else contextlib.nullcontext():
+        result = yield
+    item.user_properties.append(("compilations", compilations - before))
+    if item.get_closest_marker("host"):
+        assert compilations == before, "it compiles: take it off HOST in tests/conftest.py"
+    return result
 
 
 def measured_data(folder: str) -> Path:

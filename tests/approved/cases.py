@@ -233,6 +233,12 @@ MACHINES = [
     Case("two-mass", f"identify two_mass.csv --model two-mass {PLAIN} --out out"),
     Case("hidden-mode", f"identify mode.csv {BODY} {PLAIN} --out out --verbose"),
     Case("hidden-mode-added", f"identify mode.csv {BODY} --add-mode v {PLAIN} --out out"),
+    Case(
+        "hidden-mode-elsewhere",
+        f"identify mode.csv {BODY} --add-mode v=25 {PLAIN} --out out",
+        slow=True,
+    ),
+    Case("hidden-mode-absent", f"check body.csv {BODY} --add-mode v", slow=True),
     Case("hidden-spring-added", f"identify spring.csv {BODY} --add-spring c {PLAIN} --out out"),
     Case("own-model", f"identify cart.csv --model cart.py:cart {PLAIN} --out out"),
     Case(
@@ -333,7 +339,6 @@ WRONG_TODAY = [
         "sibling-import",
         "check shaker.csv --model model.py:eq",
         folder="cases/sibling_import",
-        known_wrong=KnownWrong("it runs", answered),
     ),
     Case(
         "wrapped",

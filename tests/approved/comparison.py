@@ -180,7 +180,7 @@ def moment_differences(
         names = ["y", *old["parameters"]]
         share = (after - before)[i, j] / size[i, j]
         yield (
-            f"{path} [{names[i]}, {names[j]}]: {before[i, j]!r} -> {after[i, j]!r} "
+            f"{path} [{names[i]}, {names[j]}]: {before[i, j]:.17g} -> {after[i, j]:.17g} "
             f"({share:+.3g} of the diagonal)"
         )
 

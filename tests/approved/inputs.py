@@ -239,6 +239,13 @@ def _(folder: Path) -> None:
     write_csv(folder / "mode.csv", noisy(_driven(a, m, 6000, 3, 300), 1e-4, 71))
 
 
+@made("body.csv")
+def _(folder: Path) -> None:
+    """A body on a spring and a damper, of which the model leaves out nothing."""
+    a = np.array([[0, 1], [-4000.0 / 20.0, -60.0 / 20.0]])
+    write_csv(folder / "body.csv", noisy(_driven(a, 20.0, 6000, 3, 300), 3e-3, 73))
+
+
 @made("spring.csv")
 def _(folder: Path) -> None:
     """A body whose damper pulls through a spring."""

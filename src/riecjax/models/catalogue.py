@@ -1,8 +1,9 @@
 """The built-in models by name, in plain data: listing them imports no JAX."""
 
+import contextlib
 import importlib.util
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 
@@ -231,7 +232,7 @@ def find_model(reference: str) -> Model:
     else:
         found = object_of_file(reference)
     if not isinstance(found, Model | Equation | Procedure) and callable(found):
-        with users_code(path):
+        with users_code(path), _neighbours(Path(path)):
             found = found()
     if isinstance(found, Model):
         return found
@@ -294,6 +295,34 @@ def _load(path: Path) -> ModuleType:
         raise ModelError(f"'{path}' is not a Python file.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    with users_code(path):
+    with users_code(path), _neighbours(path):
         spec.loader.exec_module(module)
     return module
+
+
+@contextlib.contextmanager
+def _neighbours(path: Path) -> Iterator[None]:
+    """Meanwhile the file can import what lies beside it, as when `python path/to/file.py` runs it.
+
+    Another model's file has other neighbours, which may have the same names: afterwards nothing is
+    left of them among the modules.
+    """
+    folder = path.parent.resolve()
+    before = set(sys.modules)
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):  # the file may have removed it
+            sys.path.remove(str(folder))
+        new = [name for name in sys.modules if name not in before]
+        beside = {name for name in new if _lies_in(sys.modules[name], folder)}
+        for name in new:
+            if name.partition(".")[0] in beside:
+                del sys.modules[name]
+
+
+def _lies_in(module: ModuleType, folder: Path) -> bool:
+    """Whether a module's file, or a package's folder, lies directly in a folder."""
+    places = [*getattr(module, "__path__", ()), getattr(module, "__file__", None)]
+    return any(Path(place).parent == folder for place in places if place)
