@@ -569,20 +569,27 @@ def body_matrix(
     return a
 
 
-def body(a: np.ndarray, count: int = STANDARD.count, seed: int = 3) -> dict[str, np.ndarray]:
+def body(
+    a: np.ndarray,
+    count: int = STANDARD.count,
+    seed: int = 3,
+    *,
+    mass: float = LAG_TRUTH["m"],
+    force: float = 300.0,
+) -> dict[str, np.ndarray]:
     """Position, velocity and force at 200 Hz of a body of this state matrix, x and v first.
 
     The force is noise up to 40 Hz, linear between samples of eight times the rate.
     """
     finer, step = 8, STANDARD.step
     b = np.zeros((len(a), 1))
-    b[1] = 1 / LAG_TRUTH["m"]
+    b[1] = 1 / mass
     rng = np.random.default_rng(seed)
     sharp = scipy.signal.butter(6, 40.0, fs=finer / step, output="sos")
-    force = 300 * np.asarray(scipy.signal.sosfilt(sharp, rng.standard_normal(count * finer)))
-    times = np.arange(force.size) * step / finer
-    _, states, _ = scipy.signal.lsim((a, b, np.eye(len(a)), np.zeros_like(b)), force, times)
-    return {"x": states[::finer, 0], "v": states[::finer, 1], "F": force[::finer]}
+    drive = force * np.asarray(scipy.signal.sosfilt(sharp, rng.standard_normal(count * finer)))
+    times = np.arange(drive.size) * step / finer
+    _, states, _ = scipy.signal.lsim((a, b, np.eye(len(a)), np.zeros_like(b)), drive, times)
+    return {"x": states[::finer, 0], "v": states[::finer, 1], "F": drive[::finer]}
 
 
 def body_with_mode(mode: bool = True, count: int = STANDARD.count) -> dict[str, np.ndarray]:
