@@ -296,7 +296,7 @@ def _(folder: Path) -> None:
     """The source model of the paper on a road, as the README has it but shorter."""
     from riecjax.cli.main import run
 
-    options = "--input white-noise --seed 4 --duration 20".split()
+    options = ["--input", "white-noise", "--seed", "4", "--duration", "20"]
     with contextlib.redirect_stdout(None):
         status = run(["simulate", "quarter-car-source", *options, "--out", f"{folder}/drive.csv"])
     if status:

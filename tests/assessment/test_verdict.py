@@ -9,7 +9,7 @@ from tests.machines import MODE_TRUTH as TRUTH
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from riecjax.assessment.doubt import Doubt, concerned, doubts
+from riecjax.assessment.doubt import concerned
 from riecjax.reporting.verdict import verdict_entries
 
 RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
@@ -109,30 +109,6 @@ def test_sensors_that_contradict_each_other_put_all_that_reads_them_in_doubt():
     (step,) = {cause.step for cause in verdict.causes if cause.kind == "sensors"}
     assert step is not None
     assert step.options == ("--test-function", "bump")
-
-
-def test_a_doubt_is_the_interval_and_what_is_known_to_be_wrong():
-    doubt = Doubt(low=1.0, high=2.0, drift=0.5, left_out=0.25, sensors=0.125, finest=0.01)
-    assert doubt.around(10.0) == pytest.approx((10 - 1.885, 10 + 2.885))
-    assert doubt.size == pytest.approx(2.885)
-
-
-def test_what_is_left_moves_a_parameter_as_an_error_along_its_regressor_would(wrong):
-    # By definition: an error of the residual's size along the part of a regressor that no other
-    # explains; computed from the samples' own columns, weighed alike.
-    record = wrong.recordings[0].record
-    estimate = wrong.estimate
-    (fit,) = estimate.equations.values()
-    bare = dataclasses.replace(wrong, sweep=None)  # no cap by drift
-    found = doubts(bare)["m"].left_out
-    share = float(fit.model_rms)
-    (stage,) = estimate.stages
-    own = float(wrong.checked.excitations[0].own_share[0])
-    target = np.std(np.asarray(record["F"]))
-    assert found == pytest.approx(share / (1 - share) / (float(stage.relative_size[0]) * own))
-    # An error of this size in m would need a force of the size of the residual.
-    acceleration = np.gradient(np.asarray(record["v"]), STANDARD.step)
-    assert found * np.std(acceleration) > share * target
 
 
 @pytest.mark.slow

@@ -17,7 +17,6 @@ from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
-from riecjax.fleets import fleet as module
 from riecjax.fleets import groups, kept, order, sources
 from riecjax.fleets.fleet import Fleet, fleet
 from riecjax.models.catalogue import find_model
@@ -155,22 +154,6 @@ def test_a_later_run_sums_only_what_is_new_or_has_changed(folder, tmp_path):
     assert done[0] == 2
     assert values(changed, "0.parquet") == values(first, "0.parquet")
     assert values(changed, "1.parquet") != values(first, "1.parquet")
-
-
-def test_a_file_that_changes_while_others_are_summed_is_summed_again(folder, tmp_path):
-    drives_of = tmp_path / "drives"
-    shutil.copytree(folder / "vehicle=0", drives_of)
-    later = [False]
-
-    def touched(what: str, done: int, total: int, samples: int) -> None:
-        if what == "summing" and done == total and not later[0]:
-            later[0] = True
-            shutil.copy(folder / "vehicle=1/1.parquet", drives_of / "1.parquet")
-
-    found = fleet(MODEL, drives_of, workers=0, progress=touched)
-    alone = fleet(MODEL, drives_of, workers=0)
-    assert found.entries == alone.entries
-    assert not found.changed
 
 
 def test_what_goes_on_changing_is_told(folder, tmp_path):
@@ -354,25 +337,6 @@ def test_a_group_without_an_answer_is_counted_and_all_of_them_are_an_error(folde
         fleet(MODEL, folder, by="vehicle", workers=0)
 
 
-def test_kept_rows_are_streamed_and_a_damaged_end_of_a_file_is_noticed(by_vehicle, monkeypatch):
-    _, out = by_vehicle
-    file, read, real = out / "summaries.parquet", [], kept.read_rows
-    rows = list(real(file))
-    again = kept.Kept(out, kept.metadata_of(file)[kept.ORDER].decode(), {})
-
-    def counted(*given):
-        for row in real(*given):
-            read.append(row.piece)
-            yield row
-
-    monkeypatch.setattr(kept, "read_rows", counted)
-    pieces = list(dict.fromkeys(row.piece for row in rows if row.status == "ok"))
-    stream = again.whole(pieces)
-    assert next(stream) == rows[0]
-    assert len(read) <= 2
-    assert [rows[0], *stream] == [row for row in rows if row.status == "ok"]
-
-
 def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_path):
     _, out = by_vehicle
     content = (out / "summaries.parquet").read_bytes()
@@ -388,13 +352,6 @@ def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_p
         except (DataError, ModelError):
             continue
         assert [row.sums for row in found] == [row.sums for row in rows]
-
-
-def test_a_message_holds_some_groups_of_one_kind_or_a_large_one():
-    small, large = groups.Group("a", (), bytes(10)), groups.Group("b", (), bytes(3 * 2**20))
-    course = groups.Group("c", (), bytes(10), in_spans=True)
-    found = [*module._batches(iter([*[small] * 9, course, large, large, small]))]
-    assert [len(some) for some in found] == [8, 1, 1, 1, 2]
 
 
 def test_an_interval_of_many_recordings_holds_what_differs_between_them(tmp_path):
@@ -420,28 +377,6 @@ def test_sums_are_not_read_in_another_way_and_no_other_run_replaces_them(by_vehi
     with pytest.raises(DataError, match=r"holds sums by another model.*delete its summaries"):
         fleet(MODEL, folder, by="vehicle", workers=0, out=out, stop=2.0)
     assert (out / "summaries.parquet").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("given", "why"),
-    [
-        ({"by": 5}, "by is an int"),
-        ({"by": ["vehicle", 3]}, "a name of by is an int"),
-        ({"by": ""}, "by names what groups are"),
-        ({"workers": 1.5}, "got 1.5"),
-        ({"workers": -1}, "got -1"),
-        ({"span": "x"}, "got 'x'"),
-        ({"span": 0.0}, "got 0.0"),
-        ({"span": np.inf}, "got inf"),
-        ({"patterns": 3}, "patterns is an int"),
-        ({"patterns": [3]}, "a pattern is an int"),
-        ({"parts": "a"}, "parts is the text"),
-    ],
-)
-def test_what_is_of_a_wrong_type_is_said_at_once(given, why, tmp_path):
-    with pytest.raises(ModelError, match=why):
-        fleet(MODEL, **({"patterns": "absent/*.csv", "out": tmp_path / "out"} | given))
-    assert not (tmp_path / "out").exists()
 
 
 def test_what_makes_no_answer_possible_is_said_before_anything_is_summed(folder, tmp_path):

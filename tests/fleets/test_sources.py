@@ -69,14 +69,6 @@ def test_what_nothing_matches_is_refused(folder):
             find_sources([pattern])
 
 
-def test_a_file_that_changes_has_another_state(folder):
-    (before,) = find_sources([folder / "drive.csv"])
-    assert find_sources([folder / "drive.csv"]) == [before]
-    (folder / "drive.csv").write_text("t,x\n0,1\n1,2\n")
-    (after,) = find_sources([folder / "drive.csv"])
-    assert after.state != before.state
-
-
 def test_a_store_is_looked_at_and_a_file_of_it_brought_here():
     store = fsspec.filesystem("memory")
     store.pipe({"/bench/vehicle=7/a.csv": b"t,x\n0,1\n", "/bench/vehicle=8/b.csv": b"t,x\n0,2\n"})

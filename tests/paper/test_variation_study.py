@@ -46,17 +46,6 @@ def run(folder: Path | None = None, plan: Variations = PLAN, key=KEY, stop: int 
     return run_variations(plan, key, reconstructed(), folder=folder, progress=progress)
 
 
-def test_a_row_for_each_case_road_bandwidth_and_model():
-    table = run().to_pandas()
-    assert len(table) == 2 * 6 * 3 * 3
-    keys = ["case", "road", "bandwidth [Hz]", "method", "draw"]
-    assert not table.duplicated(keys).any()
-    assert set(table["road"]) == set(range(6))
-    assert set(table["bandwidth [Hz]"]) == {5.0, 30.0, 12.0}
-    counts = table.groupby(["method", "draw"]).size()
-    assert dict(counts) == {("DOLS", 0): 36, ("RIEC", 0): 36, ("RIEC", 1): 36}
-
-
 def test_rows_hold_what_the_experiment_found():
     table = run().to_pandas()
     mount = jax.tree.map(jnp.asarray, variation_study.TABLE_6["higher-mode"])

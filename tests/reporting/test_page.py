@@ -119,11 +119,3 @@ def test_contents_name_the_sections_that_have_something(html):
     assert len(targets) == 2
     assert set(targets) <= anchors
     assert "Nothing" not in page.texts
-
-
-def test_numbers_of_a_table_stand_to_the_right(html):
-    page = Reader(html)
-    classes = [given.get("class") for tag, given in page.elements if tag == "table"]
-    assert classes == ["numeric", None]
-    heads = [given for tag, given in page.elements if tag == "th" and given["scope"] == "row"]
-    assert len(heads) == 3

@@ -95,17 +95,6 @@ def all_print_briefly(*objects):
         assert not re.search("http|src=|background:(?!none)|[^-]color:#", page)
 
 
-@pytest.mark.slow
-def test_a_batch_prints_briefly_and_is_drawn(batch):
-    from matplotlib import pyplot
-
-    all_print_briefly(batch)
-    assert "batch of 3 estimates" in repr(batch)
-    _, own = pyplot.subplots()
-    assert batch.plot(own) is own
-    pyplot.close("all")
-
-
 def test_everything_prints_briefly_and_in_html(estimate, assessed):
     sweep = rx.studies.window_sweep(equation(), record(), CRITERION)
     held = assessed.validations[0].held
@@ -135,13 +124,6 @@ def test_what_is_traced_prints():
     assert "Record of u [N], x [m], being traced" in said[0]
     assert "Estimate of c_1 [N s/m], k [N/m], being traced" in said[1]
     assert "k x = " in said[2]
-
-
-def test_long_tables_are_cut_in_repr_alone():
-    many = rx.Record({f"s{i}": jnp.ones(4) for i in range(50)}, 0.1)
-    assert "... 34 more" in repr(many)
-    assert "... " not in str(many)
-    assert "s25" in str(many)
 
 
 def test_an_estimate_is_a_mapping_of_numbers(estimate):
@@ -181,13 +163,6 @@ def test_a_batch_has_a_row_for_each_member(batch):
         assert data["value"].sel(member=member, parameter="k") == one["k"]
     with pytest.raises(rx.ModelError, match="member"):
         batch.to_latex()
-
-
-def test_a_record_leaves_as_a_frame():
-    held = rx.Record.from_samples({"x": [1.0, np.nan, 3.0]}, time_step=0.5)
-    frame = held.to_frame()
-    assert frame.index.to_list() == [0.0, 0.5, 1.0]
-    np.testing.assert_array_equal(frame["x"], [1.0, np.nan, 3.0])
 
 
 @pytest.mark.parametrize(("package", "verb"), [("pandas", "to_frame"), ("xarray", "to_xarray")])
@@ -300,23 +275,6 @@ def test_objects_draw_into_new_and_given_axes(estimate, assessed):
     assert len(assessed.sweep.plot().axes) == 3
     with pytest.raises(rx.DataError, match="as many axes"):
         record().plot(own)
-    pyplot.close("all")
-
-
-def test_a_first_figure_leaves_the_settings_of_its_backend(estimate, monkeypatch):
-    """A notebook's backend is chosen by the first figure and says that figures are shown."""
-    from matplotlib import pyplot
-
-    made = pyplot.figure
-
-    def chooses_a_backend(*args, **settings):
-        matplotlib.rcParams["interactive"] = True
-        return made(*args, **settings)
-
-    monkeypatch.setitem(matplotlib.rcParams, "interactive", False)
-    monkeypatch.setattr(pyplot, "figure", chooses_a_backend)
-    estimate.plot()
-    assert matplotlib.is_interactive()
     pyplot.close("all")
 
 
