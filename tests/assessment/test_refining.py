@@ -121,21 +121,6 @@ def test_what_would_take_long_is_told_and_not_begun(monkeypatch):
     assert "--refine output-error" in refinement.declined
 
 
-def test_the_work_grows_with_samples_and_parameters():
-    def work(count, start):
-        record = drag_record(0, count=count)
-        by = rx.OutputError()
-        known = {n: v for n, v in DRAG_TRUTH.items() if n not in start}
-        specified = by.specify(DRAG, [record], start, known, (), None)
-        return by.misfit(specified).work
-
-    truth = DRAG_TRUTH
-    assert work(1000, truth) == 2 * work(500, truth)
-    # One simulation, two initial states, and each free parameter.
-    some = {name: truth[name] for name in ("m", "k")}
-    assert work(500, truth) / work(500, some) == pytest.approx(7 / 5)
-
-
 @pytest.mark.slow
 def test_check_names_the_refinement_that_answers_where_windows_cannot():
     """Short windows of a velocity by central differences hold little but noise."""

@@ -157,19 +157,6 @@ def test_recordings_that_disagree_are_the_reason_and_all_that_differs_is_named()
     assert step.words == f"Let {', '.join(names[:-1])} and {names[-1]} differ between recordings"
 
 
-@pytest.mark.slow
-def test_what_is_good_is_not_to_be_recorded_for_longer(right):
-    few = rx.Finding("few_blocks", "", parameters=("m", "c", "k"))
-    verdict = dataclasses.replace(right, failures=[few]).verdict
-    assert [cause.kind for cause in verdict.causes] == ["data"]
-    assert verdict.causes[0].step is None
-    short = assessed(motion(False, 250), 0.3, sweep=False)
-    verdict = dataclasses.replace(short, failures=[few]).verdict
-    assert any(one.level != "good" for one in verdict.parameters.values())
-    words = [cause.step.words for cause in verdict.causes if cause.step is not None]
-    assert "Record for longer, or excite the machine all along" in words
-
-
 def test_smooth_windows_are_not_suggested_where_they_are_used(right):
     apart = rx.Finding("not_its_derivative", "", signals=("x", "v"))
     noisy = dataclasses.replace(right, failures=[apart])

@@ -27,8 +27,3 @@ def compiled(tmp_path_factory):
 @pytest.mark.parametrize("name", by_day(COMMANDS, "models", "simulate"))
 def test_commands_compile_no_more_than_their_budget(compiled, name):
     assert compiled(name)["functions"] <= BUDGET[name]
-
-
-def test_what_needs_no_jax_does_not_import_it(compiled):
-    assert not compiled("models")["jax"]
-    assert compiled("simulate")["jax"]

@@ -13,8 +13,7 @@ from tests.machines import DRAG_TRUTH as TRUTH
 from tests.machines import STANDARD
 from tests.machines import drag_fleet as drives
 
-from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.windows import AllWindows
+from riecjax.criteria.criterion import DOLS
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.fleets import groups, kept, order, sources
@@ -23,8 +22,6 @@ from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
 from riecjax.reporting.fleet import sentence
-from riecjax.summaries.summarise import summarise
-from riecjax.summaries.summary import in_blocks
 
 MODEL = find_model("drag-oscillator")
 SAMPLES = 1500
@@ -68,18 +65,6 @@ def test_a_group_of_one_file_is_estimated_as_identify_does(folder):
             assert value == pytest.approx(float(alone[n]), rel=1e-9)
             errors = dict(zip(alone.parameters, np.asarray(alone.standard_errors)))
             assert error == pytest.approx(float(errors[n]), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_a_group_of_some_is_estimated_as_identify_of_all(folder, by_vehicle):
-    found, _ = by_vehicle
-    every = [read_recording(f, model=MODEL) for f in sorted((folder / "vehicle=0").glob("*"))]
-    # Recordings draw their blocks in the order of their digests.
-    together = identify(MODEL, every, found.criterion)
-    for name, (value, error) in values(found, "vehicle=0").items():
-        assert value == pytest.approx(float(together[name]), rel=1e-9)
-        assert error > 0
-        assert abs(value - TRUTH[name]) < 0.05 * TRUTH[name]
 
 
 def test_what_fails_is_a_row_with_its_reason(by_vehicle):
@@ -261,21 +246,6 @@ def test_courses_over_time_show_when_a_damper_wore(tmp_path):
 def test_sums_that_say_nothing_of_noise_are_estimated(folder, given):
     found = fleet(MODEL, folder / "vehicle=0/0.parquet", workers=0, **given)
     assert values(found, "0.parquet")["k"][0] == pytest.approx(TRUTH["k"], rel=0.2)
-
-
-@pytest.mark.parametrize("count", [2, 3, 5, 10, 11, 90])
-@pytest.mark.parametrize("each", [2, 3, 4, 60])
-def test_spans_cover_a_recording_once(folder, count, each):
-    given = drives(1, SAMPLES, 1)
-    (one,) = summarise(MODEL, given, RIEC(AllWindows(0.05, 0.5))).recordings
-    one = in_blocks(one, count)
-    seconds = float(one.block_seconds)
-    spans = list(groups._spans(one, each * seconds))
-    assert spans[0][0] == 0
-    assert spans[-1][1] == pytest.approx(SAMPLES * STANDARD.step)
-    assert all(a[1] == pytest.approx(b[0]) for a, b in itertools.pairwise(spans))
-    held = sum(int(some.blocks) for _, _, some in spans)
-    assert held == int(one.blocks)
 
 
 def several(folder: Path, runs: list[tuple[int, str, int]]) -> pa.Table:

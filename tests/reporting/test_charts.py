@@ -15,12 +15,10 @@ from riecjax.reporting.charts.chart import (
     BLUE,
     RUST,
     Axis,
-    Chart,
     Dots,
     HeatMap,
     Level,
     Line,
-    Panel,
     Span,
     Stems,
     single,
@@ -153,21 +151,6 @@ def test_axes():
     for high, plain in ((100, True), (1e7, False)):
         layout = on_page(Line([1, high], [1, 2]), x=Axis(log=True))["layout"]
         assert ("tickformat" in layout["xaxis"]) is plain
-
-
-def test_shared_axes_zoom_together_and_have_numbers_once():
-    panels = [Panel([Line(X, k * Y)], Axis("x" if k == 2 else ""), Axis("y")) for k in (1, 2)]
-    chart = Chart([[panel] for panel in panels], share_x=True)
-    above, below = printed(chart).axes
-    above.set_xlim(-7, 7)
-    assert below.get_xlim() == (-7, 7)
-    assert not above.xaxis.get_tick_params()["labelbottom"]
-    assert below.xaxis.get_tick_params()["labelbottom"]
-    layout = interactive(chart)["layout"]
-    assert layout["xaxis2"]["matches"] == "x"
-    assert layout["xaxis"]["showticklabels"] is False
-    assert "showticklabels" not in layout["xaxis2"]
-    assert "matches" not in layout["yaxis2"]
 
 
 def test_panels_do_not_overlap_and_fill_the_figure():

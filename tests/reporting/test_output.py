@@ -67,23 +67,6 @@ def test_a_folder_holds_results_report_and_pictures(tmp_path):
     assert plt.get_fignums() == []
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_pictures_are_drawn_after_the_answer_where_somebody_waits(
-    capsys, tmp_path, monkeypatch, terminal
-):
-    said = []
-
-    def charts() -> dict[str, Chart]:
-        said.append(capsys.readouterr().out)
-        return {"one": CHART, "two": CHART}
-
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
-    emitted(tmp_path / "out", charts=charts)
-    assert said == ["the answer is 42\n" if terminal else ""]
-    wrote = f"wrote {tmp_path}/out/results.json, report.html and figures\n"
-    assert capsys.readouterr().out == ("" if terminal else "the answer is 42\n") + wrote
-
-
 @pytest.mark.parametrize("existing", [False, True])
 def test_a_failure_leaves_the_folder_as_it_was(capsys, tmp_path, monkeypatch, existing):
     def fail(chart: Chart, file: Path) -> None:

@@ -80,21 +80,6 @@ def test_every_figure_is_drawn_and_the_page_no_wider_than_the_screen(opened, wid
     assert_drawn(opened, width)
 
 
-def test_headings_are_whole_and_apart(opened, width):
-    found = opened.evaluate(
-        """() => [...document.querySelectorAll('h1, h2')].map((each) => {
-            const box = each.getBoundingClientRect();
-            return [box.left, box.right, box.top, box.bottom, each.scrollWidth, each.clientWidth];
-        })"""
-    )
-    bottom = -np.inf
-    for left, right, top, below, needed, given in found:
-        assert 0 <= left < right <= width
-        assert needed <= given
-        assert top >= bottom
-        bottom = below
-
-
 def test_titles_and_legends_of_panels_do_not_cover_each_other(opened):
     assert overlaps(opened) == []
 
