@@ -151,12 +151,23 @@ def test_enough_roads_without_a_loss():
     assert not list(road_findings(roads))  # type: ignore[arg-type]
 
 
-# This one makes no finding of any code, so that no code lacks a test that must not raise it.
-@pytest.mark.no_finding(*CODES)
-def test_a_right_model_of_sound_recordings_makes_none():
+def assessed(**settings) -> rx.Assessment:
+    """A right model of two sound recordings, of which the second is predicted."""
     machine = MACHINES["linear"]
     runs = [machine.record(0.005, seed, drive=seed, shape=Shape(3000, 100)) for seed in (1, 2)]
     recordings = [rx.Recording(run, f"{i}.csv") for i, run in enumerate(runs)]
-    assessment = rx.assess(machine.model, recordings[:1], validate_on=recordings[1:])
+    return rx.assess(machine.model, recordings[:1], validate_on=recordings[1:], **settings)
+
+
+@pytest.mark.raises_finding("does_not_predict")
+def test_a_wrong_stiffness_does_not_predict_another_recording():
+    (said,) = [f for f in assessed(known={"k": 20.0}).findings() if f.code == "does_not_predict"]
+    assert said.message.startswith("1.csv: ")
+
+
+# This one makes no finding of any code, so that no code lacks a test that must not raise it.
+@pytest.mark.no_finding(*CODES)
+def test_a_right_model_of_sound_recordings_makes_none():
+    assessment = assessed()
     assert assessment.findings() == []
     assert {one.level for one in assessment.verdict.parameters.values()} == {"good"}

@@ -27,8 +27,6 @@ STAGES = (
     "reporting",
     "cli",
 )
-OUTSIDE = ("models", "discovery", "assessment", "fleets", "paper", "reporting", "cli")
-"""What the engine never imports."""
 SHARED = (
     "compilation",
     "errors",
@@ -127,10 +125,6 @@ def test_modules_beside_the_stages_are_shared_and_import_none_of_these():
         source = (ROOT / f"{name}.py").read_text()
         names = imported_names(ast.parse(source), ("riecjax",))
         assert {name.split(".")[1] for name in names} <= set(SHARED)
-
-
-def test_what_lies_outside_comes_after_the_whole_engine():
-    assert STAGES[-len(OUTSIDE) :] == OUTSIDE
 
 
 @pytest.mark.parametrize(

@@ -6,18 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import call, rejected, write_csv
+from tests.approved.inputs import TEXTS
 
-TEN_LINES = """
-import riecjax as rx
-
-cart = rx.Equation(
-    rx.Term("m", "v", derivative=1, measured=("a",), unit="kg"),
-    rx.Term("c", "v", unit="N s/m"),
-    rx.Term("k", lambda s: s["p"] ** 3, unit="N/m^3"),
-    -rx.Term(1.0, "f", unit="N"),
-    name="cart",
-)
-"""
 TRUTH = {"m": 2.5, "c": 0.75, "k": 40.0}
 UNITS = {"m": "kg", "c": "N s/m", "k": "N/m^3"}
 IMPORTS = """
@@ -54,9 +44,8 @@ def identified(capsys, reference: str, *options: object) -> dict:
     return result.document
 
 
-def test_an_equation_in_ten_lines(capsys):
-    assert len(TEN_LINES.strip().splitlines()) <= 10
-    model(TEN_LINES)
+def test_an_equation_of_a_file(capsys):
+    model(TEXTS["cart.py"])
     document = identified(capsys, "mine.py:cart")
     assert document["model"] == "cart"
     assert {n: e["unit"] for n, e in document["parameters"].items()} == UNITS
@@ -183,7 +172,7 @@ def test_a_velocity_that_was_not_recorded_is_to_be_differentiated(capsys):
 
 def test_what_a_model_prints_is_no_part_of_the_answer(capsys):
     spoken = "lambda s: (print('in a term'), s['p'] ** 3)[1]"
-    model("print('as it is read')\n" + TEN_LINES.replace('lambda s: s["p"] ** 3', spoken))
+    model("print('as it is read')\n" + TEXTS["cart.py"].replace('lambda s: s["p"] ** 3', spoken))
     result = call(
         capsys, "identify", "cart.csv", "--model", "mine.py:cart", "--json", "--refine", "none"
     )

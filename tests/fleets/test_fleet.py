@@ -10,7 +10,6 @@ import pytest
 import scipy.io
 from pyarrow import parquet
 from tests.machines import DRAG_TRUTH as TRUTH
-from tests.machines import STANDARD
 from tests.machines import drag_fleet as drives
 
 from riecjax.criteria.criterion import DOLS
@@ -226,22 +225,6 @@ def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_p
         assert values(parts, "week.parquet")[name][0] == pytest.approx(value, rel=1e-9)
 
 
-@pytest.mark.slow
-def test_courses_over_time_show_when_a_damper_wore(tmp_path):
-    before, after = drives(1, 6000, 1)[0], drives(1, 6000, 2, r=0.4, r2=0.25)[0]
-    for name, record in (("new.parquet", before), ("worn.parquet", after)):
-        write_record(tmp_path / name, record)
-    found = fleet(MODEL, tmp_path, workers=0, span=6.0)
-    spans = [e for e in found.over_time if e.group == "new.parquet" and e.parameter == "r"]
-    assert [round(e.start) for e in spans] == sorted(round(e.start) for e in spans)
-    assert spans[0].start == 0
-    assert spans[-1].end == pytest.approx(6000 * STANDARD.step)
-    assert 4 <= len(spans) <= 6
-    for one, following in itertools.pairwise(spans):
-        assert one.end == pytest.approx(following.start)
-    assert np.mean([e.value for e in spans if e.value]) == pytest.approx(TRUTH["r"], rel=0.1)
-
-
 @pytest.mark.parametrize("given", [{"criterion": DOLS()}, {"noise": "none"}], ids=str)
 def test_sums_that_say_nothing_of_noise_are_estimated(folder, given):
     found = fleet(MODEL, folder / "vehicle=0/0.parquet", workers=0, **given)
@@ -266,18 +249,6 @@ def test_one_bad_recording_of_a_file_leaves_the_others(folder, tmp_path):
     assert values(found, "vehicle=c")
     (failed,) = found.failures
     assert failed.part == f"vehicle=b, from row {SAMPLES} on"
-
-
-def test_courses_of_recordings_in_one_file_stay_apart(folder, tmp_path):
-    runs = [(0, "a", SAMPLES), (1, "b", SAMPLES), (2, "a", SAMPLES)]
-    parquet.write_table(several(folder, runs), tmp_path / "all.parquet")
-    found = fleet(MODEL, tmp_path, by="vehicle", workers=0, span=4.0)
-    courses = {e.group for e in found.over_time}
-    assert courses == {
-        "vehicle=a: all.parquet, vehicle=a",
-        f"vehicle=a: all.parquet, vehicle=a, from row {2 * SAMPLES} on",
-        "vehicle=b",
-    }
 
 
 def test_what_a_run_writes_is_no_recording_of_the_next(folder, tmp_path):

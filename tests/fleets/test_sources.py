@@ -139,18 +139,6 @@ def test_a_stretch_takes_along_only_the_files_that_it_reads(tmp_path):
         np.testing.assert_array_equal(found, values[low:high])
 
 
-def test_a_name_does_not_change_with_the_files_beside(tmp_path):
-    write(tmp_path / "a/0.parquet")
-    pattern = f"{tmp_path}/**/*.parquet"
-    (alone,) = find_sources([pattern])
-    assert alone.name == "a/0.parquet"
-    write(tmp_path / "b/1.parquet")
-    assert find_sources([pattern])[0] == alone
-    assert named(find_sources([tmp_path / "a"])) == ["0.parquet"]
-    write(tmp_path / "week.parquet/0.parquet")
-    assert named(find_sources([tmp_path / "week.parquet"])) == ["week.parquet"]
-
-
 def test_a_data_set_without_rows_is_said(tmp_path):
     write(tmp_path / "week.parquet/0.parquet", rows=0)
     (week,) = find_sources([tmp_path / "week.parquet"])

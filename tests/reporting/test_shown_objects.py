@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 
 import equinox as eqx
 import jax
@@ -139,13 +138,6 @@ def test_a_frame_holds_values_read_one_by_one(estimate):
     assert np.isnan(held.loc["m", "std_error"])
     single = jax.tree.map(lambda x: x.astype("float32") if eqx.is_inexact_array(x) else x, estimate)
     assert single.to_frame().loc["m", "value"] == np.float32(estimate["m"])
-
-
-@pytest.mark.parametrize(("package", "verb"), [("pandas", "to_frame"), ("xarray", "to_xarray")])
-def test_a_missing_package_is_named_with_its_remedy(estimate, monkeypatch, package, verb):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(rx.DataError, match=rf'needs {package}.*"riecjax\[frames\]"'):
-        getattr(estimate, verb)()
 
 
 def test_tables_of_a_paper_round_by_the_error(estimate):
