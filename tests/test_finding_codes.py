@@ -14,7 +14,7 @@ from tests.machines import MACHINES, Shape
 
 import riecjax
 import riecjax as rx
-from finding_marks import held_to
+from conftest import held_to
 from riecjax.assessment.assessment import Refinement
 from riecjax.assessment.trust import validated
 from riecjax.estimation.excitation import Excitation

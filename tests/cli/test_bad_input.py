@@ -178,13 +178,6 @@ def test_a_signal_that_is_computed_because_its_column_was_left_out(capsys):
     assert "dq is computed from other signals instead" in said
 
 
-def test_a_filter_on_a_column_s_old_name_says_which_name_to_use(capsys):
-    renamed = {"load" if k == "F_t" else k: v for k, v in quarter_car_columns().items()}
-    write_csv(Path("raw.csv"), renamed)
-    message = refused(capsys, "raw.csv", "--map", "F_t=load", "--low-pass", "load=50")
-    assert "--map load=COLUMN" not in message
-
-
 @pytest.mark.portable
 def test_a_process_exits_with_the_status_one_line_and_a_document():
     Path("head.csv").write_text("t,x1\n")

@@ -4,23 +4,16 @@ from pathlib import Path
 
 import pytest
 from command_line import call
-from tests.machines import drag_fleet
-
-from riecjax.records.writing import write_record
+from tests.approved.inputs import INPUTS
 
 MODEL = ("--model", "drag-oscillator", "--workers", "0")
 
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory) -> Path:
-    place = tmp_path_factory.mktemp("drives")
-    for vehicle in range(2):
-        own = place / f"vehicle={vehicle}"
-        own.mkdir()
-        for i, record in enumerate(drag_fleet(2, 1500, 20 + vehicle)):
-            write_record(own / f"{i}.parquet", record)
-    (place / "vehicle=0/broken.csv").write_text("t,x\n")
-    return place
+    place = tmp_path_factory.mktemp("fleet")
+    INPUTS["drives"](place)
+    return place / "drives"
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,11 @@
-"""`riecjax identify`: windows by bands, draws by seeds, commands to paste, streams."""
+"""`riecjax identify`: windows by bands, draws by seeds, commands to paste."""
 
-import json
-import os
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import call, quarter_car_columns, write_csv
+from command_line import call
 
 from nightly import by_day
 from riecjax.cli.main import run
@@ -108,24 +104,3 @@ def test_a_proposed_command_can_be_pasted(capsys, drive_file):
     table = " ".join(again.out.split())
     wheel = float(table.split("parameter value")[1].split("M_us")[1].split()[0])
     assert wheel == pytest.approx(30.0, rel=0.01)
-
-
-@pytest.mark.slow
-def test_process_prints_pure_json_and_warnings_apart(tmp_path):
-    path = write_csv(tmp_path / "short.csv", quarter_car_columns())
-    arguments = ["identify", str(path), "--model", "quarter-car", *PLAIN, "--json"]
-    done = subprocess.run(
-        [sys.executable, "-c", "from riecjax.cli.main import main; main()", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "JAX_ENABLE_X64": "0"},
-    )
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
-    assert "warning [short_record]" in done.stderr
-    assert "Traceback" not in done.stderr
-    # The command line turns 64-bit on by itself.
-    assert "single_precision" not in done.stderr
-    # Force is exactly 180e3 x1 in this file.
-    assert document["parameters"]["K_t"]["value"] == pytest.approx(180e3, rel=1e-10)

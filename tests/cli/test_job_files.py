@@ -133,19 +133,6 @@ def test_a_wrong_job_is_wrong_usage(capsys, tmp_path, monkeypatch, text, words):
     assert all(word in said for word in words)
 
 
-def test_a_table_or_a_list_where_both_may_stand(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    job = rerun(
-        'records = "-b.csv"\nmodel = "emps"\ncolumns = ["t", "x y"]\nset = ["k=2"]\n'
-        'bound = {k = "0:9"}\nadd-mode = {x4 = 10}',
-        tmp_path,
-    )
-    assert job.params["columns"] == ("t", "x y")
-    assert job.params["known"] == {"k": 2.0}
-    assert job.params["files"] == (Path("-b.csv"),)
-    assert job.params["modes"] == (("x4", 10.0),)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [

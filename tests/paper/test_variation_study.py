@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.errors import DataError
 from riecjax.models.quarter_car.reconstruction import reconstructed
 from riecjax.paper import variations as variation_study
 from riecjax.paper.reproduction import PARAMETERS
@@ -85,12 +84,6 @@ def test_a_broken_part_is_computed_anew(tmp_path):
         run(tmp_path, stop=2)
     (tmp_path / parts_of(PLAN)[0].file).write_bytes(b"PAR1 cut off")
     assert run(tmp_path).equals(run())
-
-
-def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
-    (tmp_path / "taken").touch()
-    with pytest.raises(DataError, match="taken"):
-        run(tmp_path / "taken")
 
 
 def test_arrays_are_the_table_s_numbers():
