@@ -4,7 +4,7 @@
         [--only MUTATION] [--keep DIR] [--verbose]
 
 A traceback, a raw warning, a hang, 2 GB of memory or a wrong number without a word must not come
-out; `python -m benchmarks.robustness kill` kills runs instead. Each case is drawn from the seed and
+out. Each case is drawn from the seed and
 its number, so that one can be run again alone.
 """
 
@@ -14,7 +14,6 @@ import functools
 import io
 import json
 import logging
-import sys
 import tempfile
 import time
 import traceback
@@ -26,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.recorded import run_part
 from benchmarks.robustness.formats import ALL_WRITERS, SLOW
 from benchmarks.robustness.mutations import NAMES, TRUTH, Case, mutated, rigs
 from benchmarks.robustness.watched import Watched
@@ -267,6 +265,4 @@ def _print(counts: dict[str, Counter[str]], slowest: dict[str, float]) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["kill"]:
-        run_part("robustness", ["kill"])
     main()
