@@ -1,6 +1,6 @@
 """What hidden modes are found to be, over systems of known truth. Written to hidden_modes.json.
 
-    python -m benchmarks.calibration hidden_modes [problem ...] [--seeds N] [--out FILE]
+    python -m benchmarks.calibration hidden_modes [--only PROBLEM ...] [--seeds N] [--out FILE]
 
 `mounts`: the paper's source model with each engine mount of its Table 6, at 0 to 10 % noise, whose
 engine the quarter car does not know. `random`: bodies with a random oscillator on them, and with
@@ -11,7 +11,6 @@ Every recording is identified by itself, with nothing said but the model and the
 is on, and its noise is judged from its samples.
 """
 
-import argparse
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -291,19 +290,10 @@ PROBLEMS: dict[str, tuple[Callable[[int], dict[str, Any]], int]] = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("problems", nargs="*", choices=[*PROBLEMS, []], default=list(PROBLEMS))
-    parser.add_argument("--seeds", type=int)
-    parser.add_argument("--out", type=Path, default=OUT)
-    asked = parser.parse_args()
+def main(only: tuple[str, ...] = tuple(PROBLEMS), seeds: int = 0, out: Path = OUT) -> None:
     rx.start_jax()
-    report = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    for name in asked.problems:
-        problem, seeds = PROBLEMS[name]
-        report[name] = problem(asked.seeds or seeds)
-        write_json(asked.out, report)
-
-
-if __name__ == "__main__":
-    main()
+    report = json.loads(out.read_text()) if out.exists() else {}
+    for name in only:
+        problem, usual = PROBLEMS[name]
+        report[name] = problem(seeds or usual)
+        write_json(out, report)

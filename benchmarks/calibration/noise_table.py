@@ -17,7 +17,7 @@ Document = Mapping[str, Any]
 def tables(document: Document) -> str:
     """In Markdown; a dash stands where nothing was measured."""
     parts = [drag(document, motion) for motion in ("with velocity", "position only")]
-    parts += [quarter_car(document), dry_friction(document), duffing(document), cost(document)]
+    parts += [quarter_car(document), dry_friction(document), duffing(document)]
     return "\n\n".join(parts)
 
 
@@ -89,18 +89,6 @@ def duffing(document: Document) -> str:
 
     counts = (name for name in _there(document, "duffing") if name.endswith("samples"))
     return _table("Free Duffing oscillator, median error", head, map(row, counts))
-
-
-def cost(document: Document) -> str:
-    head = ("model, samples", "`none`", "`auto`", "more")
-
-    def row(name: str) -> list[str]:
-        found = _at(document, "auto", "cost", name)
-        seconds = (f"{1e3 * found['seconds'][way]:.3g} ms" for way in WAYS)
-        return [name.removesuffix(" samples"), *seconds, f"{100 * (found['ratio'] - 1):.0f} %"]
-
-    names = (name for name in _there(document, "cost") if name.endswith("samples"))
-    return _table("Time to identify, warm", head, map(row, names))
 
 
 def _at(document: Document, *path: str) -> Document:

@@ -4,7 +4,6 @@ Every point is a process of its own, since its peak of memory is what is measure
 of five calls after the first is timed. Writes benchmarks/growth.json and docs/images/growth.png.
 """
 
-import argparse
 import json
 import resource
 import statistics
@@ -101,7 +100,7 @@ def parameters(count: int) -> Callable[[], Any]:
 KINDS = {f.__name__: f for f in (samples, windows, seeds, roads, parameters)}
 
 
-def point(kind: str, count: int) -> dict[str, float]:
+def measured(kind: str, count: int) -> dict[str, float]:
     start_jax()
     work = KINDS[kind](count)
     first = seconds(work)
@@ -134,24 +133,18 @@ def draw(found: dict[str, list[dict[str, float]]]) -> None:
     figure.savefig(PICTURE, dpi=110)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--point", nargs=2, metavar=("KIND", "COUNT"), help="measure this one only")
-    arguments = parser.parse_args()
-    if arguments.point:
-        kind, count = arguments.point
-        print(json.dumps(point(kind, int(count))))
+def main(point: str = "") -> None:
+    """All points; `KIND,COUNT` of one is what the processes are started with."""
+    if point:
+        kind, _, count = point.partition(",")
+        print(json.dumps(measured(kind, int(count))))
         return
     found = {}
     for kind, counts in POINTS.items():
         found[kind] = []
         for count in counts:
-            command = [sys.executable, "-m", "benchmarks.speed.growth", "--point", kind, str(count)]
-            found[kind].append(last_line(command))
+            command = [sys.executable, "-m", "benchmarks.speed", "growth", "--point"]
+            found[kind].append(last_line([*command, f"{kind},{count}"]))
             print(kind, found[kind][-1], flush=True)
     write_json(FOLDER / "growth.json", found)
     draw(found)
-
-
-if __name__ == "__main__":
-    main()

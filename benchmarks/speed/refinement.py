@@ -1,15 +1,11 @@
 """The test problem that peers were measured on, refined: `python -m benchmarks.speed refinement`.
 
 m x'' + r x' + r2 x'|x'| + k x = u from (1, 1, 1, 10), 5 % noise on position and velocity: root mean
-square errors over 100 noise seeds against the Cramer-Rao bound, standard errors, seconds cold (in a
-process of its own, imports not counted), warm, and vmapped, beside SciPy with a fair step; and from
-how far away random starts find the optimum. Written to benchmarks/refinement.json.
+square errors over 100 noise seeds against the Cramer-Rao bound, standard errors, seconds warm and
+vmapped, beside SciPy with a fair step. Written to benchmarks/refinement.json.
 """
 
-import argparse
 import json
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -27,12 +23,10 @@ from tests.machines import drag_record as record
 from benchmarks.recorded import FOLDER, write_json
 from benchmarks.speed.baselines import scipy_drag
 from riecjax.records.record import Record, stack_records
-from riecjax.refinement.objective import AbstractObjective
-from riecjax.refinement.output_error import OutputError, Tiles
+from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import Refined, refine
 from riecjax.runtime import start_jax
 from riecjax.simulation.method import FixedStep
-from riecjax.studies.recovery import recovery_map
 
 # One step between samples: the oscillator turns by 0.04 rad.
 METHOD = FixedStep(1)
@@ -63,14 +57,6 @@ def statistics(found: Refined) -> dict[str, Any]:
     }
 
 
-def cold() -> float:
-    """Seconds of the first fit of a process, compilation included."""
-    first = record(0)
-    began = time.perf_counter()
-    jax.block_until_ready(refine(oscillator(), first, START).theta)
-    return time.perf_counter() - began
-
-
 def warm(repeats: int = 9) -> float:
     refine(oscillator(), record(0), START)
     seconds = []
@@ -91,50 +77,8 @@ def by_scipy(seed: int = 1) -> tuple[float, list[float]]:
     return time.perf_counter() - began, [found[name] for name in TRUTH]
 
 
-def recovery(starts: int) -> dict[str, Any]:
-    own = record(0)
-    optimum = refine(oscillator(), own, START, OutputError(method=METHOD))
-    whole = OutputError(method=METHOD)
-    ways: dict[str, list[AbstractObjective]] = {
-        "whole record at once": [whole],
-        "windows of 0.2 s, 2 s, then the whole record": [
-            OutputError(Tiles(samples=20), initial_states="measured", method=METHOD),
-            OutputError(Tiles(samples=200), method=METHOD),
-            whole,
-        ],
-    }
-    found = {}
-    for name, objectives in ways.items():
-        began = time.perf_counter()
-        mapped = recovery_map(
-            oscillator(), own, optimum, objectives, key=jax.random.key(0), starts=starts
-        )
-        finite = bool(np.all(np.isfinite(mapped.theta)))
-        found[name] = {
-            "shares": [
-                {"from": low, "to": high, "starts": count, "recovered": share}
-                for low, high, count, share in mapped.shares((1, 1.5, 2, 3, 5, 10.001))
-            ],
-            "recovered": float(np.mean(mapped.recovered)),
-            "all_finite": finite,
-            "median_steps": float(np.median(mapped.steps)),
-            "seconds": time.perf_counter() - began,
-        }
-    return found
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cold", action="store_true", help="only print the seconds of a cold fit")
-    parser.add_argument("--starts", type=int, default=256)
-    parser.add_argument("--out", type=Path, default=FOLDER / "refinement.json")
-    arguments = parser.parse_args()
+def main(out: Path = FOLDER / "refinement.json") -> None:
     start_jax()
-    if arguments.cold:
-        print(cold())
-        return
-    command = [sys.executable, "-m", "benchmarks.speed.refinement", "--cold"]
-    colds = [float(subprocess.check_output(command, text=True)) for _ in range(3)]
     batch = stack_records([record(seed) for seed in range(100)])
     jax.block_until_ready(refine_all(batch).theta)
     began = time.perf_counter()
@@ -145,18 +89,8 @@ def main() -> None:
     document = {
         "parameters": statistics(found),
         "all_converged": bool(np.all(np.asarray(jax.vmap(lambda r: r.converged)(found)))),
-        "seconds": {
-            "cold": float(np.median(colds)),
-            "warm": warm(),
-            "vmapped_100": vmapped,
-            "scipy": seconds,
-        },
+        "seconds": {"warm": warm(), "vmapped_100": vmapped, "scipy": seconds},
         "seed_1": {"refined": [float(v) for v in single.theta], "scipy": values},
-        "recovery": recovery(arguments.starts),
     }
-    write_json(arguments.out, document)
+    write_json(out, document)
     print(json.dumps(document, indent=2))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,27 +1,22 @@
 """What a Summary saves, and what it costs: `python -m benchmarks.speed summaries [--only ...]`.
 
-- `lengths`: the first and the second call of `identify`, and the functions that they compile, where
-  64 recordings are all of other lengths, and where they are of one; and for 16 lengths one by one.
 - `questions`: other known values, intervals and bands from one Summary of 10^6 samples, against
   `identify` of all samples anew, with the largest relative difference of the two.
 - `cost`: seconds of `summarise` against all of `identify`, and bytes of what it keeps, for the
   paper's record and for 10^6 samples.
 
-First calls are timed in processes of their own, which find nothing compiled before. Writes
-benchmarks/summaries.json.
+Writes benchmarks/summaries.json.
 """
 
-import argparse
 import json
 import sys
-import tempfile
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import numpy as np
 
-from benchmarks.recorded import FOLDER, environment, last_line, write_json
+from benchmarks.recorded import FOLDER, write_json
 from benchmarks.speed.timing import seconds
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
@@ -40,15 +35,6 @@ from riecjax.uncertainty.intervals import BlockBootstrap, Sandwich
 FILE = FOLDER / "summaries.json"
 STEP, REPEATS, BINS = 1e-3, 5, 12
 SAMPLES = 10**6
-OF_OTHER_LENGTHS = [5000 + 37 * i for i in range(64)]
-ONE_BY_ONE = [5000 + i for i in range(16)]
-LENGTHS = {
-    "64 recordings of 64 lengths": (OF_OTHER_LENGTHS, True),
-    "64 recordings of 5000": ([5000] * 64, True),
-    "16 lengths one by one": (ONE_BY_ONE, False),
-    "16 times 5000 one by one": ([5000] * 16, False),
-}
-"""Samples of recordings, and whether one call takes them all."""
 
 
 def made_record(samples: int, seed: int = 0) -> Record:
@@ -86,49 +72,6 @@ def medians(works: dict[str, Callable[[], Any]]) -> dict[str, float]:
 def largest_difference(one: Estimate, other: Estimate) -> float:
     """Of two estimates' parameters, relative."""
     return float(np.max(np.abs(np.asarray(one.theta) / np.asarray(other.theta) - 1)))
-
-
-def first_calls(which: str) -> dict[str, float]:
-    """Seconds of both calls and functions that each compiled, in this process."""
-    counts, together = LENGTHS[which]
-    records = [made_record(count, seed) for seed, count in enumerate(counts)]
-    compiled = []
-
-    def listen(event: str, duration_secs: float, **_: Any) -> None:
-        if event.endswith("backend_compile_duration"):
-            compiled.append(duration_secs)
-
-    def work() -> list[Any]:
-        calls = [records] if together else [[record] for record in records]
-        return [identify(equation(), call, criterion()).theta for call in calls]
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    first = seconds(work)
-    functions = len(compiled)
-    second = seconds(work)
-    return {
-        "first_s": first,
-        "second_s": second,
-        "functions": functions,
-        "functions_again": len(compiled) - functions,
-        "compiling_s": sum(compiled),
-    }
-
-
-def lengths() -> dict[str, dict[str, float]]:
-    """Of each of `LENGTHS`, in a process of its own; and how the first two compare."""
-    found = {}
-    for which in LENGTHS:
-        with tempfile.TemporaryDirectory() as empty:
-            command = [sys.executable, "-m", "benchmarks.speed.summaries", "--point", which]
-            found[which] = last_line(command, env=environment(empty))
-        show(which, found[which])
-    names = list(LENGTHS)
-    for other, same in (names[:2], names[2:]):
-        ratios = {key: found[other][key] / found[same][key] for key in ("first_s", "second_s")}
-        found[f"{other} over {same}"] = ratios
-        show(f"{other} over {same}", ratios)
-    return found
 
 
 def questions() -> dict[str, dict[str, float]]:
@@ -200,7 +143,7 @@ def cost_of(name: str, model: Any, record: Record) -> dict[str, float]:
     return found
 
 
-KINDS = {f.__name__: f for f in (lengths, questions, cost)}
+KINDS = {f.__name__: f for f in (questions, cost)}
 
 
 def show(name: str, figures: dict[str, Any]) -> None:
@@ -208,20 +151,9 @@ def show(name: str, figures: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--point", choices=LENGTHS, help="measure these first calls only")
-    parser.add_argument("--only", nargs="*", default=[], choices=KINDS, help="parts")
-    arguments = parser.parse_args()
+def main(only: tuple[str, ...] = tuple(KINDS)) -> None:
     start_jax()
-    if arguments.point:
-        print(json.dumps(first_calls(arguments.point)))
-        return
-    found = json.loads(FILE.read_text()) if arguments.only and FILE.exists() else {}
-    for name in arguments.only or KINDS:
+    found = json.loads(FILE.read_text()) if FILE.exists() else {}
+    for name in only:
         found[name] = KINDS[name]()
     write_json(FILE, found)
-
-
-if __name__ == "__main__":
-    main()
