@@ -1,6 +1,6 @@
 """What sensor noise does to answers, and whether intervals know. Written to sensor_noise.json.
 
-    python -m benchmarks.calibration sensor_noise [--only PROBLEM] [--seeds N] [--noise none] [--check]
+    python -m benchmarks.calibration sensor_noise [--only PROBLEM] [--seeds N] [--noise none]
 
 `drag`, `quarter-car`, `coulomb` and `duffing` are noisy recordings whose truth is known; `--page`
 writes the tables of docs/sensor_noise.md.

@@ -19,8 +19,6 @@ PARTS = (
     "cold_start",
     "compilation",
     "growth",
-    "refinement",
-    "summaries",
 )
 PAGE = FOLDER.parent / "docs" / "speed.md"
 BEGIN = "<!-- measured: make bench -->"
